@@ -1,0 +1,18 @@
+"""The exceptions of the package.
+
+Every error raised on purpose derives from `DeadtimeError` and from the builtin
+that a caller would expect. Its message names the argument, says what was
+expected and what was given, and what to do about it.
+"""
+
+
+class DeadtimeError(Exception):
+    """Base class of every error that deadtime raises on purpose."""
+
+
+class ArgumentError(DeadtimeError, ValueError):
+    """An argument is malformed or asks for something that does not exist."""
+
+
+class ProblemFileError(ArgumentError):
+    """A problem file is malformed; the message names the file, the line and the key."""

@@ -1,0 +1,94 @@
+"""Switching signals in CSV files: logs of events, or of samples at regular times."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from deadtime.checks import number
+from deadtime.errors import ArgumentError
+from deadtime.switching.signal import SwitchingSignal
+
+
+def read_log(
+    path: str | PathLike[str],
+    *,
+    modes: int | None = None,
+    labels: Mapping[str, int] | None = None,
+    end: float | None = None,
+) -> SwitchingSignal:
+    """A signal from a CSV file with a header and the columns `time` (seconds) and `mode`.
+
+    Rows may be switching events or samples; the first row's time becomes 0. If the last row
+    repeats the mode before it, the signal ends there; otherwise it has no end, unless `end`
+    (on the log's own clock) says otherwise.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    modes : int, optional
+        Number of modes of the plant; a mode beyond it is an error.
+    labels : mapping, optional
+        From the text in the log to the mode, such as ``{"throttle": 0, "brake": 1}``.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is missing or lacks a column, or a row's time or mode is not known; the
+        message names the line.
+    """
+    source = Path(path)
+    try:
+        with source.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if not {"time", "mode"} <= set(reader.fieldnames or ()):
+                raise ArgumentError(
+                    f"{source} must have the columns time and mode, got "
+                    f"{reader.fieldnames}: name them in its first line."
+                )
+            rows = [(reader.line_num, row["time"], row["mode"]) for row in reader]
+    except OSError as error:
+        raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
+    if not rows:
+        raise ArgumentError(f"{source} must hold at least one row, got none.")
+    times = np.array([number(f"{source}, line {line}: time", text) for line, text, _ in rows])
+    visited = [_mode(source, line, text, modes, labels) for line, _, text in rows]
+    start = times[0]
+    if end is None:
+        repeated = len(visited) > 1 and visited[-1] == visited[-2]
+        end = times[-1] if repeated else np.inf
+        if repeated:
+            times, visited = times[:-1], visited[:-1]
+    return SwitchingSignal(times - start, np.array(visited), end - start)
+
+
+def _mode(
+    source: Path, line: int, text: str | None, modes: int | None, labels: Mapping[str, int] | None
+) -> int:
+    """The mode that a row's text names."""
+    text = (text or "").strip()
+    if labels is not None and text in labels:
+        return labels[text]
+    known = f"one of {sorted(labels)}" if labels is not None else "an integer counted from 0"
+    if labels is None and text.isdigit() and (modes is None or int(text) < modes):
+        return int(text)
+    if labels is None and modes is not None:
+        known = f"an integer in 0..{modes - 1}"
+    hint = "" if labels is not None else ": map other names with labels={'name': mode, …}"
+    raise ArgumentError(f"{source}, line {line}: mode must be {known}, got {text!r}{hint}.")
+
+
+def write_log(signal: SwitchingSignal, path: str | PathLike[str]) -> None:
+    """Write the signal's sojourns; a finite end becomes a last row that repeats the mode."""
+    rows = list(zip(signal.times.tolist(), signal.modes.tolist(), strict=True))
+    if np.isfinite(signal.end):
+        rows.append((signal.end, int(signal.modes[-1])))
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("time", "mode"))
+        writer.writerows((repr(time), mode) for time, mode in rows)

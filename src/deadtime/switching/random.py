@@ -1,0 +1,106 @@
+"""Random switching signals, drawn reproducibly from a seed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.checks import positive
+from deadtime.errors import ArgumentError
+from deadtime.switching.signal import SwitchingSignal
+
+
+def random_signal(
+    modes: int,
+    horizon: float,
+    *,
+    dwell_time: float | None = None,
+    average_dwell_time: float | None = None,
+    mean_sojourn: float | None = None,
+    chatter: int = 2,
+    seed: int = 0,
+) -> SwitchingSignal:
+    """A random signal with a minimum or an average dwell time.
+
+    With `dwell_time` τ_d, sojourns are τ_d + Exp(mean_sojourn − τ_d); `mean_sojourn` is 2 τ_d
+    unless given. With `average_dwell_time` τ_a, switches arrive as a Poisson process with mean
+    spacing `mean_sojourn` (τ_a unless given) and pass a leaky bucket: it fills at the rate 1/τ_a
+    up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at most
+    chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over the
+    others.
+
+    Parameters
+    ----------
+    modes : int
+        Number of modes, at least 1.
+    horizon : float
+        The signal ends here, in seconds.
+    dwell_time, average_dwell_time : float
+        Give exactly one, in seconds.
+    mean_sojourn : float, optional
+        Mean time between switches (between proposed switches for an average dwell time), s.
+    chatter : int
+        N₀ ≥ 1, how many switches an average dwell time allows at once.
+    seed : int
+        The same seed gives the same signal; a longer horizon continues it.
+
+    Raises
+    ------
+    ArgumentError
+        If not exactly one dwell time is given, or the mean sojourn is below the dwell time.
+
+    Examples
+    --------
+    >>> signal = random_signal(3, 20.0, dwell_time=0.3, seed=1)
+    >>> signal.dwell_time >= 0.3
+    True
+    >>> random_signal(2, 50.0, average_dwell_time=0.5, seed=1).average_dwell_time(2) >= 0.5
+    True
+    """
+    horizon = positive("horizon", horizon)
+    if (dwell_time is None) == (average_dwell_time is None):
+        raise ArgumentError("dwell_time or average_dwell_time: give exactly one of the two.")
+    if isinstance(modes, bool) or modes != int(modes) or modes < 1:
+        raise ArgumentError(f"modes must be a positive integer, got {modes!r}.")
+    rng, mode_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    if dwell_time is not None:
+        times = _minimum_dwell(rng, horizon, positive("dwell_time", dwell_time), mean_sojourn)
+    else:
+        if chatter < 1:
+            raise ArgumentError(f"chatter must be at least 1, got {chatter}.")
+        average = positive("average_dwell_time", average_dwell_time)
+        mean = average if mean_sojourn is None else positive("mean_sojourn", mean_sojourn)
+        times = _average_dwell(rng, horizon, average, mean, chatter)
+    visited = [int(mode_rng.integers(modes))]
+    for _ in times:
+        shift = int(mode_rng.integers(1, modes)) if modes > 1 else 0
+        visited.append((visited[-1] + shift) % modes)
+    return SwitchingSignal(np.array([0.0, *times]), np.array(visited), horizon)
+
+
+def _minimum_dwell(
+    rng: np.random.Generator, horizon: float, dwell_time: float, mean_sojourn: float | None
+) -> list[float]:
+    """Switching instants below the horizon, at least `dwell_time` apart."""
+    mean = 2.0 * dwell_time if mean_sojourn is None else positive("mean_sojourn", mean_sojourn)
+    if mean < dwell_time:
+        raise ArgumentError(
+            f"mean_sojourn must be at least dwell_time = {dwell_time:g} s, got {mean:g}."
+        )
+    times, time = [], 0.0
+    while (time := time + dwell_time + rng.exponential(mean - dwell_time)) < horizon:
+        times.append(time)
+    return times
+
+
+def _average_dwell(
+    rng: np.random.Generator, horizon: float, average: float, mean: float, chatter: int
+) -> list[float]:
+    """Poisson instants thinned by the leaky bucket."""
+    times, time, level, last = [], 0.0, float(chatter), 0.0
+    while (time := time + rng.exponential(mean)) < horizon:
+        level = min(float(chatter), level + (time - last) / average)
+        last = time
+        if level >= 1.0:
+            times.append(time)
+            level -= 1.0
+    return times

@@ -1,0 +1,241 @@
+"""The switching signal: which mode is active when.
+
+Signals are right-continuous: at a switching instant the new mode is already active. They live
+on [0, end); past a finite end the last mode goes on. Two neighbouring entries with the same
+mode are one sojourn, so a log sampled at regular times is a valid signal too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from deadtime.checks import positive, real_array
+from deadtime.errors import ArgumentError
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class SwitchingSignal:
+    """A piecewise constant, right-continuous switching signal σ (immutable).
+
+    Parameters
+    ----------
+    times : array_like, shape (sojourns,)
+        Start of each sojourn in seconds; times[0] = 0, strictly increasing.
+    modes : array_like of int, shape (sojourns,)
+        Mode of each sojourn, counted from 0.
+    end : float
+        Time up to which the signal is known, in seconds; infinite by default.
+
+    Raises
+    ------
+    ArgumentError
+        If times are unsorted, repeated, do not start at 0 or reach `end`, or modes are not
+        non-negative integers.
+
+    Examples
+    --------
+    >>> signal = SwitchingSignal([0.0, 0.5, 0.75], [0, 1, 0], end=2.0)
+    >>> signal([0.0, 0.4999, 0.5, 1.9])
+    array([0, 0, 1, 0])
+    >>> signal.dwell_time
+    0.25
+    """
+
+    times: Float[np.ndarray, " sojourn"]
+    modes: Int[np.ndarray, " sojourn"]
+    end: float
+
+    def __init__(self, times: ArrayLike, modes: ArrayLike, end: float = np.inf) -> None:
+        times = real_array("times", times, "(sojourns,)", 1)
+        modes = _mode_array(modes, times.size)
+        if times[0] != 0.0:
+            raise ArgumentError(
+                f"times[0] must be 0, got {times[0]:g}: subtract it from times, or give the "
+                "mode that is active from 0 on."
+            )
+        wrong = np.flatnonzero(np.diff(times) <= 0.0)
+        if wrong.size:
+            i = int(wrong[0]) + 1
+            kind = "repeated" if times[i] == times[i - 1] else "unsorted"
+            raise ArgumentError(
+                f"times must be strictly increasing, but times[{i}] = {times[i]:g} after "
+                f"{times[i - 1]:g} is {kind}: sort the switches and keep one mode per instant."
+            )
+        end = float(end)
+        if not end > times[-1]:
+            raise ArgumentError(
+                f"end must be later than the last switch at {times[-1]:g} s, got {end:g}."
+            )
+        new = np.concatenate(([True], np.diff(modes) != 0))
+        times, modes = times[new], modes[new]
+        times.flags.writeable = modes.flags.writeable = False
+        vars(self).update(times=times, modes=modes, end=end)
+
+    # -- reading ---------------------------------------------------------------------------
+
+    def __call__(self, t: ArrayLike) -> Int[np.ndarray, ...]:
+        """σ(t) at times t ≥ 0 of any shape; past the end the last mode goes on."""
+        t = np.asarray(t, dtype=np.float64)
+        if not (t >= 0.0).all():
+            raise ArgumentError("t must be ≥ 0: a switching signal starts at time 0.")
+        return self.modes[np.searchsorted(self.times, t, side="right") - 1]
+
+    @property
+    def switches(self) -> int:
+        """Number of switches."""
+        return self.times.size - 1
+
+    @property
+    def dwell_time(self) -> float:
+        """The shortest sojourn that ends in a switch, in seconds.
+
+        The first sojourn counts from 0. Infinite when the signal never switches.
+        """
+        return float(np.diff(self.times).min()) if self.switches else np.inf
+
+    def average_dwell_time(self, chatter: float = 1.0) -> float:
+        """The largest τ_a with at most chatter + (t − s)/τ_a switches in every [s, t], seconds.
+
+        References
+        ----------
+        Hespanha and Morse, "Stability of switched systems with average dwell-time", CDC 1999.
+
+        Examples
+        --------
+        >>> SwitchingSignal([0, 1.0, 1.1, 3.0], [0, 1, 0, 1]).average_dwell_time(chatter=2)
+        2.0
+        """
+        t = self.times[1:]
+        span = t[None, :] - t[:, None]
+        excess = np.arange(t.size)[None, :] - np.arange(t.size)[:, None] + 1 - chatter
+        binding = excess > 0
+        return float((span[binding] / excess[binding]).min()) if binding.any() else np.inf
+
+    def require_dwell_time(self, dwell_time: float) -> SwitchingSignal:
+        """The signal itself, when it keeps the declared dwell time; an error otherwise."""
+        if self.dwell_time < positive("dwell_time", dwell_time) * (1.0 - 1e-9):
+            i = int(np.argmin(np.diff(self.times)))
+            raise ArgumentError(
+                f"dwell_time is declared as {dwell_time:g} s, but the signal stays in mode "
+                f"{self.modes[i]} only from {self.times[i]:g} to {self.times[i + 1]:g} s: "
+                f"declare at most {self.dwell_time:g} s."
+            )
+        return self
+
+    def require_modes(self, modes: int) -> SwitchingSignal:
+        """The signal itself, when all its modes are in 0, …, modes − 1; an error otherwise."""
+        if self.modes.max() >= modes:
+            i = int(np.argmax(self.modes))
+            raise ArgumentError(
+                f"signal enters mode {self.modes[i]} at {self.times[i]:g} s, but the plant's "
+                f"modes are 0..{modes - 1}: modes count from 0."
+            )
+        return self
+
+    def after(self, time: float) -> SwitchingSignal:
+        """The signal seen from `time` on, with that instant as its new 0."""
+        if not 0.0 <= time < self.end:
+            raise ArgumentError(f"time must be in [0, end) = [0, {self.end:g}), got {time:g}.")
+        later = self.times > time
+        times = np.concatenate(([0.0], self.times[later] - time))
+        modes = np.concatenate((self([time]), self.modes[later]))
+        return SwitchingSignal(times, modes, self.end - time)
+
+    # -- making ----------------------------------------------------------------------------
+
+    @classmethod
+    def constant(cls, mode: int) -> SwitchingSignal:
+        """One mode for ever."""
+        return cls(np.zeros(1), np.array([mode]))
+
+    @classmethod
+    def periodic(cls, sojourns: ArrayLike, modes: Sequence[int], horizon: float) -> SwitchingSignal:
+        """The modes in turn, each for its sojourn in seconds, over and over up to `horizon`.
+
+        Examples
+        --------
+        >>> SwitchingSignal.periodic([0.2, 0.3], [0, 1], horizon=1.0).times
+        array([0. , 0.2, 0.5, 0.7])
+        """
+        length = real_array("sojourns", sojourns, "(modes in a period,)", 1)
+        cycle = _mode_array(np.asarray(modes), length.size)
+        if length.min() <= 0.0:
+            raise ArgumentError(f"sojourns must be positive, in s, got {length.min():g}.")
+        horizon = positive("horizon", horizon)
+        rounds = int(np.ceil(horizon / length.sum()))
+        starts = np.concatenate(([0.0], np.cumsum(length)[:-1]))
+        times = (np.arange(rounds)[:, None] * length.sum() + starts).ravel()
+        keep = times < horizon
+        return cls(times[keep], np.tile(cycle, rounds)[keep], horizon)
+
+    @classmethod
+    def random(
+        cls,
+        modes: int,
+        horizon: float,
+        *,
+        dwell_time: float | None = None,
+        average_dwell_time: float | None = None,
+        mean_sojourn: float | None = None,
+        chatter: int = 2,
+        seed: int = 0,
+    ) -> SwitchingSignal:
+        """A random signal with a minimum or an average dwell time.
+
+        See `deadtime.switching.random.random_signal` for what the arguments mean.
+        """
+        from deadtime.switching.random import random_signal
+
+        return random_signal(
+            modes,
+            horizon,
+            dwell_time=dwell_time,
+            average_dwell_time=average_dwell_time,
+            mean_sojourn=mean_sojourn,
+            chatter=chatter,
+            seed=seed,
+        )
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        *,
+        modes: int | None = None,
+        labels: Mapping[str, int] | None = None,
+        end: float | None = None,
+        dwell_time: float | None = None,
+    ) -> SwitchingSignal:
+        """A signal from a log with columns `time` and `mode`; see `deadtime.switching.log`."""
+        from deadtime.switching.log import read_log
+
+        signal = read_log(path, modes=modes, labels=labels, end=end)
+        return signal if dwell_time is None else signal.require_dwell_time(dwell_time)
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write the log that `from_csv` reads back exactly."""
+        from deadtime.switching.log import write_log
+
+        write_log(self, path)
+
+    def __repr__(self) -> str:
+        return (
+            f"SwitchingSignal(switches={self.switches}, end={self.end:g}, "
+            f"dwell_time={self.dwell_time:g})"
+        )
+
+
+def _mode_array(modes: ArrayLike, count: int) -> np.ndarray:
+    """`modes` as `count` non-negative integers."""
+    values = real_array("modes", modes, "(sojourns,)", 1)
+    if values.size != count:
+        raise ArgumentError(f"modes must have one entry per time, {count}, got {values.size}.")
+    if (values != np.rint(values)).any() or values.min() < 0:
+        raise ArgumentError(f"modes must be integers counted from 0, got {values.tolist()}.")
+    return values.astype(np.int64)
