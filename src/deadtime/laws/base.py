@@ -1,0 +1,88 @@
+"""What every law has: a model of the plant, gains, and a table at any sampling period."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.checks import positive, real_array, shaped
+from deadtime.errors import ArgumentError
+from deadtime.feedback import Feedback
+from deadtime.plant import SwitchedSystem
+from deadtime.steps import Window
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Law(ABC):
+    """A predictor-feedback law.
+
+    Attributes
+    ----------
+    plant : SwitchedSystem
+        The law's *model* of the plant, delay included.
+    gains : (modes, m, n) array or None
+        K_i of u = +K_i x, used for the mismatch; None where the law has no gain per mode.
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"] | None
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """A few words for legends and tables."""
+
+    @abstractmethod
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        """The law's table at a sampling period.
+
+        Parameters
+        ----------
+        step : float
+            Sampling period h > 0, in seconds.
+        signal, steps
+            Read only by laws whose rows are indexed by the step: the future signal, and how
+            many samples to make rows for.
+        """
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.label}; model {self.plant!r})"
+
+    def window(self, step: float) -> Window:
+        """The window of the model's delay at a sampling period."""
+        return Window.of(self.plant.delay, positive("step", step))
+
+
+def checked_gains(
+    plant: SwitchedSystem, gains: object, allow_unstable: bool
+) -> Float[np.ndarray, "mode m n"]:
+    """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz, unless that is waived."""
+    K = real_array("gains", gains, "(modes, m, n)", 3)  # pyright: ignore[reportArgumentType]
+    if K.shape[0] != plant.modes:
+        raise ArgumentError(
+            f"gains must hold one (m, n) matrix per mode, {plant.modes}, got {K.shape[0]}: "
+            "they may be the gains of another plant."
+        )
+    for i in range(plant.modes):
+        shaped(f"gains[{i}]", K[i], (plant.inputs, plant.states), "(m, n)")
+        require_hurwitz(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i], allow_unstable)
+    return K
+
+
+def require_hurwitz(
+    name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray, allow_unstable: bool
+) -> None:
+    """Refuse a gain that leaves A + B K unstable, unless the caller says it is meant."""
+    rightmost = np.linalg.eigvals(A + B @ K).real.max()
+    if rightmost >= 0.0 and not allow_unstable:
+        raise ArgumentError(
+            f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
+            f"{rightmost:+.4g} 1/s): the sign is u = +K x, and gains belong to one plant; "
+            "pass allow_unstable=True if it is meant."
+        )

@@ -1,0 +1,60 @@
+"""The baseline: state feedback that ignores the delay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.feedback import Feedback
+from deadtime.laws.base import Law, checked_gains
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class DelayedStateFeedback(Law):
+    """State feedback u(t) = K_σ(t) x(t), as if its effect were immediate: it arrives D late.
+
+    The law that every predictor is measured against; with a long delay it fails.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The law's model; only its sizes and delay matter here.
+    gains : array_like, shape (modes, m, n)
+        K_i of u = +K_i x.
+    allow_unstable : bool
+        Accept gains that leave some A_i + B_i K_i unstable.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> dt.DelayedStateFeedback(problem.plant, problem.gains).digital(0.01)
+    Feedback(context='mode', rows=2, taps=100, inputs=1, step=0.01, dense)
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"]
+    allow_unstable: bool
+
+    def __init__(
+        self, plant: SwitchedSystem, gains: ArrayLike, *, allow_unstable: bool = False
+    ) -> None:
+        gains = checked_gains(plant, gains, allow_unstable)
+        vars(self).update(plant=plant, gains=gains, allow_unstable=allow_unstable)
+
+    @property
+    def label(self) -> str:
+        return "delay ignored"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        window = self.window(step)
+        modes, m, _ = self.gains.shape
+        taps = np.zeros((modes, window.count, m, m))
+        return Feedback(self.gains, taps, "mode", window.step)

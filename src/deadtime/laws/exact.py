@@ -1,0 +1,106 @@
+"""The oracle: exact predictor feedback along a known future switching signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.errors import ArgumentError
+from deadtime.feedback import Feedback
+from deadtime.laws.base import Law, checked_gains
+from deadtime.plant import SwitchedSystem
+from deadtime.steps import Cuts, modes_at
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class ExactPredictor(Law):
+    """Exact predictor feedback u(t) = K_σ(t+D) P(t), P(t) = x(t + D): it knows the future.
+
+    For benchmarks (no causal law can predict better), and for plants whose switching is
+    scheduled. A switch at exactly t + D counts: signals are right-continuous.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The law's model.
+    gains : array_like, shape (modes, m, n)
+        K_i of u = +K_i x.
+    signal : SwitchingSignal, optional
+        The future that the law believes in; by default the signal of the run.
+    allow_unstable : bool
+        Accept gains that leave some A_i + B_i K_i unstable.
+
+    References
+    ----------
+    arXiv 2503.08446, Lemma 2.3; the product there is ordered with the latest mode leftmost.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> law = dt.ExactPredictor(problem.plant, problem.gains)
+    >>> law.digital(0.01, dt.SwitchingSignal.constant(0), steps=3)
+    Feedback(context='step', rows=3, taps=100, inputs=1, step=0.01, dense)
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"]
+    signal: SwitchingSignal | None
+    allow_unstable: bool
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        gains: ArrayLike,
+        signal: SwitchingSignal | None = None,
+        *,
+        allow_unstable: bool = False,
+    ) -> None:
+        gains = checked_gains(plant, gains, allow_unstable)
+        if signal is not None:
+            signal.require_modes(plant.modes)
+        vars(self).update(plant=plant, gains=gains, signal=signal, allow_unstable=allow_unstable)
+
+    @property
+    def label(self) -> str:
+        return "oracle"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        from deadtime.laws.future import future_rows
+
+        known = signal if self.signal is None else self.signal
+        if known is None or steps is None:
+            raise ArgumentError(
+                "ExactPredictor.digital needs the future: pass signal (or build the law with "
+                "one) and steps, the number of samples."
+            )
+        window = self.window(step)
+        plant = self.plant
+        known.require_modes(plant.modes)
+        last = (steps - 1) * step + window.delay
+        if known.end < last * (1.0 - 1e-12):
+            raise ArgumentError(
+                f"signal must be known up to the last sample plus the delay, {last:g} s, for "
+                f"an exact predictor, but it ends at {known.end:g} s: give a longer signal or "
+                "a shorter horizon."
+            )
+        cuts = Cuts.of(known, window)
+        future = modes_at(known, np.arange(steps) * step + window.delay, step)
+        F, G = future_rows(
+            plant.A,
+            plant.B,
+            self.gains[future],
+            window.step,
+            window.phase,
+            window.count,
+            cuts.step,
+            cuts.offset,
+            cuts.mode,
+        )
+        return Feedback(F, G, "step", window.step)

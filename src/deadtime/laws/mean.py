@@ -1,0 +1,90 @@
+"""Predictor feedback for one fictitious mode, the mean of all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.checks import real_array, shaped
+from deadtime.feedback import Feedback
+from deadtime.laws.base import Law, checked_gains, require_hurwitz
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class MeanPredictor(Law):
+    """Exact predictor feedback of the mean plant (Ā, B̄).
+
+        u(t) = K̄ (e^{Ā D} x(t) + ∫_{t−D}^{t} e^{Ā(t−θ)} B̄ u(θ) dθ)
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The law's model.
+    gain : array_like, shape (m, n)
+        K̄ of u = +K̄ x.
+    gains : array_like, shape (modes, m, n), optional
+        The modes' own K_i, needed only for the mismatch; without them there is none.
+    mean : pair of array_like, shapes (n, n) and (n, m), optional
+        (Ā, B̄); the element-wise mean of the modes by default.
+    allow_unstable : bool
+        Accept gains that leave Ā + B̄ K̄, or some A_i + B_i K_i, unstable.
+
+    References
+    ----------
+    arXiv 2503.08446, Section III, the law of Figure 6; arXiv 2506.03908 takes other centres.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.problems.paper().plant
+    >>> gain = dt.place(plant.mean(), [-1, -2])[0]
+    >>> gain.round(4)
+    array([[-12.3515,  -6.1881]])
+    >>> dt.MeanPredictor(plant, gain).label
+    'mean'
+    """
+
+    plant: SwitchedSystem
+    gain: Float[np.ndarray, "m n"]
+    gains: Float[np.ndarray, "mode m n"] | None
+    mean: tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n m"]]
+    allow_unstable: bool
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        gain: ArrayLike,
+        gains: ArrayLike | None = None,
+        mean: tuple[ArrayLike, ArrayLike] | None = None,
+        *,
+        allow_unstable: bool = False,
+    ) -> None:
+        n, m = plant.states, plant.inputs
+        gain = shaped("gain", real_array("gain", gain, "(m, n)", 2), (m, n), "(m, n)")
+        centre = plant.mean()
+        A, B = (centre.A[0], centre.B[0]) if mean is None else mean
+        A = shaped("mean[0]", real_array("mean[0]", A, "(n, n)", 2), (n, n), "(n, n)")
+        B = shaped("mean[1]", real_array("mean[1]", B, "(n, m)", 2), (n, m), "(n, m)")
+        require_hurwitz("gain", "the mean plant", A, B, gain, allow_unstable)
+        if gains is not None:
+            gains = checked_gains(plant, gains, allow_unstable)
+        vars(self).update(
+            plant=plant, gain=gain, gains=gains, mean=(A, B), allow_unstable=allow_unstable
+        )
+
+    @property
+    def label(self) -> str:
+        return "mean"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        from deadtime.laws.frozen import frozen_table
+
+        A, B = self.mean
+        return frozen_table(A[None], B[None], self.gain[None], np.ones(1), self.window(step))

@@ -1,0 +1,72 @@
+"""The exact predictor feedback of one mode, used whatever the plant does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.checks import index
+from deadtime.feedback import Feedback
+from deadtime.laws.base import Law, checked_gains
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class SingleModePredictor(Law):
+    """Exact predictor feedback of mode i, forecasting that the plant stays in it for ever.
+
+        u(t) = K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The law's model.
+    gains : array_like, shape (modes, m, n)
+        K_i of u = +K_i x.
+    mode : int
+        The mode i that the law believes in, counted from 0.
+    allow_unstable : bool
+        Accept gains that leave some A_i + B_i K_i unstable.
+
+    References
+    ----------
+    arXiv 2503.08446, Section III, the law of Figures 4 and 5.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> dt.SingleModePredictor(problem.plant, problem.gains, mode=1).digital(0.01)
+    Feedback(context='none', rows=1, taps=100, inputs=1, step=0.01, factored)
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"]
+    mode: int
+    allow_unstable: bool
+
+    def __init__(
+        self, plant: SwitchedSystem, gains: ArrayLike, mode: int, *, allow_unstable: bool = False
+    ) -> None:
+        mode = index("mode", mode, plant.modes)
+        gains = checked_gains(plant, gains, allow_unstable)
+        vars(self).update(plant=plant, gains=gains, mode=mode, allow_unstable=allow_unstable)
+
+    @property
+    def label(self) -> str:
+        return f"mode {self.mode} only"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        from deadtime.laws.frozen import frozen_table
+
+        one = slice(self.mode, self.mode + 1)
+        plant = self.plant
+        return frozen_table(
+            plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.window(step)
+        )

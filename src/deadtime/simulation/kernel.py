@@ -1,0 +1,128 @@
+"""The compiled inner loops of the digital simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from deadtime.exponential import between, energy_between, energy_gramian
+
+LIMIT = 1e100
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _dot(a, b):
+    """Σ a_i b_i, summed in any order (so that it vectorises)."""
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True)
+def _advance(Phi, Gamma, x, u, result):
+    """result = Φ x + Γ u."""
+    for i in range(x.size):
+        total = 0.0
+        for j in range(x.size):
+            total += Phi[i, j] * x[j]
+        for j in range(u.size):
+            total += Gamma[i, j] * u[j]
+        result[i] = total
+
+
+@njit(cache=True)
+def _within_limit(x):
+    """Whether |x| ≤ LIMIT (false when x is not a number)."""
+    square = 0.0
+    for i in range(x.size):
+        square += (x[i] / LIMIT) ** 2
+    return square <= 1.0
+
+
+@njit(cache=True)
+def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past):
+    """Run the loop over the samples 0, …, rows.size − 1 and on until the pipe is empty.
+
+    `inputs[past + k]` is u_k; its first `past` rows are the history. Row `r` of the law is
+    F[r] and G[r] (m, taps·m), the oldest input first. Returns (samples, states, at_phase):
+    how many samples were kept before |x| left the limit, x(t_k), and x(t_k + φ) for
+    k = 0, …, samples + count − 1 and one less.
+    """
+    m, window = G.shape[1:]
+    n = x0.size
+    pipe = inputs.reshape(-1)
+    states = np.empty((rows.size + count, n))
+    at_phase = np.empty((rows.size + count - 1, n))
+    states[0] = x0
+    samples = rows.size
+    k = 0
+    while k < samples + count - 1:
+        x = states[k]
+        if k < samples and k > 0 and not _within_limit(x):
+            samples = k
+            if count == 1:
+                break
+        if k < samples:
+            row, now = rows[k], (past + k) * m
+            recent = pipe[now - window : now]
+            for i in range(m):
+                inputs[past + k, i] = _dot(G[row, i], recent) + _dot(F[row, i], x)
+        i = index[k, 0]
+        _advance(Phi[i], Gamma[i], x, inputs[past + k - count], at_phase[k])
+        i = index[k, 1]
+        u = inputs[past + k - count + 1]
+        _advance(Phi[i], Gamma[i], at_phase[k], u, states[k + 1])
+        k += 1
+    return samples, states[: samples + count], at_phase[: samples + count - 1]
+
+
+@njit(cache=True)
+def states_at(
+    A, B, phase, count, cut_step, cut_offset, cut_mode, step, offset, states, inputs, past
+):
+    """x at the instants t_k + offset, k = `step`."""
+    result = np.empty((step.size, A.shape[1]))
+    for i in range(step.size):
+        k, o = step[i], offset[i]
+        p = np.searchsorted(cut_step, k)
+        stop = np.searchsorted(cut_step, k + 1)
+        Phi, Gamma, p, mode = between(
+            A, B, cut_mode[p], cut_offset, cut_mode, p, stop, 0.0, min(o, phase)
+        )
+        _advance(Phi, Gamma, states[k], inputs[past + k - count], result[i])
+        if o > phase:
+            Phi, Gamma, p, mode = between(A, B, mode, cut_offset, cut_mode, p, stop, phase, o)
+            _advance(Phi, Gamma, result[i].copy(), inputs[past + k - count + 1], result[i])
+    return result
+
+
+@njit(cache=True)
+def phase_gramians(A, B, step, phase, cut_offset, cut_mode, mode, first, stop):
+    """∫|x|² over each entry of the phase table as a quadratic form in (x, u) at its start."""
+    modes, n, m = B.shape
+    Q = np.zeros((mode.size, n + m, n + m))
+    for e in range(mode.size):
+        early = e % 2 == 0 if e < 2 * modes else cut_offset[first[e]] < phase
+        a, b = (0.0, phase) if early else (phase, step)
+        if e < 2 * modes:
+            Q[e] = energy_gramian(A[mode[e]], B[mode[e]], b - a)
+        else:
+            Q[e] = energy_between(A, B, mode[e], cut_offset, cut_mode, first[e], stop[e], a, b)
+    return Q
+
+
+@njit(cache=True)
+def square_integral(Q, index, steps, count, states, at_phase, inputs, past):
+    """∫|x|² over the steps 0, …, steps − 1."""
+    n, m = states.shape[1], inputs.shape[1]
+    total = 0.0
+    z = np.empty(n + m)
+    for k in range(steps):
+        for f in range(2):
+            z[:n] = states[k] if f == 0 else at_phase[k]
+            z[n:] = inputs[past + k - count + f]
+            form = Q[index[k, f]]
+            for i in range(n + m):
+                total += z[i] * _dot(form[i], z)
+    return total

@@ -1,0 +1,167 @@
+"""What a digital run leaves behind: enough to evaluate it exactly at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.plant import SwitchedSystem
+from deadtime.steps import Cuts, Window, snap_all
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseTable:
+    """The transitions of the steps of a run, as `deadtime.exponential.phases` returns them."""
+
+    index: Int[np.ndarray, "step 2"]
+    Phi: Float[np.ndarray, "entry n n"]
+    Gamma: Float[np.ndarray, "entry n m"]
+    mode: Int[np.ndarray, " entry"]
+    first: Int[np.ndarray, " entry"]
+    stop: Int[np.ndarray, " entry"]
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, window: Window, cuts: Cuts, total: int) -> PhaseTable:
+        """The table of the steps 0, …, total − 1."""
+        from deadtime.exponential import phases
+
+        return cls(
+            *phases(
+                plant.A,
+                plant.B,
+                window.step,
+                window.phase,
+                cuts.step,
+                cuts.offset,
+                cuts.mode,
+                total,
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DigitalRecord:
+    """One digital run: the plant, how its time was cut, and the states and inputs on the grid.
+
+    Attributes
+    ----------
+    states : (samples + N, n)
+        x(t_k), the last N of them after the run's end, moved by the inputs still in the pipe.
+    at_phase : (samples + N − 1, n)
+        x(t_k + φ).
+    inputs : (past + samples, m)
+        Held inputs; u_k is inputs[past + k], the first `past` rows are the history.
+    samples : int
+        Samples 0, …, samples − 1 belong to the run.
+    """
+
+    plant: SwitchedSystem
+    window: Window
+    cuts: Cuts
+    table: PhaseTable
+    states: Float[np.ndarray, "grid n"]
+    at_phase: Float[np.ndarray, "grid-1 n"]
+    inputs: Float[np.ndarray, "held m"]
+    past: int
+    samples: int
+
+    def locate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Step index and offset of each time, snapped to the samples."""
+        ratio = snap_all(times / self.window.step)
+        step = np.floor(ratio)
+        offset = np.where(ratio == step, 0.0, times - step * self.window.step)
+        return step.astype(np.int64), offset
+
+    def states_at(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
+        """x at any times from 0 to the end of the run plus the delay."""
+        from deadtime.simulation.kernel import states_at
+
+        step, offset = self.locate(times)
+        plant, cuts = self.plant, self.cuts
+        return states_at(
+            plant.A,
+            plant.B,
+            self.window.phase,
+            self.window.count,
+            cuts.step,
+            cuts.offset,
+            cuts.mode,
+            step,
+            offset,
+            self.states,
+            self.inputs,
+            self.past,
+        )
+
+    def inputs_at(self, times: np.ndarray) -> Float[np.ndarray, "time m"]:
+        """u(t), held, at any times from 0 to the end of the run."""
+        step, _ = self.locate(times)
+        return self.inputs[self.past + step]
+
+    def integrals(self, end: float) -> tuple[float, float]:
+        """∫|x|² and ∫|u|² over [0, end], exact."""
+        step, rest = (part[0] for part in self.locate(np.array([end])))
+        ise = self._whole_steps(int(step))
+        held = self.inputs[self.past : self.past + step]
+        energy = self.window.step * float(np.vdot(held, held))
+        if rest > 0.0:
+            u = self.inputs[self.past + step]
+            energy += rest * float(u @ u)
+            ise += self._within_step(int(step), float(rest))
+        return ise, energy
+
+    def _whole_steps(self, steps: int) -> float:
+        from deadtime.simulation.kernel import phase_gramians, square_integral
+
+        plant, table, window = self.plant, self.table, self.window
+        Q = phase_gramians(
+            plant.A,
+            plant.B,
+            window.step,
+            window.phase,
+            self.cuts.offset,
+            self.cuts.mode,
+            table.mode,
+            table.first,
+            table.stop,
+        )
+        return square_integral(
+            Q,
+            table.index,
+            steps,
+            window.count,
+            self.states,
+            self.at_phase,
+            self.inputs,
+            self.past,
+        )
+
+    def _within_step(self, k: int, end: float) -> float:
+        """∫|x|² over [t_k, t_k + end], end < h."""
+        from deadtime.exponential import energy_between
+
+        phase, cuts = self.window.phase, self.cuts
+        stop = int(np.searchsorted(cuts.step, k + 1))
+        total = 0.0
+        for start, a, b in ((0, 0.0, min(end, phase)), (1, phase, end)):
+            if b <= a:
+                continue
+            first = int(np.searchsorted(cuts.step, k))
+            first += int(np.sum((cuts.step == k) & (cuts.offset <= a)))
+            Q = energy_between(
+                self.plant.A,
+                self.plant.B,
+                cuts.mode[first],
+                cuts.offset,
+                cuts.mode,
+                first,
+                stop,
+                a,
+                b,
+            )
+            x = self.at_phase[k] if start else self.states[k]
+            z = np.concatenate((x, self.inputs[self.past + k - self.window.count + start]))
+            total += float(z @ Q @ z)
+        return total
