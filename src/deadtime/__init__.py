@@ -1,0 +1,46 @@
+"""deadtime: predictor feedback for plants with a long input delay that switch between linear modes.
+
+    dx/dt = A_σ(t) x(t) + B_σ(t) u(t − D)
+
+Design a law, simulate it exactly, compare laws. The sign of gains is u = +K x; signals are
+right-continuous; arrays index (mode, …), (signal, time).
+"""
+
+from deadtime import problems
+from deadtime.errors import ArgumentError, DeadtimeError, ProblemFileError
+from deadtime.feedback import Factor, Feedback
+from deadtime.gains import lqr, place
+from deadtime.laws import (
+    AveragedPredictor,
+    DelayedStateFeedback,
+    ExactPredictor,
+    Law,
+    MeanPredictor,
+    SingleModePredictor,
+)
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation import Trajectory, simulate
+from deadtime.switching import SwitchingSignal
+
+__all__ = [
+    "ArgumentError",
+    "AveragedPredictor",
+    "DeadtimeError",
+    "DelayedStateFeedback",
+    "ExactPredictor",
+    "Factor",
+    "Feedback",
+    "Law",
+    "MeanPredictor",
+    "ProblemFileError",
+    "SingleModePredictor",
+    "SwitchedSystem",
+    "SwitchingSignal",
+    "Trajectory",
+    "lqr",
+    "place",
+    "problems",
+    "simulate",
+]
+
+__version__ = "0.1.0"

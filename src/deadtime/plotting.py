@@ -1,0 +1,201 @@
+"""Figures, drawn with matplotlib and returned as `Figure` objects: save or show them yourself.
+
+Sized for one column of a paper; colours are those of Okabe and Ito, told apart by colour-blind
+readers too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deadtime.simulation import Trajectory
+from deadtime.switching import SwitchingSignal
+from deadtime.wording import signed
+
+if TYPE_CHECKING:
+    from deadtime.comparison import Comparison
+    from deadtime.problems import Problem
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+WIDTH = 4.6
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "figure.constrained_layout.use": True,
+    "savefig.dpi": 200,
+    "svg.hashsalt": "deadtime",
+}
+
+
+def _mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
+    """σ as steps, with the modes' names on the axis."""
+    axes.step(time, mode, where="post", color=COLOURS[6], linewidth=1.0)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(-0.35, len(names) - 0.65)
+    axes.grid(False)
+
+
+def _steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the signal on [0, end] for a step plot."""
+    inside = signal.times < end
+    times, modes = signal.times[inside], signal.modes[inside]
+    return np.append(times, end), np.append(modes, modes[-1])
+
+
+def plot_run(
+    run: Trajectory,
+    title: str | None = None,
+    states: Sequence[str] | None = None,
+    modes: Sequence[str] | None = None,
+) -> Figure:
+    """States, inputs and mode of a run over time."""
+    n, m = run.states.shape[0], run.inputs.shape[0]
+    states = [f"$x_{i + 1}$" for i in range(n)] if states is None else states
+    count = run.record.plant.modes
+    modes = [f"mode {i}" for i in range(count)] if modes is None else modes
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 4.0))
+        upper, middle, lower = figure.subplots(
+            3, 1, sharex=True, height_ratios=(3.0, 2.2, 0.5 + 0.25 * count)
+        )
+        for i, name in enumerate(states):
+            upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
+        for i in range(m):
+            label = "$u$" if m == 1 else f"$u_{i + 1}$"
+            middle.step(
+                run.time, run.inputs[i], where="post", color=COLOURS[(i + 4) % 7], label=label
+            )
+        upper.set_ylabel("state")
+        middle.set_ylabel("input")
+        _mode_strip(lower, *_steps_of_run(run), modes)
+        lower.set_xlabel("time (s)")
+        lower.set_xlim(run.time[0], run.time[-1])
+        figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, "u")))
+        if title:
+            upper.set_title(title)
+    return figure
+
+
+def _columns(count: int, labels: Sequence[str]) -> int:
+    """How many legend columns fit the width."""
+    return max(1, min(count, 50 // (max(map(len, labels)) + 7)))
+
+
+def _steps_of_run(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """The mode of a run, switching where the signal did."""
+    cuts, step = run.record.cuts, run.record.window.step
+    times = np.concatenate(([0.0], cuts.step * step + cuts.offset))
+    inside = times < run.time[-1]
+    return np.append(times[inside], run.time[-1]), np.append(
+        cuts.mode[inside], cuts.mode[inside][-1]
+    )
+
+
+def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Figure:
+    """The switching signal on [0, end]: the active mode in blue, switching instants in black."""
+    times, visited = _steps(signal, end)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 1.0 + 0.3 * len(modes)))
+        axes = figure.subplots()
+        axes.hlines(visited[:-1], times[:-1], times[1:], color=COLOURS[0], linewidth=2.5)
+        axes.vlines(times[1:-1], -0.3, len(modes) - 0.7, color="black", linewidth=0.5)
+        axes.set_yticks(range(len(modes)), modes)
+        axes.set_ylim(-0.35, len(modes) - 0.65)
+        axes.set_xlim(0.0, end)
+        axes.set_xlabel("time (s)")
+        axes.grid(False)
+    return figure
+
+
+def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequence[str]) -> Figure:
+    """Switching instants and modes in [t, t + D], for the t in [0, end] that sees most switches."""
+    switches = signal.times[1:][signal.times[1:] <= end]
+    t = 0.0
+    if switches.size:
+        after = np.searchsorted(switches, switches + 0.9 * delay)
+        first = int(np.argmax(after - np.arange(switches.size)))
+        middle = (switches[first] + switches[after[first] - 1]) / 2.0
+        t = max(0.0, float(middle) - delay / 2.0)
+    cuts = np.array([t, *switches[(switches > t) & (switches < t + delay)], t + delay])
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 1.3 + 0.3 * len(modes)))
+        axes = figure.subplots()
+        times, visited = _steps(signal, t + 1.15 * delay)
+        axes.step(times, visited, where="post", color=COLOURS[0], linewidth=1.8)
+        axes.axvspan(t, t + delay, color=COLOURS[0], alpha=0.08, linewidth=0)
+        axes.vlines(cuts, -0.6, len(modes) - 0.5, color="black", linewidth=0.6, linestyle="--")
+        for i, cut in enumerate(cuts):
+            name = "$t$" if i == 0 else "$t+D$" if i == cuts.size - 1 else f"$t+s_{i}$"
+            axes.text(cut, len(modes) - 0.42, name, ha="center", va="bottom", fontsize=8)
+        for i, middle in enumerate((cuts[:-1] + cuts[1:]) / 2.0):
+            axes.text(middle, -0.58, f"$m_{i + 1}$", ha="center", va="bottom", fontsize=8)
+        axes.set_yticks(range(len(modes)), modes)
+        axes.set_ylim(-0.65, len(modes) - 0.1)
+        axes.set_xlim(t - 0.15 * delay, t + 1.15 * delay)
+        axes.set_xlabel("time (s)")
+        axes.grid(False)
+    return figure
+
+
+def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figure:
+    """|x| of several runs on one logarithmic axis; a run far above the others leaves the frame."""
+    norms = {name: np.linalg.norm(run.states, axis=0) for name, run in runs.items()}
+    tops = sorted(float(norm.max()) for norm in norms.values())
+    bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())
+    top = tops[-1] if len(tops) < 2 or tops[-1] < 1e3 * tops[-2] else 30.0 * tops[-2]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 3.3))
+        axes = figure.subplots()
+        for i, (name, norm) in enumerate(norms.items()):
+            style = "--" if name in ("oracle", "delay ignored") else "-"
+            colour = COLOURS[6] if name == "oracle" else COLOURS[i % 6]
+            axes.semilogy(runs[name].time, norm, style, color=colour, label=name)
+        axes.set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * top)
+        axes.set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("|x|")
+        figure.legend(loc="outside lower center", ncols=3)
+        if title:
+            axes.set_title(title)
+    return figure
+
+
+def plot_verdict(result: Comparison) -> Figure:
+    """The picture of the verdict: one law, with and without switching."""
+    problem: Problem = result.problem
+    run = result.runs[result.lead]
+    end = problem.horizon * (2.0 if max(result.growth) > 0.0 else 1.0)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 3.0))
+        axes = figure.subplots()
+        for i, (held, rate) in enumerate(zip(result.held, result.growth, strict=True)):
+            shown = held.time <= end
+            norm = np.linalg.norm(held.states[:, shown], axis=0)
+            label = f"stays in {problem.modes[i]}: {signed(rate)} /s"
+            axes.semilogy(held.time[shown], norm, color=COLOURS[1 + i % 5], label=label)
+        norm = np.linalg.norm(run.states, axis=0)
+        axes.semilogy(run.time, norm, color=COLOURS[0], linewidth=2.0, label="switches")
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("|x|")
+        axes.set_xlim(0.0, end)
+        top = max(float(line.get_ydata().max()) for line in axes.lines)  # pyright: ignore
+        axes.set_ylim(max(float(norm.min()) / 3.0, 1e-9 * top), 3.0 * top)
+        axes.set_title(f"Law: {result.lead}")
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure

@@ -1,0 +1,199 @@
+"""The report of a comparison: figures, data, and one HTML page that opens with its verdict."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import deadtime
+from deadtime import plotting
+from deadtime.comparison import Comparison, Progress, compare
+from deadtime.errors import ArgumentError
+from deadtime.problems import Problem
+from deadtime.verdict import HEADINGS, table, verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What was written, and what it says."""
+
+    path: Path
+    sentences: list[str]
+    comparison: Comparison
+
+
+def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
+    """The numbered figures in order: (file name, caption, figure).
+
+    On the paper's example the first six are Figures 1 to 6 of the paper.
+    """
+    problem = result.problem
+    signal, delay, end = problem.signal, problem.plant.delay, problem.horizon
+    yield (
+        "window",
+        "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",
+        plotting.plot_window(signal, delay, end, problem.modes),
+    )
+    yield (
+        "signal",
+        "The switching signal of every run: active mode in blue, switching instants in black.",
+        plotting.plot_signal(signal, end, problem.modes),
+    )
+    for name, run in result.runs.items():
+        if name == "delay ignored":
+            continue
+        figure = plotting.plot_run(run, None, problem.states, problem.modes)
+        yield _file_name(name), f"States, input and mode under the law “{name}”.", figure
+    yield (
+        "all-laws",
+        "Every law on one axis; a law far above the others leaves the frame.",
+        plotting.plot_norms(result.runs),
+    )
+
+
+def write_report(
+    problem: Problem, folder: str | Path, progress: Progress = lambda _: None, command: str = ""
+) -> Report:
+    """Run every law of a problem and write the report into a folder.
+
+    Writes index.html (self-contained), figures/ (PNG and SVG), data/ (a CSV file per run) and
+    metrics.json; files of the same names are replaced, others are left alone.
+
+    Parameters
+    ----------
+    problem : Problem
+        The setting.
+    folder : path
+        Made if it does not exist.
+    progress : callable
+        Called with a few words before each piece of work, `steps_of(problem)` times in all.
+    command : str
+        How to make the report again, for its last line.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    try:
+        for part in ("figures", "data"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        return _write(problem, folder, progress, command)
+    except OSError as error:
+        raise ArgumentError(
+            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
+        ) from None
+
+
+def steps_of(problem: Problem) -> int:
+    """How often `write_report` reports progress."""
+    shown = sum(name != "delay ignored" for name in problem.laws)
+    return len(problem.laws) + problem.plant.modes + shown + 6
+
+
+def _write(problem: Problem, folder: Path, progress: Progress, command: str) -> Report:
+    result = compare(problem, progress)
+    sentences = verdict(result)
+    progress("drawing: verdict")
+    caption = "The same law with and without switching."
+    picture = _save(plotting.plot_verdict(result), folder, "verdict", caption)
+    images = []
+    for number, (name, caption, figure) in enumerate(figures_of(result), 1):
+        progress(f"drawing: {name}")
+        images.append(_save(figure, folder, f"figure-{number}-{name}", caption))
+    progress("writing: data")
+    _write_data(result, folder)
+    progress("writing: report")
+    path = folder / "index.html"
+    path.write_text(_page(result, sentences, picture, images, command), encoding="utf-8")
+    return Report(path, sentences, result)
+
+
+def _save(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
+    """Save as SVG and PNG; return the PNG inlined for the page."""
+    figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=plotting.STYLE["savefig.dpi"])
+    (folder / "figures" / f"{name}.png").write_bytes(buffer.getvalue())
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return {"name": name, "caption": caption, "image": f"data:image/png;base64,{data}"}
+
+
+def _write_data(result: Comparison, folder: Path) -> None:
+    for name, run in result.runs.items():
+        run.to_csv(folder / "data" / f"{_file_name(name)}.csv")
+    text = json.dumps(metrics_of(result), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+
+
+def metrics_of(result: Comparison) -> dict[str, Any]:
+    """The figures of a comparison for JSON, which knows no infinity: null where there is one."""
+
+    def finite(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    return {
+        "problem": result.problem.name,
+        "version": deadtime.__version__,
+        "laws": {
+            name: {key: finite(value) for key, value in row.items()}
+            | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
+            for name, row in result.metrics.items()
+        },
+        "growth_without_switching": {
+            name: finite(rate)
+            for name, rate in zip(result.problem.modes, result.growth, strict=True)
+        },
+    }
+
+
+def _file_name(law: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in law.lower())
+
+
+def _matrix(array: np.ndarray) -> str:
+    rows = ["[" + ", ".join(f"{v:.6g}" for v in row) + "]" for row in np.atleast_2d(array)]
+    return (rows[0] if len(rows) == 1 else "[" + ", ".join(rows) + "]").replace("-", "−")
+
+
+def _page(
+    result: Comparison,
+    sentences: list[str],
+    picture: dict[str, str],
+    images: list[dict[str, str]],
+    command: str,
+) -> str:
+    from jinja2 import Environment, PackageLoader
+
+    problem, plant = result.problem, result.problem.plant
+    template = Environment(
+        loader=PackageLoader("deadtime"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    ).get_template("report.html.j2")
+    return template.render(
+        problem=problem,
+        plant=plant,
+        sentences=sentences,
+        picture=picture,
+        headings=HEADINGS,
+        rows=table(result.metrics),
+        figures=images,
+        published=[
+            (row.name, _matrix(row.printed), _matrix(row.computed)) for row in problem.published
+        ],
+        x0=_matrix(problem.x0),
+        matrices=[
+            (name, _matrix(plant.A[i]), _matrix(plant.B[i]), _matrix(problem.gains[i]))
+            for i, name in enumerate(problem.modes)
+        ],
+        version=deadtime.__version__,
+        command=f" with “{command}”" if command else "",
+    )
