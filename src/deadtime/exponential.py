@@ -99,11 +99,23 @@ def held_modes(A, B, tau):
 
 @njit(cache=True)
 def energy_gramian(A, B, tau):
-    """Q (n + m, n + m) with ∫₀^τ |x|² dt = zᵀ Q z, z = (x(0), u), the input held."""
+    """Q (n + m, n + m) with ∫₀^τ |x|² dt = zᵀ Q z, z = (x(0), u), the input held.
+
+    Inputs are measured in units in which B is as large as A, so that a badly scaled B does not
+    ask for needless doublings.
+    """
     n, m = B.shape
+    if tau == 0.0:
+        return np.zeros((n + m, n + m))
+    unit = np.ones(n + m)
+    for j in range(m):
+        largest = np.abs(B[:, j]).max()
+        if largest > 0.0:
+            unit[n + j] = max(_norm(A), 1.0 / tau) / largest
+    scaled = B * unit[n:]
     Z = np.zeros((n + m, n + m))
     Z[:n, :n] = A
-    Z[:n, n:] = B
+    Z[:n, n:] = scaled
     size = 2.0 * _norm(Z) * tau
     count = _doublings(size)
     short = tau / 2.0**count
@@ -118,11 +130,11 @@ def energy_gramian(A, B, tau):
         term = (half + half.T) * (short / k)
         Q += term
         bound *= size / 2.0**count / k
-    transition = _extended(*held(A, B, short))
+    transition = _extended(*held(A, scaled, short))
     for _ in range(count):
         Q = Q + multiply(multiply(transition.T, Q), transition)
         transition = multiply(transition, transition)
-    return Q
+    return Q / np.outer(unit, unit)
 
 
 @njit(cache=True)
@@ -163,7 +175,7 @@ def energy_between(A, B, mode, cut_offset, cut_mode, first, stop, a, b):
     Q = np.zeros((n + m, n + m))
     transition = np.eye(n + m)
     for p in range(first, stop + 1):
-        end = cut_offset[p] if p < stop else b
+        end = min(cut_offset[p], b) if p < stop else b
         if end > a:
             piece = energy_gramian(A[mode], B[mode], end - a)
             Q += multiply(multiply(transition.T, piece), transition)

@@ -38,7 +38,7 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
     "figure.constrained_layout.use": True,
-    "savefig.dpi": 200,
+    "figure.dpi": 180,
     "svg.hashsalt": "deadtime",
 }
 
@@ -86,6 +86,7 @@ def plot_run(
         _mode_strip(lower, *_steps_of_run(run), modes)
         lower.set_xlabel("time (s)")
         lower.set_xlim(run.time[0], run.time[-1])
+        figure.align_ylabels()
         figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, "u")))
         if title:
             upper.set_title(title)
@@ -94,7 +95,7 @@ def plot_run(
 
 def _columns(count: int, labels: Sequence[str]) -> int:
     """How many legend columns fit the width."""
-    return max(1, min(count, 50 // (max(map(len, labels)) + 7)))
+    return max(1, min(count, 62 // (max(map(len, labels)) + 6)))
 
 
 def _steps_of_run(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -122,7 +122,7 @@ def _save(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, st
     """Save as SVG and PNG; return the PNG inlined for the page."""
     figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=plotting.STYLE["savefig.dpi"])
+    figure.savefig(buffer, format="png")
     (folder / "figures" / f"{name}.png").write_bytes(buffer.getvalue())
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return {"name": name, "caption": caption, "image": f"data:image/png;base64,{data}"}

@@ -1,0 +1,51 @@
+# Two commands need nothing but Python >= 3.11 and make:
+#   make reproduce    the paper's comparison, into report/
+#   make test         formatting, lint, types, tests and doctests
+PYTHON ?= python3
+BIN := .venv/bin
+export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: reproduce test lint types pytest bench examples schema clean
+
+reproduce: .venv/installed
+	$(BIN)/deadtime reproduce --out report
+
+test: lint types pytest
+
+lint: .venv/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/installed-test
+	$(BIN)/basedpyright
+
+pytest: .venv/installed-test
+	$(BIN)/pytest
+
+bench: .venv/installed
+	$(BIN)/python benchmarks/single_run.py
+
+examples: .venv/installed
+	for script in examples/*.py; do $(BIN)/python $$script || exit 1; done
+
+schema: .venv/installed
+	$(BIN)/deadtime schema > docs/problem.schema.json
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "deadtime needs Python >= 3.11: run make PYTHON=/path/to/python3.11 ..."; exit 1; }
+	@$(PYTHON) -m venv .venv || \
+		{ echo "python -m venv failed: install your system's venv package (Debian: python3-venv)"; rm -rf .venv; exit 1; }
+
+.venv/installed: pyproject.toml constraints.txt | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+.venv/installed-test: pyproject.toml constraints.txt | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	@touch .venv/installed $@
+
+clean:
+	rm -rf .venv report build dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -exec rm -rf {} +

@@ -1,0 +1,82 @@
+"""Plants, gains, laws and signals that the tests share."""
+
+import numpy as np
+from scipy.linalg import expm
+
+import deadtime as dt
+
+POLES = (-1.0, -1.5, -2.0)
+
+
+def paper(delay=1.0):
+    """The example of arXiv 2503.08446: two modes, two states, one input."""
+    A = [[[2, 1], [0, 1]], [[2.3, 1.1], [0.05, 1.2]]]
+    return dt.SwitchedSystem(A, [[[0], [1]], [[0], [1.02]]], delay)
+
+
+def generic(delay=0.234, seed=4):
+    """Three modes, three states, two inputs; with a step of 0.1 the delay is N = 3, φ = 0.034."""
+    rng = np.random.default_rng(seed)
+    return dt.SwitchedSystem(rng.normal(size=(3, 3, 3)), rng.normal(size=(3, 3, 2)), delay)
+
+
+def identical(delay=0.234, modes=3):
+    """Modes of `generic` that are all the same."""
+    plant = generic(delay)
+    return dt.SwitchedSystem(
+        np.tile(plant.A[:1], (modes, 1, 1)), np.tile(plant.B[:1], (modes, 1, 1)), delay
+    )
+
+
+def scalar(a, b=1.0, delay=0.25):
+    """One state, one input; `a` and `b` may list one value per mode."""
+    a = np.atleast_1d(np.asarray(a, dtype=float))
+    return dt.SwitchedSystem(a[:, None, None], np.broadcast_to(b, a.shape)[:, None, None], delay)
+
+
+def gains(plant):
+    """Gains of every mode for poles −1, −1.5, −2 (the paper's: −1, −2)."""
+    return dt.place(plant, POLES if plant.states == 3 else POLES[::2])
+
+
+def mean_gain(plant):
+    return gains(plant.mean())[0]
+
+
+# Every law, made for a plant: contracts run through all of them.
+LAWS = {
+    "averaged": lambda plant: dt.AveragedPredictor(plant, gains(plant)),
+    "weighted": lambda plant: dt.AveragedPredictor(
+        plant, gains(plant), np.arange(1, plant.modes + 1) / np.arange(1, plant.modes + 1).sum()
+    ),
+    "single": lambda plant: dt.SingleModePredictor(plant, gains(plant), plant.modes - 1),
+    "mean": lambda plant: dt.MeanPredictor(plant, mean_gain(plant)),
+    "mean with gains": lambda plant: dt.MeanPredictor(plant, mean_gain(plant), gains(plant)),
+    "exact": lambda plant: dt.ExactPredictor(plant, gains(plant)),
+    "delayed": lambda plant: dt.DelayedStateFeedback(plant, gains(plant)),
+}
+PREDICTORS = [name for name in LAWS if name != "delayed"]
+
+
+def off_grid(modes=3, end=np.inf):
+    """Switches off the grid of 0.1, two in one step, and one on it."""
+    times = [0.0, 0.1718, 0.31, 0.3727, 0.8, 1.1234, 1.56, 2.07]
+    return dt.SwitchingSignal(times, [i % modes for i in (0, 1, 2, 0, 1, 2, 1, 0)], end)
+
+
+def held(A, B, tau):
+    """Φ and Γ from SciPy's exponential of [[A, B], [0, 0]]."""
+    n, m = B.shape
+    block = np.zeros((n + m, n + m))
+    block[:n] = np.hstack([A, B])
+    whole = expm(block * tau)
+    return whole[:n, :n], whole[:n, n:]
+
+
+def close(value, reference, tolerance, scale=None):
+    """|value − reference| ≤ tolerance · max|reference| (or `scale`)."""
+    value, reference = np.asarray(value), np.asarray(reference)
+    assert value.shape == reference.shape
+    scale = np.abs(reference).max() if scale is None else scale
+    error = np.abs(value - reference).max()
+    assert error <= tolerance * scale, f"relative error {error / scale:.1e} > {tolerance:.0e}"

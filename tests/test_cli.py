@@ -1,0 +1,139 @@
+"""The command line, driven as a user would."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import deadtime as dt
+from deadtime.cli import main
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    captured = capsys.readouterr()
+    return stopped.value.code, captured.out, captured.err
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("example", dt.problems.NAMED)
+def test_init_writes_a_file_that_simulate_runs(folder, capsys, example):
+    code, out, err = run(capsys, "init", "mine.toml", "--example", example)
+    assert (code, err) == (0, "")
+    assert "deadtime simulate mine.toml" in out
+    code, out, err = run(capsys, "simulate", "mine.toml")
+    assert (code, err) == (0, "")
+    assert "• The averaged law works" in out
+    assert "delay ignored" in out
+    for name in ("mine.png", "mine-all-laws.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_init_never_replaces_a_file_unasked(folder, capsys):
+    (folder / "problem.toml").write_text("mine")
+    code, _, err = run(capsys, "init")
+    assert code == 2
+    assert err == (
+        "deadtime: error: problem.toml exists: choose another name, or replace it with --force.\n"
+    )
+    assert (folder / "problem.toml").read_text() == "mine"
+    assert run(capsys, "init", "--force")[0] == 0
+    assert (folder / "problem.toml").read_text().startswith("# A deadtime problem")
+
+
+def test_simulate_json_equals_the_library(folder, capsys):
+    code, out, err = run(capsys, "simulate", "paper", "--json", "--out", "run.svg")
+    assert (code, err) == (0, "")
+    problem, printed = dt.problems.paper(), json.loads(out)
+    for law in problem.laws:
+        metrics = problem.simulate(law).metrics()
+        assert printed["laws"][law]["ise"] == metrics["ise"]
+    assert printed["laws"]["delay ignored"]["settling_time"] is None
+    assert (folder / "run.svg").read_text().startswith("<?xml")
+
+
+def test_reproduce_writes_the_whole_report(folder, capsys):
+    code, out, err = run(capsys, "reproduce")
+    assert (code, err) == (0, "")
+    assert "unstable if it stops switching" in out
+    assert out.rstrip().endswith("Report: report/index.html")
+    names = [
+        "window",
+        "signal",
+        "averaged",
+        "mode-0-only",
+        "mode-1-only",
+        "mean",
+        "oracle",
+        "all-laws",
+    ]
+    for number, name in enumerate(names, 1):
+        for kind in ("png", "svg"):
+            assert (folder / "report" / "figures" / f"figure-{number}-{name}.{kind}").exists()
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert page.count("<li>") >= 5
+    assert page.index("unstable if it stops switching") < page.index("Every law on the same signal")
+    assert page.count("data:image/png;base64,") == 9
+    assert "not publish its switching signal" in page
+    assert "[−12.6961, −6.3725]" in page
+
+
+def test_reproduce_runs_a_problem_file_and_reports_json(folder, capsys):
+    run(capsys, "init", "car.toml", "--example", "follower")
+    code, out, _ = run(capsys, "reproduce", "car.toml", "-o", "car", "--json")
+    assert code == 0
+    assert json.loads(out) == json.loads((folder / "car" / "metrics.json").read_text())
+    assert all(rate < 0 for rate in json.loads(out)["growth_without_switching"].values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["simulate", "none.toml"], "none.toml cannot be read: No such file or directory"),
+        (["simulate", "papr"], "problem must be one of paper, three-mode, follower, or a file"),
+        (["simulate", "paper", "--out", "run.xyz"], "figure 'run.xyz' cannot be written"),
+        (["simulate", "paper", "--out", "no/run.png"], "figure 'no/run.png' cannot be written"),
+        (["reproduce", "--out", "/proc/report"], "folder '/proc/report' cannot be written"),
+        (["init", "no/problem.toml"], "no/problem.toml cannot be written"),
+        (["simulat", "paper"], 'Unknown command "simulat"'),
+        (["simulate"], "requires an argument"),
+        (["simulate", "paper", "--fast"], "Unknown option: --fast"),
+    ],
+)
+def test_bad_requests_get_one_line_and_code_2(folder, capsys, arguments, message):
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert err.startswith("deadtime: error: ")
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_diverging_loop_is_reported_not_raised(folder, capsys):
+    run(capsys, "init")
+    text = (folder / "problem.toml").read_text().replace("horizon = 15.0", "horizon = 200.0")
+    text += '\n[[law]]\nkind = "delayed"\n'
+    (folder / "problem.toml").write_text(text)
+    code, out, err = run(capsys, "simulate", "problem.toml")
+    assert (code, err) == (0, "")
+    assert "loses the plant" in out
+    assert "diverged: |x| left 1e100 after t =" in out.replace("\n", " ")
+
+
+def test_schema_is_printed_as_json(capsys):
+    code, out, _ = run(capsys, "schema")
+    assert code == 0
+    assert json.loads(out)["properties"].keys() >= {"plant", "gains", "law", "signal", "run"}
+
+
+def test_installed_command_runs_in_its_own_process():
+    command = [sys.executable, "-c", "from deadtime.cli import main; main()", "--version"]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == dt.__version__
+    assert result.stderr == ""

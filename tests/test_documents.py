@@ -1,0 +1,55 @@
+"""What the documents say is run: the README's Python, its commands, and every example."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_python_of_the_readme_runs_and_draws(tmp_path, monkeypatch, capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    cost, diverged = capsys.readouterr().out.split()
+    assert float(cost) > 0.0
+    assert diverged == "False"
+    assert (tmp_path / "run.png").stat().st_size > 10_000
+
+
+def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
+    from deadtime.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
+    assert len(commands) == 3
+    for command in commands:
+        with pytest.raises(SystemExit) as stopped:
+            main(command.split())
+        assert stopped.value.code == 0, command
+    targets = re.findall(r"^    make (\w+)", README, re.M)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert targets == ["reproduce", "test"]
+    assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
+def test_example_runs_without_a_word_on_stderr_and_leaves_a_picture(tmp_path, script):
+    result = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert (tmp_path / f"{script.stem}.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", *DOCS])
+def test_links_between_documents_lead_somewhere(page):
+    source = ROOT / page
+    for target in re.findall(r"\]\(([^)#]+)\)", source.read_text(encoding="utf-8")):
+        if not target.startswith("http"):
+            assert (source.parent / target).exists(), target

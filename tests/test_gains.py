@@ -1,0 +1,202 @@
+"""Gains: poles put back, Riccati equations put back, the paper's numbers, python-control's sign."""
+
+import re
+from types import SimpleNamespace
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_lyapunov
+
+import deadtime as dt
+import plants
+
+DOUBLE = dt.SwitchedSystem([[[0.0, 1.0], [0.0, 0.0]]], [[[0.0], [1.0]]], 1.0)
+
+
+def closed_loop_poles(plant, gains):
+    closed = plant.A + plant.B @ gains
+    return np.array([np.sort_complex(np.linalg.eigvals(matrix)) for matrix in closed])
+
+
+def test_the_paper_s_gains_come_out_to_the_printed_digits():
+    gains = dt.place(plants.paper(), [-1, -2])
+    assert gains.shape == (2, 1, 2)
+    assert gains.round(4).tolist() == [[[-12.0, -6.0]], [[-12.6961, -6.3725]]]
+    mean = dt.place(plants.paper().mean(), [-1, -2])[0]
+    assert mean.round(4).tolist() == [[-12.3515, -6.1881]]
+    assert np.linalg.norm(gains[1] - gains[0]) == pytest.approx(0.7895, abs=5e-5)
+
+
+def test_placed_poles_are_the_poles_of_a_plus_b_k():
+    poles = closed_loop_poles(plants.generic(), dt.place(plants.generic(), [-1, -1.5, -2]))
+    plants.close(poles, np.tile([-2.0, -1.5, -1.0], (3, 1)), 1e-10)
+
+
+def test_every_mode_may_have_its_own_poles():
+    wanted = [[-3.0, -1.0], [-4.0, -2.0]]
+    poles = closed_loop_poles(plants.paper(), dt.place(plants.paper(), wanted))
+    plants.close(poles, wanted, 1e-10)
+
+
+def test_complex_poles_are_placed_by_real_gains():
+    wanted = np.sort_complex([-1 + 2j, -1 - 2j, -3])
+    for plant in (
+        plants.generic(),
+        dt.SwitchedSystem(plants.generic().A, plants.generic().B[:, :, :1], 1.0),
+    ):
+        gains = dt.place(plant, wanted)
+        assert gains.dtype == np.float64
+        plants.close(closed_loop_poles(plant, gains), np.tile(wanted, (3, 1)), 1e-8)
+
+
+def test_a_pole_may_repeat_as_often_as_the_rank_of_b():
+    poles = closed_loop_poles(plants.generic(), dt.place(plants.generic(), [-1, -2, -2]))
+    plants.close(poles, np.tile([-2.0, -2.0, -1.0], (3, 1)), 1e-6)
+
+
+def test_python_control_places_minus_our_gains():
+    plant = plants.paper()
+    for i, K in enumerate(dt.place(plant, [-1, -2])):
+        plants.close(K, -np.asarray(control.place(plant.A[i], plant.B[i], [-1, -2])), 1e-10)
+
+
+def test_python_control_s_lqr_is_minus_ours():
+    plant = plants.generic()
+    Q, R = np.diag([1.0, 2.0, 3.0]), np.array([[1.0, 0.2], [0.2, 0.5]])
+    for i, K in enumerate(dt.lqr(plant, Q, R)):
+        plants.close(K, -control.lqr(plant.A[i], plant.B[i], Q, R)[0], 1e-9)
+
+
+def test_lqr_gains_are_optimal_for_their_own_cost_matrix():
+    # Kleinman: X of the cost under K from a Lyapunov equation; K is optimal iff K = −R⁻¹BᵀX.
+    plant = plants.generic()
+    Q, R = np.diag([1.0, 0.0, 3.0]), np.array([[1.0, 0.2], [0.2, 0.5]])
+    for A, B, K in zip(plant.A, plant.B, dt.lqr(plant, Q, R), strict=True):
+        closed = A + B @ K
+        assert np.linalg.eigvals(closed).real.max() < 0
+        X = solve_continuous_lyapunov(closed.T, -(Q + K.T @ R @ K))
+        plants.close(-np.linalg.solve(R, B.T @ X), K, 1e-10)
+
+
+def test_lqr_of_the_double_integrator_is_the_textbook_gain():
+    plants.close(dt.lqr(DOUBLE, np.eye(2), [[1.0]]), [[[-1.0, -np.sqrt(3.0)]]], 1e-13)
+
+
+def test_lqr_takes_weights_that_are_symmetric_to_round_off():
+    Q = [[1, 0.5], [0.5 + 5e-14, 1]]
+    plants.close(dt.lqr(DOUBLE, Q, [[1.0]]), dt.lqr(DOUBLE, [[1, 0.5], [0.5, 1]], [[1.0]]), 1e-10)
+
+
+def test_lqr_refuses_a_numerically_singular_weight_by_name():
+    two = dt.SwitchedSystem(DOUBLE.A, [[[0.0, 1.0], [1.0, 0.0]]], 1.0)
+    with pytest.raises(dt.ArgumentError, match=r"R must be|mode 0"):
+        dt.lqr(two, np.eye(2), np.diag([1.0, 1e-17]))
+
+
+def test_poles_that_scipy_cannot_place_are_refused_by_mode():
+    rng = np.random.default_rng(1)
+    A, B = rng.normal(size=(1, 6, 6)), rng.normal(size=(1, 6, 1))
+    with pytest.raises(dt.ArgumentError, match="poles of mode 0"):
+        dt.place(dt.SwitchedSystem(A, B, 1.0), -1 - np.arange(6) * 1e-3)
+
+
+def test_a_placement_that_fails_its_own_check_is_refused(monkeypatch):
+    wrong = SimpleNamespace(gain_matrix=np.array([[1.0, 1.0]]))
+    monkeypatch.setattr("scipy.signal.place_poles", lambda A, B, poles: wrong)
+    with pytest.raises(
+        dt.ArgumentError, match=r"poles of mode 0 could not be placed accurately \(backward error"
+    ):
+        dt.place(plants.paper(), [-1, -2])
+
+
+def test_poles_that_scipy_improves_slowly_are_placed_without_a_warning():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        plant = dt.SwitchedSystem(rng.normal(size=(1, 7, 7)), rng.normal(size=(1, 7, 2)), 1.0)
+        poles = -1 - 0.1 * np.arange(7)
+        plants.close(
+            np.sort(closed_loop_poles(plant, dt.place(plant, poles)).real), [np.sort(poles)], 1e-5
+        )
+
+
+PAPER = plants.paper()
+STUCK = dt.SwitchedSystem([np.eye(2), [[1.0, 0.0], [0.0, 2.0]]], [[[1.0], [0.0]]] * 2, 1.0)
+STUCK3 = dt.SwitchedSystem([np.eye(3)], [np.eye(3)[:, :2]], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: dt.place(PAPER, ["a", "b"]),
+            "poles must be 2 numbers, or one list of 2 per mode, got ['a', 'b'].",
+        ),
+        (
+            lambda: dt.place(PAPER, [[-1, -2], [-1]]),
+            "poles must be 2 numbers, or one list of 2 per mode",
+        ),
+        (
+            lambda: dt.place(PAPER, [-1, -2, -3]),
+            "poles must have shape (n,) = (2,) or (modes, n) = (2, 2), got (3,).",
+        ),
+        (
+            lambda: dt.place(PAPER, [[-1, -2]] * 3),
+            "poles must have shape (n,) = (2,) or (modes, n) = (2, 2), got (3, 2).",
+        ),
+        (lambda: dt.place(PAPER, [-1, np.nan]), "poles must be finite"),
+        (lambda: dt.place(PAPER, [-1, -np.inf]), "poles must be finite"),
+        (
+            lambda: dt.place(PAPER, [-1 + 1j, -1]),
+            "poles of mode 0 must come in conjugate pairs, but -1+1j lacks -1-1j.",
+        ),
+        (
+            lambda: dt.place(PAPER, [[-1, -2], [-1 + 1j, -1 + 1j]]),
+            "poles of mode 1 must come in conjugate pairs",
+        ),
+        (
+            lambda: dt.place(PAPER, [-1, -1]),
+            "-1+0j is repeated 2 times, but only rank B = 1 equal poles can be placed",
+        ),
+        (
+            lambda: dt.place(STUCK, [-1, -2]),
+            "mode 0 is not controllable: rank [B AB] = 1 < 2: no gain can move all its poles.",
+        ),
+        (
+            lambda: dt.place(STUCK3, [-1, -2, -3]),
+            "mode 0 is not controllable: rank [B AB A^2B] = 2 < 3",
+        ),
+        (
+            lambda: dt.lqr(PAPER, np.eye(3), [[1.0]]),
+            "Q must have shape (n, n) = (2, 2), got (3, 3).",
+        ),
+        (
+            lambda: dt.lqr(PAPER, np.eye(2), np.eye(2)),
+            "R must have shape (m, m) = (1, 1), got (2, 2).",
+        ),
+        (
+            lambda: dt.lqr(PAPER, [np.eye(2)], [[1.0]]),
+            "Q must have shape (n, n), got (1, 2, 2): give one matrix, not one per mode",
+        ),
+        (
+            lambda: dt.lqr(PAPER, [[1.0, 1.0], [0.0, 1.0]], [[1.0]]),
+            "Q must be symmetric: pass (Q + Q.T) / 2.",
+        ),
+        (
+            lambda: dt.lqr(PAPER, np.diag([1.0, -1.0]), [[1.0]]),
+            "Q must be positive semidefinite, got an eigenvalue -1.",
+        ),
+        (
+            lambda: dt.lqr(PAPER, np.eye(2), [[0.0]]),
+            "R must be positive definite, got an eigenvalue 0.",
+        ),
+        (
+            lambda: dt.lqr(STUCK, np.eye(2), [[1.0]]),
+            "mode 0 has no stabilising LQR gain: it must be stabilisable",
+        ),
+        (lambda: dt.lqr(DOUBLE, np.zeros((2, 2)), [[1.0]]), "mode 0 has no stabilising LQR gain"),
+    ],
+)
+def test_a_request_without_an_answer_is_refused_by_name(call, message):
+    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
+        call()

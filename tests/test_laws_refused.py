@@ -1,0 +1,127 @@
+"""Gains, weights, modes and signals that make no law, and how they are refused."""
+
+import re
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+
+H = 0.1
+PLANT = plants.paper()
+GAINS = plants.gains(PLANT)
+GAIN = plants.mean_gain(PLANT)
+WRONG_SIGN = "leaves A + B K of mode 0 unstable (rightmost eigenvalue at"
+BUILDERS = {
+    "averaged": dt.AveragedPredictor,
+    "single": lambda plant, gains, **free: dt.SingleModePredictor(plant, gains, 0, **free),
+    "mean": lambda plant, gains, **free: dt.MeanPredictor(plant, GAIN, gains, **free),
+    "exact": dt.ExactPredictor,
+    "delayed": dt.DelayedStateFeedback,
+}
+
+
+@pytest.mark.parametrize("build", BUILDERS.values(), ids=BUILDERS)
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        (GAINS[0], "gains must have shape (modes, m, n), got (1, 2): stack one matrix per mode"),
+        (
+            GAINS[:1],
+            "gains must hold one (m, n) matrix per mode, 2, got 1: they may be the "
+            "gains of another plant.",
+        ),
+        (
+            GAINS.transpose(0, 2, 1),
+            "gains[0] must have shape (m, n) = (1, 2), got (2, 1): pass the transpose.",
+        ),
+        (np.zeros((2, 1, 3)), "gains[0] must have shape (m, n) = (1, 2), got (1, 3)."),
+        (np.where(GAINS < -7, np.nan, GAINS), "gains[0, 0, 0] must be finite, got nan."),
+        (-GAINS, f"gains[0] {WRONG_SIGN}"),
+        (np.stack([GAINS[0], -GAINS[1]]), "gains[1] leaves A + B K of mode 1 unstable"),
+    ],
+)
+def test_gains_that_do_not_fit_the_plant_are_refused_by_name(build, gains, message):
+    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
+        build(PLANT, gains)
+
+
+@pytest.mark.parametrize("build", BUILDERS.values(), ids=BUILDERS)
+def test_unstable_gains_are_taken_when_they_are_meant(build):
+    assert np.array_equal(build(PLANT, -GAINS, allow_unstable=True).gains, -GAINS)
+
+
+SHORT = dt.SwitchingSignal([0, 0.5], [0, 1], end=2.0)
+THIRD = dt.SwitchingSignal([0, 0.5], [0, 2])
+ORACLE = dt.ExactPredictor(PLANT, GAINS)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: dt.AveragedPredictor(PLANT, GAINS, [1.0]),
+            "weights must have shape (modes,) = (2,), got (1,).",
+        ),
+        (
+            lambda: dt.AveragedPredictor(PLANT, GAINS, [1.5, -0.5]),
+            "weights must be ≥ 0 and sum to 1, got [1.5, -0.5] with sum 1",
+        ),
+        (
+            lambda: dt.AveragedPredictor(PLANT, GAINS, [0.5, 0.6]),
+            "with sum 1.1: divide them by their sum.",
+        ),
+        (
+            lambda: dt.SingleModePredictor(PLANT, GAINS, 2),
+            "mode must be in 0..1, got 2: modes count from 0.",
+        ),
+        (lambda: dt.SingleModePredictor(PLANT, GAINS, -1), "mode must be in 0..1, got -1"),
+        (
+            lambda: dt.SingleModePredictor(PLANT, GAINS, True),
+            "mode must be an integer in 0..1, got True.",
+        ),
+        (
+            lambda: dt.MeanPredictor(PLANT, GAIN.T),
+            "gain must have shape (m, n) = (1, 2), got (2, 1): pass the transpose.",
+        ),
+        (
+            lambda: dt.MeanPredictor(PLANT, GAINS),
+            "gain must have shape (m, n), got (2, 1, 2): give one matrix, not one per mode.",
+        ),
+        (lambda: dt.MeanPredictor(PLANT, -GAIN), "gain leaves A + B K of the mean plant unstable"),
+        (
+            lambda: dt.MeanPredictor(PLANT, GAIN, mean=(np.eye(3), [[0], [1]])),
+            "mean[0] must have shape (n, n) = (2, 2), got (3, 3).",
+        ),
+        (
+            lambda: dt.MeanPredictor(PLANT, GAIN, mean=(np.eye(2), [[0, 1]])),
+            "mean[1] must have shape (n, m) = (2, 1), got (1, 2): pass the transpose.",
+        ),
+        (
+            lambda: dt.ExactPredictor(PLANT, GAINS, THIRD),
+            "signal enters mode 2 at 0.5 s, but the plant's modes are 0..1",
+        ),
+        (lambda: ORACLE.digital(H, THIRD, 5), "signal enters mode 2 at 0.5 s"),
+        (lambda: ORACLE.digital(H), "ExactPredictor.digital needs the future: pass signal"),
+        (lambda: ORACLE.digital(H, steps=5), "ExactPredictor.digital needs the future"),
+        (lambda: ORACLE.digital(H, SHORT), "ExactPredictor.digital needs the future"),
+        (
+            lambda: ORACLE.digital(H, SHORT, 12),
+            "signal must be known up to the last sample plus the delay, 2.1 s, for "
+            "an exact predictor, but it ends at 2 s",
+        ),
+    ],
+)
+def test_what_makes_no_law_is_refused_by_name(call, message):
+    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
+        call()
+
+
+def test_the_oracle_needs_the_signal_up_to_the_last_arrival_and_no_further():
+    assert ORACLE.digital(H, SHORT, 11).state_gain.shape == (11, 1, 2)
+
+
+def test_an_unstable_mean_gain_is_taken_when_it_is_meant():
+    law = dt.MeanPredictor(PLANT, -GAIN, allow_unstable=True)
+    assert np.array_equal(law.gain, -GAIN)
