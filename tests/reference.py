@@ -8,6 +8,7 @@ model forward over the delay under its forecast. There is no Φ, no Γ, no windo
 from __future__ import annotations
 
 import bisect
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -65,7 +66,7 @@ def run_model(
     last = (end - model.delay) // step
     arrivals = [j * step + model.delay for j in range(first, last + 1)]
     cuts = sorted({start, end, *(t for t in (*arrivals, *switches) if start < t < end)})
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in itertools.pairwise(cuts):
         i = mode(a)
         force = model.B[i].astype(LONG) @ held((a - model.delay) // step)
         x = flow(model.A[i].astype(LONG), force, x, b - a)

@@ -14,9 +14,10 @@ SOURCE = Path(dt.__file__).parent
 # Each ring may import from itself and from the rings before it.
 RINGS = (
     ("errors", "checks"),
-    ("plant", "switching", "steps", "exponential", "feedback"),
+    ("plant", "switching", "steps", "exponential", "feedback", "forecast"),
     ("gains", "laws"),
     ("simulation",),
+    ("monte_carlo",),
     ("problems",),
     ("wording", "comparison", "verdict", "plotting"),
     ("report", "problem_file"),

@@ -108,7 +108,7 @@ def test_reproduce_runs_a_problem_file_and_reports_json(folder, capsys):
     ],
 )
 def test_bad_requests_get_one_line_and_code_2(folder, capsys, arguments, message):
-    code, out, err = run(capsys, *arguments)
+    code, _, err = run(capsys, *arguments)
     assert code == 2
     assert err.startswith("deadtime: error: ")
     assert err.count("\n") == 1

@@ -3,11 +3,11 @@
 from fractions import Fraction
 
 import numpy as np
-import reference
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import deadtime as dt
+import reference
 
 LAWS = ("averaged", "single", "mean", "exact", "delayed")
 NEAR = (0.0, 1e-12, -1e-12, 1e-7, -1e-7)

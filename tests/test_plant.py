@@ -114,3 +114,8 @@ def test_errors_are_value_errors_of_the_package():
     assert issubclass(dt.ArgumentError, ValueError)
     assert issubclass(dt.ArgumentError, dt.DeadtimeError)
     assert issubclass(dt.ProblemFileError, dt.ArgumentError)
+
+
+def test_from_statespace_refuses_what_is_no_state_space():
+    with pytest.raises(dt.ArgumentError, match=r"systems\[0\] must be a StateSpace, got float"):
+        dt.SwitchedSystem.from_statespace([1.0], delay=1.0)

@@ -72,7 +72,7 @@ TWO_STATES = dt.SwitchedSystem(
         ({"u0": [[1.0, 2.0, 3.0], [1.0]]}, "u0 must"),
         ({"u0": lambda t: [t]}, "u0 must have shape (m,) at every time"),
         ({"u0": lambda t: [t] * (1 if t < -0.15 else 2)}, "u0 must have shape (m,) at every time"),
-        ({"u0": lambda t: [np.nan, t]}, "u0[0, 0] must be finite, got nan."),
+        ({"u0": lambda t: [np.nan, t]}, "u0[0] must be finite, got nan."),
         ({"u0": lambda t: ["a", "b"]}, "u0 must hold real numbers"),
         (
             {"law": plants.LAWS["exact"](PLANT), "signal": dt.SwitchingSignal([0.0], [0], end=3.2)},

@@ -85,7 +85,7 @@ HEAD = "time,mode\n0,0\n"
             "line 3: mode must be one of ['0', 'b'], got 'c'.",
         ),
         (HEAD + "1,b\n", {"labels": {"0": 0, "b": 7}, "modes": 2}, "line 3: mode must be"),
-        (HEAD + "2,1\n1,0\n", {}, "times[2] = 1 after 2 is unsorted"),
+        (HEAD + "2,1\n1,0\n", {}, "line 4: time must be later than in line 3"),
     ],
 )
 def test_a_malformed_log_is_refused_by_line(log, text, options, message):
@@ -103,3 +103,9 @@ def test_a_log_that_is_not_text_is_refused_by_name(tmp_path):
     path.write_bytes(b"time,mode\n0,\xff\n")
     with pytest.raises(dt.ArgumentError, match=r"binary\.csv"):
         dt.SwitchingSignal.from_csv(path)
+
+
+def test_a_log_with_a_byte_order_mark_is_read(tmp_path):
+    path = tmp_path / "excel.csv"
+    path.write_bytes("time,mode\n0,1\n2,0\n".encode("utf-8-sig"))
+    np.testing.assert_array_equal(dt.SwitchingSignal.from_csv(path).modes, [1, 0])

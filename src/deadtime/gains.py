@@ -5,6 +5,7 @@ python-control's and SciPy's own functions give u = −K x; here A_i + B_i K_i h
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -93,7 +94,16 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray) -> np.ndarray:
                 f"poles of mode {i}: {pole:g} is repeated {times} times, but only rank B = "
                 f"{rank} equal poles can be placed: move them apart a little."
             )
-    result: Any = place_poles(A, B, poles if np.iscomplex(poles).any() else np.real(poles))
+    try:
+        with warnings.catch_warnings():
+            # It warns when its search for robust gains stops early; the answer is checked below.
+            warnings.simplefilter("ignore", UserWarning)
+            result: Any = place_poles(A, B, poles if np.iscomplex(poles).any() else np.real(poles))
+    except ValueError as error:
+        raise ArgumentError(
+            f"poles of mode {i} could not be placed ({error}): move them apart or closer to "
+            "those of the plant."
+        ) from None
     K = -np.real(result.gain_matrix)
     _require_poles(A + B @ K, poles, i)
     return K
@@ -174,7 +184,7 @@ def _weight(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -
     if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
         kind = "positive definite" if strict else "positive semidefinite"
         raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {eigenvalues[0]:.4g}.")
-    return weight
+    return (weight + weight.T) / 2.0
 
 
 def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -183,7 +193,7 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
     A, B = plant.A[i], plant.B[i]
     try:
         X = solve_continuous_are(A, B, Q, R)
-    except np.linalg.LinAlgError:
+    except ValueError:  # LinAlgError among them
         X = np.full_like(A, np.nan)
     K = -np.linalg.solve(R, B.T @ X)
     residual = np.linalg.norm(A.T @ X + X @ A + X @ B @ K + Q)

@@ -70,6 +70,11 @@ class SwitchedSystem:
         Their outputs (C, D) are not used: laws feed back the whole state.
         """
         for i, system in enumerate(systems):
+            if not all(hasattr(system, name) for name in ("A", "B", "nstates", "ninputs")):
+                raise ArgumentError(
+                    f"systems[{i}] must be a StateSpace, got {type(system).__name__}: convert it "
+                    "with control.ss."
+                )
             if getattr(system, "dt", None) not in (None, 0):
                 raise ArgumentError(
                     f"systems[{i}] must be in continuous time, got dt = {system.dt}: "

@@ -79,7 +79,7 @@ def simulate(
     horizon, step = positive("horizon", horizon), positive("step", step)
     _require_match(plant, law)
     signal.require_modes(plant.modes)
-    x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
 
     samples = math.floor(snap(horizon / step)) + 1
@@ -128,6 +128,16 @@ def _run(table, window, feedback, rows, x0, inputs, past):
     )
 
 
+def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
+    """x0 with its size checked, within the limit at which a run counts as diverged."""
+    state = shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
+    if np.abs(state).max() > 1e100 / n:
+        raise ArgumentError(
+            f"x0 must be below 1e100, where a run counts as diverged, got {np.abs(state).max():g}."
+        )
+    return state
+
+
 def _require_match(plant: SwitchedSystem, law: Law) -> None:
     """Refuse a law whose model has other sizes than the plant."""
     for name in ("modes", "states", "inputs"):
@@ -155,21 +165,31 @@ def _history(u0: InitialInput, m: int, past: int, step: float, delay: float) -> 
     if u0 is None:
         return np.zeros((past, m))
     if callable(u0):
-        instants = [max(-j * step, -delay) for j in range(past, 0, -1)]
-        values = [np.atleast_1d(np.asarray(u0(s), dtype=np.float64)) for s in instants]
-        held = real_array("u0", np.stack(values), "(m,) at every time", 2)
-        return shaped("u0", held, (past, m), "(m,) at every time")
-    given = np.asarray(u0)
-    if given.ndim == 2:
-        held = real_array("u0", given, "(m, N)", 2)
+        values = [
+            real_array("u0", np.atleast_1d(u0(max(-j * step, -delay))), "(m,) at every time", 1)
+            for j in range(past, 0, -1)
+        ]
+        return np.stack([shaped("u0", v, (m,), "(m,) at every time") for v in values])
+    if np.ndim(_regular(u0)) == 2:
+        held = real_array("u0", u0, "(m, N)", 2)
         if held.shape != (m, past):
             raise ArgumentError(
                 f"u0 must hold (m, N) = ({m}, {past}) samples, oldest first, one per period of "
                 f"the longer delay {delay:g} s, got {held.shape}."
             )
         return held.T
-    constant = real_array("u0", np.atleast_1d(given), "(m,)", 1)
+    constant = real_array("u0", np.atleast_1d(_regular(u0)), "(m,)", 1)
     return np.tile(shaped("u0", constant, (m,), "(m,)"), (past, 1))
+
+
+def _regular(value: ArrayLike) -> np.ndarray:
+    """`value` as an array, refused when its rows have different lengths."""
+    try:
+        return np.asarray(value)
+    except ValueError:
+        raise ArgumentError(
+            "u0 must be a number, (m,), (m, N) or a function, got rows of different lengths."
+        ) from None
 
 
 def _message(diverged: bool, end: float, signal: SwitchingSignal, horizon: float) -> str:

@@ -71,7 +71,8 @@ class Trajectory:
             ise ∫|x|² and energy ∫|u|² (exact, between samples too), cost = ise + energy, peak
             max|x| over the samples, settling_time (s, from when on |x| stays within 2 % of the
             peak; inf if it does not), decay_rate (1/s, minus the least-squares slope of log|x|
-            over the second half; inf if x is zero there), final_norm |x| at the end.
+            over the second half; inf if x is zero there, −inf if the run diverged at once),
+            final_norm |x| at the end.
         """
         record, end = self.record, self.end
         ise, energy = record.integrals(end)
@@ -83,7 +84,10 @@ class Trajectory:
         settled = outside.size == 0 or outside[-1] + 1 < time.size
         settling = (0.0 if outside.size == 0 else time[outside[-1] + 1]) if settled else np.inf
         late = (time >= 0.5 * end) & (norm > 0.0)
-        decay = -np.polyfit(time[late], np.log(norm[late]), 1)[0] if late.sum() > 1 else np.inf
+        if late.sum() > 1:
+            decay = -np.polyfit(time[late], np.log(norm[late]), 1)[0]
+        else:
+            decay = -np.inf if self.diverged else np.inf
         return {
             "ise": ise,
             "energy": energy,

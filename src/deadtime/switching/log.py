@@ -44,7 +44,7 @@ def read_log(
     """
     source = Path(path)
     try:
-        with source.open(newline="", encoding="utf-8") as file:
+        with source.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             if not {"time", "mode"} <= set(reader.fieldnames or ()):
                 raise ArgumentError(
@@ -54,10 +54,18 @@ def read_log(
             rows = [(reader.line_num, row["time"], row["mode"]) for row in reader]
     except OSError as error:
         raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
+    except UnicodeDecodeError:
+        raise ArgumentError(f"{source} is not UTF-8 text: save it as UTF-8.") from None
     if not rows:
         raise ArgumentError(f"{source} must hold at least one row, got none.")
     times = np.array([number(f"{source}, line {line}: time", text) for line, text, _ in rows])
     visited = [_mode(source, line, text, modes, labels) for line, _, text in rows]
+    for (before, _, _), (line, _, _), gap in zip(rows, rows[1:], np.diff(times), strict=False):
+        if gap <= 0.0:
+            raise ArgumentError(
+                f"{source}, line {line}: time must be later than in line {before}: sort the log "
+                "and keep one row per instant."
+            )
     start = times[0]
     if end is None:
         repeated = len(visited) > 1 and visited[-1] == visited[-2]
@@ -72,10 +80,10 @@ def _mode(
 ) -> int:
     """The mode that a row's text names."""
     text = (text or "").strip()
-    if labels is not None and text in labels:
+    if labels is not None and text in labels and (modes is None or labels[text] < modes):
         return labels[text]
     known = f"one of {sorted(labels)}" if labels is not None else "an integer counted from 0"
-    if labels is None and text.isdigit() and (modes is None or int(text) < modes):
+    if labels is None and text.isdecimal() and (modes is None or int(text) < modes):
         return int(text)
     if labels is None and modes is not None:
         known = f"an integer in 0..{modes - 1}"
