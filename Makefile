@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: reproduce test lint types pytest bench examples schema clean
 
-reproduce: .venv/installed
+reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
 
 test: lint types pytest
@@ -20,7 +20,7 @@ lint: .venv/installed-test
 types: .venv/installed-test
 	$(BIN)/basedpyright
 
-pytest: .venv/installed-test
+pytest: .venv/installed-test .venv/compiled
 	$(BIN)/pytest
 
 bench: .venv/installed
@@ -45,6 +45,11 @@ schema: .venv/installed
 .venv/installed-test: pyproject.toml constraints.txt | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --editable ".[test]"
 	@touch .venv/installed $@
+
+# Numba's cache looks at the changed file only, not at the compiled functions that call it.
+.venv/compiled: $(shell find src -name '*.py') | .venv/bin/python
+	find src -name '*.nb[ic]' -delete
+	@touch $@
 
 clean:
 	rm -rf .venv report build dist .pytest_cache .ruff_cache .hypothesis

@@ -126,6 +126,30 @@ def test_diverging_loop_is_reported_not_raised(folder, capsys):
     assert "diverged: |x| left 1e100 after t =" in out.replace("\n", " ")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seed = 184", "seed = -1", "seed must be an integer of at least 0, got -1"),
+        ("step = 0.01 ", "step = 1e-320 ", "step = 9.99989e-321 s is too short"),
+        ("horizon = 15.0", "horizon = 1e18", "horizon = 1e+18 s would hold about"),
+        ("x0 = [-1.0, 1.0]", "x0 = [0.0, 0.0]", None),
+        ("# states = ", 'states = ["$x", "$\\\\foo$"] # ', None),
+    ],
+)
+def test_odd_files_get_a_verdict_or_one_line(folder, capsys, old, new, message):
+    run(capsys, "init")
+    text = (folder / "problem.toml").read_text()
+    assert old in text
+    (folder / "problem.toml").write_text(text.replace(old, new, 1))
+    code, _, err = run(capsys, "reproduce", "problem.toml")
+    if message is None:
+        assert (code, err) == (0, "")
+    else:
+        assert code == 2
+        assert err.count("\n") == 1
+        assert message in err
+
+
 def test_schema_is_printed_as_json(capsys):
     code, out, _ = run(capsys, "schema")
     assert code == 0

@@ -103,9 +103,12 @@ ORACLE = dt.ExactPredictor(PLANT, GAINS)
             "signal enters mode 2 at 0.5 s, but the plant's modes are 0..1",
         ),
         (lambda: ORACLE.digital(H, THIRD, 5), "signal enters mode 2 at 0.5 s"),
-        (lambda: ORACLE.digital(H), "ExactPredictor.digital needs the future: pass signal"),
-        (lambda: ORACLE.digital(H, steps=5), "ExactPredictor.digital needs the future"),
-        (lambda: ORACLE.digital(H, SHORT), "ExactPredictor.digital needs the future"),
+        (lambda: ORACLE.digital(H), "steps must be given"),
+        (
+            lambda: ORACLE.digital(H, steps=5),
+            "signal must be given: ExactPredictor needs the future",
+        ),
+        (lambda: ORACLE.digital(H, SHORT), "steps must be given"),
         (
             lambda: ORACLE.digital(H, SHORT, 12),
             "signal must be known up to the last sample plus the delay, 2.1 s, for "

@@ -167,7 +167,7 @@ random = dt.SwitchingSignal.random
             lambda: dt.SwitchingSignal([0, 1], [0, 1], 1.0),
             "end must be later than the last switch at 1 s, got 1.",
         ),
-        (lambda: dt.SwitchingSignal([0, 1], [0, 1], np.nan), "end must be later"),
+        (lambda: dt.SwitchingSignal([0, 1], [0, 1], np.nan), "end must be finite, got nan"),
         (lambda: dt.SwitchingSignal([0, 1], [0]), "modes must have one entry per time, 2, got 1."),
         (
             lambda: dt.SwitchingSignal([0, 1], [0, 0.5]),
@@ -209,8 +209,11 @@ random = dt.SwitchingSignal.random
             lambda: random(2, 1.0, dwell_time=0.1, average_dwell_time=0.1),
             "give exactly one of the two",
         ),
-        (lambda: random(0, 1.0, dwell_time=0.1), "modes must be a positive integer, got 0."),
-        (lambda: random(True, 1.0, dwell_time=0.1), "modes must be a positive integer, got True."),
+        (lambda: random(0, 1.0, dwell_time=0.1), "modes must be an integer of at least 1, got 0."),
+        (
+            lambda: random(True, 1.0, dwell_time=0.1),
+            "modes must be an integer of at least 1, got True.",
+        ),
         (lambda: random(2, -1.0, dwell_time=0.1), "horizon must be positive, in s, got -1."),
         (lambda: random(2, 1.0, dwell_time=0.0), "dwell_time must be positive, in s, got 0."),
         (
@@ -227,7 +230,7 @@ random = dt.SwitchingSignal.random
         ),
         (
             lambda: random(2, 1.0, average_dwell_time=0.2, chatter=0),
-            "chatter must be at least 1, got 0.",
+            "chatter must be an integer of at least 1, got 0.",
         ),
     ],
 )

@@ -65,7 +65,7 @@ HEAD = "time,mode\n0,0\n"
     ("text", "options", "message"),
     [
         ("t,mode\n0,0\n", {}, "must have the columns time and mode, got ['t', 'mode']"),
-        ("", {}, "must have the columns time and mode, got None"),
+        ("", {}, "must have the columns time and mode, got []"),
         ("time,mode\n", {}, "must hold at least one row, got none."),
         (HEAD + "soon,1\n", {}, "line 3: time must be a number, got 'soon'."),
         (HEAD + "\n\nsoon,1\n", {}, "line 5: time must be a number"),

@@ -41,6 +41,19 @@ def index(name: str, value: object, count: int) -> int:
     return int(value)
 
 
+def instance(name: str, value: object, kind: type) -> None:
+    """Refuse a value that is not of a kind."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} must be a {kind.__name__}, got {type(value).__name__}.")
+
+
+def count(name: str, value: object, least: int = 1) -> int:
+    """An integer of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ArgumentError(f"{name} must be an integer of at least {least}, got {value!r}.")
+    return int(value)
+
+
 def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
     """A read-only, C-contiguous float64 array with `ndim` axes and finite entries.
 

@@ -95,7 +95,7 @@ def simulate(
     steps = len(chosen.laws) + chosen.plant.modes
     with _progress(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)
-    saved = _save_figures(result, Path(f"{chosen.name}.png") if out is None else out)
+    saved = _save_figures(result, _picture(chosen, out))
     if json_output:
         print(json.dumps(metrics_of(result), indent=2, ensure_ascii=False))
         return
@@ -152,6 +152,12 @@ def _problem(name: str) -> Problem:
             f"problem must be one of {', '.join(NAMED)}, or a file that exists, got {name!r}."
         )
     return load_problem(name)
+
+
+def _picture(problem: Problem, out: Path | None) -> Path:
+    """Where the figure goes; PNG unless the name says otherwise."""
+    path = Path(f"{problem.name}.png") if out is None else out
+    return path if path.suffix else path.with_suffix(".png")
 
 
 def _save_figures(result: Comparison, path: Path) -> list[Path]:

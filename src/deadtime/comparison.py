@@ -62,7 +62,8 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
     for name in problem.laws:
         progress(f"simulating: {name}")
         runs[name] = problem.simulate(name)
-    horizon = 4.0 * max(problem.horizon, problem.plant.delay)
+    # Long enough for the slowest root to stand out.
+    horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.delay)
     held = []
     for mode in range(problem.plant.modes):
         progress(f"simulating: {problem.modes[mode]} for ever")

@@ -93,6 +93,11 @@ class Feedback:
                 f"input_gain must have shape (contexts, N, m, m) = ({rows}, N, {m}, {m}), "
                 f"got {taps}."
             )
+        if not (np.isfinite(self.state_gain).all() and np.isfinite(self.input_gain).all()):
+            raise ArgumentError(
+                "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
+                "is too long for this plant."
+            )
         for array in (self.state_gain, self.input_gain, *(self.factor or ())):
             array.flags.writeable = False
 

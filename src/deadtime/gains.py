@@ -98,44 +98,92 @@ def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray) -> np.ndarray:
         with warnings.catch_warnings():
             # It warns when its search for robust gains stops early; the answer is checked below.
             warnings.simplefilter("ignore", UserWarning)
-            result: Any = place_poles(A, B, poles if np.iscomplex(poles).any() else np.real(poles))
+            balanced, inputs, t, c = _balanced(A, B)
+            wanted = poles if np.iscomplex(poles).any() else np.real(poles)
+            result: Any = place_poles(balanced, inputs, wanted)
     except ValueError as error:
         raise ArgumentError(
             f"poles of mode {i} could not be placed ({error}): move them apart or closer to "
             "those of the plant."
         ) from None
     K = -np.real(result.gain_matrix)
-    _require_poles(A + B @ K, poles, i)
-    return K
+    if K.shape[0] == 1:
+        K = _refined(balanced, inputs, K, poles)
+    _require_poles(balanced + inputs @ K, poles, i)
+    return c[:, None] * K / t
+
+
+def _refined(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """K corrected for one input, where the characteristic polynomial is affine in K."""
+    unit = float(np.abs(poles).max()) or 1.0
+
+    def coefficients(gain: np.ndarray) -> np.ndarray:
+        return np.poly(np.linalg.eigvals(A + B @ gain) / unit)[1:].real
+
+    asked, here = np.poly(poles / unit)[1:].real, coefficients(K)
+    size = max(1.0, float(np.abs(K).max()))
+    slopes = [coefficients(K + size * row) - here for row in np.eye(A.shape[0])[:, None, :]]
+    try:
+        change = np.linalg.solve(np.stack(slopes, axis=1), asked - here) * size
+    except np.linalg.LinAlgError:
+        return K
+    better = K + change
+    return better if np.abs(coefficients(better) - asked).max() < np.abs(here - asked).max() else K
 
 
 def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
-    """Put the answer back: every wanted pole is an eigenvalue of the closed loop."""
-    # Backward error of a pole: how far the closed loop is from a matrix that has it.
-    scale = np.linalg.norm(closed, 2) + np.abs(poles).max()
-    identity = np.eye(closed.shape[0])
-    error = max(np.linalg.svd(closed - p * identity, compute_uv=False)[-1] for p in poles)
-    if error > 1e-6 * scale:
+    """Put the answer back: the closed loop has the characteristic polynomial that was asked for.
+
+    Its coefficients are compared, in units in which the largest pole is 1: unlike the
+    eigenvalues themselves they are well conditioned when poles nearly coincide.
+    """
+    unit = max(float(np.abs(poles).max()), np.finfo(float).tiny)
+    asked = np.poly(poles / unit)
+    error = np.abs(np.poly(np.linalg.eigvals(closed) / unit) - asked).max() / np.abs(asked).max()
+    if not error <= 1e-6:
         raise ArgumentError(
-            f"poles of mode {i} could not be placed accurately (backward error {error:.1e}): "
-            "choose poles closer to those of the plant."
+            f"poles of mode {i} could not be placed accurately (error {error:.1e} in the "
+            "characteristic polynomial): move them apart or closer to those of the plant."
         )
 
 
 def require_controllable(A: np.ndarray, B: np.ndarray, i: int) -> None:
-    """Refuse a mode whose controllability matrix [B, AB, …] lacks rank."""
+    """Refuse a mode whose controllability matrix [B, AB, …] lacks rank.
+
+    The rank is that of a staircase: an orthonormal basis of range B, extended by A times its
+    newest directions until nothing new comes. States are balanced and inputs normalised first,
+    so that the answer does not depend on units.
+    """
     n = A.shape[0]
-    scale = max(np.linalg.norm(A, 2), np.finfo(float).tiny)
-    blocks = [B / max(np.linalg.norm(B, 2), np.finfo(float).tiny)]
-    for _ in range(n - 1):
-        blocks.append((A / scale) @ blocks[-1])
-    rank = int(np.linalg.matrix_rank(np.hstack(blocks), tol=1e-12))
-    if rank < n:
+    balanced, fresh, _, _ = _balanced(A, B)
+    size = max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
+    basis = np.zeros((n, 0))
+    while fresh.size and basis.shape[1] < n:
+        for _ in range(2):
+            fresh = fresh - basis @ (basis.T @ fresh)
+        U, values, _ = np.linalg.svd(fresh, full_matrices=False)
+        new = U[:, values > 1e-12]
+        basis = np.hstack((basis, new))
+        fresh = balanced @ new / size
+    if basis.shape[1] < n:
         powers = " ".join(["B", "AB", *(f"A^{k}B" for k in range(2, n))][:n])
         raise ArgumentError(
-            f"mode {i} is not controllable: rank [{powers}] = {rank} < {n}: "
+            f"mode {i} is not controllable: rank [{powers}] = {basis.shape[1]} < {n}: "
             "no gain can move all its poles."
         )
+
+
+def _balanced(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A and B in units in which A is balanced and B's columns have length 1, and those units.
+
+    With units t of the states and c of the inputs, A/t·t and B·c/t are returned.
+    """
+    from scipy.linalg import matrix_balance
+
+    balanced, (t, _) = matrix_balance(A, permute=False, separate=True)
+    fresh = B / t[:, None]
+    c = 1.0 / np.maximum(np.linalg.norm(fresh, axis=0), np.finfo(float).tiny)
+    return balanced, fresh * c, t, c
 
 
 def lqr(plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike) -> Float[np.ndarray, "mode m n"]:

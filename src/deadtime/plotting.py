@@ -16,13 +16,14 @@ from matplotlib.figure import Figure
 
 from deadtime.simulation import Trajectory
 from deadtime.switching import SwitchingSignal
-from deadtime.wording import signed
+from deadtime.wording import signed, subscript
 
 if TYPE_CHECKING:
     from deadtime.comparison import Comparison
     from deadtime.problems import Problem
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LINES = ("-", "--", "-.", ":")
 WIDTH = 4.6
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
@@ -41,6 +42,18 @@ STYLE: dict[Any, Any] = {
     "figure.dpi": 180,
     "svg.hashsalt": "deadtime",
 }
+
+
+def plain(text: str) -> str:
+    """A user's text for matplotlib: no mathematics in it, and never hidden from a legend.
+
+    Examples
+    --------
+    >>> plain("_cost in $")
+    '\u200b_cost in \\\\$'
+    """
+    text = text.replace("$", r"\$")
+    return f"\u200b{text}" if text.startswith("_") else text
 
 
 def _mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
@@ -66,9 +79,10 @@ def plot_run(
 ) -> Figure:
     """States, inputs and mode of a run over time."""
     n, m = run.states.shape[0], run.inputs.shape[0]
-    states = [f"$x_{i + 1}$" for i in range(n)] if states is None else states
-    count = run.record.plant.modes
+    states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
+    count = run.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
+    states, modes = list(map(plain, states)), list(map(plain, modes))
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 4.0))
         upper, middle, lower = figure.subplots(
@@ -77,35 +91,25 @@ def plot_run(
         for i, name in enumerate(states):
             upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
         for i in range(m):
-            label = "$u$" if m == 1 else f"$u_{i + 1}$"
-            middle.step(
-                run.time, run.inputs[i], where="post", color=COLOURS[(i + 4) % 7], label=label
-            )
+            label = "u" if m == 1 else f"u{subscript(i + 1)}"
+            style = "steps-post" if run.record.held else "default"
+            colour = COLOURS[(i + 4) % 7]
+            middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=label)
         upper.set_ylabel("state")
         middle.set_ylabel("input")
-        _mode_strip(lower, *_steps_of_run(run), modes)
+        _mode_strip(lower, *_steps(run.signal, float(run.time[-1])), modes)
         lower.set_xlabel("time (s)")
         lower.set_xlim(run.time[0], run.time[-1])
         figure.align_ylabels()
         figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, "u")))
         if title:
-            upper.set_title(title)
+            upper.set_title(plain(title))
     return figure
 
 
 def _columns(count: int, labels: Sequence[str]) -> int:
     """How many legend columns fit the width."""
     return max(1, min(count, 62 // (max(map(len, labels)) + 6)))
-
-
-def _steps_of_run(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """The mode of a run, switching where the signal did."""
-    cuts, step = run.record.cuts, run.record.window.step
-    times = np.concatenate(([0.0], cuts.step * step + cuts.offset))
-    inside = times < run.time[-1]
-    return np.append(times[inside], run.time[-1]), np.append(
-        cuts.mode[inside], cuts.mode[inside][-1]
-    )
 
 
 def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Figure:
@@ -116,7 +120,7 @@ def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Fi
         axes = figure.subplots()
         axes.hlines(visited[:-1], times[:-1], times[1:], color=COLOURS[0], linewidth=2.5)
         axes.vlines(times[1:-1], -0.3, len(modes) - 0.7, color="black", linewidth=0.5)
-        axes.set_yticks(range(len(modes)), modes)
+        axes.set_yticks(range(len(modes)), list(map(plain, modes)))
         axes.set_ylim(-0.35, len(modes) - 0.65)
         axes.set_xlim(0.0, end)
         axes.set_xlabel("time (s)")
@@ -143,15 +147,21 @@ def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequen
         axes.vlines(cuts, -0.6, len(modes) - 0.5, color="black", linewidth=0.6, linestyle="--")
         for i, cut in enumerate(cuts):
             name = "$t$" if i == 0 else "$t+D$" if i == cuts.size - 1 else f"$t+s_{i}$"
-            axes.text(cut, len(modes) - 0.42, name, ha="center", va="bottom", fontsize=8)
+            side = {0: "right", cuts.size - 1: "left"}.get(i, "center")
+            axes.text(cut, len(modes) - 0.42, name, ha=side, va="bottom", fontsize=8)
         for i, middle in enumerate((cuts[:-1] + cuts[1:]) / 2.0):
             axes.text(middle, -0.58, f"$m_{i + 1}$", ha="center", va="bottom", fontsize=8)
-        axes.set_yticks(range(len(modes)), modes)
+        axes.set_yticks(range(len(modes)), list(map(plain, modes)))
         axes.set_ylim(-0.65, len(modes) - 0.1)
-        axes.set_xlim(t - 0.15 * delay, t + 1.15 * delay)
+        axes.set_xlim(max(0.0, t - 0.15 * delay), t + 1.2 * delay)
         axes.set_xlabel("time (s)")
         axes.grid(False)
     return figure
+
+
+def visible(norm: np.ndarray) -> np.ndarray:
+    """|x| for a logarithmic axis, which has no 0."""
+    return np.maximum(norm, np.finfo(float).tiny)
 
 
 def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figure:
@@ -164,16 +174,16 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
         figure = Figure(figsize=(WIDTH, 3.3))
         axes = figure.subplots()
         for i, (name, norm) in enumerate(norms.items()):
-            style = "--" if name in ("oracle", "delay ignored") else "-"
-            colour = COLOURS[6] if name == "oracle" else COLOURS[i % 6]
-            axes.semilogy(runs[name].time, norm, style, color=colour, label=name)
-        axes.set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * top)
+            style = LINES[i // len(COLOURS)]
+            colour = COLOURS[i % len(COLOURS)]
+            axes.semilogy(runs[name].time, visible(norm), style, color=colour, label=plain(name))
+        axes.set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
         axes.set_xlim(0.0, max(run.time[-1] for run in runs.values()))
         axes.set_xlabel("time (s)")
         axes.set_ylabel("|x|")
         figure.legend(loc="outside lower center", ncols=3)
         if title:
-            axes.set_title(title)
+            axes.set_title(plain(title))
     return figure
 
 
@@ -188,15 +198,18 @@ def plot_verdict(result: Comparison) -> Figure:
         for i, (held, rate) in enumerate(zip(result.held, result.growth, strict=True)):
             shown = held.time <= end
             norm = np.linalg.norm(held.states[:, shown], axis=0)
-            label = f"stays in {problem.modes[i]}: {signed(rate)} /s"
-            axes.semilogy(held.time[shown], norm, color=COLOURS[1 + i % 5], label=label)
+            label = f"stays in {plain(problem.modes[i])}: {signed(rate)} /s"
+            axes.semilogy(held.time[shown], visible(norm), color=COLOURS[1 + i % 5], label=label)
         norm = np.linalg.norm(run.states, axis=0)
-        axes.semilogy(run.time, norm, color=COLOURS[0], linewidth=2.0, label="switches")
+        switching = problem.signal.times[1:].size and problem.signal.times[1] < run.end
+        label = "switches" if switching else "as given"
+        norm = visible(norm)
+        axes.semilogy(run.time, norm, color=COLOURS[0], linewidth=2.0, label=label)
         axes.set_xlabel("time (s)")
         axes.set_ylabel("|x|")
         axes.set_xlim(0.0, end)
         top = max(float(line.get_ydata().max()) for line in axes.lines)  # pyright: ignore
         axes.set_ylim(max(float(norm.min()) / 3.0, 1e-9 * top), 3.0 * top)
-        axes.set_title(f"Law: {result.lead}")
+        axes.set_title(plain(f"Law: {result.lead}"))
         figure.legend(loc="outside lower center", ncols=2)
     return figure

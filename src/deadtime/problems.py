@@ -30,6 +30,7 @@ from deadtime.laws import (
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal
+from deadtime.wording import subscript
 
 _SIGNAL_NOTE = (
     "The source does not publish its switching signal. This one has sojourns of {dwell:g} s plus "
@@ -90,7 +91,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         if not self.states:
-            names = tuple(f"$x_{i + 1}$" for i in range(self.plant.states))
+            names = tuple(f"x{subscript(i + 1)}" for i in range(self.plant.states))
             object.__setattr__(self, "states", names)
         if not self.modes:
             names = tuple(f"mode {i}" for i in range(self.plant.modes))
@@ -112,12 +113,13 @@ class Problem:
         )
 
     def hold(self, mode: int, horizon: float) -> Trajectory:
-        """Run the first law with one mode for ever."""
+        """Run the first law with one mode for ever, on [0, horizon] seconds."""
         law = next(iter(self.laws.values()))
         signal = SwitchingSignal.constant(mode)
         return simulate(self.plant, law, signal, self.x0, horizon, self.step, self._history())
 
     def _history(self) -> np.ndarray:
+        """u0 as (m,)."""
         return np.broadcast_to(np.asarray(self.u0, dtype=np.float64), (self.plant.inputs,))
 
 
@@ -257,9 +259,10 @@ def follower() -> Problem:
         title="Adaptive cruise control: throttle and brake with different lags, delayed actuators",
         source=(
             "Lag under throttle 0.5 s: Rajamani, Vehicle Dynamics and Control (2nd ed., 2012). "
-            "Lag under brake 0.2 s: Segata et al., Plexe (IEEE VNC 2014), default brake "
-            "actuation time constant. Delay 0.2 s: Ploeg et al. (IEEE ITSC 2011), "
-            "identified on a passenger car. Time gap 0.8 s: the least that ISO 15622 allows"
+            "Lag under brake 0.2 s: default brake actuation time constant of the "
+            "Plexe engine model in SUMO (source file EngineParameters, M. Segata, 2015). "
+            "Delay 0.2 s: Ploeg et al. (IEEE ITSC 2011), identified on a passenger car. "
+            "Time gap 0.8 s: the least that ISO 15622 allows"
         ),
         plant=plant,
         gains=gains,

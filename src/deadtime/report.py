@@ -17,6 +17,7 @@ import deadtime
 from deadtime import plotting
 from deadtime.comparison import Comparison, Progress, compare
 from deadtime.errors import ArgumentError
+from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
 from deadtime.verdict import HEADINGS, table, verdict
 
@@ -48,7 +49,7 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
         plotting.plot_signal(signal, end, problem.modes),
     )
     for name, run in result.runs.items():
-        if name == "delay ignored":
+        if not _is_shown(problem, name):
             continue
         figure = plotting.plot_run(run, None, problem.states, problem.modes)
         yield _file_name(name), f"States, input and mode under the law “{name}”.", figure
@@ -94,9 +95,14 @@ def write_report(
         ) from None
 
 
+def _is_shown(problem: Problem, law: str) -> bool:
+    """Whether a law has a figure of its own: all but a baseline that others are held against."""
+    return len(problem.laws) == 1 or not isinstance(problem.laws[law], DelayedStateFeedback)
+
+
 def steps_of(problem: Problem) -> int:
     """How often `write_report` reports progress."""
-    shown = sum(name != "delay ignored" for name in problem.laws)
+    shown = sum(_is_shown(problem, name) for name in problem.laws)
     return len(problem.laws) + problem.plant.modes + shown + 6
 
 
@@ -129,8 +135,8 @@ def _save(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, st
 
 
 def _write_data(result: Comparison, folder: Path) -> None:
-    for name, run in result.runs.items():
-        run.to_csv(folder / "data" / f"{_file_name(name)}.csv")
+    for number, (name, run) in enumerate(result.runs.items(), 1):
+        run.to_csv(folder / "data" / f"{number}-{_file_name(name)}.csv")
     text = json.dumps(metrics_of(result), indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
 
@@ -190,6 +196,7 @@ def _page(
             (row.name, _matrix(row.printed), _matrix(row.computed)) for row in problem.published
         ],
         x0=_matrix(problem.x0),
+        u0=_matrix(np.atleast_1d(problem.u0)) if np.any(problem.u0) else "",
         matrices=[
             (name, _matrix(plant.A[i]), _matrix(plant.B[i]), _matrix(problem.gains[i]))
             for i, name in enumerate(problem.modes)

@@ -8,6 +8,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from deadtime.comparison import Comparison
+from deadtime.laws import (
+    DelayedStateFeedback,
+    ExactPredictor,
+    Law,
+    MeanPredictor,
+    SingleModePredictor,
+)
 from deadtime.wording import amount, compact, signed
 
 
@@ -21,12 +28,22 @@ def verdict(result: Comparison) -> list[str]:
     >>> print(verdict(compare(dt.problems.paper()))[2])
     Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
     """
-    sentences = [_headline(result), _without_switching(result)]
-    sentences += [_baseline(result)] if "delay ignored" in result.runs else []
-    singles = [name for name in result.runs if name.endswith(" only")]
+    sentences = [_headline(result)]
+    sentences += [_without_switching(result)] if result.problem.plant.modes > 1 else []
+    sentences += [_baseline(result, name) for name in _named(result, DelayedStateFeedback)[:1]]
+    singles = _named(result, SingleModePredictor)
     sentences += [_believing_one_mode(result, singles)] if singles else []
-    sentences += [_against_the_oracle(result)] if "oracle" in result.runs else []
+    sentences += [_against_the_oracle(result, name) for name in _named(result, ExactPredictor)[:1]]
     return sentences
+
+
+def _named(result: Comparison, kind: type[Law]) -> list[str]:
+    """Names of the laws of one kind, the lead aside."""
+    return [
+        name
+        for name, law in result.problem.laws.items()
+        if isinstance(law, kind) and name != result.lead
+    ]
 
 
 def _law(name: str) -> str:
@@ -37,82 +54,101 @@ def _start(result: Comparison) -> float:
     return float(np.linalg.norm(result.problem.x0))
 
 
+def _grows(result: Comparison, name: str) -> bool:
+    """Whether |x| ends above where it started (above half its peak, when it started at 0)."""
+    row = result.metrics[name]
+    return row["final_norm"] > (_start(result) or row["peak"] / 2.0)
+
+
 def _headline(result: Comparison) -> str:
     problem, run = result.problem, result.runs[result.lead]
     signal = problem.signal
     switches = int(np.sum(signal.times[1:] < run.end))
-    setting = f"on a signal with {switches} switches in {problem.horizon:g} s"
+    setting = f"in {problem.horizon:g} s without a switch"
     if switches:
-        setting += f" (dwell time {signal.dwell_time:.2g} s)"
+        count = f"{switches} switches" if switches > 1 else "one switch"
+        setting = (
+            f"on a signal with {count} in {problem.horizon:g} s "
+            f"(dwell time {signal.dwell_time:.2g} s)"
+        )
     law = _law(result.lead)
     law = law[0].upper() + law[1:]
     if run.diverged:
         return f"{law} loses the plant {setting}: {run.message}"
-    start, end = _start(result), result.metrics[result.lead]["final_norm"]
-    if end < start:
-        return f"{law} works {setting}: |x| falls from {amount(start)} to {amount(end)}."
-    return f"{law} fails {setting}: |x| grows from {amount(start)} to {amount(end)}."
+    row, start = result.metrics[result.lead], _start(result)
+    origin = amount(start) if start else f"a peak of {amount(row['peak'])}"
+    if not _grows(result, result.lead):
+        return f"{law} works {setting}: |x| falls from {origin} to {amount(row['final_norm'])}."
+    if start:
+        return f"{law} fails {setting}: |x| grows from {origin} to {amount(row['final_norm'])}."
+    return f"{law} has not settled {setting}: |x| ends at {amount(row['final_norm'])}."
 
 
 def _without_switching(result: Comparison) -> str:
     names, growth = result.problem.modes, result.growth
     unstable = [i for i, rate in enumerate(growth) if rate > 0.0]
-    rates = [f"held in {names[i]} it grows at {signed(growth[i])} /s" for i in unstable]
     if not unstable:
         slowest = int(np.argmax(growth))
+        rate = f" at {signed(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
         return (
-            f"The same loop is stable without switching, too: held in any one mode it decays, "
-            f"slowest in {names[slowest]} at {signed(growth[slowest])} /s."
+            "The same loop is stable without switching, too: held in any one mode it decays, "
+            f"slowest in {names[slowest]}{rate}."
         )
+    rates = [f"held in {names[i]} it grows at {_rate(growth[i])}" for i in unstable]
     rates[1:] = [text.replace("it grows ", "") for text in rates[1:]]
     decays = "" if len(unstable) == len(growth) else " (in the other modes it decays)"
     return "Yet the same loop is unstable if it stops switching: " + ", ".join(rates) + decays + "."
 
 
-def _baseline(result: Comparison) -> str:
-    figures = result.metrics["delay ignored"]
-    start, end = _start(result), figures["final_norm"]
-    if result.runs["delay ignored"].diverged:
-        return "Ignoring the delay fails: " + result.runs["delay ignored"].message
-    if end > start:
-        return f"Ignoring the delay fails: |x| reaches {amount(end)} by the end."
-    ratio = figures["cost"] / result.metrics[result.lead]["cost"]
+def _rate(growth: float) -> str:
+    return f"{signed(growth)} /s" if math.isfinite(growth) else "more than can be told"
+
+
+def _baseline(result: Comparison, name: str) -> str:
+    figures = result.metrics[name]
+    if result.runs[name].diverged:
+        return "Ignoring the delay fails: " + result.runs[name].message
+    if _grows(result, name):
+        return f"Ignoring the delay fails: |x| reaches {amount(figures['final_norm'])} by the end."
     return (
-        f"Even ignoring the delay, the loop settles here, at {amount(ratio)} times the cost "
-        f"(∫|x|² + ∫|u|²) of {_law(result.lead)}."
+        f"Even ignoring the delay, |x| falls to {amount(figures['final_norm'])} here, at "
+        f"{_times(result, name, result.lead)} the cost (∫|x|² + ∫|u|²) of {_law(result.lead)}."
     )
 
 
+def _times(result: Comparison, name: str, other: str) -> str:
+    """How many times the cost of another law a law costs."""
+    cost, base = (result.metrics[law]["cost"] for law in (name, other))
+    return f"{amount(cost / base)} times" if base > 0.0 else "many times"
+
+
 def _believing_one_mode(result: Comparison, singles: list[str]) -> str:
-    lead = result.metrics[result.lead]["cost"]
-    ratios = [
-        f"{amount(result.metrics[name]['cost'] / lead)} times"
-        + (" (and |x| grows)" if result.metrics[name]["final_norm"] > _start(result) else "")
-        for name in singles
-    ]
-    modes = [name.removesuffix(" only") for name in singles]
+    modes = result.problem.modes
+    ratios = []
+    for name in singles:
+        law = result.problem.laws[name]
+        assert isinstance(law, SingleModePredictor)
+        grows = " (and |x| grows)" if _grows(result, name) else ""
+        ratios.append(f"{_times(result, name, result.lead)}{grows} for {modes[law.mode]}")
     return (
         f"Predicting as if the plant stayed in one mode costs, compared with {_law(result.lead)}, "
-        + ", ".join(f"{r} for {m}" for r, m in zip(ratios, modes, strict=True))
+        + ", ".join(ratios)
         + "."
     )
 
 
-def _against_the_oracle(result: Comparison) -> str:
-    oracle = result.metrics["oracle"]["cost"]
-
-    def ratio(name: str) -> str:
-        return f"{amount(result.metrics[name]['cost'] / oracle)} times"
-
+def _against_the_oracle(result: Comparison, oracle: str) -> str:
     text = (
         f"Compared with an oracle that knows the future, {_law(result.lead)} costs "
-        f"{ratio(result.lead)} as much"
+        f"{_times(result, result.lead, oracle)} as much"
     )
-    if "mean" not in result.metrics:
-        return text + "."
-    lead, mean = (result.metrics[name]["cost"] for name in (result.lead, "mean"))
-    better = _law("mean") if mean < lead else _law(result.lead)
-    return text + f", the mean law {ratio('mean')}: on this signal {better} is the cheaper."
+    for mean in _named(result, MeanPredictor)[:1]:
+        lead, other = (result.metrics[name]["cost"] for name in (result.lead, mean))
+        better = _law(mean) if other < lead else _law(result.lead)
+        text += (
+            f", {_law(mean)} {_times(result, mean, oracle)}: on this signal {better} is the cheaper"
+        )
+    return text + "."
 
 
 def table(metrics: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:

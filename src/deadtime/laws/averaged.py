@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.checks import real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
 from deadtime.laws.base import Law, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -87,3 +88,8 @@ class AveragedPredictor(Law):
 
         plant = self.plant
         return frozen_table(plant.A, plant.B, self.gains, self.weights, self.window(step))
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        plant = self.plant
+        weighted = self.weights[:, None, None] * self.gains
+        return Forecast.frozen(plant.A, plant.B, weighted, plant.delay)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from deadtime.checks import positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
 from deadtime.switching import SwitchingSignal
@@ -51,6 +52,13 @@ class Law(ABC):
             many samples to make rows for.
         """
 
+    @abstractmethod
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        """The law in continuous time, for a run on [0, horizon] along a signal.
+
+        Raises `ArgumentError` for a law that has no such form.
+        """
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label}; model {self.plant!r})"
 
@@ -84,5 +92,5 @@ def require_hurwitz(
         raise ArgumentError(
             f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
             f"{rightmost:+.4g} 1/s): the sign is u = +K x, and gains belong to one plant; "
-            "pass allow_unstable=True if it is meant."
+            "allow_unstable = True accepts it."
         )

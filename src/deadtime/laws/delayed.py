@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
 from deadtime.laws.base import Law, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -58,3 +59,16 @@ class DelayedStateFeedback(Law):
         modes, m, _ = self.gains.shape
         taps = np.zeros((modes, window.count, m, m))
         return Feedback(self.gains, taps, "mode", window.step)
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        plant = self.plant
+        return Forecast(
+            plant.A,
+            plant.B,
+            lead=0.0,
+            branches=np.zeros(1, np.int64),
+            breaks=np.empty(0),
+            gains=lambda times: self.gains[signal(times)][:, None],
+            path=signal,
+            until=lambda times: np.full(times.size, -np.inf),
+        )

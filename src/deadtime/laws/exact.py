@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
 from deadtime.laws.base import Law, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Cuts, modes_at
@@ -69,27 +71,35 @@ class ExactPredictor(Law):
     def label(self) -> str:
         return "oracle"
 
+    def _known(self, signal: SwitchingSignal | None, last: float) -> SwitchingSignal:
+        """The signal that the law believes in, which must reach a delay past the last time."""
+        known = signal if self.signal is None else self.signal
+        if known is None:
+            raise ArgumentError(
+                "signal must be given: ExactPredictor needs the future; pass it here or build "
+                "the law with one."
+            )
+        known.require_modes(self.plant.modes)
+        needed = last + self.plant.delay
+        if known.end < needed * (1.0 - 1e-9):
+            raise ArgumentError(
+                f"signal must be known up to the last sample plus the delay, {needed:g} s, for "
+                f"an exact predictor, but it ends at {known.end:g} s: give a longer signal or "
+                "a shorter horizon."
+            )
+        return known
+
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         from deadtime.laws.future import future_rows
 
-        known = signal if self.signal is None else self.signal
-        if known is None or steps is None:
-            raise ArgumentError(
-                "ExactPredictor.digital needs the future: pass signal (or build the law with "
-                "one) and steps, the number of samples."
-            )
         window = self.window(step)
         plant = self.plant
-        known.require_modes(plant.modes)
-        last = (steps - 1) * step + window.delay
-        if known.end < last * (1.0 - 1e-12):
-            raise ArgumentError(
-                f"signal must be known up to the last sample plus the delay, {last:g} s, for "
-                f"an exact predictor, but it ends at {known.end:g} s: give a longer signal or "
-                "a shorter horizon."
-            )
+        if steps is None:
+            raise ArgumentError("steps must be given, the number of samples to make rows for.")
+        count("steps", steps)
+        known = self._known(signal, (steps - 1) * step)
         cuts = Cuts.of(known, window)
         future = modes_at(known, np.arange(steps) * step + window.delay, step)
         F, G = future_rows(
@@ -104,3 +114,17 @@ class ExactPredictor(Law):
             cuts.mode,
         )
         return Feedback(F, G, "step", window.step)
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        plant = self.plant
+        known = self._known(signal, horizon)
+        return Forecast(
+            plant.A,
+            plant.B,
+            lead=plant.delay,
+            branches=np.zeros(1, np.int64),
+            breaks=known.times[1:],
+            gains=lambda times: self.gains[known(times + plant.delay)][:, None],
+            path=known,
+            until=lambda times: np.full(times.size, np.inf),
+        )

@@ -9,7 +9,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import real_array, shaped
+from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
 from deadtime.laws.base import Law, checked_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -67,6 +69,8 @@ class MeanPredictor(Law):
         n, m = plant.states, plant.inputs
         gain = shaped("gain", real_array("gain", gain, "(m, n)", 2), (m, n), "(m, n)")
         centre = plant.mean()
+        if mean is not None and (not isinstance(mean, tuple | list) or len(mean) != 2):
+            raise ArgumentError("mean must be a pair (A, B) of one matrix each.")
         A, B = (centre.A[0], centre.B[0]) if mean is None else mean
         A = shaped("mean[0]", real_array("mean[0]", A, "(n, n)", 2), (n, n), "(n, n)")
         B = shaped("mean[1]", real_array("mean[1]", B, "(n, m)", 2), (n, m), "(n, m)")
@@ -88,3 +92,7 @@ class MeanPredictor(Law):
 
         A, B = self.mean
         return frozen_table(A[None], B[None], self.gain[None], np.ones(1), self.window(step))
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        A, B = self.mean
+        return Forecast.frozen(A[None], B[None], self.gain[None], self.plant.delay)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import index
 from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
 from deadtime.laws.base import Law, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -70,3 +71,8 @@ class SingleModePredictor(Law):
         return frozen_table(
             plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.window(step)
         )
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        one = slice(self.mode, self.mode + 1)
+        plant = self.plant
+        return Forecast.frozen(plant.A[one], plant.B[one], self.gains[one], plant.delay)

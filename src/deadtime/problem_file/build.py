@@ -60,8 +60,9 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
             laws[name] = law
     if not laws:
         with _section("gains"):
-            mean = _mean_law(plant, gains, file, None) if plant.modes > 1 else None
-            laws = comparison_laws(plant, gains, mean, file.gains.allow_unstable)
+            allow = file.gains.allow_unstable
+            mean = _mean_law(plant, gains, file, None, allow) if plant.modes > 1 else None
+            laws = comparison_laws(plant, gains, mean, allow)
     with _section("run"):
         run = file.run
         x0 = shaped("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
@@ -135,7 +136,7 @@ def _law(
         case schema.SingleLaw():
             return SingleModePredictor(model, gains, section.mode, allow_unstable=allow)
         case schema.MeanLaw():
-            return _mean_law(model, gains, file, section)
+            return _mean_law(model, gains, file, section, allow)
         case schema.ExactLaw():
             return ExactPredictor(model, gains, allow_unstable=allow)
         case _:
@@ -147,6 +148,7 @@ def _mean_law(
     gains: np.ndarray,
     file: schema.ProblemFile,
     section: schema.MeanLaw | None,
+    allow: bool,
 ) -> MeanPredictor:
     """The mean law; without a gain of its own, one designed for the mean as the others were.
 
@@ -162,7 +164,7 @@ def _mean_law(
         gain = gains.mean(axis=0)
     else:
         gain = _gains(SwitchedSystem(A[None], B[None], model.delay), file.gains)[0]
-    return MeanPredictor(model, gain, gains, mean=(A, B), allow_unstable=file.gains.allow_unstable)
+    return MeanPredictor(model, gain, gains, mean=(A, B), allow_unstable=allow)
 
 
 def _signal(

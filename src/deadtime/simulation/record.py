@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -66,6 +67,17 @@ class DigitalRecord:
     inputs: Float[np.ndarray, "held m"]
     past: int
     samples: int
+    held: ClassVar[bool] = True
+
+    def grid(self, end: float) -> Float[np.ndarray, " T"]:
+        """The samples, and the end of the run when that is no sample."""
+        time = np.arange(self.samples) * self.window.step
+        return time if end - time[-1] <= 1e-9 * self.window.step else np.append(time, end)
+
+    def history(self, end: float) -> Float[np.ndarray, "m N"]:
+        """The inputs in the pipe at the last sample, oldest first."""
+        last = self.past + self.samples - 1
+        return self.inputs[last - self.past : last].T.copy()
 
     def locate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Step index and offset of each time, snapped to the samples."""
@@ -76,6 +88,23 @@ class DigitalRecord:
 
     def states_at(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         """x at any times from 0 to the end of the run plus the delay."""
+        if self._at_samples(times):
+            return self.states[: times.size]
+        return self._propagated(times)
+
+    def ahead_of(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
+        """x a delay after any times from 0 to the end of the run."""
+        if self._at_samples(times):
+            return self.at_phase[self.window.count - 1 :][: times.size]
+        return self._propagated(times + self.window.delay)
+
+    def _at_samples(self, times: np.ndarray) -> bool:
+        """Whether the times are the run's first samples, which are stored."""
+        return times.size <= self.samples and np.array_equal(
+            times, np.arange(times.size) * self.window.step
+        )
+
+    def _propagated(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         from deadtime.simulation.kernel import states_at
 
         step, offset = self.locate(times)

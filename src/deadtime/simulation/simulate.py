@@ -8,16 +8,20 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import positive, real_array, shaped
+from deadtime.checks import instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.feedback import Feedback
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
+from deadtime.simulation.ideal import IdealRecord, run_ideal
+from deadtime.simulation.initial_input import InitialInput, held_samples, input_function
 from deadtime.simulation.record import DigitalRecord, PhaseTable
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
 from deadtime.steps import Cuts, Window, modes_at, snap
 from deadtime.switching import SwitchingSignal
 
-InitialInput = ArrayLike | Callable[[float], ArrayLike] | None
+ModeAt = Callable[[np.ndarray], np.ndarray]
+_MOST_SAMPLES = 1e8
 
 
 def simulate(
@@ -26,15 +30,17 @@ def simulate(
     signal: SwitchingSignal,
     x0: ArrayLike,
     horizon: float,
-    step: float = 0.01,
+    step: float | None = 0.01,
     u0: InitialInput = None,
     times: ArrayLike | None = None,
 ) -> Trajectory:
-    """Simulate a plant under a law run at a period, exactly.
+    """Simulate a plant under a law.
 
-    The law is computed from x(t_k) and past inputs at t_k = k·step and held. Between samples,
-    switches and arrivals of new inputs the plant is propagated by its matrix exponential, so
-    the result is exact to round-off, wherever the switches fall and whatever the delay.
+    Run at a period, the law is computed from x(t_k) and past inputs at t_k = k·step and held.
+    Between samples, switches and arrivals of new inputs the plant is propagated by its matrix
+    exponential, so the result is exact to round-off, wherever the switches fall and whatever
+    the delay. With `step=None` the law is updated continuously; between the points where it is
+    not analytic the loop is solved by collocation of high order.
 
     Parameters
     ----------
@@ -48,12 +54,13 @@ def simulate(
         State at time 0.
     horizon : float
         Length of the run, in seconds.
-    step : float
-        Sampling period h, in seconds.
+    step : float or None
+        Sampling period h, in seconds; None for the ideal loop, the law updated continuously.
     u0 : optional
         Inputs before time 0: None for 0, a constant (scalar or shape (m,)), a function of time
-        on [−D, 0) that is sampled and held, or held samples of shape (m, N), oldest first, N
-        periods of the longer of the two delays.
+        on [−D, 0), or held samples of shape (m, N), oldest first. D is the longer of the two
+        delays; the digital loop samples a function and holds it, and N counts its periods; for
+        the ideal loop N samples divide D evenly. `run.history` is one, too.
     times : array_like, shape (T,), optional
         Instants in [0, horizon] to report, instead of the samples.
 
@@ -76,18 +83,61 @@ def simulate(
     >>> run.states.shape, run.diverged
     ((2, 1001), False)
     """
-    horizon, step = positive("horizon", horizon), positive("step", step)
+    horizon = positive("horizon", horizon)
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    instance("signal", signal, SwitchingSignal)
     _require_match(plant, law)
     signal.require_modes(plant.modes)
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
+    if step is None:
+        record, end, mode_at = _ideal(plant, law, signal, x0, horizon, u0)
+    else:
+        record, end, mode_at = _digital(plant, law, signal, x0, horizon, positive("step", step), u0)
+    diverged = end is not None
+    end = horizon if end is None else end
+    message = _message(diverged, end, signal, horizon)
+    return trajectory_of(record, plant, signal, mode_at, law.gains, end, asked, diverged, message)
 
+
+def _ideal(
+    plant: SwitchedSystem,
+    law: Law,
+    signal: SwitchingSignal,
+    x0: np.ndarray,
+    horizon: float,
+    u0: InitialInput,
+) -> tuple[IdealRecord, float | None, ModeAt]:
+    """The ideal run, where it ended if it diverged, and σ."""
+    longest = max(plant.delay, law.plant.delay)
+    forecast = law.ideal(signal, horizon)
+    history = input_function(u0, plant.inputs, longest)
+    record, end = run_ideal(plant, forecast, signal, x0, horizon, history)
+    return record, end, signal
+
+
+def _digital(
+    plant: SwitchedSystem,
+    law: Law,
+    signal: SwitchingSignal,
+    x0: np.ndarray,
+    horizon: float,
+    step: float,
+    u0: InitialInput,
+) -> tuple[DigitalRecord, float | None, ModeAt]:
+    """The digital run, where it ended if it diverged, and σ with switches snapped to samples."""
+    if max(horizon, plant.delay, law.plant.delay) / step > _MOST_SAMPLES:
+        raise ArgumentError(
+            f"step = {step:g} s is too short: horizon and delay must hold at most "
+            f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."
+        )
     samples = math.floor(snap(horizon / step)) + 1
     feedback = law.digital(step, signal, samples)
     window = Window.of(plant.delay, step)
     past = max(window.count, feedback.taps)
     inputs = np.zeros((past + samples, plant.inputs))
-    inputs[:past] = _history(u0, plant.inputs, past, step, max(plant.delay, law.plant.delay))
+    inputs[:past] = held_samples(u0, plant.inputs, past, step, max(plant.delay, law.plant.delay))
 
     cuts = Cuts.of(signal, window)
     table = PhaseTable.of(plant, window, cuts, samples + window.count - 1)
@@ -100,15 +150,18 @@ def simulate(
     record = DigitalRecord(
         plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept
     )
-    diverged = kept < samples
-    end = (kept - 1) * step if diverged else horizon
-    message = _message(diverged, end, signal, horizon)
-    if asked is not None:
-        asked = asked[asked <= end]
-    return trajectory_of(record, end, mode_at, law.gains, asked, diverged, message)
+    return record, (kept - 1) * step if kept < samples else None, mode_at
 
 
-def _run(table, window, feedback, rows, x0, inputs, past):
+def _run(
+    table: PhaseTable,
+    window: Window,
+    feedback: Feedback,
+    rows: np.ndarray,
+    x0: np.ndarray,
+    inputs: np.ndarray,
+    past: int,
+) -> tuple[int, np.ndarray, np.ndarray]:
     """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
     from deadtime.simulation.kernel import closed_loop
 
@@ -158,38 +211,6 @@ def _checked_times(times: ArrayLike, horizon: float) -> np.ndarray:
             f"{asked[0]:g} … {asked[-1]:g}."
         )
     return asked
-
-
-def _history(u0: InitialInput, m: int, past: int, step: float, delay: float) -> np.ndarray:
-    """The `past` inputs held before time 0, (past, m), oldest first."""
-    if u0 is None:
-        return np.zeros((past, m))
-    if callable(u0):
-        values = [
-            real_array("u0", np.atleast_1d(u0(max(-j * step, -delay))), "(m,) at every time", 1)
-            for j in range(past, 0, -1)
-        ]
-        return np.stack([shaped("u0", v, (m,), "(m,) at every time") for v in values])
-    if np.ndim(_regular(u0)) == 2:
-        held = real_array("u0", u0, "(m, N)", 2)
-        if held.shape != (m, past):
-            raise ArgumentError(
-                f"u0 must hold (m, N) = ({m}, {past}) samples, oldest first, one per period of "
-                f"the longer delay {delay:g} s, got {held.shape}."
-            )
-        return held.T
-    constant = real_array("u0", np.atleast_1d(_regular(u0)), "(m,)", 1)
-    return np.tile(shaped("u0", constant, (m,), "(m,)"), (past, 1))
-
-
-def _regular(value: ArrayLike) -> np.ndarray:
-    """`value` as an array, refused when its rows have different lengths."""
-    try:
-        return np.asarray(value)
-    except ValueError:
-        raise ArgumentError(
-            "u0 must be a number, (m,), (m, N) or a function, got rows of different lengths."
-        ) from None
 
 
 def _message(diverged: bool, end: float, signal: SwitchingSignal, horizon: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.ideal import IdealRecord
+from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
+from deadtime.switching import SwitchingSignal
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,19 +53,19 @@ class Trajectory:
     mismatch: Float[np.ndarray, "m T"] | None
     diverged: bool
     message: str
-    record: DigitalRecord = field(repr=False)
+    plant: SwitchedSystem = field(repr=False)
+    signal: SwitchingSignal = field(repr=False)
+    record: DigitalRecord | IdealRecord = field(repr=False)
     end: float = field(repr=False)
 
     @property
-    def history(self) -> Float[np.ndarray, "m N"]:
-        """The inputs still in the pipe at the end, oldest first.
+    def history(self) -> Float[np.ndarray, "m N"] | InputHistory:
+        """The inputs still in the pipe at the end: the `u0` of a run that goes on from here.
 
-        They are the `u0` of a run that goes on from here; meant for runs whose horizon is a
-        multiple of the step.
+        Held samples, oldest first, for a digital run (meant for a horizon that is a multiple of
+        the step); a function of time for an ideal one.
         """
-        record = self.record
-        last = record.past + record.samples - 1
-        return record.inputs[last - record.past : last].T.copy()
+        return self.record.history(self.end)
 
     def metrics(self) -> dict[str, float]:
         """Figures of the whole run, whatever `times` were asked for.
@@ -71,32 +76,37 @@ class Trajectory:
             ise ∫|x|² and energy ∫|u|² (exact, between samples too), cost = ise + energy, peak
             max|x| over the samples, settling_time (s, from when on |x| stays within 2 % of the
             peak; inf if it does not), decay_rate (1/s, minus the least-squares slope of log|x|
-            over the second half; inf if x is zero there, −inf if the run diverged at once),
-            final_norm |x| at the end.
+            over the second half, at 11 times at least; inf if x is zero there, −inf if the run
+            diverged at once), final_norm |x| at the end.
         """
         record, end = self.record, self.end
         ise, energy = record.integrals(end)
-        time = _grid(record, end)
-        norm = np.linalg.norm(record.states_at(time[-1:]), axis=1)
-        norm = np.concatenate((np.linalg.norm(record.states[: time.size - 1], axis=1), norm))
+        time = record.grid(end)
+        norm = np.linalg.norm(record.states_at(time), axis=1)
         peak = float(norm.max())
         outside = np.flatnonzero(norm > 0.02 * peak)
         settled = outside.size == 0 or outside[-1] + 1 < time.size
         settling = (0.0 if outside.size == 0 else time[outside[-1] + 1]) if settled else np.inf
-        late = (time >= 0.5 * end) & (norm > 0.0)
-        if late.sum() > 1:
-            decay = -np.polyfit(time[late], np.log(norm[late]), 1)[0]
-        else:
-            decay = -np.inf if self.diverged else np.inf
         return {
             "ise": ise,
             "energy": energy,
             "cost": ise + energy,
             "peak": peak,
             "settling_time": float(settling),
-            "decay_rate": float(decay),
+            "decay_rate": self._decay_rate(),
             "final_norm": float(norm[-1]),
         }
+
+    def _decay_rate(self) -> float:
+        time = self.record.grid(self.end)
+        time = time[time >= 0.5 * self.end]
+        if time.size < 11:
+            time = np.linspace(0.5 * self.end, self.end, 11)
+        norm = np.linalg.norm(self.record.states_at(time), axis=1)
+        time, norm = time[norm > 0.0], norm[norm > 0.0]
+        if self.end == 0.0 or norm.size < 2:
+            return -np.inf if self.diverged else np.inf
+        return float(-np.polyfit(time, np.log(norm), 1)[0])
 
     def plot(self, title: str | None = None) -> Figure:
         """States, inputs and mode over time, as a matplotlib figure."""
@@ -164,40 +174,40 @@ class Trajectory:
         return f"Trajectory(end={self.end:g} s, samples={self.time.size}, {state})"
 
 
-def _grid(record: DigitalRecord, end: float) -> np.ndarray:
-    """The samples of a run, and its end when that is no sample."""
-    time = np.arange(record.samples) * record.window.step
-    return time if end - time[-1] <= 1e-9 * record.window.step else np.append(time, end)
-
-
 def trajectory_of(
-    record: DigitalRecord,
-    end: float,
-    signal_modes: Any,
+    record: DigitalRecord | IdealRecord,
+    plant: SwitchedSystem,
+    signal: SwitchingSignal,
+    mode_at: Callable[[np.ndarray], np.ndarray],
     gains: np.ndarray | None,
+    end: float,
     times: np.ndarray | None,
     diverged: bool,
     message: str,
 ) -> Trajectory:
-    """Lay a record out on its own samples, or on the times asked for.
+    """Lay a record out on its own grid, or on the times asked for.
 
-    `signal_modes` maps times to modes; `gains` are the K of the mismatch.
+    `mode_at` is σ with switches snapped to samples; `gains` are the K of the mismatch.
     """
-    lead = record.window.delay
-    time = _grid(record, end) if times is None else times
-    if time.size == record.samples and times is None:
-        states, inputs = record.states[: time.size], record.inputs[record.past :]
-        ahead = record.at_phase[record.window.count - 1 :]
-    else:
-        states, inputs = record.states_at(time), record.inputs_at(time)
-        ahead = record.states_at(time + lead)
+    time = record.grid(end) if times is None else times[times <= end]
+    states, inputs = record.states_at(time), record.inputs_at(time)
     mismatch = None
     if gains is not None:
-        K = gains[signal_modes(time + lead)]
+        K, ahead = gains[mode_at(time + plant.delay)], record.ahead_of(time)
         with np.errstate(over="ignore", invalid="ignore"):
             mismatch = (inputs - np.einsum("kij,kj->ki", K, ahead)).T
         if diverged:
             mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
     return Trajectory(
-        time, states.T, inputs.T, signal_modes(time), mismatch, diverged, message, record, end
+        time,
+        states.T,
+        inputs.T,
+        mode_at(time),
+        mismatch,
+        diverged,
+        message,
+        plant,
+        signal,
+        record,
+        end,
     )

@@ -46,6 +46,7 @@ def read_log(
     try:
         with source.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
+            reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
             if not {"time", "mode"} <= set(reader.fieldnames or ()):
                 raise ArgumentError(
                     f"{source} must have the columns time and mode, got "

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deadtime.checks import positive
+from deadtime.checks import count, positive
 from deadtime.errors import ArgumentError
-from deadtime.switching.signal import SwitchingSignal
+from deadtime.switching.signal import MOST_SWITCHES, SwitchingSignal
 
 
 def random_signal(
@@ -59,14 +59,13 @@ def random_signal(
     horizon = positive("horizon", horizon)
     if (dwell_time is None) == (average_dwell_time is None):
         raise ArgumentError("dwell_time or average_dwell_time: give exactly one of the two.")
-    if isinstance(modes, bool) or modes != int(modes) or modes < 1:
-        raise ArgumentError(f"modes must be a positive integer, got {modes!r}.")
+    count("modes", modes)
+    count("seed", seed, least=0)
     rng, mode_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     if dwell_time is not None:
         times = _minimum_dwell(rng, horizon, positive("dwell_time", dwell_time), mean_sojourn)
     else:
-        if chatter < 1:
-            raise ArgumentError(f"chatter must be at least 1, got {chatter}.")
+        count("chatter", chatter)
         average = positive("average_dwell_time", average_dwell_time)
         mean = average if mean_sojourn is None else positive("mean_sojourn", mean_sojourn)
         times = _average_dwell(rng, horizon, average, mean, chatter)
@@ -75,6 +74,15 @@ def random_signal(
         shift = int(mode_rng.integers(1, modes)) if modes > 1 else 0
         visited.append((visited[-1] + shift) % modes)
     return SwitchingSignal(np.array([0.0, *times]), np.array(visited), horizon)
+
+
+def _require_few(horizon: float, mean: float) -> None:
+    """Refuse a horizon that would hold more switches than memory."""
+    if horizon / mean > MOST_SWITCHES:
+        raise ArgumentError(
+            f"horizon = {horizon:g} s would hold about {horizon / mean:.0e} switches, more than "
+            f"{MOST_SWITCHES:.0e}: shorten it or lengthen the sojourns."
+        )
 
 
 def _minimum_dwell(
@@ -86,6 +94,7 @@ def _minimum_dwell(
         raise ArgumentError(
             f"mean_sojourn must be at least dwell_time = {dwell_time:g} s, got {mean:g}."
         )
+    _require_few(horizon, mean)
     times, time = [], 0.0
     while (time := time + dwell_time + rng.exponential(mean - dwell_time)) < horizon:
         times.append(time)
@@ -96,6 +105,7 @@ def _average_dwell(
     rng: np.random.Generator, horizon: float, average: float, mean: float, chatter: int
 ) -> list[float]:
     """Poisson instants thinned by the leaky bucket."""
+    _require_few(horizon, mean)
     times, time, level, last = [], 0.0, float(chatter), 0.0
     while (time := time + rng.exponential(mean)) < horizon:
         level = min(float(chatter), level + (time - last) / average)

@@ -15,8 +15,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.checks import positive, real_array
+from deadtime.checks import number, positive, real_array
 from deadtime.errors import ArgumentError
+
+MOST_SWITCHES = 1e7
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -67,7 +69,7 @@ class SwitchingSignal:
                 f"times must be strictly increasing, but times[{i}] = {times[i]:g} after "
                 f"{times[i - 1]:g} is {kind}: sort the switches and keep one mode per instant."
             )
-        end = float(end)
+        end = np.inf if end == np.inf else number("end", end)
         if not end > times[-1]:
             raise ArgumentError(
                 f"end must be later than the last switch at {times[-1]:g} s, got {end:g}."
@@ -140,7 +142,7 @@ class SwitchingSignal:
 
     def after(self, time: float) -> SwitchingSignal:
         """The signal seen from `time` on, with that instant as its new 0."""
-        if not 0.0 <= time < self.end:
+        if not 0.0 <= number("time", time) < self.end:
             raise ArgumentError(f"time must be in [0, end) = [0, {self.end:g}), got {time:g}.")
         later = self.times > time
         times = np.concatenate(([0.0], self.times[later] - time))
@@ -168,6 +170,11 @@ class SwitchingSignal:
         if length.min() <= 0.0:
             raise ArgumentError(f"sojourns must be positive, in s, got {length.min():g}.")
         horizon = positive("horizon", horizon)
+        if horizon / length.mean() > MOST_SWITCHES:
+            raise ArgumentError(
+                f"horizon = {horizon:g} s would hold more than {MOST_SWITCHES:.0e} switches: "
+                "shorten it or lengthen the sojourns."
+            )
         rounds = int(np.ceil(horizon / length.sum()))
         starts = np.concatenate(([0.0], np.cumsum(length)[:-1]))
         times = (np.arange(rounds)[:, None] * length.sum() + starts).ravel()
@@ -236,6 +243,6 @@ def _mode_array(modes: ArrayLike, count: int) -> np.ndarray:
     values = real_array("modes", modes, "(sojourns,)", 1)
     if values.size != count:
         raise ArgumentError(f"modes must have one entry per time, {count}, got {values.size}.")
-    if (values != np.rint(values)).any() or values.min() < 0:
+    if (values != np.rint(values)).any() or values.min() < 0 or values.max() > 2**31:
         raise ArgumentError(f"modes must be integers counted from 0, got {values.tolist()}.")
     return values.astype(np.int64)

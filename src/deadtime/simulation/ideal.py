@@ -1,0 +1,152 @@
+"""The ideal loop: the law updated continuously, solved segment by segment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.errors import ArgumentError
+from deadtime.forecast import Forecast
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.breakpoints import merged, shifted, subdivided
+from deadtime.simulation.collocation import gauss
+from deadtime.simulation.initial_input import InputHistory
+from deadtime.simulation.piecewise import Piecewise
+from deadtime.switching import SwitchingSignal
+
+NODES = 8
+_SAMPLES = 1001
+
+
+@dataclass(frozen=True, eq=False)
+class IdealRecord:
+    """One ideal run: state and input as polynomials on segments.
+
+    Attributes
+    ----------
+    states : Piecewise
+        x on [0, end of the run + delay].
+    inputs : Piecewise
+        u from the longest delay before 0 to the end of the run.
+    """
+
+    plant: SwitchedSystem
+    states: Piecewise
+    inputs: Piecewise
+    held: ClassVar[bool] = False
+
+    def grid(self, end: float) -> Float[np.ndarray, " T"]:
+        """The instants that a run reports unless asked for others: 1001, uniform."""
+        return np.linspace(0.0, end, _SAMPLES)
+
+    def states_at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
+        """x at any times from 0 to the end of the run plus the delay."""
+        return self.states(times)
+
+    def ahead_of(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
+        """x a delay after any times from 0 to the end of the run."""
+        return self.states(times + self.plant.delay)
+
+    def inputs_at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T m"]:
+        """u (right limits) at any times up to the end of the run, those before 0 included."""
+        return self.inputs(times)
+
+    def integrals(self, end: float) -> tuple[float, float]:
+        """∫|x|² and ∫|u|² over [0, end], by Gauss quadrature on the segments."""
+        return self.states.square_integral(0.0, end), self.inputs.square_integral(0.0, end)
+
+    def history(self, end: float) -> InputHistory:
+        """The inputs in the pipe at `end`, as the `u0` of a run that goes on from there."""
+        edges = self.inputs.edges
+        jumps = edges[(edges > end + edges[0]) & (edges < end)] - end
+        return InputHistory(lambda s: self.inputs(s + end), jumps)
+
+
+def run_ideal(
+    plant: SwitchedSystem,
+    forecast: Forecast,
+    signal: SwitchingSignal,
+    x0: Float[np.ndarray, " n"],
+    horizon: float,
+    history: InputHistory,
+) -> tuple[IdealRecord, float | None]:
+    """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
+    from deadtime.simulation.ideal_loop import march
+
+    steepest = max(np.linalg.eigvalsh(A + A.T)[-1] / 2.0 for A in forecast.A)
+    if steepest * forecast.lead > 600.0:
+        raise ArgumentError(
+            "the law's gains over its delay overflow: e^{A·delay} is beyond 1e260; the delay is "
+            "too long for this plant."
+        )
+    nodes = gauss(NODES)
+    edges, begin = _edges(plant, forecast, signal, horizon, history)
+    middles = (edges[:-1] + edges[1:]) / 2.0
+    # One segment more than the run: u at its end is a right limit.
+    stop = int(np.searchsorted(edges, horizon * (1.0 - 1e-15))) + 1
+    inputs = np.zeros((middles.size, NODES + 2, plant.inputs))
+    inputs[:begin] = history.on(edges[: begin + 1], nodes)
+    run = np.maximum(middles, 0.0)
+    ahead = middles + forecast.lead
+    states, done = march(
+        edges,
+        begin,
+        stop,
+        signal(run),
+        plant.A,
+        plant.B,
+        plant.delay,
+        np.ascontiguousarray(forecast.A),
+        np.ascontiguousarray(forecast.B),
+        forecast.lead,
+        forecast.branches,
+        np.ascontiguousarray(forecast.gains(run)),
+        forecast.path(run),
+        forecast.path(np.maximum(ahead, 0.0)),
+        forecast.until(run),
+        x0,
+        inputs,
+        nodes.points,
+        nodes.integral,
+        nodes.weights,
+        nodes.support,
+        nodes.barycentric,
+    )
+    # The states of the pipe's last inputs may leave the limit after the run's end.
+    end = float(edges[done]) if done < stop else None
+    kept = done if end is not None else stop
+    return (
+        IdealRecord(
+            plant,
+            Piecewise(edges[begin : done + 1], states[begin:done]),
+            Piecewise(edges[: kept + 1], inputs[:kept]),
+        ),
+        end,
+    )
+
+
+def _edges(
+    plant: SwitchedSystem,
+    forecast: Forecast,
+    signal: SwitchingSignal,
+    horizon: float,
+    history: InputHistory,
+) -> tuple[np.ndarray, int]:
+    """All segments, and the index of the first after time 0."""
+    lead, delay = forecast.lead, plant.delay
+    low, high = -max(lead, delay), horizon + delay
+    breaks = np.concatenate((forecast.breaks, forecast.breaks - lead))
+    before = np.concatenate((history.jumps, breaks, [-lead, -delay]))
+    seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
+    delays = (delay, lead) if lead > 0.0 else (delay,)
+    after = np.concatenate((shifted(seeds, delays, high), [horizon]))
+    gains = forecast.gains(np.zeros(1))[0]
+    rate = max(np.linalg.norm(A, 2) for A in (*plant.A, *forecast.A))
+    rate += max(np.linalg.norm(B, 2) for B in forecast.B) * sum(np.linalg.norm(K, 2) for K in gains)
+    longest = min(3.0 / float(rate), -low / 2.0)
+    past = subdivided(merged(before, low, 0.0), longest)
+    future = subdivided(merged(after, 0.0, high), longest)
+    return np.concatenate((past, future[1:])), past.size - 1

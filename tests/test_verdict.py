@@ -1,0 +1,96 @@
+"""The verdict says what was measured, and no more, on plants far from the paper's."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.comparison import compare
+from deadtime.report import steps_of, write_report
+from deadtime.verdict import verdict
+
+PAPER = dt.problems.paper()
+
+
+def sentences(**changes):
+    return verdict(compare(dataclasses.replace(PAPER, **changes)))
+
+
+def test_paper_verdict_has_five_sentences_in_order():
+    first, second, third, fourth, fifth = sentences()
+    assert first.startswith("The averaged law works on a signal with 34 switches in 15 s")
+    assert second == (
+        "Yet the same loop is unstable if it stops switching: held in mode 0 it grows at "
+        "+0.13 /s, held in mode 1 at +0.28 /s."
+    )
+    assert third.startswith("Ignoring the delay fails")
+    assert fourth.startswith("Predicting as if the plant stayed in one mode costs")
+    assert fifth.startswith("Compared with an oracle that knows the future")
+
+
+def test_growth_without_switching_does_not_depend_on_a_short_horizon():
+    assert sentences(horizon=0.3)[1] == sentences()[1]
+
+
+def test_renamed_laws_keep_their_sentences():
+    names = {name: f"law {i}" for i, name in enumerate(PAPER.laws)}
+    laws = {names[name]: law for name, law in PAPER.laws.items()}
+    renamed = sentences(laws=laws)
+    assert len(renamed) == 5
+    assert "the law “law 3”" in renamed[4]
+
+
+def test_a_loop_that_starts_at_rest_gets_a_verdict():
+    problem = {"x0": np.zeros(2), "u0": 1.0}
+    assert "a peak of" in sentences(**problem)[0] or "has not settled" in sentences(**problem)[0]
+    at_rest = sentences(x0=np.zeros(2))
+    assert len(at_rest) == 5
+    assert not any("nan" in sentence for sentence in at_rest)
+
+
+def test_a_single_mode_is_not_said_to_switch():
+    plant = dt.SwitchedSystem([[[0.5]]], [[[1.0]]], delay=0.4)
+    gains = dt.place(plant, [-1.0])
+    laws = dt.problems.comparison_laws(plant, gains, None)
+    problem = dataclasses.replace(
+        PAPER, plant=plant, gains=gains, laws=laws, signal=dt.SwitchingSignal.constant(0),
+        x0=np.ones(1), states=(), modes=(), published=(),
+    )  # fmt: skip
+    said = verdict(compare(problem))
+    assert "without a switch" in said[0]
+    assert not any("stops switching" in sentence for sentence in said)
+
+
+def test_decay_rate_of_a_growing_loop_is_negative_however_few_its_samples():
+    law = PAPER.laws["delay ignored"]
+    run = dt.simulate(PAPER.plant, law, PAPER.signal, [-1, 1], horizon=10.0, step=6.0)
+    assert run.time.size == 3
+    assert run.metrics()["decay_rate"] < 0.0
+
+
+def test_laws_whose_names_differ_in_punctuation_keep_their_own_data(tmp_path):
+    laws = {"a b": PAPER.laws["averaged"], "a-b": PAPER.laws["mean"], "_c $": PAPER.laws["oracle"]}
+    problem = dataclasses.replace(
+        PAPER, laws=laws, horizon=3.0, states=("$x", "_y"), modes=("$\\foo$", "b"), u0=0.5
+    )
+    said = []
+    report = write_report(problem, tmp_path, said.append)
+    assert len(said) == steps_of(problem)
+    assert len(list((tmp_path / "data").iterdir())) == 3
+    page = report.path.read_text(encoding="utf-8")
+    assert "u = [0.5] before time 0" in page
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (lambda plant: dt.AveragedPredictor(plant, [[[-900.0]]]).digital(0.01), "overflow"),
+        (lambda plant: dt.simulate(plant, dt.AveragedPredictor(plant, [[[-900.0]]]),
+                                   dt.SwitchingSignal.constant(0), [1.0], 1.0, step=None), "overflow"),
+    ],
+)  # fmt: skip
+def test_a_law_whose_gains_overflow_is_refused_by_name(law, message):
+    plant = dt.SwitchedSystem([[[800.0]]], [[[1.0]]], delay=1.0)
+    with pytest.raises(dt.ArgumentError, match=f"gains over its delay {message}"):
+        law(plant)
