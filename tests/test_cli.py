@@ -80,7 +80,7 @@ def test_reproduce_writes_the_whole_report(folder, capsys):
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert page.count("<li>") >= 5
     assert page.index("unstable if it stops switching") < page.index("Every law on the same signal")
-    assert page.count("data:image/png;base64,") == 9
+    assert page.count("data:image/png;base64,") == 12
     assert "not publish its switching signal" in page
     assert "[−12.6961, −6.3725]" in page
 
@@ -148,6 +148,53 @@ def test_odd_files_get_a_verdict_or_one_line(folder, capsys, old, new, message):
         assert code == 2
         assert err.count("\n") == 1
         assert message in err
+
+
+def test_bound_prints_three_forms_beside_the_published_figures(capsys):
+    code, out, err = run(capsys, "bound", "paper", "--dwell-time", "0.2")
+    assert (code, err) == (0, "")
+    assert "as printed" in out
+    assert "sharp" in out
+    assert "1.8e-14" in out.replace("1.7e-14", "1.8e-14")
+    assert "7e-05" in out
+    assert "The theorem says nothing about this loop" in out
+
+
+def test_bound_json_is_the_library_s(folder, capsys):
+    run(capsys, "init", "car.toml", "--example", "follower")
+    code, out, _ = run(capsys, "bound", "car.toml", "--json")
+    problem = dt.problems.follower()
+    assert code == 0
+    for form, printed in json.loads(out).items():
+        bound = dt.theorem_bound(problem.plant, problem.gains, problem.signal.dwell_time, form=form)
+        assert printed["epsilon_star"] == bound.epsilon_star
+        assert printed["holds"] == bound.holds
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["bound", "paper", "--dwell-time", "0"], "dwell_time must be positive"),
+        (["bound", "none.toml"], "none.toml cannot be read"),
+    ],
+)
+def test_bad_bounds_get_one_line(capsys, arguments, message):
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_reproduce_of_an_ideal_problem_says_so(folder, capsys):
+    run(capsys, "init")
+    text = (folder / "problem.toml").read_text().replace("step = 0.01 ", 'step = "ideal" ')
+    (folder / "problem.toml").write_text(text.replace("horizon = 15.0", "horizon = 4.0"))
+    code, out, err = run(capsys, "reproduce", "problem.toml")
+    assert (code, err) == (0, "")
+    assert "unstable if it stops switching" in out.replace("\n", " ")
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "The loop is ideal" in page
+    assert "sampling period" not in page
 
 
 def test_schema_is_printed_as_json(capsys):

@@ -135,6 +135,14 @@ def test_constant_initial_input_reaches_the_plant(tmp_path):
     np.testing.assert_array_equal(problem.simulate("averaged").states, direct.states)
 
 
+def test_ideal_step_runs_the_ideal_loop(tmp_path):
+    problem = load(tmp_path, PLAIN.replace("step = 0.1", 'step = "ideal"'))
+    assert problem.step is None
+    run = problem.simulate("averaged")
+    assert run.time.size == 1001
+    assert not run.record.held
+
+
 BAD = [
     ("delay = 0.35", "dealy = 0.35", r"line 2: plant\.dealy is not known: did you mean delay\?"),
     ("delay = 0.35\n", "", r"line 1: plant\.delay is missing: add it\."),
@@ -156,6 +164,7 @@ BAD = [
     ("modes = [0, 1, 0]", "modes = [0, 1, 0]\ndwell_time = 0.8", r"line 13, \[signal\]: dwell_time is declared"),
     ("x0 = [1.0, 0.0]", "x0 = [1.0]", r"line 15, \[run\]: x0 must have shape \(n,\) = \(2,\), got \(1,\)"),
     ("step = 0.1", "step = 0.0", r"line 17, \[run\]: step must be positive"),
+    ("step = 0.1", 'step = "fast"', r"line 17: run\.step: input should be"),
     ("horizon = 4.0", "horizon = inf", r"line 16, \[run\]: horizon must be finite"),
     ("step = 0.1", "step = 0.1\nu0 = [0.0, 0.0]", r"line 18, \[run\]: u0 must have shape"),
     ("step = 0.1", 'step = 0.1\n[[law]]\nkind = "averaged"\nwieghts = [1.0]',

@@ -72,7 +72,13 @@ def test_decay_rate_of_a_growing_loop_is_negative_however_few_its_samples():
 def test_laws_whose_names_differ_in_punctuation_keep_their_own_data(tmp_path):
     laws = {"a b": PAPER.laws["averaged"], "a-b": PAPER.laws["mean"], "_c $": PAPER.laws["oracle"]}
     problem = dataclasses.replace(
-        PAPER, laws=laws, horizon=3.0, states=("$x", "_y"), modes=("$\\foo$", "b"), u0=0.5
+        PAPER,
+        constants={},
+        laws=laws,
+        horizon=3.0,
+        states=("$x", "_y"),
+        modes=("$\\foo$", "b"),
+        u0=0.5,
     )
     said = []
     report = write_report(problem, tmp_path, said.append)

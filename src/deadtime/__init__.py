@@ -7,7 +7,8 @@ right-continuous; arrays index (mode, …), (signal, time).
 """
 
 from deadtime import problems
-from deadtime.errors import ArgumentError, DeadtimeError, ProblemFileError
+from deadtime.certificates import theorem_bound
+from deadtime.errors import ArgumentError, DeadtimeError, InfeasibleError, ProblemFileError
 from deadtime.feedback import Factor, Feedback
 from deadtime.gains import lqr, place
 from deadtime.laws import (
@@ -18,8 +19,11 @@ from deadtime.laws import (
     MeanPredictor,
     SingleModePredictor,
 )
+from deadtime.lyapunov import common_lyapunov
+from deadtime.monte_carlo import monte_carlo
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
+from deadtime.stabilization import stabilize
 from deadtime.switching import SwitchingSignal
 
 __all__ = [
@@ -30,6 +34,7 @@ __all__ = [
     "ExactPredictor",
     "Factor",
     "Feedback",
+    "InfeasibleError",
     "Law",
     "MeanPredictor",
     "ProblemFileError",
@@ -37,10 +42,14 @@ __all__ = [
     "SwitchedSystem",
     "SwitchingSignal",
     "Trajectory",
+    "common_lyapunov",
     "lqr",
+    "monte_carlo",
     "place",
     "problems",
     "simulate",
+    "stabilize",
+    "theorem_bound",
 ]
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""The command line: `deadtime reproduce`, `init`, `simulate`, `schema`.
+"""The command line: `deadtime reproduce`, `simulate`, `bound`, `init`, `schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 2 when
 something in the request is wrong, 130 when interrupted. Errors are one line on stderr.
@@ -134,6 +134,40 @@ def init(
 
 
 @app.command
+def bound(
+    problem: str,
+    *,
+    dwell_time: float | None = None,
+    json_output: Annotated[bool, Parameter(name="--json", negative="")] = False,
+) -> None:
+    """What the paper's stability theorem says about a plant: its constants in three forms.
+
+    Examples: `deadtime bound problem.toml`, `deadtime bound paper --dwell-time 0.2`.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    dwell_time
+        Dwell time in seconds; that of the problem's signal by default.
+    json_output
+        Print the constants as JSON instead of a table.
+    """
+    from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
+
+    chosen = _problem(problem)
+    dwell = chosen.signal.dwell_time if dwell_time is None else dwell_time
+    bounds = bounds_of(chosen, min(dwell, 1e6 * chosen.horizon))
+    if json_output:
+        print(json.dumps(bounds_record(bounds), indent=2, ensure_ascii=False))
+        return
+    headings = ("constant", "as printed", "corrected", "sharp")
+    rows = bound_rows(bounds, chosen.constants)
+    _print_table((*headings, "figure in the text") if chosen.constants else headings, rows)
+    print("\n" + bound_sentence(bounds))
+
+
+@app.command
 def schema() -> None:
     """Print the JSON Schema of problem files, for editors that complete and check TOML."""
     from deadtime.problem_file import json_schema
@@ -181,7 +215,6 @@ def _save_figures(result: Comparison, path: Path) -> list[Path]:
 
 def _print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
     from rich.console import Console
-    from rich.table import Table
 
     from deadtime.verdict import HEADINGS, table
 
@@ -189,13 +222,21 @@ def _print_result(problem: Problem, sentences: list[str], result: Comparison) ->
     console.print(problem.title, style="bold", markup=False)
     for sentence in sentences:
         console.print(f"• {sentence}", markup=False)
-    grid = Table(box=None, pad_edge=False)
-    for i, heading in enumerate(HEADINGS):
-        grid.add_column(heading, justify="right" if i else "left", no_wrap=i > 0)
-    for row in table(result.metrics):
-        grid.add_row(*row)
     console.print()
-    console.print(grid)
+    _print_table(HEADINGS, table(result.metrics))
+
+
+def _print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    grid = Table(box=None, pad_edge=False)
+    for i, heading in enumerate(headings):
+        grid.add_column(heading, justify="right" if i else "left", no_wrap=i > 0)
+    for row in rows:
+        grid.add_row(*map(Text, row))
+    Console(highlight=False).print(grid)
 
 
 @contextmanager

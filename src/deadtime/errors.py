@@ -16,3 +16,7 @@ class ArgumentError(DeadtimeError, ValueError):
 
 class ProblemFileError(ArgumentError):
     """A problem file is malformed; the message names the file, the line and the key."""
+
+
+class InfeasibleError(DeadtimeError, ValueError):
+    """What was asked for does not exist: the message gives the solver's verdict."""

@@ -71,6 +71,8 @@ class Problem:
         What a reader should know about choices that the source leaves open.
     published : tuple of Published
         Printed numbers that the report checks.
+    constants : mapping
+        Printed values of the theorem's constants, by the names of `constants_table`.
     """
 
     name: str
@@ -82,12 +84,13 @@ class Problem:
     signal: SwitchingSignal
     x0: Float[np.ndarray, " n"]
     horizon: float
-    step: float = 0.01
+    step: float | None = 0.01
     u0: ArrayLike = 0.0
     states: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    published: tuple[Published, ...] = field(default=())
+    published: tuple[Published, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.states:
@@ -188,6 +191,7 @@ def paper() -> Problem:
             Published("K of the mean plant", np.array([-12.3515, -6.1881]), gain[0]),
             Published("ε, the modes' distance", np.array([0.7895]), np.array([distance])),
         ),
+        constants={"distance ε": 0.7895, "allowed distance ε*": 7e-5},
     )
 
 

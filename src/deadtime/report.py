@@ -15,11 +15,15 @@ from matplotlib.figure import Figure
 
 import deadtime
 from deadtime import plotting
+from deadtime.audit import STEPS, audit
 from deadtime.comparison import Comparison, Progress, compare
-from deadtime.errors import ArgumentError
+from deadtime.constants_table import bound_rows, bound_sentence, bounds_of
+from deadtime.errors import ArgumentError, InfeasibleError
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
 from deadtime.verdict import HEADINGS, table, verdict
+
+SCENARIOS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +107,8 @@ def _is_shown(problem: Problem, law: str) -> bool:
 def steps_of(problem: Problem) -> int:
     """How often `write_report` reports progress."""
     shown = sum(_is_shown(problem, name) for name in problem.laws)
-    return len(problem.laws) + problem.plant.modes + shown + 6
+    audited = STEPS + 3 if problem.constants else 0
+    return len(problem.laws) + problem.plant.modes + shown + 7 + audited
 
 
 def _write(problem: Problem, folder: Path, progress: Progress, command: str) -> Report:
@@ -116,12 +121,57 @@ def _write(problem: Problem, folder: Path, progress: Progress, command: str) -> 
     for number, (name, caption, figure) in enumerate(figures_of(result), 1):
         progress(f"drawing: {name}")
         images.append(_save(figure, folder, f"figure-{number}-{name}", caption))
+    audited = _audit(problem, folder, progress)
+    progress("computing: constants")
+    constants = _constants(problem)
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
     path = folder / "index.html"
-    path.write_text(_page(result, sentences, picture, images, command), encoding="utf-8")
+    page = _page(result, sentences, picture, images, command, audited, constants)
+    path.write_text(page, encoding="utf-8")
     return Report(path, sentences, result)
+
+
+def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any] | None:
+    """Claims and figures of the audit, for the problem that a paper makes claims about."""
+    if not problem.constants:
+        return None
+    from deadtime import audit_plots
+
+    claims = audit(problem, SCENARIOS, progress=progress)
+    figures = {
+        "audit-claims": (audit_plots.plot_claims, "On how many random signals each claim holds."),
+        "audit-dwell-times": (
+            audit_plots.plot_dwell_times,
+            "Law (2) against law (80) as the dwell time changes.",
+        ),
+        "audit-distances": (
+            audit_plots.plot_distances,
+            "Signals stabilised by laws (2) and (80) as the modes move apart.",
+        ),
+    }
+    images = []
+    for name, (draw, caption) in figures.items():
+        progress(f"drawing: {name}")
+        images.append(_save(draw(claims), folder, name, caption))
+    return {"claims": claims, "figures": images, "scenarios": SCENARIOS}
+
+
+def _constants(problem: Problem) -> dict[str, Any]:
+    """The theorem's constants in three forms, or why there are none."""
+    dwell_time = problem.signal.dwell_time
+    dwell_time = dwell_time if np.isfinite(dwell_time) else problem.horizon
+    try:
+        bounds = bounds_of(problem, dwell_time)
+    except (ArgumentError, InfeasibleError) as error:
+        return {"rows": [], "sentence": f"The theorem does not apply: {error}", "published": False}
+    return {
+        "rows": bound_rows(bounds, problem.constants),
+        "sentence": bound_sentence(bounds),
+        "published": bool(problem.constants),
+        "dwell_time": dwell_time,
+    }
 
 
 def _save(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
@@ -177,6 +227,8 @@ def _page(
     picture: dict[str, str],
     images: list[dict[str, str]],
     command: str,
+    audited: dict[str, Any] | None,
+    constants: dict[str, Any],
 ) -> str:
     from jinja2 import Environment, PackageLoader
 
@@ -192,6 +244,8 @@ def _page(
         headings=HEADINGS,
         rows=table(result.metrics),
         figures=images,
+        audited=audited,
+        constants=constants,
         published=[
             (row.name, _matrix(row.printed), _matrix(row.computed)) for row in problem.published
         ],

@@ -69,10 +69,11 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
         if u0.size != 1:
             shaped("u0", u0, (plant.inputs,), "(m,)")
-        horizon, step = positive("horizon", run.horizon), positive("step", run.step)
+        horizon = positive("horizon", run.horizon)
+        step = None if run.step == "ideal" else positive("step", run.step)
     with _section("signal"):
         longest = max(plant.delay, *(law.plant.delay for law in laws.values()))
-        signal = _signal(file.signal, plant, horizon + longest + step, source)
+        signal = _signal(file.signal, plant, horizon + longest + (step or 0.0), source)
         signal.require_modes(plant.modes)
     return Problem(
         name=source.stem,

@@ -89,7 +89,10 @@ def _plain(location: tuple) -> tuple:
     >>> _plain(("law", 0, "averaged", "weights"))
     ('law', 0, 'weights')
     """
-    location = tuple(p for p in location if not (isinstance(p, str) and "[" in p))
+    types = {"float", "str", "int", "literal['ideal']"}
+    location = tuple(
+        p for p in location if not isinstance(p, str) or ("[" not in p and p not in types)
+    )
     if location[:1] == ("law",) and len(location) > 2:
         return location[:2] + location[3:]
     if location[:1] == ("signal",) and len(location) > 1:

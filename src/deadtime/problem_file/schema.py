@@ -158,7 +158,9 @@ class RunSection(Section):
 
     x0: Vector = Field(description="State at time 0.")
     horizon: float = Field(description="Length of the run, seconds.")
-    step: float = Field(0.01, description="Sampling period, seconds.")
+    step: float | Literal["ideal"] = Field(
+        0.01, description='Sampling period, seconds; "ideal" updates the law continuously.'
+    )
     u0: float | Vector = Field(0.0, description="Constant input before time 0.")
 
 

@@ -17,7 +17,8 @@ from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.piecewise import Piecewise
 from deadtime.switching import SwitchingSignal
 
-NODES = 8
+NODES = 10
+_RESOLUTION = 2.0  # longest segment times the fastest rate
 _SAMPLES = 1001
 
 
@@ -47,8 +48,10 @@ class IdealRecord:
         return self.states(times)
 
     def ahead_of(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
-        """x a delay after any times from 0 to the end of the run."""
-        return self.states(times + self.plant.delay)
+        """x a delay after any times of the run; infinite where it has left the limit."""
+        later, last = times + self.plant.delay, self.states.edges[-1]
+        x = self.states(np.minimum(later, last))
+        return np.where((later <= last + 1e-9)[:, None], x, np.inf)
 
     def inputs_at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T m"]:
         """u (right limits) at any times up to the end of the run, those before 0 included."""
@@ -143,10 +146,11 @@ def _edges(
     seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
     delays = (delay, lead) if lead > 0.0 else (delay,)
     after = np.concatenate((shifted(seeds, delays, high), [horizon]))
-    gains = forecast.gains(np.zeros(1))[0]
+    # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
+    gains = np.linalg.norm(forecast.gains(seeds[seeds >= 0.0]), 2, axis=(2, 3)).sum(axis=1).max()
     rate = max(np.linalg.norm(A, 2) for A in (*plant.A, *forecast.A))
-    rate += max(np.linalg.norm(B, 2) for B in forecast.B) * sum(np.linalg.norm(K, 2) for K in gains)
-    longest = min(3.0 / float(rate), -low / 2.0)
+    rate += max(np.linalg.norm(B, 2) for B in forecast.B) * gains
+    longest = min(_RESOLUTION / float(rate), min(delays) / 2.0)
     past = subdivided(merged(before, low, 0.0), longest)
     future = subdivided(merged(after, 0.0, high), longest)
     return np.concatenate((past, future[1:])), past.size - 1

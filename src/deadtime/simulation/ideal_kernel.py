@@ -76,11 +76,34 @@ def add_product(M, x, result):
 
 @njit(cache=True)
 def flows(A, length, points):
-    """e^{A c_k length} at the nodes of a segment, (p, n, n)."""
-    none = np.zeros((A.shape[0], 1))
-    result = np.empty((points.size, *A.shape))
-    for k in range(points.size):
-        result[k], _ = held(A, none, points[k] * length)
+    """e^{A c_k length} at the nodes of a segment, (p, n, n).
+
+    On a short segment one Taylor series serves all nodes.
+    """
+    n, p = A.shape[0], points.size
+    result = np.empty((p, n, n))
+    size = 0.0
+    for i in range(n):
+        size = max(size, np.abs(A[i]).sum() * length)
+    if size > 3.0:
+        none = np.zeros((n, 1))
+        for k in range(p):
+            result[k], _ = held(A, none, points[k] * length)
+        return result
+    term, power = np.eye(n), np.ones(p)
+    for k in range(p):
+        result[k] = term
+    bound, j = 1.0, 0
+    while bound > 1e-18:
+        j += 1
+        term = multiply(A, term)
+        term *= length / j
+        bound *= size / j
+        for k in range(p):
+            power[k] *= points[k]
+            for a in range(n):
+                for b in range(n):
+                    result[k, a, b] += power[k] * term[a, b]
     return result
 
 

@@ -31,6 +31,11 @@ class Piecewise:
     edges: Float[np.ndarray, " edge"]
     values: Float[np.ndarray, "segment node k"]
 
+    @property
+    def slack(self) -> float:
+        """How far before an edge a time counts as at it."""
+        return 1e-12 * max(1.0, float(self.edges[-1]))
+
     def __call__(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
         """Values at times within the edges, in any order."""
         from deadtime.simulation.ideal_kernel import sample
@@ -38,7 +43,7 @@ class Piecewise:
         nodes, edges = gauss(self.values.shape[1] - 2), self.edges
         # A time within round-off before an edge is at it.
         following = edges[np.minimum(np.searchsorted(edges, times), edges.size - 1)]
-        close = following - times <= 1e-12 * max(1.0, float(edges[-1]))
+        close = following - times <= self.slack
         times = np.where(close, following, times)
         order = np.argsort(times, kind="stable")
         result = np.empty((times.size, self.values.shape[2]))

@@ -114,7 +114,8 @@ def _ideal(
     forecast = law.ideal(signal, horizon)
     history = input_function(u0, plant.inputs, longest)
     record, end = run_ideal(plant, forecast, signal, x0, horizon, history)
-    return record, end, signal
+    # A time within round-off before a switch is at it, as in the record.
+    return record, end, lambda time: signal(time + record.states.slack)
 
 
 def _digital(

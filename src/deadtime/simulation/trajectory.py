@@ -196,8 +196,7 @@ def trajectory_of(
         K, ahead = gains[mode_at(time + plant.delay)], record.ahead_of(time)
         with np.errstate(over="ignore", invalid="ignore"):
             mismatch = (inputs - np.einsum("kij,kj->ki", K, ahead)).T
-        if diverged:
-            mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
+        mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
     return Trajectory(
         time,
         states.T,
