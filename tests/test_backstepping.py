@@ -99,3 +99,20 @@ def test_functional_needs_an_ideal_run():
     digital = PAPER.simulate("averaged")
     with pytest.raises(dt.ArgumentError, match="run must be an ideal one: simulate with step=None"):
         lyapunov_functional(digital, PAPER.gains, np.eye(2), 1.0, np.array([2.0]))
+
+
+def test_functional_decreases_where_the_theorem_holds():
+    A = np.array([[[0.0, 1.0], [0.0, -0.5]]])
+    plant = dt.SwitchedSystem(np.repeat(A, 2, axis=0), np.array([[[0.0], [1.0]]] * 2), delay=0.3)
+    gains = dt.place(plant, [-0.6, -0.8])
+    step = np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [1e-9, 0.0]]])
+    plant = dt.SwitchedSystem(plant.A + step, plant.B, plant.delay)
+    bound = dt.theorem_bound(plant, gains, dwell_time=0.1)
+    assert bound.holds
+    signal = dt.SwitchingSignal.random(2, 8.0, dwell_time=0.1, seed=5)
+    law = dt.AveragedPredictor(plant, gains)
+    run = dt.simulate(plant, law, signal, [1.0, -1.0], 6.0, step=None, u0=2.0)
+    t = np.linspace(0.0, 6.0, 200)
+    values = lyapunov_functional(run, gains, bound.lyapunov.P, bound.b, t)
+    assert (np.diff(values) < 0.0).all()
+    assert (values <= values[0] * np.exp(-bound.mu * t) * (1.0 + 1e-12)).all()

@@ -27,7 +27,7 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 3
+    assert len(commands) == 4
     for command in commands:
         with pytest.raises(SystemExit) as stopped:
             main(command.split())

@@ -71,6 +71,7 @@ def gather(
     problem: Problem, signals: Sequence[SwitchingSignal], before_block: Callable[[], None]
 ) -> Figures:
     """Every law of the audit on every signal; `before_block` is called `BLOCKS` times."""
+    assert problem.step is not None
     names = [name for name in problem.laws if name in (LEAD, MEAN) or name.endswith(" only")]
     tables = [problem.laws[name].digital(problem.step) for name in names]
     rows: dict[str, list[dict[str, float]]] = {name: [] for name in names}

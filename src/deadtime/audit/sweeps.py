@@ -43,6 +43,7 @@ class Pairs:
 
 def pairs(problem: Problem, own: SwitchingSignal, signals: list[SwitchingSignal]) -> Pairs:
     """Run laws (2) and (80) of a problem."""
+    assert problem.step is not None
     laws = {name: problem.laws[name] for name in (LEAD, MEAN)}
     data = monte_carlo(
         problem.plant, laws, [own, *signals], problem.x0, problem.horizon, problem.step
