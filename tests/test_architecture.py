@@ -13,7 +13,7 @@ SOURCE = Path(dt.__file__).parent
 
 # Each ring may import from itself and from the rings before it.
 RINGS = (
-    ("errors", "checks", "wording"),
+    ("errors", "checks", "wording", "version"),
     ("plant", "switching", "steps", "exponential", "feedback", "forecast"),
     ("gains", "laws", "lmi", "lyapunov", "stabilization"),
     ("simulation",),

@@ -25,6 +25,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.stabilization import stabilize
 from deadtime.switching import SwitchingSignal
+from deadtime.version import __version__
 
 __all__ = [
     "ArgumentError",
@@ -42,6 +43,7 @@ __all__ = [
     "SwitchedSystem",
     "SwitchingSignal",
     "Trajectory",
+    "__version__",
     "common_lyapunov",
     "lqr",
     "monte_carlo",
@@ -51,5 +53,3 @@ __all__ = [
     "stabilize",
     "theorem_bound",
 ]
-
-__version__ = "0.1.0"

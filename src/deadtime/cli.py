@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-import deadtime
 from deadtime.errors import ArgumentError, DeadtimeError
+from deadtime.version import __version__
 
 if TYPE_CHECKING:
     from deadtime.comparison import Comparison
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 app = App(
     name="deadtime",
     help="Predictor feedback for switched linear plants with a long input delay.",
-    version=deadtime.__version__,
+    version=__version__,
 )
 
 Name = Literal["paper", "three-mode", "follower"]

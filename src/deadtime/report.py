@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-import deadtime
 from deadtime import plotting
 from deadtime.audit import STEPS, audit
 from deadtime.comparison import Comparison, Progress, compare
@@ -22,6 +21,7 @@ from deadtime.errors import ArgumentError, InfeasibleError
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
 from deadtime.verdict import HEADINGS, table, verdict
+from deadtime.version import __version__
 
 SCENARIOS = 1000
 
@@ -199,7 +199,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
 
     return {
         "problem": result.problem.name,
-        "version": deadtime.__version__,
+        "version": __version__,
         "laws": {
             name: {key: finite(value) for key, value in row.items()}
             | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
@@ -255,6 +255,6 @@ def _page(
             (name, _matrix(plant.A[i]), _matrix(plant.B[i]), _matrix(problem.gains[i]))
             for i, name in enumerate(problem.modes)
         ],
-        version=deadtime.__version__,
+        version=__version__,
         command=f" with “{command}”" if command else "",
     )

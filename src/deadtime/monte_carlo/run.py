@@ -15,6 +15,7 @@ from deadtime.monte_carlo.signals import SignalAt, SwitchingModel, signals_of
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import simulate
 from deadtime.switching import SwitchingSignal
+from deadtime.version import __version__
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,8 +170,6 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
-    import deadtime
-
     dims = ("law", "scenario")
     variables: dict[str, Any] = {
         name: (dims, value, {"units": METRICS[name][0], "long_name": METRICS[name][1]})
@@ -181,7 +180,7 @@ def _dataset(
         "law": ("law", names, {"long_name": "law"}),
         "scenario": ("scenario", np.arange(diverged.shape[1]), {"long_name": "scenario"}),
     }
-    attributes = {**attributes, "version": deadtime.__version__}
+    attributes = {**attributes, "version": __version__}
     return xr.Dataset(variables, coordinates, attributes)
 
 

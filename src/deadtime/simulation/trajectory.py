@@ -93,17 +93,18 @@ class Trajectory:
             "cost": ise + energy,
             "peak": peak,
             "settling_time": float(settling),
-            "decay_rate": self._decay_rate(),
+            "decay_rate": self._decay_rate(time, norm),
             "final_norm": float(norm[-1]),
         }
 
-    def _decay_rate(self) -> float:
-        time = self.record.grid(self.end)
-        time = time[time >= 0.5 * self.end]
-        if time.size < 11:
+    def _decay_rate(self, time: np.ndarray, norm: np.ndarray) -> float:
+        """Minus the slope of log|x| over the second half, from |x| on the grid or finer."""
+        late = time >= 0.5 * self.end
+        if late.sum() < 11:
             time = np.linspace(0.5 * self.end, self.end, 11)
-        norm = np.linalg.norm(self.record.states_at(time), axis=1)
-        time, norm = time[norm > 0.0], norm[norm > 0.0]
+            norm, late = np.linalg.norm(self.record.states_at(time), axis=1), np.full(11, True)
+        late &= norm > 0.0
+        time, norm = time[late], norm[late]
         if self.end == 0.0 or norm.size < 2:
             return -np.inf if self.diverged else np.inf
         return float(-np.polyfit(time, np.log(norm), 1)[0])
