@@ -95,6 +95,22 @@ def test_derivative_of_the_functional_is_the_expression_before_youngs_inequality
     assert np.abs(slope - exact).max() <= 1e-8 * np.abs(exact).max()
 
 
+@pytest.mark.parametrize("delay", [0.3, 0.7, 1.1])
+def test_identities_hold_at_the_switches_themselves_however_sums_round(delay):
+    plant = dt.SwitchedSystem(PAPER.plant.A, PAPER.plant.B, delay)
+    signal = dt.SwitchingSignal(np.arange(0, 30) * 0.1, np.arange(30) % 2)
+    law = dt.AveragedPredictor(plant, PAPER.gains)
+    t = np.arange(0, 19) * 0.1
+    run = dt.simulate(plant, law, signal, [-1.0, 1.0], 2.0, step=None, times=t)
+    size = np.abs(run.inputs).max()
+    assert np.abs(mismatch_at(run, PAPER.gains, t) - run.mismatch.T).max() <= 1e-12 * size
+    mode = np.arange(19) % 2
+    u = run.record.inputs_at(t - delay)
+    slope = np.einsum("kij,kj->ki", plant.A[mode], run.states.T)
+    slope += np.einsum("kij,kj->ki", plant.B[mode], u)
+    assert np.abs(target_rate(run, PAPER.gains, t) - slope).max() <= 1e-11 * size
+
+
 def test_functional_needs_an_ideal_run():
     digital = PAPER.simulate("averaged")
     with pytest.raises(dt.ArgumentError, match="run must be an ideal one: simulate with step=None"):

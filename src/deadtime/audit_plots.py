@@ -16,7 +16,8 @@ from deadtime.plotting import COLOURS, STYLE, WIDTH
 VERDICTS = {
     "holds": (COLOURS[2], "o"),
     "holds on most signals": (COLOURS[0], "s"),
-    "does not hold": (COLOURS[1], "v"),
+    "not decided": (COLOURS[4], "D"),
+    "does not hold on most signals": (COLOURS[1], "v"),
 }
 
 
@@ -47,7 +48,7 @@ def plot_claims(claims: Sequence[Claim]) -> Figure:
         axes.grid(False, axis="y")
         for verdict, (colour, marker) in VERDICTS.items():
             axes.plot([], [], marker, color=colour, markersize=5.0, label=verdict)
-        figure.legend(loc="outside lower center", ncols=3, handletextpad=0.2)
+        figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
     return figure
 
 

@@ -115,18 +115,31 @@ def mismatch_at(
 ) -> Float[np.ndarray, "T m"]:
     """W(θ) = U(θ) − K_σ(θ+D) x(θ + D) along an ideal run, at times from −D to its end."""
     ahead = times + run.plant.delay
-    x = run.record.states_at(ahead)
-    return run.record.inputs_at(times) - np.einsum("kij,kj->ki", gains[run.signal(ahead)], x)
+    x, K = run.record.states_at(ahead), gains[_modes(run, ahead)]
+    return run.record.inputs_at(times) - np.einsum("kij,kj->ki", K, x)
 
 
 def target_rate(
     run: Trajectory, gains: Float[np.ndarray, "mode m n"], times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T n"]:
     """dX/dt by the target system (15), (A_σ + B_σ K_σ) X + B_σ W(t − D)."""
-    plant, mode = run.plant, run.signal(times)
+    plant, mode, x = run.plant, _modes(run, times), run.record.states_at(times)
     closed = plant.A[mode] + plant.B[mode] @ gains[mode]
-    x, w = run.record.states_at(times), mismatch_at(run, gains, times - plant.delay)
+    # W(t − D) with the mode at t itself: (t − D) + D may round to the other side of a switch.
+    w = run.record.inputs_at(times - plant.delay) - np.einsum("kij,kj->ki", gains[mode], x)
     return np.einsum("kij,kj->ki", closed, x) + np.einsum("kij,kj->ki", plant.B[mode], w)
+
+
+def _modes(run: Trajectory, times: np.ndarray) -> np.ndarray:
+    """σ, a time within round-off before a switch counting as at it, as in the run's record."""
+    return run.signal(times + _record(run).states.slack)
+
+
+def _record(run: Trajectory) -> IdealRecord:
+    """The run's record, refused when the run is a digital one."""
+    if not isinstance(run.record, IdealRecord):
+        raise ArgumentError("run must be an ideal one: simulate with step=None.")
+    return run.record
 
 
 def lyapunov_functional(
@@ -163,9 +176,7 @@ def lyapunov_derivative(
 
 def _weighted_integrals(run: Trajectory, gains: np.ndarray, times: np.ndarray) -> np.ndarray:
     """∫ e^{θ+D−t} |W(θ)|² dθ over [t − D, t] at each time, by Gauss quadrature on segments."""
-    record = run.record
-    if not isinstance(record, IdealRecord):
-        raise ArgumentError("run must be an ideal one: simulate with step=None.")
+    record = _record(run)
     delay, nodes = run.plant.delay, gauss(NODES)
     breaks = np.concatenate((record.inputs.edges, record.states.edges - delay))
     result = np.empty(times.size)

@@ -27,7 +27,9 @@ def audit(
     progress: Progress = lambda _: None,
     dwell_time: float = 0.2,
 ) -> list[Claim]:
-    """Hold the paper's claims about its example against many random signals.
+    """Hold what the paper says of its example's runs against many random signals.
+
+    Its figure for ε* is held against `theorem_bound` elsewhere: see `constants_table`.
 
     Random signals have sojourns τ_d + Exp(τ_d), τ_d the dwell time. Claims about a trend are
     measured at four points each, on 0.4 times as many signals, the same at each point.

@@ -120,15 +120,17 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """ "holds", "holds on most signals" or "does not hold", from the numbers alone.
+        """What the numbers alone say.
 
-        A claim holds when no signal contradicts it; on most signals when the whole confidence
-        interval lies above one half (which the first also needs); and else it does not. A
-        claim about no signal holds as it does in its one computation.
+        A claim "holds" when no signal drawn contradicts it, "holds on most signals" when its
+        whole confidence interval lies above one half (which the first also needs), "does not
+        hold on most signals" when all of it lies below, and is "not decided" otherwise. A
+        claim about no signal "holds" or "does not hold" as it does in its one computation.
         """
         if self.proportion is None:
             return "holds" if self.holds_in_run else "does not hold"
-        if self.proportion.interval[0] <= 0.5:
-            return "does not hold"
+        low, high = self.proportion.interval
+        if low <= 0.5:
+            return "does not hold on most signals" if high < 0.5 else "not decided"
         everywhere = self.proportion.count == self.proportion.trials
         return "holds" if everywhere else "holds on most signals"

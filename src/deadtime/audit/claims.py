@@ -59,8 +59,8 @@ def stabilises(evidence: Evidence, name: str, where: str) -> Claim:
         key=f"{name}-stabilises",
         title=f"{NUMBER[name]} stabilises",
         where=where,
-        statement=f"With dwell time {evidence.dwell_time:g} s, law {NUMBER[name]} stabilises the "
-        "example.",
+        statement=f"On signals with dwell time {evidence.dwell_time:g} s that keep switching, law "
+        f"{NUMBER[name]} stabilises the example.",
         test=f"At {problem.horizon:g} s, |x| is smaller than at 0 s, and log |x| falls over the "
         "second half of the run.",
         one_run=f"|x| goes from {amount(float(start))} to {amount(end)}, and decays at "
@@ -124,7 +124,7 @@ def predicts_better(evidence: Evidence) -> Claim:
         key="predicts-better",
         title="(2) predicts better than (79)",
         where="Section III, comment on Figures 4 and 5",
-        statement="Law (2) does better than (79) because it predicts the state more accurately.",
+        statement="Law (2) does better than (79) because it predicts more accurately.",
         test="Along the run of (2), each law computes its command from the same state and past "
         "inputs; that of (2) has the smallest rms distance from K x(t + D) of the mode at t + D.",
         one_run=f"Rms distance {listed(one, 'command_error')}.",

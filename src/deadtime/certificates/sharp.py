@@ -184,7 +184,8 @@ def _constants(
         log_epsilon_star=-0.5 * log_inverse_square,
         log_nu1=min(
             _log_nu(other.gain, other.entry, other.from_euclid, other.growth, D)
-            for other in (norm, euclidean(plant, gains, lyapunov))
+            for other in (weighted(plant, gains, lyapunov), euclidean(plant, gains, lyapunov))
+            if other is not None
         ),
         log_nu2=_log_nu(M_K, M_B, 1.0, a, D),
         log_kappa=upper - min(smallest, norm.log_b),
