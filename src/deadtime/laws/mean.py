@@ -62,8 +62,8 @@ class MeanPredictor(Law):
         plant: SwitchedSystem,
         gain: ArrayLike,
         gains: ArrayLike | None = None,
-        mean: tuple[ArrayLike, ArrayLike] | None = None,
         *,
+        mean: tuple[ArrayLike, ArrayLike] | None = None,
         allow_unstable: bool = False,
     ) -> None:
         n, m = plant.states, plant.inputs
