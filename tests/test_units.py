@@ -80,3 +80,34 @@ def test_poles_that_nearly_coincide_are_placed():
     K = dt.place(plant, [-1.0, -1.0 - 1e-12])
     for i in range(2):
         np.testing.assert_allclose(np.poly(plant.A[i] + plant.B[i] @ K[i]), [1, 2, 1], rtol=1e-9)
+
+
+def test_ideal_run_of_a_badly_scaled_plant_is_the_limit_of_digital_ones_in_any_units():
+    A, B, _ = BADLY_SCALED["hydraulic axis"]
+    signal, runs = dt.SwitchingSignal.constant(0), []
+    for unit in (np.ones(3), np.array([1.0, 1.0, 1e5])):
+        plant = dt.SwitchedSystem((A * unit / unit[:, None])[None], (B / unit[:, None])[None], 0.05)
+        law = dt.AveragedPredictor(plant, dt.place(plant, [-30.0, -35.0, -40.0]))
+        x0 = np.array([0.1, 0.0, 1e5]) / unit
+        ideal = dt.simulate(plant, law, signal, x0, 0.3, step=None)
+        runs.append(ideal.states * unit[:, None])
+        errors = []
+        for step in (1e-4, 5e-5):
+            digital = dt.simulate(plant, law, signal, x0, 0.3, step=step, times=ideal.time)
+            errors.append(np.abs(digital.states - ideal.states).max(axis=1))
+        np.testing.assert_allclose(errors[0] / errors[1], 2.0, rtol=0.05)
+    size = np.abs(runs[0]).max(axis=1)
+    assert (np.abs(runs[1] - runs[0]).max(axis=1) <= 1e-6 * size).all()
+
+
+def test_an_ideal_run_of_too_many_segments_is_refused():
+    problem = dt.problems.paper()
+    with pytest.raises(dt.ArgumentError, match="horizon is too long for the ideal loop"):
+        dt.simulate(
+            problem.plant,
+            problem.laws["averaged"],
+            dt.SwitchingSignal.constant(0),
+            [1, 1],
+            1e9,
+            None,
+        )

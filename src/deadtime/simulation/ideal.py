@@ -18,6 +18,7 @@ from deadtime.simulation.piecewise import Piecewise
 from deadtime.switching import SwitchingSignal
 
 NODES = 10
+_MOST_SEGMENTS = 1e6
 _RESOLUTION = 2.0  # longest segment times the fastest rate
 _SAMPLES = 1001
 
@@ -77,12 +78,13 @@ def run_ideal(
     history: InputHistory,
 ) -> tuple[IdealRecord, float | None]:
     """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
+    from deadtime.exponential import held_modes
     from deadtime.simulation.ideal_loop import march
 
-    steepest = max(np.linalg.eigvalsh(A + A.T)[-1] / 2.0 for A in forecast.A)
-    if steepest * forecast.lead > 600.0:
+    ahead, _ = held_modes(*_contiguous(forecast), forecast.lead)
+    if not np.isfinite(ahead).all():
         raise ArgumentError(
-            "the law's gains over its delay overflow: e^{A·delay} is beyond 1e260; the delay is "
+            "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay is "
             "too long for this plant."
         )
     nodes = gauss(NODES)
@@ -93,7 +95,6 @@ def run_ideal(
     inputs = np.zeros((middles.size, NODES + 2, plant.inputs))
     inputs[:begin] = history.on(edges[: begin + 1], nodes)
     run = np.maximum(middles, 0.0)
-    ahead = middles + forecast.lead
     states, done = march(
         edges,
         begin,
@@ -102,13 +103,12 @@ def run_ideal(
         plant.A,
         plant.B,
         plant.delay,
-        np.ascontiguousarray(forecast.A),
-        np.ascontiguousarray(forecast.B),
+        *_contiguous(forecast),
         forecast.lead,
         forecast.branches,
         np.ascontiguousarray(forecast.gains(run)),
         forecast.path(run),
-        forecast.path(np.maximum(ahead, 0.0)),
+        forecast.path(np.maximum(middles + forecast.lead, 0.0)),
         forecast.until(run),
         x0,
         inputs,
@@ -131,6 +131,30 @@ def run_ideal(
     )
 
 
+def _contiguous(forecast: Forecast) -> tuple[np.ndarray, np.ndarray]:
+    """The forecast's A and B as the compiled code needs them."""
+    return np.ascontiguousarray(forecast.A), np.ascontiguousarray(forecast.B)
+
+
+def _fastest_rate(plant: SwitchedSystem, forecast: Forecast, gains: np.ndarray) -> float:
+    """A bound of |A| + |B||K| in units of the states in which they are balanced, 1/s.
+
+    `gains` (times, branches, m, n) are the K_b at every time at which they may change.
+    """
+    from deadtime.exponential import balance
+
+    A = np.concatenate((plant.A, forecast.A))
+    K = np.abs(gains).sum(axis=1)
+    BK = np.abs(forecast.B).max(axis=0) @ K.max(axis=0)
+    t = balance(np.abs(A).max(axis=0) + BK)
+    free = np.linalg.norm(A * t / t[:, None], 2, axis=(1, 2)).max()
+    fed = np.abs(forecast.B) / t[:, None]
+    return float(
+        free
+        + np.linalg.norm(fed, 2, axis=(1, 2)).max() * np.linalg.norm(K * t, 2, axis=(1, 2)).max()
+    )
+
+
 def _edges(
     plant: SwitchedSystem,
     forecast: Forecast,
@@ -147,10 +171,13 @@ def _edges(
     delays = (delay, lead) if lead > 0.0 else (delay,)
     after = np.concatenate((shifted(seeds, delays, high), [horizon]))
     # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
-    gains = np.linalg.norm(forecast.gains(seeds[seeds >= 0.0]), 2, axis=(2, 3)).sum(axis=1).max()
-    rate = max(np.linalg.norm(A, 2) for A in (*plant.A, *forecast.A))
-    rate += max(np.linalg.norm(B, 2) for B in forecast.B) * gains
-    longest = min(_RESOLUTION / float(rate), min(delays) / 2.0)
+    rate = _fastest_rate(plant, forecast, forecast.gains(seeds[seeds >= 0.0]))
+    longest = min(_RESOLUTION / rate, min(delays) / 2.0)
+    if (high - low) / longest > _MOST_SEGMENTS:
+        raise ArgumentError(
+            f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
+            f"segments of {longest:.1e} s; shorten it, or give a step."
+        )
     past = subdivided(merged(before, low, 0.0), longest)
     future = subdivided(merged(after, 0.0, high), longest)
     return np.concatenate((past, future[1:])), past.size - 1

@@ -16,8 +16,7 @@ from deadtime.simulation.ideal_kernel import (
     solve_input,
     solve_state,
 )
-
-LIMIT = 1e100
+from deadtime.simulation.kernel import LIMIT
 
 
 @njit(cache=True)
