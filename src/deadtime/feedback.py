@@ -11,7 +11,7 @@ alone, the `context`:
     none        one row
     mode        row = mode
     mode_age    row = mode·ages + min(age, ages − 1); age counts samples since the sampled mode
-                last changed, 0 when a new mode is first seen
+                last changed, 0 when a new mode is first seen and, unless told, at the start
     step        row = k (laws that know the signal in advance)
 """
 
@@ -106,8 +106,10 @@ class Feedback:
         """N, the number of past inputs that a row reads."""
         return self.input_gain.shape[1]
 
-    def rows(self, modes: np.ndarray) -> np.ndarray:
+    def rows(self, modes: np.ndarray, initial_age: int = 0) -> np.ndarray:
         """The row that applies at each sample of a run, from the sampled modes σ(t_0), σ(t_1), ….
+
+        `initial_age` is the age of σ(t_0) in samples.
 
         Examples
         --------
@@ -125,7 +127,9 @@ class Feedback:
         if self.context == "step":
             return samples
         changed = np.concatenate(([True], np.diff(modes) != 0))
-        age = samples - np.maximum.accumulate(np.where(changed, samples, 0))
+        began = np.where(changed, samples, -initial_age)
+        began[0] = -initial_age
+        age = samples - np.maximum.accumulate(began)
         return modes * self.ages + np.minimum(age, self.ages - 1)
 
     def __repr__(self) -> str:

@@ -12,13 +12,13 @@ from deadtime.checks import real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, checked_gains
+from deadtime.laws.base import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class AveragedPredictor(Law):
+class AveragedPredictor(TableLaw):
     """Average of exact predictor feedbacks: the mode never changes, but which one is not known.
 
         u(t) = Σ_i w_i K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ

@@ -1,8 +1,9 @@
-"""What every law has: a model of the plant, gains, and a table at any sampling period."""
+"""What every law has: a model of the plant and gains; and, all but one, a table at any period."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ from deadtime.forecast import Forecast
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
 from deadtime.switching import SwitchingSignal
+
+# From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k.
+Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,12 +63,37 @@ class Law(ABC):
         Raises `ArgumentError` for a law that has no such form.
         """
 
+    @abstractmethod
+    def online(self, step: float) -> Update:
+        """The law as a function to be called once a period, for loops that must go step by step.
+
+        Raises `ArgumentError` for a law that must know the future.
+        """
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label}; model {self.plant!r})"
 
     def window(self, step: float) -> Window:
         """The window of the model's delay at a sampling period."""
         return Window.of(self.plant.delay, positive("step", step))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TableLaw(Law):
+    """A law that is a table of linear functionals: every one but the state-dependent."""
+
+    def online(self, step: float) -> Update:
+        feedback = self.digital(step)
+        ages, taps = feedback.ages, feedback.taps
+        contexts, m = feedback.state_gain.shape[:2]
+        # The oldest input first, as the past inputs come.
+        G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts, m, taps * m)
+
+        def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+            row = 0 if feedback.context == "none" else mode * ages + min(age, ages - 1)
+            return feedback.state_gain[row] @ x + G[row] @ past[-taps:].ravel()
+
+        return control
 
 
 def checked_gains(

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, checked_gains
+from deadtime.laws.base import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class DelayedStateFeedback(Law):
+class DelayedStateFeedback(TableLaw):
     """State feedback u(t) = K_σ(t) x(t), as if its effect were immediate: it arrives D late.
 
     The law that every predictor is measured against; with a long delay it fails.

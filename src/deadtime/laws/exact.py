@@ -12,14 +12,14 @@ from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, checked_gains
+from deadtime.laws.base import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Cuts, modes_at
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class ExactPredictor(Law):
+class ExactPredictor(TableLaw):
     """Exact predictor feedback u(t) = K_σ(t+D) P(t), P(t) = x(t + D): it knows the future.
 
     For benchmarks (no causal law can predict better), and for plants whose switching is
@@ -97,7 +97,10 @@ class ExactPredictor(Law):
         window = self.window(step)
         plant = self.plant
         if steps is None:
-            raise ArgumentError("steps must be given, the number of samples to make rows for.")
+            raise ArgumentError(
+                "steps must be given, the number of samples to make rows for, and the future "
+                "signal: ExactPredictor knows the future and cannot be run sample by sample."
+            )
         count("steps", steps)
         known = self._known(signal, (steps - 1) * step)
         cuts = Cuts.of(known, window)

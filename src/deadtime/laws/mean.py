@@ -12,13 +12,13 @@ from deadtime.checks import real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, checked_gains, require_hurwitz
+from deadtime.laws.base import TableLaw, checked_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class MeanPredictor(Law):
+class MeanPredictor(TableLaw):
     """Exact predictor feedback of the mean plant (Ā, B̄).
 
         u(t) = K̄ (e^{Ā D} x(t) + ∫_{t−D}^{t} e^{Ā(t−θ)} B̄ u(θ) dθ)

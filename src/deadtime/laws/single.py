@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from deadtime.checks import index
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, checked_gains
+from deadtime.laws.base import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class SingleModePredictor(Law):
+class SingleModePredictor(TableLaw):
     """Exact predictor feedback of mode i, forecasting that the plant stays in it for ever.
 
         u(t) = K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ

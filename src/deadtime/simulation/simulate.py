@@ -146,7 +146,8 @@ def _digital(
     def mode_at(time: np.ndarray) -> np.ndarray:
         return modes_at(signal, time, step)
 
-    rows = feedback.rows(mode_at(np.arange(samples) * step))
+    age = math.floor(snap(signal.initial_age / step))
+    rows = feedback.rows(mode_at(np.arange(samples) * step), age)
     kept, states, at_phase = _run(table, window, feedback, rows, x0, inputs, past)
     record = DigitalRecord(
         plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept

@@ -25,7 +25,8 @@ def read_log(
 
     Rows may be switching events or samples; the first row's time becomes 0. If the last row
     repeats the mode before it, the signal ends there; otherwise it has no end, unless `end`
-    (on the log's own clock) says otherwise.
+    (on the log's own clock) says otherwise. A column `initial_age` (seconds, first row) says how
+    long the first mode had been active before the log began.
 
     Parameters
     ----------
@@ -52,7 +53,10 @@ def read_log(
                     f"{source} must have the columns time and mode, got "
                     f"{reader.fieldnames}: name them in its first line."
                 )
-            rows = [(reader.line_num, row["time"], row["mode"]) for row in reader]
+            rows, age = [], None
+            for row in reader:
+                rows.append((reader.line_num, row["time"], row["mode"]))
+                age = row.get("initial_age", "") if age is None else age
     except OSError as error:
         raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError:
@@ -73,7 +77,8 @@ def read_log(
         end = times[-1] if repeated else np.inf
         if repeated:
             times, visited = times[:-1], visited[:-1]
-    return SwitchingSignal(times - start, np.array(visited), end - start)
+    age_at_start = number(f"{source}: initial_age", age) if age else 0.0
+    return SwitchingSignal(times - start, np.array(visited), end - start, initial_age=age_at_start)
 
 
 def _mode(
@@ -97,7 +102,10 @@ def write_log(signal: SwitchingSignal, path: str | PathLike[str]) -> None:
     rows = list(zip(signal.times.tolist(), signal.modes.tolist(), strict=True))
     if np.isfinite(signal.end):
         rows.append((signal.end, int(signal.modes[-1])))
+    known = [()] * len(rows)
+    if signal.initial_age:
+        known = [(repr(signal.initial_age),), *[("",)] * (len(rows) - 1)]
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("time", "mode"))
-        writer.writerows((repr(time), mode) for time, mode in rows)
+        writer.writerow(("time", "mode", "initial_age")[: 2 + len(known[0])])
+        writer.writerows((repr(t), mode, *age) for (t, mode), age in zip(rows, known, strict=True))

@@ -33,6 +33,9 @@ class SwitchingSignal:
         Mode of each sojourn, counted from 0.
     end : float
         Time up to which the signal is known, in seconds; infinite by default.
+    initial_age : float
+        How long the first mode has been active before time 0, seconds; laws that count a mode's
+        age start from it.
 
     Raises
     ------
@@ -52,8 +55,16 @@ class SwitchingSignal:
     times: Float[np.ndarray, " sojourn"]
     modes: Int[np.ndarray, " sojourn"]
     end: float
+    initial_age: float
 
-    def __init__(self, times: ArrayLike, modes: ArrayLike, end: float = np.inf) -> None:
+    def __init__(
+        self,
+        times: ArrayLike,
+        modes: ArrayLike,
+        end: float = np.inf,
+        *,
+        initial_age: float = 0.0,
+    ) -> None:
         times = real_array("times", times, "(sojourns,)", 1)
         modes = _mode_array(modes, times.size)
         if times[0] != 0.0:
@@ -74,10 +85,13 @@ class SwitchingSignal:
             raise ArgumentError(
                 f"end must be later than the last switch at {times[-1]:g} s, got {end:g}."
             )
+        age = number("initial_age", initial_age)
+        if age < 0.0:
+            raise ArgumentError(f"initial_age must be ≥ 0, in s, got {age:g}.")
         new = np.concatenate(([True], np.diff(modes) != 0))
         times, modes = times[new], modes[new]
         times.flags.writeable = modes.flags.writeable = False
-        vars(self).update(times=times, modes=modes, end=end)
+        vars(self).update(times=times, modes=modes, end=end, initial_age=age)
 
     # -- reading ---------------------------------------------------------------------------
 
@@ -94,12 +108,26 @@ class SwitchingSignal:
         return self.times.size - 1
 
     @property
+    def sojourns(self) -> Float[np.ndarray, " switch"]:
+        """Length of every sojourn that ends in a switch, seconds; the first began `initial_age`
+        before 0."""
+        lengths = np.diff(self.times)
+        lengths[:1] += self.initial_age
+        return lengths
+
+    @property
     def dwell_time(self) -> float:
         """The shortest sojourn that ends in a switch, in seconds.
 
-        The first sojourn counts from 0. Infinite when the signal never switches.
+        Infinite when the signal never switches.
         """
-        return float(np.diff(self.times).min()) if self.switches else np.inf
+        return float(self.sojourns.min()) if self.switches else np.inf
+
+    def last_switch(self, t: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+        """When the mode active at each time t ≥ 0 began; before 0 for the first."""
+        began = self.times.copy()
+        began[0] = -self.initial_age
+        return began[np.searchsorted(self.times, t, side="right") - 1]
 
     def average_dwell_time(self, chatter: float = 1.0) -> float:
         """The largest τ_a with at most chatter + (t − s)/τ_a switches in every [s, t], seconds.
@@ -122,7 +150,7 @@ class SwitchingSignal:
     def require_dwell_time(self, dwell_time: float) -> SwitchingSignal:
         """The signal itself, when it keeps the declared dwell time; an error otherwise."""
         if self.dwell_time < positive("dwell_time", dwell_time) * (1.0 - 1e-9):
-            i = int(np.argmin(np.diff(self.times)))
+            i = int(np.argmin(self.sojourns))
             raise ArgumentError(
                 f"dwell_time is declared as {dwell_time:g} s, but the signal stays in mode "
                 f"{self.modes[i]} only from {self.times[i]:g} to {self.times[i + 1]:g} s: "
@@ -141,13 +169,14 @@ class SwitchingSignal:
         return self
 
     def after(self, time: float) -> SwitchingSignal:
-        """The signal seen from `time` on, with that instant as its new 0."""
+        """The signal from `time` on, with that instant as its new 0; its mode keeps its age."""
         if not 0.0 <= number("time", time) < self.end:
             raise ArgumentError(f"time must be in [0, end) = [0, {self.end:g}), got {time:g}.")
         later = self.times > time
         times = np.concatenate(([0.0], self.times[later] - time))
         modes = np.concatenate((self([time]), self.modes[later]))
-        return SwitchingSignal(times, modes, self.end - time)
+        age = time - float(self.last_switch(np.array([time]))[0])
+        return SwitchingSignal(times, modes, self.end - time, initial_age=age)
 
     # -- making ----------------------------------------------------------------------------
 
