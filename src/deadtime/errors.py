@@ -18,5 +18,17 @@ class ProblemFileError(ArgumentError):
     """A problem file is malformed; the message names the file, the line and the key."""
 
 
+class StudyFileError(ArgumentError):
+    """A study file is malformed; the message names the file, the line and the key."""
+
+
 class InfeasibleError(DeadtimeError, ValueError):
     """What was asked for does not exist: the message gives the solver's verdict."""
+
+
+class ChatteringError(DeadtimeError, RuntimeError):
+    """A prediction switches without end: both modes' vector fields point at their boundary."""
+
+
+class WorkerError(DeadtimeError, RuntimeError):
+    """A process that computed a part of a study died."""

@@ -1,5 +1,16 @@
 """Switching signals: what they are, how they are drawn at random, how logs are read."""
 
+from deadtime.switching.markov import Markov
+from deadtime.switching.rules import FunctionRule, HalfSpace, Polyhedra, Rule
+from deadtime.switching.semi_markov import SemiMarkov
 from deadtime.switching.signal import SwitchingSignal
 
-__all__ = ["SwitchingSignal"]
+__all__ = [
+    "FunctionRule",
+    "HalfSpace",
+    "Markov",
+    "Polyhedra",
+    "Rule",
+    "SemiMarkov",
+    "SwitchingSignal",
+]

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+
 import numpy as np
+from jaxtyping import Float
 
 from deadtime.checks import count, positive
 from deadtime.errors import ArgumentError
 from deadtime.switching.signal import MOST_SWITCHES, SwitchingSignal
+
+BLOCK = 64
+
+Draw = Callable[[np.random.Generator, int], np.ndarray]
 
 
 def random_signal(
@@ -76,7 +84,7 @@ def random_signal(
     return SwitchingSignal(np.array([0.0, *times]), np.array(visited), horizon)
 
 
-def _require_few(horizon: float, mean: float) -> None:
+def require_few(horizon: float, mean: float) -> None:
     """Refuse a horizon that would hold more switches than memory."""
     if horizon / mean > MOST_SWITCHES:
         raise ArgumentError(
@@ -94,7 +102,7 @@ def _minimum_dwell(
         raise ArgumentError(
             f"mean_sojourn must be at least dwell_time = {dwell_time:g} s, got {mean:g}."
         )
-    _require_few(horizon, mean)
+    require_few(horizon, mean)
     times, time = [], 0.0
     while (time := time + dwell_time + rng.exponential(mean - dwell_time)) < horizon:
         times.append(time)
@@ -105,7 +113,7 @@ def _average_dwell(
     rng: np.random.Generator, horizon: float, average: float, mean: float, chatter: int
 ) -> list[float]:
     """Poisson instants thinned by the leaky bucket."""
-    _require_few(horizon, mean)
+    require_few(horizon, mean)
     times, time, level, last = [], 0.0, float(chatter), 0.0
     while (time := time + rng.exponential(mean)) < horizon:
         level = min(float(chatter), level + (time - last) / average)
@@ -114,3 +122,40 @@ def _average_dwell(
             times.append(time)
             level -= 1.0
     return times
+
+
+def jump_signal(
+    draws: Sequence[Draw],
+    transition: Float[np.ndarray, "mode mode"],
+    horizon: float,
+    seed: int,
+) -> SwitchingSignal:
+    """Stay in mode i for a time from draws[i], then jump by row i of `transition`, and so on.
+
+    The first mode is uniform. Each mode has a generator of its own, and one more decides the
+    jumps; all are read in blocks of a fixed size, so a longer horizon continues the signal. A
+    sojourn too short for a double to tell its ends apart is left out.
+    """
+    seeds = np.random.SeedSequence(seed).spawn(len(draws) + 1)
+    jump_rng, *sojourn_rngs = map(np.random.default_rng, seeds)
+    bounds = np.cumsum(transition, axis=1)
+    bounds = (bounds / np.maximum(bounds[:, -1:], np.finfo(float).tiny)).tolist()
+    sojourns: list[list[float]] = [[] for _ in draws]
+    jumps: list[float] = []
+    time, mode = 0.0, int(jump_rng.integers(len(draws)))
+    times, visited = [time], [mode]
+    while True:
+        if not sojourns[mode]:
+            sojourns[mode] = draws[mode](sojourn_rngs[mode], BLOCK)[::-1].tolist()
+            if len(times) > MOST_SWITCHES:
+                require_few(horizon, max(time, np.finfo(float).tiny) / len(times))
+        time += sojourns[mode].pop()
+        if time >= horizon:
+            break
+        jumps = jumps or jump_rng.random(BLOCK).tolist()
+        mode = bisect_right(bounds[mode], jumps.pop())
+        times.append(time)
+        visited.append(mode)
+    starts = np.array(times)
+    kept = np.append(np.diff(starts) > 0.0, True)
+    return SwitchingSignal(starts[kept], np.array(visited)[kept], horizon)
