@@ -38,22 +38,26 @@ class Piecewise:
 class Belief:
     """What a law predicts with.
 
-    Branch b, of `branches`, follows system `system(b, s)` at time s; `gain(b, t)` is K_b(t);
-    `breaks` are the times at which either changes.
+    Made at t, branch b, of `branches`, follows system `system(b, s, t)` at time s; `gain(b, t)`
+    is K_b(t); `breaks` are the times at which either changes. Systems that predict more than the
+    state start from `lift` times it.
     """
 
     A: np.ndarray
     B: np.ndarray
     lead: float
     branches: int
-    system: Callable[[int, float], int]
+    system: Callable[[int, float, float], int]
     gain: Callable[[int, float], np.ndarray]
     breaks: np.ndarray
+    lift: np.ndarray | None = None
 
 
 def averaged(A, B, lead, K, weights) -> Belief:
     """Each mode for ever, with its weight."""
-    return Belief(A, B, lead, len(A), lambda b, s: b, lambda b, t: weights[b] * K[b], np.empty(0))
+    return Belief(
+        A, B, lead, len(A), lambda b, s, t: b, lambda b, t: weights[b] * K[b], np.empty(0)
+    )
 
 
 def single(A, B, lead, K) -> Belief:
@@ -65,14 +69,70 @@ def exact(A, B, lead, K, sigma: Piecewise) -> Belief:
     """The signal σ is known."""
     breaks = np.concatenate((sigma.times[1:], sigma.times[1:] - lead))
     return Belief(
-        A, B, lead, 1, lambda b, s: sigma(max(s, 0.0)), lambda b, t: K[sigma(t + lead)], breaks
+        A, B, lead, 1, lambda b, s, t: sigma(max(s, 0.0)), lambda b, t: K[sigma(t + lead)], breaks
+    )
+
+
+def dwelling(A, B, lead, after: Belief, dwell_time, sigma: Piecewise, age) -> Belief:
+    """The mode at t until `dwell_time` after it began, then the branches of `after`.
+
+    `age` is that of the first mode at time 0.
+    """
+    began = np.concatenate(([-age], sigma.times[1:]))
+    ends = began + dwell_time
+
+    def system(b, s, t):
+        i = np.searchsorted(sigma.times, t, side="right") - 1
+        return int(sigma.modes[i]) if s < ends[i] else len(A) + after.system(b, s, t)
+
+    return Belief(
+        np.concatenate((A, after.A)),
+        np.concatenate((B, after.B)),
+        lead,
+        after.branches,
+        system,
+        after.gain,
+        np.concatenate((sigma.times[1:], ends, ends - lead)),
+    )
+
+
+def markov(A, B, lead, K, generator, sigma: Piecewise) -> Belief:
+    """The mean of K_σ(t+L) x(t + L) over a Markov process that starts in σ(t).
+
+    One copy of (E[x 1{σ = i}])_i per mode s; copy s takes the inputs as if p = e_s, and copies
+    mix by −Λ, so that the copies weighted by p(L) are what every input will have met.
+    """
+    modes, n = A.shape[:2]
+    I_n, I_modes = np.eye(n), np.eye(modes)
+    whole = sum(np.kron(np.outer(e, e), a) for e, a in zip(I_modes, A, strict=True))
+    whole = whole + np.kron(generator.T, I_n)
+    system = np.kron(I_modes, whole) - np.kron(generator, np.eye(modes * n))
+    inputs = np.vstack([np.kron(e[:, None], b) for e, b in zip(I_modes, B, strict=True)])
+    lift = np.vstack([np.kron(e[:, None], I_n) for e in I_modes])
+    ahead = flow(generator, np.array([lead]))[0]
+    row = np.hstack(list(K))
+    return Belief(
+        system[None],
+        inputs[None],
+        lead,
+        1,
+        lambda b, s, t: 0,
+        lambda b, t: np.kron(ahead[sigma(t)], row),
+        sigma.times[1:],
+        lift,
     )
 
 
 def delayed(K, sigma: Piecewise) -> Belief:
     """K_σ x, no prediction."""
     return Belief(
-        np.empty(0), np.empty(0), 0.0, 1, lambda b, s: 0, lambda b, t: K[sigma(t)], sigma.times[1:]
+        np.empty(0),
+        np.empty(0),
+        0.0,
+        1,
+        lambda b, s, t: 0,
+        lambda b, t: K[sigma(t)],
+        sigma.times[1:],
     )
 
 
@@ -97,10 +157,10 @@ class _Rule:
 def flow(A: np.ndarray, times: np.ndarray) -> np.ndarray:
     """e^{A t} at short times (T,), by Taylor series."""
     scaled = A * np.asarray(times)[..., None, None]
-    assert np.abs(scaled).sum(axis=-1).max(initial=0.0) < 2.0
+    assert np.abs(scaled).sum(axis=-1).max(initial=0.0) < 4.0
     term = np.broadcast_to(np.eye(A.shape[0]), scaled.shape)
     total = term.copy()
-    for k in range(1, 28):
+    for k in range(1, 36):
         term = term @ scaled / k
         total += term
     return total
@@ -222,7 +282,7 @@ def _inputs(run, belief, g, states, flows, sums) -> np.ndarray:
         if lead == 0.0:
             right += states @ K.T
             continue
-        s = belief.system(b, middle + lead)
+        s = belief.system(b, middle + lead, middle)
         ahead, back = flow(belief.A[s], rule.c * length), flow(belief.A[s], -rule.c * length)
         known = _window(run, belief, b, g, t - lead, states, flows, sums)
         right += np.einsum("ij,kjl,kl->ki", K, ahead, known)
@@ -235,12 +295,14 @@ def _window(run, belief, b, g, starts, states, flows, sums) -> np.ndarray:
     """The branch's state at edges[g] + L, from x at each node and the inputs since t_k − L."""
     edges, rule = run.edges, run.rule
     first = np.searchsorted(edges, starts, side="right") - 1
+    states = states if belief.lift is None else states @ belief.lift.T
     n = states.shape[1]
+    made = (edges[g] + edges[g + 1]) / 2.0
     result = np.empty_like(states)
     transition, total = np.eye(n), np.zeros(n)
     for q in range(g - 1, first.min() - 1, -1):
         end = edges[q + 1]
-        s = belief.system(b, (edges[q] + end) / 2.0 + belief.lead)
+        s = belief.system(b, (edges[q] + end) / 2.0 + belief.lead, made)
         A, B = belief.A[s], belief.B[s]
         here = first == q
         if here.any():

@@ -39,6 +39,12 @@ def gains(plant):
     return dt.place(plant, POLES if plant.states == 3 else POLES[::2])
 
 
+def markov(modes):
+    """A Markov model without symmetry, rates of 0.5 to 3 1/s."""
+    rates = 0.5 + 2.5 * np.random.default_rng(2).random((modes, modes))
+    return dt.Markov(rates * (1.0 - np.eye(modes)))
+
+
 def mean_gain(plant):
     return gains(plant.mean())[0]
 
@@ -52,10 +58,35 @@ LAWS = {
     "single": lambda plant: dt.SingleModePredictor(plant, gains(plant), plant.modes - 1),
     "mean": lambda plant: dt.MeanPredictor(plant, mean_gain(plant)),
     "mean with gains": lambda plant: dt.MeanPredictor(plant, mean_gain(plant), gains(plant)),
+    "averaged, dwell-aware": lambda plant: dt.AveragedPredictor(plant, gains(plant), None, 0.1634),
+    "mean, dwell-aware": lambda plant: dt.MeanPredictor(plant, mean_gain(plant), None, 0.31),
+    "expected": lambda plant: dt.ExpectedPredictor(plant, gains(plant), markov(plant.modes)),
     "exact": lambda plant: dt.ExactPredictor(plant, gains(plant)),
     "delayed": lambda plant: dt.DelayedStateFeedback(plant, gains(plant)),
 }
 PREDICTORS = [name for name in LAWS if name != "delayed"]
+
+
+def in_other_units(name, T, c):
+    """`generic` and a law made for it, in the state T x and the time c t."""
+    plant = generic()
+    A = T @ plant.A @ np.linalg.inv(T) / c
+    changed = dt.SwitchedSystem(A, T @ plant.B / c, plant.delay * c)
+    K, w = gains(plant) @ np.linalg.inv(T), np.array([1, 2, 3]) / 6
+    mean = mean_gain(plant) @ np.linalg.inv(T)
+    law = {
+        "averaged": lambda: dt.AveragedPredictor(changed, K),
+        "weighted": lambda: dt.AveragedPredictor(changed, K, w),
+        "single": lambda: dt.SingleModePredictor(changed, K, 2),
+        "mean": lambda: dt.MeanPredictor(changed, mean),
+        "mean with gains": lambda: dt.MeanPredictor(changed, mean, K),
+        "averaged, dwell-aware": lambda: dt.AveragedPredictor(changed, K, None, 0.1634 * c),
+        "mean, dwell-aware": lambda: dt.MeanPredictor(changed, mean, None, 0.31 * c),
+        "expected": lambda: dt.ExpectedPredictor(changed, K, dt.Markov(markov(3).rates / c)),
+        "exact": lambda: dt.ExactPredictor(changed, K),
+        "delayed": lambda: dt.DelayedStateFeedback(changed, K),
+    }[name]()
+    return changed, law
 
 
 def off_grid(modes=3, end=np.inf):

@@ -148,6 +148,36 @@ def mean(model: Model, gain: np.ndarray):
     return lambda loop, k, x: _weighted([(gain, loop.predict(centre, constant(0), k, x))])
 
 
+def dwelling(model: Model, after: Model, gains: np.ndarray, dwell_time: Fraction, age: int = 0):
+    """The sampled mode for the rest of its dwell time, then one of the modes of `after` for ever.
+
+    `gains` are the (weighted) gains of these modes; `age` is that of the first mode, in samples.
+    """
+    modes = model.A.shape[0]
+    both = Model(
+        np.concatenate((model.A, after.A)), np.concatenate((model.B, after.B)), model.delay
+    )
+    seen: list[tuple[int, int]] = []
+
+    def law(loop: Loop, k: int, x: np.ndarray):
+        now = k * loop.step
+        mode = loop.signal(now)
+        if not seen:
+            seen.append((mode, age))
+        else:
+            seen.append((mode, seen[-1][1] + 1 if mode == seen[-1][0] else 0))
+        rest = dwell_time - seen[-1][1] * loop.step
+        parts = []
+        for i, K in enumerate(gains):
+            forecast = constant(modes + i)
+            if rest > 0:
+                forecast = Signal([Fraction(0), now + rest], [mode, modes + i])
+            parts.append((K, loop.predict(both, forecast, k, x)))
+        return _weighted(parts)
+
+    return law
+
+
 def exact(model: Model, gains: np.ndarray):
     def law(loop: Loop, k: int, x: np.ndarray):
         final = loop.signal(k * loop.step + model.delay)

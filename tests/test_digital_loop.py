@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import deadtime as dt
 import reference
 
-LAWS = ("averaged", "single", "mean", "exact", "delayed")
+LAWS = ("averaged", "single", "mean", "exact", "delayed", "averaged, dwell", "mean, dwell")
 NEAR = (0.0, 1e-12, -1e-12, 1e-7, -1e-7)
 
 
@@ -36,6 +36,8 @@ def loops(draw):
         "ratio": draw(ratios()),
         "model_ratio": draw(st.one_of(st.none(), ratios())),
         "law": draw(st.sampled_from(LAWS)),
+        "dwell_ratio": draw(ratios(9)),
+        "age": draw(st.integers(0, 5)),
         "seed": draw(st.integers(0, 2**32 - 1)),
     }
 
@@ -87,6 +89,9 @@ def test_simulate_equals_an_independent_propagation_to_round_off(case):
     exact_model = reference.Model(C, E, model_delay)
     weights = rng.dirichlet(np.ones(modes))
     mode = int(rng.integers(modes))
+    dwell_time, age = case["dwell_ratio"] * step, case["age"]
+    dwelling = (meant(case["dwell_ratio"]) * step, age)
+    centre = reference.Model(C.mean(axis=0)[None], E.mean(axis=0)[None], model_delay)
     free = {"allow_unstable": True}
     law, second = {
         "averaged": (
@@ -105,6 +110,14 @@ def test_simulate_equals_an_independent_propagation_to_round_off(case):
             dt.ExactPredictor(model, gains, **free),
             reference.exact(exact_model, gains),
         ),
+        "averaged, dwell": (
+            dt.AveragedPredictor(model, gains, weights, float(dwell_time), **free),
+            reference.dwelling(exact_model, exact_model, weights[:, None, None] * gains, *dwelling),
+        ),
+        "mean, dwell": (
+            dt.MeanPredictor(model, gains[0], gains, float(dwell_time), **free),
+            reference.dwelling(exact_model, centre, gains[:1], *dwelling),
+        ),
         "delayed": (
             dt.DelayedStateFeedback(model, gains, **free),
             reference.delayed(exact_model, gains),
@@ -114,7 +127,9 @@ def test_simulate_equals_an_independent_propagation_to_round_off(case):
     loop = reference.Loop(reference.Model(A, B, delay), signal, step, history)
     states, inputs, scale = loop.run(second, x0, samples)
 
-    own_signal = dt.SwitchingSignal([float(t) for t in signal.times], signal.modes)
+    own_signal = dt.SwitchingSignal(
+        [float(t) for t in signal.times], signal.modes, initial_age=float(age * step)
+    )
     horizon = float((samples - 1) * step)
     run = dt.simulate(truth, law, own_signal, x0, horizon, step=float(step), u0=history.T)
     assert run.time.size == samples

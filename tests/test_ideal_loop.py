@@ -30,13 +30,21 @@ def belief(law, signal):
     model, known = law.plant, getattr(law, "signal", None) or signal
     sigma = ideal_reference.Piecewise(known.times, known.modes)
     A, B, lead = model.A, model.B, model.delay
-    if isinstance(law, dt.AveragedPredictor):
-        return ideal_reference.averaged(A, B, lead, law.gains, law.weights)
     if isinstance(law, dt.SingleModePredictor):
         i = law.mode
         return ideal_reference.single(A[i], B[i], lead, law.gains[i])
-    if isinstance(law, dt.MeanPredictor):
-        return ideal_reference.single(*law.mean, lead, law.gain)
+    if isinstance(law, (dt.AveragedPredictor, dt.MeanPredictor)):
+        frozen = (
+            ideal_reference.averaged(A, B, lead, law.gains, law.weights)
+            if isinstance(law, dt.AveragedPredictor)
+            else ideal_reference.single(*law.mean, lead, law.gain)
+        )
+        if law.dwell_time is None:
+            return frozen
+        age = known.initial_age
+        return ideal_reference.dwelling(A, B, lead, frozen, law.dwell_time, sigma, age)
+    if isinstance(law, dt.ExpectedPredictor):
+        return ideal_reference.markov(A, B, lead, law.gains, law.model.generator, sigma)
     if isinstance(law, dt.ExactPredictor):
         return ideal_reference.exact(A, B, lead, law.gains, sigma)
     return ideal_reference.delayed(law.gains, sigma)
@@ -281,28 +289,10 @@ def test_identical_modes_make_every_predictor_the_same_run():
         same_run(run(name, plant), same, 1e-12)
 
 
-def in_other_units(name, T, c):
-    """The plant and its law in the state T x and the time c t."""
-    A = T @ PLANT.A @ np.linalg.inv(T) / c
-    plant = dt.SwitchedSystem(A, T @ PLANT.B / c, PLANT.delay * c)
-    K = plants.gains(PLANT) @ np.linalg.inv(T)
-    mean = plants.mean_gain(PLANT) @ np.linalg.inv(T)
-    law = {
-        "averaged": lambda: dt.AveragedPredictor(plant, K),
-        "weighted": lambda: dt.AveragedPredictor(plant, K, np.array([1, 2, 3]) / 6),
-        "single": lambda: dt.SingleModePredictor(plant, K, 2),
-        "mean": lambda: dt.MeanPredictor(plant, mean),
-        "mean with gains": lambda: dt.MeanPredictor(plant, mean, K),
-        "exact": lambda: dt.ExactPredictor(plant, K),
-        "delayed": lambda: dt.DelayedStateFeedback(plant, K),
-    }[name]()
-    return plant, law
-
-
 @pytest.mark.parametrize("name", plants.LAWS)
 def test_a_change_of_state_variables_commutes_with_simulation(name):
     T = np.array([[2.0, 0.5, 0.0], [-1.0, 1.0, 0.3], [0.2, 0.0, 0.7]])
-    plant, law = in_other_units(name, T, 1.0)
+    plant, law = plants.in_other_units(name, T, 1.0)
     one, other = run(name), run(law, plant, x0=T @ X0)
     plants.close(other.states, T @ one.states, 1e-11)
     plants.close(other.inputs, one.inputs, 1e-11)
@@ -311,7 +301,7 @@ def test_a_change_of_state_variables_commutes_with_simulation(name):
 @pytest.mark.parametrize("name", plants.LAWS)
 def test_a_change_of_time_unit_commutes_with_simulation(name):
     c = 60.0
-    plant, law = in_other_units(name, np.eye(3), c)
+    plant, law = plants.in_other_units(name, np.eye(3), c)
     signal = dt.SwitchingSignal(SIGNAL.times * c, SIGNAL.modes)
     one, other = run(name), run(law, plant, signal, horizon=3.0 * c)
     plants.close(other.time, c * one.time, 1e-15)

@@ -23,11 +23,18 @@ def test_every_law_is_a_finite_read_only_table_of_the_right_shape(name, delay):
     plant = plants.generic(delay)
     law = plants.LAWS[name](plant)
     feedback = table(law)
-    rows = {"exact": 12, "delayed": 3}.get(name, 1)
+    contexts = {
+        "exact": ("step", 12),
+        "delayed": ("mode", 3),
+        "expected": ("mode", 3),
+        "averaged, dwell-aware": ("mode_age", 3 * 3),
+        "mean, dwell-aware": ("mode_age", 3 * 5),
+    }
+    context, rows = contexts.get(name, ("none", 1))
     taps = int(np.ceil(round(delay / H, 9)))
     assert feedback.state_gain.shape == (rows, 2, 3)
     assert feedback.input_gain.shape == (rows, taps, 2, 2)
-    assert feedback.context == {"exact": "step", "delayed": "mode"}.get(name, "none")
+    assert feedback.context == context
     assert (feedback.step, feedback.taps) == (H, taps)
     for array in (feedback.state_gain, feedback.input_gain, *(feedback.factor or ())):
         assert np.isfinite(array).all()
@@ -61,9 +68,19 @@ def test_a_law_is_immutable(name):
 def test_labels_tell_the_laws_apart():
     labels = [
         plants.LAWS[name](plants.generic()).label
-        for name in ("averaged", "single", "mean", "exact", "delayed")
+        for name in plants.LAWS
+        if name not in ("weighted", "mean with gains")
     ]
-    assert labels == ["averaged", "mode 2 only", "mean", "oracle", "delay ignored"]
+    assert labels == [
+        "averaged",
+        "mode 2 only",
+        "mean",
+        "averaged, dwell-aware",
+        "mean, dwell-aware",
+        "expected",
+        "oracle",
+        "delay ignored",
+    ]
 
 
 # -- hand-derived tables -----------------------------------------------------------------------

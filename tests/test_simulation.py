@@ -114,28 +114,10 @@ def test_splitting_the_horizon_changes_nothing(name, first):
     assert np.array_equal(rest.mode, whole.mode[cut:])
 
 
-def in_other_units(name, T, c):
-    """The plant and its law in the state T x and the time c t."""
-    A = T @ PLANT.A @ np.linalg.inv(T) / c
-    plant = dt.SwitchedSystem(A, T @ PLANT.B / c, PLANT.delay * c)
-    K, w = plants.gains(PLANT) @ np.linalg.inv(T), np.array([1, 2, 3]) / 6
-    mean = plants.mean_gain(PLANT) @ np.linalg.inv(T)
-    law = {
-        "averaged": lambda: dt.AveragedPredictor(plant, K),
-        "weighted": lambda: dt.AveragedPredictor(plant, K, w),
-        "single": lambda: dt.SingleModePredictor(plant, K, 2),
-        "mean": lambda: dt.MeanPredictor(plant, mean),
-        "mean with gains": lambda: dt.MeanPredictor(plant, mean, K),
-        "exact": lambda: dt.ExactPredictor(plant, K),
-        "delayed": lambda: dt.DelayedStateFeedback(plant, K),
-    }[name]()
-    return plant, law
-
-
 @pytest.mark.parametrize("name", plants.LAWS)
 def test_a_change_of_state_variables_commutes_with_simulation(name):
     T = np.array([[2.0, 0.5, 0.0], [-1.0, 1.0, 0.3], [0.2, 0.0, 0.7]])
-    plant, law = in_other_units(name, T, 1.0)
+    plant, law = plants.in_other_units(name, T, 1.0)
     one, other = run(name), run(law, plant, x0=T @ X0)
     plants.close(other.states, T @ one.states, 1e-11)
     plants.close(other.inputs, one.inputs, 1e-11)
@@ -144,7 +126,7 @@ def test_a_change_of_state_variables_commutes_with_simulation(name):
 @pytest.mark.parametrize("name", plants.LAWS)
 def test_a_change_of_time_unit_commutes_with_simulation(name):
     c = 60.0
-    plant, law = in_other_units(name, np.eye(3), c)
+    plant, law = plants.in_other_units(name, np.eye(3), c)
     signal = dt.SwitchingSignal(SIGNAL.times * c, SIGNAL.modes)
     one, other = run(name), run(law, plant, signal, horizon=3.0 * c, step=H * c)
     plants.close(other.time, c * one.time, 1e-15)

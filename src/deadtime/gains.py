@@ -215,12 +215,15 @@ def lqr(plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike) -> Float[np.ndarray, 
     >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]]).ravel().round(4)      # −1 and −(1 + √2)
     array([-1.    , -2.4142])
     """
-    Q = _weight("Q", Q, plant.states, "n", strict=False)
-    R = _weight("R", R, plant.inputs, "m", strict=True)
+    Q = weight_matrix("Q", Q, plant.states, "n", strict=False)
+    R = weight_matrix("R", R, plant.inputs, "m", strict=True)
     return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])
 
 
-def _weight(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
+def weight_matrix(
+    name: str, value: ArrayLike, size: int, letter: str, strict: bool
+) -> np.ndarray:
+    """A symmetric weight of a quadratic cost, positive semidefinite or (`strict`) definite."""
     form = f"({letter}, {letter})"
     weight = real_array(name, value, form, 2)
     if weight.shape != (size, size):

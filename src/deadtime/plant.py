@@ -121,6 +121,26 @@ class SwitchedSystem:
             self.A.mean(axis=0, keepdims=True), self.B.mean(axis=0, keepdims=True), self.delay
         )
 
+    def apart(self, alpha: float) -> SwitchedSystem:
+        """The plant with its modes α times as far from mode 0: A_0 + α (A_i − A_0), B alike.
+
+        Parameters
+        ----------
+        alpha : float
+            α ≥ 0: 0 makes all modes the same, 1 changes nothing.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> dt.problems.paper().plant.apart(2.0).A[1]
+        array([[2.6, 1.2],
+               [0.1, 1.4]])
+        """
+        if not 0.0 <= alpha < np.inf:
+            raise ArgumentError(f"alpha must be ≥ 0 and finite, got {alpha!r}.")
+        A, B = (M[0] + alpha * (M - M[0]) for M in (self.A, self.B))
+        return SwitchedSystem(A, B, self.delay)
+
     def __repr__(self) -> str:
         return (
             f"SwitchedSystem(modes={self.modes}, states={self.states}, "

@@ -9,14 +9,20 @@ from deadtime.laws.averaged import AveragedPredictor
 from deadtime.laws.base import Law
 from deadtime.laws.delayed import DelayedStateFeedback
 from deadtime.laws.exact import ExactPredictor
+from deadtime.laws.expected import ExpectedPredictor
 from deadtime.laws.mean import MeanPredictor
+from deadtime.laws.optimal import OptimalPredictor
 from deadtime.laws.single import SingleModePredictor
+from deadtime.laws.state_dependent import StateDependentPredictor
 
 __all__ = [
     "AveragedPredictor",
     "DelayedStateFeedback",
     "ExactPredictor",
+    "ExpectedPredictor",
     "Law",
     "MeanPredictor",
+    "OptimalPredictor",
     "SingleModePredictor",
+    "StateDependentPredictor",
 ]

@@ -12,7 +12,7 @@ from deadtime.checks import real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains
+from deadtime.laws.base import TableLaw, checked_dwell_time, checked_gains, remembered
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -23,6 +23,10 @@ class AveragedPredictor(TableLaw):
 
         u(t) = Σ_i w_i K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ
 
+    With a dwell time τ_d it trusts the current mode for the rest of its guaranteed dwell: P_i is
+    then the state at t + D of the model that stays in σ(t) for max(0, τ_d − age) seconds and in
+    mode i from there on.
+
     Parameters
     ----------
     plant : SwitchedSystem
@@ -31,6 +35,8 @@ class AveragedPredictor(TableLaw):
         K_i of u = +K_i x.
     weights : array_like, shape (modes,), optional
         Probability w_i of each mode, ≥ 0, summing to 1; equal by default.
+    dwell_time : float, optional
+        τ_d > 0, seconds: the time for which every mode, once entered, is sure to last.
     allow_unstable : bool
         Accept gains that leave some A_i + B_i K_i unstable.
 
@@ -42,6 +48,7 @@ class AveragedPredictor(TableLaw):
     References
     ----------
     arXiv 2503.08446, equations (2), (3); (3) prints e^{A(t−s)} where e^{A(t−θ)} is meant.
+    The dwell time: arXiv 2506.03908.
 
     Examples
     --------
@@ -55,13 +62,16 @@ class AveragedPredictor(TableLaw):
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"]
     weights: Float[np.ndarray, " mode"]
+    dwell_time: float | None
     allow_unstable: bool
+    tuned: bool
 
     def __init__(
         self,
         plant: SwitchedSystem,
         gains: ArrayLike,
         weights: ArrayLike | None = None,
+        dwell_time: float | None = None,
         *,
         allow_unstable: bool = False,
     ) -> None:
@@ -75,21 +85,88 @@ class AveragedPredictor(TableLaw):
                 f"weights must be ≥ 0 and sum to 1, got {weights.tolist()} with sum "
                 f"{weights.sum():.10g}: divide them by their sum."
             )
-        vars(self).update(plant=plant, gains=gains, weights=weights, allow_unstable=allow_unstable)
+        vars(self).update(
+            plant=plant,
+            gains=gains,
+            weights=weights,
+            dwell_time=checked_dwell_time(dwell_time),
+            allow_unstable=allow_unstable,
+            tuned=False,
+        )
+
+    @classmethod
+    def minimax(
+        cls,
+        plant: SwitchedSystem,
+        gains: ArrayLike,
+        step: float = 0.01,
+        *,
+        common_gain: bool = False,
+        dwell_time: float | None = None,
+        allow_unstable: bool = False,
+    ) -> AveragedPredictor:
+        """The averaged law that is best for the worst mode when that mode lasts for ever.
+
+            minimise  max_i g_i(w),    g_i = growth_rate(plant, law, i, step),
+
+        over the weights w and, on request, over one gain for all modes with |K| ≤ 2 max |K_i|.
+        The weights alone help the worst mode and change little on signals that switch. One gain
+        pays where the averaged loop is unstable in some mode, and costs where it is not.
+
+        Parameters
+        ----------
+        plant, gains, dwell_time, allow_unstable
+            As for the law itself.
+        step : float
+            Sampling period at which growth is measured, in seconds.
+        common_gain : bool
+            Replace the gains by one K for all modes, sought from Σ w_i K_i on.
+
+        Raises
+        ------
+        InfeasibleError
+            If no common gain was found that leaves every A_i + B_i K stable.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> plant = dt.problems.paper().plant
+        >>> gains = dt.place(plant, [-1, -2])
+        >>> law = dt.AveragedPredictor.minimax(plant, gains, step=0.05)
+        >>> law.label, law.weights.round(2)
+        ('averaged, minimax', array([0.42, 0.58]))
+        """
+        from deadtime.laws.minimax import minimax
+
+        weights, gains, _ = minimax(plant, gains, step, common_gain, allow_unstable)
+        law = cls(plant, gains, weights, dwell_time, allow_unstable=allow_unstable)
+        vars(law).update(tuned=True)
+        return law
 
     @property
     def label(self) -> str:
-        return "averaged"
+        notes = ["minimax"] * self.tuned + ["dwell-aware"] * (self.dwell_time is not None)
+        return ", ".join(["averaged", *notes])
 
+    @property
+    def _after(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B and weighted gain of the systems that may follow."""
+        return self.plant.A, self.plant.B, self.weights[:, None, None] * self.gains
+
+    @remembered
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
+        plant, window = self.plant, self.window(step)
+        if self.dwell_time is not None:
+            from deadtime.laws.dwelling import dwelling_table
+
+            return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, window)
         from deadtime.laws.frozen import frozen_table
 
-        plant = self.plant
-        return frozen_table(plant.A, plant.B, self.gains, self.weights, self.window(step))
+        return frozen_table(plant.A, plant.B, self.gains, self.weights, window)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        plant = self.plant
-        weighted = self.weights[:, None, None] * self.gains
-        return Forecast.frozen(plant.A, plant.B, weighted, plant.delay)
+        if self.dwell_time is not None:
+            return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
+        return Forecast.frozen(*self._after, self.plant.delay)

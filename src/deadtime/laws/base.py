@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 
 import numpy as np
 from jaxtyping import Float
@@ -96,6 +97,25 @@ class TableLaw(Law):
         return control
 
 
+Digital = Callable[..., Feedback]
+
+
+def remembered(digital: Digital) -> Digital:
+    """Keep the last table of a law whose table depends on the step only and takes long to fill."""
+
+    @wraps(digital)
+    def remembering(
+        self: Law, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        table = vars(self).get("_table")
+        if table is None or table.step != step:
+            table = digital(self, step, signal, steps)
+            vars(self)["_table"] = table
+        return table
+
+    return remembering
+
+
 def checked_gains(
     plant: SwitchedSystem, gains: object, allow_unstable: bool
 ) -> Float[np.ndarray, "mode m n"]:
@@ -110,6 +130,22 @@ def checked_gains(
         shaped(f"gains[{i}]", K[i], (plant.inputs, plant.states), "(m, n)")
         require_hurwitz(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i], allow_unstable)
     return K
+
+
+def require_match(plant: SwitchedSystem, law: Law) -> None:
+    """Refuse a law whose model has other sizes than the plant."""
+    for name in ("modes", "states", "inputs"):
+        mine, its = getattr(plant, name), getattr(law.plant, name)
+        if mine != its:
+            raise ArgumentError(
+                f"law must be made for a plant with {mine} {name}, got a law for {its}: "
+                "delay and matrices of the law's model may differ from the plant's, sizes not."
+            )
+
+
+def checked_dwell_time(dwell_time: float | None) -> float | None:
+    """A dwell time in seconds, or None for a law that knows of none."""
+    return None if dwell_time is None else positive("dwell_time", dwell_time)
 
 
 def require_hurwitz(

@@ -99,7 +99,8 @@ class ExactPredictor(TableLaw):
         if steps is None:
             raise ArgumentError(
                 "steps must be given, the number of samples to make rows for, and the future "
-                "signal: ExactPredictor knows the future and cannot be run sample by sample."
+                "signal: ExactPredictor knows the future and cannot be run sample by sample; where "
+                "a rule switches the plant by its state, use StateDependentPredictor."
             )
         count("steps", steps)
         known = self._known(signal, (steps - 1) * step)
@@ -130,4 +131,5 @@ class ExactPredictor(TableLaw):
             gains=lambda times: self.gains[known(times + plant.delay)][:, None],
             path=known,
             until=lambda times: np.full(times.size, np.inf),
+            foresees=True,
         )

@@ -12,7 +12,22 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.exponential import multiply, phases
+from deadtime.exponential import phases
+
+
+@njit(cache=True)
+def _carry_back(R, Phi, Gamma, tap, scratch):
+    """tap += R Γ, then R ← R Φ, in place."""
+    m, n = R.shape
+    for a in range(m):
+        for b in range(m):
+            for k in range(n):
+                tap[a, b] += R[a, k] * Gamma[k, b]
+        for b in range(n):
+            scratch[b] = 0.0
+            for k in range(n):
+                scratch[b] += R[a, k] * Phi[k, b]
+        R[a] = scratch
 
 
 @njit(cache=True)
@@ -25,15 +40,14 @@ def future_rows(A, B, final_gain, step, phase, count, cut_step, cut_offset, cut_
     total = steps + count - 1
     index, Phi, Gamma, _, _, _ = phases(A, B, step, phase, cut_step, cut_offset, cut_mode, total)
     F, G = np.empty((steps, m, n)), np.zeros((steps, count, m, m))
+    R, scratch = np.empty((m, n)), np.empty(n)
     for k in range(steps):
-        R = final_gain[k]
+        R[:] = final_gain[k]
         for j in range(1, count + 1):
             i = index[k + count - j, 0]
-            G[k, j - 1] += multiply(R, Gamma[i])
-            R = multiply(R, Phi[i])
-            if j < count:
+            _carry_back(R, Phi[i], Gamma[i], G[k, j - 1], scratch)
+            if j < count and phase < step:
                 i = index[k + count - 1 - j, 1]
-                G[k, j - 1] += multiply(R, Gamma[i])
-                R = multiply(R, Phi[i])
+                _carry_back(R, Phi[i], Gamma[i], G[k, j - 1], scratch)
         F[k] = R
     return F, G

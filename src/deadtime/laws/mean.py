@@ -12,7 +12,13 @@ from deadtime.checks import real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains, require_hurwitz
+from deadtime.laws.base import (
+    TableLaw,
+    checked_dwell_time,
+    checked_gains,
+    remembered,
+    require_hurwitz,
+)
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -23,6 +29,9 @@ class MeanPredictor(TableLaw):
 
         u(t) = K̄ (e^{Ā D} x(t) + ∫_{t−D}^{t} e^{Ā(t−θ)} B̄ u(θ) dθ)
 
+    With a dwell time τ_d it trusts the current mode for the rest of its guaranteed dwell: the
+    prediction then stays in σ(t) for max(0, τ_d − age) seconds and in the mean from there on.
+
     Parameters
     ----------
     plant : SwitchedSystem
@@ -31,6 +40,8 @@ class MeanPredictor(TableLaw):
         K̄ of u = +K̄ x.
     gains : array_like, shape (modes, m, n), optional
         The modes' own K_i, needed only for the mismatch; without them there is none.
+    dwell_time : float, optional
+        τ_d > 0, seconds: the time for which every mode, once entered, is sure to last.
     mean : pair of array_like, shapes (n, n) and (n, m), optional
         (Ā, B̄); the element-wise mean of the modes by default.
     allow_unstable : bool
@@ -38,7 +49,8 @@ class MeanPredictor(TableLaw):
 
     References
     ----------
-    arXiv 2503.08446, Section III, the law of Figure 6; arXiv 2506.03908 takes other centres.
+    arXiv 2503.08446, Section III, the law of Figure 6. The dwell time, and other centres:
+    arXiv 2506.03908.
 
     Examples
     --------
@@ -54,6 +66,7 @@ class MeanPredictor(TableLaw):
     plant: SwitchedSystem
     gain: Float[np.ndarray, "m n"]
     gains: Float[np.ndarray, "mode m n"] | None
+    dwell_time: float | None
     mean: tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n m"]]
     allow_unstable: bool
 
@@ -62,8 +75,9 @@ class MeanPredictor(TableLaw):
         plant: SwitchedSystem,
         gain: ArrayLike,
         gains: ArrayLike | None = None,
-        *,
+        dwell_time: float | None = None,
         mean: tuple[ArrayLike, ArrayLike] | None = None,
+        *,
         allow_unstable: bool = False,
     ) -> None:
         n, m = plant.states, plant.inputs
@@ -78,21 +92,38 @@ class MeanPredictor(TableLaw):
         if gains is not None:
             gains = checked_gains(plant, gains, allow_unstable)
         vars(self).update(
-            plant=plant, gain=gain, gains=gains, mean=(A, B), allow_unstable=allow_unstable
+            plant=plant,
+            gain=gain,
+            gains=gains,
+            dwell_time=checked_dwell_time(dwell_time),
+            mean=(A, B),
+            allow_unstable=allow_unstable,
         )
 
     @property
     def label(self) -> str:
-        return "mean"
+        return "mean" if self.dwell_time is None else "mean, dwell-aware"
 
+    @property
+    def _after(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B and gain of the one system that may follow."""
+        A, B = self.mean
+        return A[None], B[None], self.gain[None]
+
+    @remembered
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
+        plant, window = self.plant, self.window(step)
+        if self.dwell_time is not None:
+            from deadtime.laws.dwelling import dwelling_table
+
+            return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, window)
         from deadtime.laws.frozen import frozen_table
 
-        A, B = self.mean
-        return frozen_table(A[None], B[None], self.gain[None], np.ones(1), self.window(step))
+        return frozen_table(*self._after, np.ones(1), window)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        A, B = self.mean
-        return Forecast.frozen(A[None], B[None], self.gain[None], self.plant.delay)
+        if self.dwell_time is not None:
+            return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
+        return Forecast.frozen(*self._after, self.plant.delay)

@@ -110,6 +110,8 @@ def run_ideal(
         forecast.path(run),
         forecast.path(np.maximum(middles + forecast.lead, 0.0)),
         forecast.until(run),
+        forecast.foresees,
+        np.eye(plant.states) if forecast.lift is None else forecast.lift,
         x0,
         inputs,
         nodes.points,
@@ -139,20 +141,27 @@ def _contiguous(forecast: Forecast) -> tuple[np.ndarray, np.ndarray]:
 def _fastest_rate(plant: SwitchedSystem, forecast: Forecast, gains: np.ndarray) -> float:
     """A bound of |A| + |B||K| in units of the states in which they are balanced, 1/s.
 
-    `gains` (times, branches, m, n) are the K_b at every time at which they may change.
+    `gains` (times, branches, m, q) are the K_b at every time at which they may change.
     """
+    K = np.abs(gains).sum(axis=1)
+    if forecast.lift is None:
+        return _rate(np.concatenate((plant.A, forecast.A)), forecast.B, K)
+    return max(
+        _rate(plant.A, plant.B, np.zeros((1, plant.inputs, plant.states))),
+        _rate(forecast.A, forecast.B, K),
+    )
+
+
+def _rate(A: np.ndarray, B: np.ndarray, K: np.ndarray) -> float:
+    """The bound for any of the A, with any of the B and any of the K ≥ 0."""
     from deadtime.exponential import balance
 
-    A = np.concatenate((plant.A, forecast.A))
-    K = np.abs(gains).sum(axis=1)
-    BK = np.abs(forecast.B).max(axis=0) @ K.max(axis=0)
-    t = balance(np.abs(A).max(axis=0) + BK)
-    free = np.linalg.norm(A * t / t[:, None], 2, axis=(1, 2)).max()
-    fed = np.abs(forecast.B) / t[:, None]
-    return float(
-        free
-        + np.linalg.norm(fed, 2, axis=(1, 2)).max() * np.linalg.norm(K * t, 2, axis=(1, 2)).max()
+    t = balance(np.abs(A).max(axis=0) + np.abs(B).max(axis=0) @ K.max(axis=0))
+    free, fed, gain = (
+        np.linalg.norm(M, 2, axis=(1, 2)).max()
+        for M in (A * t / t[:, None], np.abs(B) / t[:, None], K * t)
     )
+    return float(free + fed * gain)
 
 
 def _edges(

@@ -7,11 +7,12 @@ Time is cut into segments on which everything is analytic. On a segment [a, b] i
    that nothing drifts from segment to segment), and solves
 
        dP_b/dt = A_e P_b + B_e u(t) + M_b(t) r_b(t),
-       r_b = (A_σ − A_f) x + B_σ u(t − D) − B_f u(t − L),
+       r_b = L (A_σ x + B_σ u(t − D)) − A_f L x − B_f u(t − D'),
 
-   L the law's delay, f and e the systems in which the branch starts (at t) and ends (at t + L),
-   M_b its transition from t to t + L: the last term is how the plant, moving otherwise than the
-   branch believes, shifts the prediction.
+   D' the law's delay and L its lift (I, unless it predicts more than the state), f and e the
+   systems in which the branch starts (at t) and ends (at t + D'), M_b its transition from t to
+   t + D': the last term is how the plant, moving otherwise than the branch believes, shifts the
+   prediction.
 3. u = Σ_b K_b P_b turns this into a linear system for u at the nodes.
 
 Both differential equations are collocated at Gauss nodes in their integral form.

@@ -20,21 +20,25 @@ from deadtime.simulation.kernel import LIMIT
 
 
 @njit(cache=True)
-def _prediction(x, start, segment, lead, until, end_system, path, flow, moved, edges, inputs,
+def _prediction(y, start, segment, lead, until, now, end_system, path, flow, moved, edges, inputs,
                 fA, fB, points, weights, support, barycentric):  # fmt: skip
-    """P_b at the start of a segment and its transition M_b, summed over the inputs in the pipe."""
+    """P_b at the start of a segment and its transition M_b, summed over the inputs in the pipe.
+
+    It starts from y = L x. Up to `until` the system is `now`, or where that is negative the one
+    that `path` foresees.
+    """
     q = locate(edges, start - lead, segment - 1)
     last = edges[q + 1]
     middle = (start - lead + last) / 2.0 + lead
-    s = path[q] if middle < until else end_system
+    s = (now if now >= 0 else path[q]) if middle < until else end_system
     M, _ = held(fA[s], fB[s], last - (start - lead))
     P = convolve_part(
         fA[s], fB[s], start - lead, last, edges, inputs, q, points, weights, support, barycentric
     )
-    add_product(M, x, P)
+    add_product(M, y, P)
     for j in range(q + 1, segment):
         middle = (edges[j] + edges[j + 1]) / 2.0 + lead
-        s = path[j] if middle < until else end_system
+        s = (now if now >= 0 else path[j]) if middle < until else end_system
         following = moved[j, s].copy()
         add_product(flow[j, s], P, following)
         P = following
@@ -43,15 +47,16 @@ def _prediction(x, start, segment, lead, until, end_system, path, flow, moved, e
 
 
 @njit(cache=True)
-def _shift(A, B, x, delayed, A_first, B_first, recent, M, back, ahead):
+def _shift(A, B, lift, x, delayed, A_first, B_first, recent, M, back, ahead):
     """M_b r_b at the nodes of a segment; see the module `ideal_kernel`."""
-    p, n = recent.shape[0], A.shape[0]
-    result = np.zeros((p, n))
-    difference = A - A_first
+    p, q = recent.shape[0], lift.shape[0]
+    result = np.zeros((p, q))
+    difference = multiply(lift, A) - multiply(A_first, lift)
+    forced = multiply(lift, B)
     for k in range(p):
-        r, sent, moved = np.zeros(n), np.zeros(n), np.zeros(n)
+        r, sent, moved = np.zeros(q), np.zeros(q), np.zeros(q)
         add_product(B_first, -recent[k], r)
-        add_product(B, delayed[k], r)
+        add_product(forced, delayed[k], r)
         add_product(difference, x[k + 1], r)
         add_product(back[k], r, sent)
         add_product(M, sent, moved)
@@ -61,20 +66,20 @@ def _shift(A, B, x, delayed, A_first, B_first, recent, M, back, ahead):
 
 @njit(cache=True)
 def march(edges, begin, stop, mode, A, B, delay, fA, fB, lead, branches, gains, here, path, until,
-          x0, inputs, points, integral, weights, support, barycentric):  # fmt: skip
+          foresees, lift, x0, inputs, points, integral, weights, support, barycentric):  # fmt: skip
     """Solve the segments from `begin` on; u is sought before segment `stop`, x on all.
 
     `inputs` (segments, p + 2, m) holds the history and receives u. `here` and `path` are the
     forecast's systems at the middle of a segment and a lead after it. Returns x (segments,
     p + 2, n) and the number of segments done before |x| left the limit.
     """
-    n, count = x0.size, branches.size
+    n, count, q = x0.size, branches.size, fA.shape[1]
     segments, p, systems = edges.size - 1, points.size, fA.shape[0]
     states = np.zeros((segments, p + 2, n))
-    flow = np.zeros((segments, systems, n, n))
-    moved = np.zeros((segments, systems, n))
-    inner, back = np.empty((systems, p, n, n)), np.empty((systems, p, n, n))
-    starts, shifts = np.empty((count, n)), np.empty((count, p, n))
+    flow = np.zeros((segments, systems, q, q))
+    moved = np.zeros((segments, systems, q))
+    inner, back = np.empty((systems, p, q, q)), np.empty((systems, p, q, q))
+    starts, shifts = np.empty((count, q)), np.empty((count, p, q))
     ends = np.empty(count, np.int64)
     x = x0.copy()
     for g in range(segments):
@@ -94,15 +99,19 @@ def march(edges, begin, stop, mode, A, B, delay, fA, fB, lead, branches, gains, 
             states[g] = solve_state(A[i], B[i], x, delayed, length, integral, weights)
             if predicts:
                 recent = sample(edges, inputs, support, barycentric, times - lead, g - 1)
+                now, middle = -1 if foresees else here[g], start + length / 2.0
+                last = path[g] if foresees else here[g]
+                lifted = np.zeros(q)
+                add_product(lift, x, lifted)
                 for b in range(count):
-                    first = here[g] if start < until[g] else branches[b]
-                    ends[b] = path[g] if start + lead < until[g] else branches[b]
+                    first = here[g] if middle < until[g] else branches[b]
+                    ends[b] = last if middle + lead < until[g] else branches[b]
                     starts[b], M = _prediction(
-                        x, start, g, lead, until[g], branches[b], path, flow, moved, edges,
-                        inputs, fA, fB, points, weights, support, barycentric,
+                        lifted, start, g, lead, until[g], now, branches[b], path, flow, moved,
+                        edges, inputs, fA, fB, points, weights, support, barycentric,
                     )  # fmt: skip
                     shifts[b] = _shift(
-                        A[i], B[i], states[g], delayed, fA[first], fB[first], recent, M,
+                        A[i], B[i], lift, states[g], delayed, fA[first], fB[first], recent, M,
                         back[first], inner[ends[b]],
                     )  # fmt: skip
                 inputs[g] = solve_input(

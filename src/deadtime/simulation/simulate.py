@@ -1,8 +1,7 @@
-"""`simulate`: check the arguments, run the digital loop, lay the result out."""
+"""`simulate`: check the arguments, choose the loop, lay the result out."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -10,24 +9,23 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.laws.base import Law
+from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.ideal import IdealRecord, run_ideal
-from deadtime.simulation.initial_input import InitialInput, held_samples, input_function
-from deadtime.simulation.record import DigitalRecord, PhaseTable
+from deadtime.simulation.digital import Grid, Outcome, run_table
+from deadtime.simulation.ideal import run_ideal
+from deadtime.simulation.initial_input import InitialInput, input_function
+from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
-from deadtime.steps import Cuts, Window, modes_at, snap
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching.rules import as_rule
 
-ModeAt = Callable[[np.ndarray], np.ndarray]
 _MOST_SAMPLES = 1e8
 
 
 def simulate(
     plant: SwitchedSystem,
     law: Law,
-    signal: SwitchingSignal,
+    signal: SwitchingSignal | Rule | Callable[[np.ndarray], int],
     x0: ArrayLike,
     horizon: float,
     step: float | None = 0.01,
@@ -48,8 +46,9 @@ def simulate(
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
         The feedback law.
-    signal : SwitchingSignal
-        The plant's switching signal.
+    signal : SwitchingSignal, HalfSpace, Polyhedra or callable
+        The plant's switching signal; or the rule by which the state decides the mode, a function
+        from a state of shape (n,) to a mode included. What a rule decided is `run.signal`.
     x0 : array_like, shape (n,)
         State at time 0.
     horizon : float
@@ -67,7 +66,9 @@ def simulate(
     Returns
     -------
     Trajectory
-        A loop that diverges is a result: `run.diverged`, and `run.message` says when.
+        A loop that diverges is a result: `run.diverged`, and `run.message` says when. So is a
+        rule at whose boundary both modes' vector fields point back, or whose switches pile up:
+        the run ends there, and `run.message` says that it was chattering.
 
     Raises
     ------
@@ -86,101 +87,78 @@ def simulate(
     horizon = positive("horizon", horizon)
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
-    instance("signal", signal, SwitchingSignal)
-    _require_match(plant, law)
-    signal.require_modes(plant.modes)
+    require_match(plant, law)
+    if isinstance(signal, SwitchingSignal):
+        switching = signal.require_modes(plant.modes)
+    else:
+        switching = as_rule("signal", signal).require(plant)
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
     if step is None:
-        record, end, mode_at = _ideal(plant, law, signal, x0, horizon, u0)
+        outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
-        record, end, mode_at = _digital(plant, law, signal, x0, horizon, positive("step", step), u0)
-    diverged = end is not None
-    end = horizon if end is None else end
-    message = _message(diverged, end, signal, horizon)
-    return trajectory_of(record, plant, signal, mode_at, law.gains, end, asked, diverged, message)
+        outcome = _digital(plant, law, switching, x0, horizon, positive("step", step), u0)
+    end = horizon if outcome.end is None else outcome.end
+    return trajectory_of(
+        outcome.record,
+        plant,
+        outcome.signal,
+        outcome.mode_at,
+        law.gains,
+        end,
+        asked,
+        outcome.diverged,
+        _message(outcome, end, horizon),
+    )
 
 
 def _ideal(
     plant: SwitchedSystem,
     law: Law,
-    signal: SwitchingSignal,
+    switching: SwitchingSignal | Rule,
     x0: np.ndarray,
     horizon: float,
     u0: InitialInput,
-) -> tuple[IdealRecord, float | None, ModeAt]:
-    """The ideal run, where it ended if it diverged, and σ."""
+) -> Outcome:
+    """The ideal run."""
+    if not isinstance(switching, SwitchingSignal):
+        raise ArgumentError(
+            "step must be given where a rule switches the plant: the ideal loop needs a signal "
+            "that is known; a short step comes close."
+        )
     longest = max(plant.delay, law.plant.delay)
-    forecast = law.ideal(signal, horizon)
+    forecast = law.ideal(switching, horizon)
     history = input_function(u0, plant.inputs, longest)
-    record, end = run_ideal(plant, forecast, signal, x0, horizon, history)
+    record, end = run_ideal(plant, forecast, switching, x0, horizon, history)
     # A time within round-off before a switch is at it, as in the record.
-    return record, end, lambda time: signal(time + record.states.slack)
+    return Outcome(
+        record,
+        switching,
+        lambda time: switching(time + record.states.slack),
+        end,
+        end is not None,
+    )
 
 
 def _digital(
     plant: SwitchedSystem,
     law: Law,
-    signal: SwitchingSignal,
+    switching: SwitchingSignal | Rule,
     x0: np.ndarray,
     horizon: float,
     step: float,
     u0: InitialInput,
-) -> tuple[DigitalRecord, float | None, ModeAt]:
-    """The digital run, where it ended if it diverged, and σ with switches snapped to samples."""
+) -> Outcome:
+    """The digital run: at once for a table law on a known signal, otherwise period by period."""
     if max(horizon, plant.delay, law.plant.delay) / step > _MOST_SAMPLES:
         raise ArgumentError(
             f"step = {step:g} s is too short: horizon and delay must hold at most "
             f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."
         )
-    samples = math.floor(snap(horizon / step)) + 1
-    feedback = law.digital(step, signal, samples)
-    window = Window.of(plant.delay, step)
-    past = max(window.count, feedback.taps)
-    inputs = np.zeros((past + samples, plant.inputs))
-    inputs[:past] = held_samples(u0, plant.inputs, past, step, max(plant.delay, law.plant.delay))
-
-    cuts = Cuts.of(signal, window)
-    table = PhaseTable.of(plant, window, cuts, samples + window.count - 1)
-
-    def mode_at(time: np.ndarray) -> np.ndarray:
-        return modes_at(signal, time, step)
-
-    age = math.floor(snap(signal.initial_age / step))
-    rows = feedback.rows(mode_at(np.arange(samples) * step), age)
-    kept, states, at_phase = _run(table, window, feedback, rows, x0, inputs, past)
-    record = DigitalRecord(
-        plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept
-    )
-    return record, (kept - 1) * step if kept < samples else None, mode_at
-
-
-def _run(
-    table: PhaseTable,
-    window: Window,
-    feedback: Feedback,
-    rows: np.ndarray,
-    x0: np.ndarray,
-    inputs: np.ndarray,
-    past: int,
-) -> tuple[int, np.ndarray, np.ndarray]:
-    """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
-    from deadtime.simulation.kernel import closed_loop
-
-    contexts, taps, m, _ = feedback.input_gain.shape
-    G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts, m, taps * m)
-    return closed_loop(
-        table.index,
-        table.Phi,
-        table.Gamma,
-        window.count,
-        feedback.state_gain,
-        np.ascontiguousarray(G),
-        rows,
-        x0,
-        inputs,
-        past,
-    )
+    grid = Grid.of(plant, law, horizon, step, u0)
+    if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal):
+        return run_table(plant, law, switching, x0, grid)
+    return run_online(plant, law, switching, x0, horizon, grid)
 
 
 def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
@@ -191,17 +169,6 @@ def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
             f"x0 must be below 1e100, where a run counts as diverged, got {np.abs(state).max():g}."
         )
     return state
-
-
-def _require_match(plant: SwitchedSystem, law: Law) -> None:
-    """Refuse a law whose model has other sizes than the plant."""
-    for name in ("modes", "states", "inputs"):
-        mine, its = getattr(plant, name), getattr(law.plant, name)
-        if mine != its:
-            raise ArgumentError(
-                f"law must be made for a plant with {mine} {name}, got a law for {its}: "
-                "delay and matrices of the law's model may differ from the plant's, sizes not."
-            )
 
 
 def _checked_times(times: ArrayLike, horizon: float) -> np.ndarray:
@@ -215,12 +182,12 @@ def _checked_times(times: ArrayLike, horizon: float) -> np.ndarray:
     return asked
 
 
-def _message(diverged: bool, end: float, signal: SwitchingSignal, horizon: float) -> str:
-    notes = []
-    if diverged:
+def _message(outcome: Outcome, end: float, horizon: float) -> str:
+    notes, signal = [], outcome.signal
+    if outcome.diverged:
         notes.append(f"diverged: |x| left 1e100 after t = {end:g} s, where the run ends.")
     if signal.end < min(end, horizon):
         notes.append(
             f"the signal ends at {signal.end:g} s and was continued in mode {signal.modes[-1]}."
         )
-    return " ".join(notes)
+    return " ".join([*notes, *filter(None, [outcome.note])])

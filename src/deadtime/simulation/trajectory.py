@@ -43,7 +43,8 @@ class Trajectory:
     diverged : bool
         |x| left 1e100; the run ends at the last sample before that.
     message : str
-        What is worth knowing: when the run diverged, that its signal was continued. Often empty.
+        What is worth knowing: when and why the run diverged or was chattering, that its signal was
+        continued. Often empty.
     """
 
     time: Float[np.ndarray, " T"]

@@ -1,0 +1,152 @@
+"""Expected predictor feedback: the mean of the exact one over a stochastic model of switching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.checks import count
+from deadtime.errors import ArgumentError
+from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
+from deadtime.laws.base import TableLaw, checked_gains, remembered
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
+
+MOST_AGES = 1000
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class ExpectedPredictor(TableLaw):
+    """Expectation of exact predictor feedback, given the current mode and how old it is.
+
+        u(t) = E[ K_σ(t+D) P(t) | σ(t), age(t) ],    P(t) = x(t + D) for that future
+
+    Under a Markov model the age tells nothing and the table has one row per mode, from block
+    exponentials without a time grid. Under a semi-Markov model it has one row per mode and age;
+    switches are taken to happen at samples, which is exact for switches on the grid and O(h)
+    otherwise.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The law's model of the plant.
+    gains : array_like, shape (modes, m, n)
+        K_i of u = +K_i x.
+    model : Markov or SemiMarkov
+        How the mode switches, with as many modes as the plant.
+    ages : int, optional
+        The most ages (samples) that a semi-Markov table tells apart; older modes count as that
+        old. By default as many as matter to the model, at most 1,000.
+    allow_unstable : bool
+        Accept gains that leave some A_i + B_i K_i unstable.
+
+    Raises
+    ------
+    ArgumentError
+        If the model has another number of modes than the plant or is no switching model;
+        `digital` raises it if the step is too long for the model's sojourns, `simulate` with
+        `step=None` if the model is semi-Markov or switches many times per delay.
+
+    Notes
+    -----
+    A table holds modes · ages · N · m² numbers of 8 bytes, and filling it needs as much again:
+    2 modes, 1,000 ages and N = 1,000 take 16 MB for one input.
+
+    References
+    ----------
+    arXiv 2503.08446, Lemma 2.3, for P(t); its average over futures is derived in
+    `docs/theory/known-switching.md`; semi-Markov processes: Howard, Dynamic Probabilistic Systems
+    (1971), volume II.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> model = dt.Markov([[0, 2.0], [1.0, 0]])
+    >>> dt.ExpectedPredictor(problem.plant, problem.gains, model).digital(0.01)
+    Feedback(context='mode', rows=2, taps=100, inputs=1, step=0.01, factored)
+    >>> from scipy import stats
+    >>> model = dt.SemiMarkov(stats.expon(loc=0.2, scale=0.2))
+    >>> dt.ExpectedPredictor(problem.plant, problem.gains, model).digital(0.01)
+    Feedback(context='mode_age', rows=42, taps=100, inputs=1, step=0.01, dense)
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"]
+    model: Markov | SemiMarkov
+    ages: int | None
+    allow_unstable: bool
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        gains: ArrayLike,
+        model: Markov | SemiMarkov,
+        *,
+        ages: int | None = None,
+        allow_unstable: bool = False,
+    ) -> None:
+        gains = checked_gains(plant, gains, allow_unstable)
+        require_model(model, plant.modes)
+        ages = None if ages is None else count("ages", ages)
+        vars(self).update(
+            plant=plant, gains=gains, model=model, ages=ages, allow_unstable=allow_unstable
+        )
+
+    @property
+    def label(self) -> str:
+        return "expected"
+
+    @remembered
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        plant, model, window = self.plant, self.model, self.window(step)
+        if isinstance(model, Markov):
+            from deadtime.laws.markov_table import markov_table
+
+            return markov_table(plant.A, plant.B, self.gains, model.generator, window)
+        from deadtime.laws.semi_markov_table import semi_markov_table
+
+        ages = min(model.ages(window.step), self.ages or MOST_AGES)
+        hazard = model.hazard(window.step, ages + window.count)
+        return semi_markov_table(
+            plant.A, plant.B, self.gains, hazard, model.transition, ages, window
+        )
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        plant, model = self.plant, self.model
+        if not isinstance(model, Markov):
+            raise ArgumentError(
+                "step must be given: ExpectedPredictor has no closed form in continuous time "
+                "under a SemiMarkov model."
+            )
+        from deadtime.laws.markov_table import markov_forecast
+
+        forecast = markov_forecast(
+            plant.A, plant.B, self.gains, model.generator, plant.delay, signal
+        )
+        if forecast is None:
+            raise ArgumentError(
+                "step must be given: the closed form of ExpectedPredictor in continuous time "
+                f"loses its digits where the mode switches many times per delay, as here with "
+                f"rates up to {model.rates.max():g} 1/s and a delay of {plant.delay:g} s."
+            )
+        return forecast
+
+
+def require_model(model: object, modes: int) -> None:
+    """Refuse what is no switching model, or one for another number of modes."""
+    if not isinstance(model, Markov | SemiMarkov):
+        raise ArgumentError(
+            f"model must be a Markov or a SemiMarkov model, got {type(model).__name__}."
+        )
+    if model.modes != modes:
+        raise ArgumentError(
+            f"model must have the plant's {modes} modes, got {model.modes}: give it one sojourn "
+            "and one row of transition (or rates) per mode."
+        )

@@ -1,0 +1,190 @@
+"""The best causal law for a stochastic model of switching: a yardstick for every other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.checks import count, index, real_array, shaped
+from deadtime.errors import ArgumentError
+from deadtime.feedback import Feedback
+from deadtime.forecast import Forecast
+from deadtime.gains import weight_matrix
+from deadtime.laws.base import TableLaw
+from deadtime.laws.expected import MOST_AGES, require_model
+from deadtime.plant import SwitchedSystem
+from deadtime.steps import Window
+from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
+
+MOST_MEMORY = 4e9
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class OptimalPredictor(TableLaw):
+    """The causal law of least expected cost, given a stochastic model of the switching.
+
+        minimise  E ∫₀^∞ xᵀQx + uᵀRu dt    over all u_k that depend on x(t_0), …, x(t_k), the
+                                           inputs before t_k, and the modes seen up to t_k
+
+    The lifted state ξ = (x_k, u_{k−1}, …, u_{k−N}) under the modes and ages θ is a Markov jump
+    linear system whose jumps are seen, so the optimum is linear in ξ with one row per θ,
+
+        u_k = −(h R + 𝔅ᵀ E_θ(P) 𝔅)⁻¹ 𝔅ᵀ E_θ(P) 𝔄_i ξ_k,
+        P_θ = 𝒬_i + 𝔄_iᵀ E_θ(P) 𝔄_i − 𝔄_iᵀ E_θ(P) 𝔅 (h R + 𝔅ᵀ E_θ(P) 𝔅)⁻¹ 𝔅ᵀ E_θ(P) 𝔄_i,
+
+    E_θ(P) the mean of P one sample later, and the cost between samples counted exactly (𝒬_i;
+    cross terms that appear for N = 1 are included). `ExpectedPredictor` averages what would be
+    right for each future; this law also weighs what a wrong guess costs, and counts on later
+    measurements. Where the modes are alike the two cost nearly the same; where they differ much,
+    this one may have a finite cost and that one none.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The law's model of the plant.
+    model : Markov or SemiMarkov
+        How the mode switches, with as many modes as the plant. A mode's age is counted, and
+        matters, under a semi-Markov model only.
+    Q : array_like, shape (n, n)
+        State weight, symmetric, positive definite.
+    R : array_like, shape (m, m)
+        Input weight, symmetric, positive definite.
+    ages : int, optional
+        The most ages (samples) that a semi-Markov table tells apart; older modes count as that
+        old. By default as many as matter to the model, at most 1,000.
+
+    Raises
+    ------
+    ArgumentError
+        If the weights do not fit the plant or are not definite, or the model does not fit;
+        `digital` raises it if the step does not fit the model's sojourns, the solution would
+        not fit into 4 GB, or e^{2·A·delay} is beyond double precision.
+    InfeasibleError
+        By `digital`, if no causal law has a finite cost: none stabilises in mean square.
+
+    Notes
+    -----
+    In the model switches happen at samples: one that happens within a period is seen at the
+    next sample, and is taken to happen there. That is exact for switches on the grid and O(h)
+    otherwise. The solution takes modes · ages · (n + N m)² numbers of 8 bytes.
+
+    References
+    ----------
+    Costa, Fragoso and Marques, Discrete-Time Markov Jump Linear Systems, Springer 2005,
+    chapter 4 and appendix A.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from scipy import stats
+    >>> plant = dt.problems.paper().plant
+    >>> model = dt.SemiMarkov(stats.expon(loc=0.2, scale=0.2))
+    >>> law = OptimalPredictor(plant, model, Q=[[1, 0], [0, 1]], R=[[1]])
+    >>> law.digital(0.05)
+    Feedback(context='mode_age', rows=10, taps=20, inputs=1, step=0.05, dense)
+    >>> round(law.least_cost([-1, 1], mode=0, step=0.05), 1)
+    349.7
+    """
+
+    plant: SwitchedSystem
+    gains: None
+    model: Markov | SemiMarkov
+    Q: Float[np.ndarray, "n n"]
+    R: Float[np.ndarray, "m m"]
+    ages: int | None
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        model: Markov | SemiMarkov,
+        Q: ArrayLike,
+        R: ArrayLike,
+        *,
+        ages: int | None = None,
+    ) -> None:
+        require_model(model, plant.modes)
+        Q = weight_matrix("Q", Q, plant.states, "n", strict=True)
+        R = weight_matrix("R", R, plant.inputs, "m", strict=True)
+        Q.flags.writeable = R.flags.writeable = False
+        ages = None if ages is None else count("ages", ages)
+        vars(self).update(plant=plant, gains=None, model=model, Q=Q, R=R, ages=ages)
+
+    @property
+    def label(self) -> str:
+        return "optimal"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        return self._solution(step)[0]
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        raise ArgumentError(
+            "step must be given: OptimalPredictor has no closed form in continuous time."
+        )
+
+    def least_cost(self, x0: ArrayLike, mode: int, step: float = 0.01) -> float:
+        """The least expected cost from x(0) = x0 in a mode just entered, with no input under way.
+
+        No causal law run at this period has a lower one, on switching signals of the model with
+        switches at samples.
+
+        Parameters
+        ----------
+        x0 : array_like, shape (n,)
+            State at time 0.
+        mode : int
+            The mode at time 0, of age 0.
+        step : float
+            Sampling period h, in seconds.
+        """
+        n = self.plant.states
+        x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
+        mode = index("mode", mode, self.plant.modes)
+        return float(x0 @ self._solution(step)[1][mode] @ x0)
+
+    def _solution(self, step: float) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
+        """The table at a period, and the cost of x(0) in each mode just entered; the last kept."""
+        kept = vars(self).get("_kept")
+        if kept is None or kept[0].step != step:
+            kept = vars(self)["_kept"] = self._solve(self.window(step))
+        return kept
+
+    def _solve(self, window: Window) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
+        from deadtime.laws.riccati import period, solve
+
+        plant, h, N = self.plant, window.step, window.count
+        hazard, transition = self._chain(h)
+        modes, n, m = plant.B.shape
+        ages = hazard.shape[1]
+        memory = 8.0 * modes * ages * (n + N * m) ** 2
+        if memory > MOST_MEMORY:
+            raise ArgumentError(
+                f"step = {h:g} s asks for {memory / 1e9:.3g} GB, {modes} modes of {ages} ages "
+                f"and N = {N} inputs under way: lengthen it or give fewer `ages`."
+            )
+        root = np.ascontiguousarray(np.linalg.cholesky(self.Q).T)
+        L, stage = period(plant.A, plant.B, root, h, window.phase)
+        P, gain = solve(L, stage, h * self.R, hazard, transition, N, h)
+        F = gain[..., :n].reshape(modes * ages, m, n).copy()
+        G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()
+        cost = P[:, 0, :n, :n]
+        cost = np.tril(cost) + np.tril(cost, -1).transpose(0, 2, 1)
+        context = "mode" if isinstance(self.model, Markov) else "mode_age"
+        return Feedback(F, G, context, h, ages), cost
+
+    def _chain(self, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """Chances of a switch by the next sample (modes, ages), and of each mode after one."""
+        model = self.model
+        if isinstance(model, SemiMarkov):
+            ages = min(model.ages(step), self.ages or MOST_AGES)
+            return model.hazard(step, ages), model.transition.copy()
+        from scipy.linalg import expm
+
+        off = expm(step * model.generator)
+        np.fill_diagonal(off, 0.0)
+        chance = off.sum(axis=1)[:, None]
+        return chance, off / np.maximum(chance, np.finfo(float).tiny)

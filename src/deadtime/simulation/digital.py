@@ -1,0 +1,128 @@
+"""The digital loop of a table law on a known signal, at once in compiled code."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadtime.feedback import Feedback
+from deadtime.laws.base import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.ideal import IdealRecord
+from deadtime.simulation.initial_input import InitialInput, held_samples
+from deadtime.simulation.record import DigitalRecord, PhaseTable
+from deadtime.steps import Cuts, Window, modes_at, snap
+from deadtime.switching import SwitchingSignal
+
+ModeAt = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The samples of a run: how many, the plant's window, and the inputs, history first.
+
+    Attributes
+    ----------
+    inputs : (past + samples, m)
+        u_k is inputs[past + k]; filled by the run from row `past` on.
+    """
+
+    window: Window
+    samples: int
+    past: int
+    inputs: np.ndarray
+
+    @classmethod
+    def of(
+        cls, plant: SwitchedSystem, law: Law, horizon: float, step: float, u0: InitialInput
+    ) -> Grid:
+        """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
+        window = Window.of(plant.delay, step)
+        samples = math.floor(snap(horizon / step)) + 1
+        past = max(window.count, law.window(step).count)
+        inputs = np.zeros((past + samples, plant.inputs))
+        longest = max(plant.delay, law.plant.delay)
+        inputs[:past] = held_samples(u0, plant.inputs, past, step, longest)
+        return cls(window, samples, past, inputs)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a run leaves behind.
+
+    Attributes
+    ----------
+    mode_at : callable
+        σ with switches snapped to the instants that they are within round-off of.
+    end : float or None
+        Where the run ended before its horizon, seconds.
+    diverged : bool
+        Whether it ended because it diverged.
+    note : str
+        What else is worth knowing.
+    """
+
+    record: DigitalRecord | IdealRecord
+    signal: SwitchingSignal
+    mode_at: ModeAt
+    end: float | None
+    diverged: bool = False
+    note: str = ""
+
+
+def run_table(
+    plant: SwitchedSystem, law: Law, signal: SwitchingSignal, x0: np.ndarray, grid: Grid
+) -> Outcome:
+    """Run a table law along a signal."""
+    window, samples, past, inputs = grid.window, grid.samples, grid.past, grid.inputs
+    step = window.step
+    feedback = law.digital(step, signal, samples)
+    cuts = Cuts.of(signal, window)
+    table = PhaseTable.of(plant, window, cuts, samples + window.count - 1)
+
+    def mode_at(time: np.ndarray) -> np.ndarray:
+        return modes_at(signal, time, step)
+
+    rows = feedback.rows(mode_at(np.arange(samples) * step), initial_age(signal, step))
+    kept, states, at_phase = _run(table, window, feedback, rows, x0, inputs, past)
+    record = DigitalRecord(
+        plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept
+    )
+    diverged = kept < samples
+    return Outcome(record, signal, mode_at, (kept - 1) * step if diverged else None, diverged)
+
+
+def initial_age(signal: SwitchingSignal, step: float) -> int:
+    """The age of the first mode at time 0, in samples."""
+    return math.floor(snap(signal.initial_age / step))
+
+
+def _run(
+    table: PhaseTable,
+    window: Window,
+    feedback: Feedback,
+    rows: np.ndarray,
+    x0: np.ndarray,
+    inputs: np.ndarray,
+    past: int,
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
+    from deadtime.simulation.kernel import closed_loop
+
+    contexts, taps, m, _ = feedback.input_gain.shape
+    G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts, m, taps * m)
+    return closed_loop(
+        table.index,
+        table.Phi,
+        table.Gamma,
+        window.count,
+        feedback.state_gain,
+        np.ascontiguousarray(G),
+        rows,
+        x0,
+        inputs,
+        past,
+    )
