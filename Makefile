@@ -6,10 +6,14 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: reproduce test lint types pytest bench examples schema clean
+.PHONY: reproduce study test lint types pytest bench examples schema clean
 
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
+
+# Which law, when: maps and answers, 5 minutes on two cores.
+study: .venv/installed .venv/compiled
+	$(BIN)/deadtime study studies/paper.toml --out study-report
 
 test: lint types pytest
 
@@ -52,5 +56,5 @@ schema: .venv/installed
 	@touch $@
 
 clean:
-	rm -rf .venv report build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv report study-report build dist .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -exec rm -rf {} +

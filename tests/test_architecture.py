@@ -15,13 +15,15 @@ SOURCE = Path(dt.__file__).parent
 RINGS = (
     ("errors", "checks", "wording", "version"),
     ("plant", "switching", "steps", "exponential", "feedback", "forecast"),
-    ("gains", "laws", "lmi", "lyapunov", "stabilization"),
+    ("gains", "laws", "spectrum", "lmi", "lyapunov", "stabilization"),
     ("simulation",),
     ("certificates", "backstepping"),
     ("monte_carlo",),
     ("problems",),
     ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
+    ("fit_plots", "fit_report", "toml_file"),
     ("report", "problem_file"),
+    ("study",),
     ("cli",),
 )
 RING_OF = {name: level for level, ring in enumerate(RINGS) for name in ring}

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import deadtime as dt
+from deadtime.study import load_study
+
 ROOT = Path(__file__).parents[1]
 DOCS = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -27,8 +30,13 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 4
+    assert len(commands) == 6
+    dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
+    (study,) = (command.split()[1] for command in commands if command.startswith("study"))
+    load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones
     for command in commands:
+        if command.startswith("study"):
+            continue
         with pytest.raises(SystemExit) as stopped:
             main(command.split())
         assert stopped.value.code == 0, command

@@ -45,6 +45,22 @@ def test_mean_is_the_element_wise_mean_with_the_same_delay():
     assert (mean.modes, mean.delay) == (1, 1.0)
 
 
+def test_modes_move_apart_from_mode_0_in_proportion():
+    plant = dt.SwitchedSystem([[[1.0]], [[2.0]], [[0.5]]], [[[1.0]], [[1.5]], [[1.0]]], 0.3)
+    far = plant.apart(2.0)
+    np.testing.assert_array_equal(far.A.ravel(), [1.0, 3.0, 0.0])
+    np.testing.assert_array_equal(far.B.ravel(), [1.0, 2.0, 1.0])
+    assert far.delay == 0.3
+    np.testing.assert_array_equal(plant.apart(1.0).A, plant.A)
+    np.testing.assert_array_equal(plant.apart(0.0).A, plant.A[[0, 0, 0]])
+
+
+@pytest.mark.parametrize("alpha", [-0.5, np.inf, np.nan])
+def test_modes_move_apart_by_a_factor_that_is_no_negative_one(alpha):
+    with pytest.raises(dt.ArgumentError, match="alpha must be ≥ 0 and finite"):
+        dt.SwitchedSystem([[[1.0]], [[2.0]]], [[[1.0]], [[1.0]]], 0.3).apart(alpha)
+
+
 def test_from_statespace_keeps_every_matrix():
     systems = [control.ss(a, b, np.eye(2), 0) for a, b in zip(A, B, strict=True)]
     plant = dt.SwitchedSystem.from_statespace(systems, 0.5)

@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.problem_file import json_schema, load_problem
-from deadtime.problem_file.lines import key_lines
+from deadtime.toml_file.lines import key_lines
 
 TEMPLATES = Path(str(files("deadtime"))) / "templates"
 PLAIN = """\

@@ -1,4 +1,5 @@
-"""The command line: `deadtime reproduce`, `simulate`, `bound`, `init`, `schema`.
+"""The command line: `deadtime reproduce`, `simulate`, `bound`, `fit`, `study`, `init`,
+`schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 2 when
 something in the request is wrong, 130 when interrupted. Errors are one line on stderr.
@@ -20,8 +21,11 @@ from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from deadtime.comparison import Comparison
     from deadtime.problems import Problem
+    from deadtime.study.phrases import Answer
 
 app = App(
     name="deadtime",
@@ -156,7 +160,7 @@ def bound(
     from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
 
     chosen = _problem(problem)
-    dwell = chosen.signal.dwell_time if dwell_time is None else dwell_time
+    dwell = chosen.given_signal.dwell_time if dwell_time is None else dwell_time
     bounds = bounds_of(chosen, min(dwell, 1e6 * chosen.horizon))
     if json_output:
         print(json.dumps(bounds_record(bounds), indent=2, ensure_ascii=False))
@@ -165,6 +169,101 @@ def bound(
     rows = bound_rows(bounds, chosen.constants)
     _print_table((*headings, "figure in the text") if chosen.constants else headings, rows)
     print("\n" + bound_sentence(bounds))
+
+
+@app.command
+def fit(
+    *logs: Path,
+    family: str = "auto",
+    first: Literal["whole", "drop"] = "whole",
+    labels: dict[str, int] | None = None,
+    out: Annotated[Path, Parameter(alias="-o")] = Path("fit.png"),
+    json_output: Annotated[bool, Parameter(name="--json", negative="")] = False,
+) -> None:
+    """Fit a model of the switching to logs, and print it as a section for a problem file.
+
+    Examples: `deadtime fit log.csv`, `deadtime fit week-*.csv --first drop`,
+    `deadtime fit log.csv --labels.throttle 0 --labels.brake 1`.
+
+    Parameters
+    ----------
+    logs
+        CSV files with the columns time (seconds) and mode.
+    family
+        Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
+        lognormal, fixed; auto takes the best.
+    first
+        drop, if the logs begin in the middle of a sojourn.
+    labels
+        Mode of each text in the logs.
+    out
+        The figure, PNG, SVG or PDF.
+    json_output
+        Print the fit as JSON instead of text.
+    """
+    from deadtime import fit_report
+    from deadtime.fit_plots import plot_fit
+    from deadtime.switching import SemiMarkov, SwitchingSignal
+
+    if not logs:
+        raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    signals = [SwitchingSignal.from_csv(log, labels=labels) for log in logs]
+    model = SemiMarkov.fit(signals, family=family, first=first)
+    texts = {mode: text for text, mode in (labels or {}).items()}
+    names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
+    _save_figure(plot_fit(model, signals, names, first=first), out)
+    if json_output:
+        print(json.dumps(fit_report.fit_record(model, names), indent=2, ensure_ascii=False))
+        return
+    _print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
+    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{fit_report.switching_section(model)}")
+    print(f"\nFigure: {out}")
+
+
+@app.command
+def study(
+    file: Path,
+    *,
+    out: Annotated[Path, Parameter(alias="-o")] = Path("study-report"),
+    scenarios: int | None = None,
+    workers: int | None = None,
+    json_output: Annotated[bool, Parameter(name="--json", negative="")] = False,
+) -> None:
+    """Run laws over a grid of plants and switching, and write a report with maps and answers.
+
+    Examples: `deadtime study studies/paper.toml`,
+    `deadtime study studies/paper.toml --scenarios 20 --out quick-look`.
+
+    Parameters
+    ----------
+    file
+        A study file; studies/paper.toml is a commented one.
+    out
+        Folder for the report.
+    scenarios
+        Signals per cell of the grid, instead of the file's.
+    workers
+        Processes; as many as there are processors by default. The result is the same.
+    json_output
+        Print the findings as JSON instead of text.
+    """
+    from dataclasses import replace
+
+    from deadtime.checks import count
+    from deadtime.study import load_study
+    from deadtime.study.report import write_study
+
+    chosen, command = load_study(file), f"deadtime study {file}"
+    if scenarios is not None:
+        chosen = replace(chosen, scenarios=count("scenarios", scenarios))
+        command += f" --scenarios {scenarios}"
+    with _progress(chosen.size + 1, quiet=json_output) as advance:
+        report = write_study(chosen, out, workers, advance, command)
+    if json_output:
+        print((out / "metrics.json").read_text(encoding="utf-8"), end="")
+        return
+    _print_answers(chosen.title, report.answers)
+    print(f"Report: {report.path}")
 
 
 @app.command
@@ -206,11 +305,15 @@ def _save_figures(result: Comparison, path: Path) -> list[Path]:
         second = path.with_stem(path.stem + "-all-laws")
         figures.append((second, plotting.plot_norms(result.runs)))
     for target, figure in figures:
-        try:
-            figure.savefig(target)
-        except (OSError, ValueError) as error:
-            raise ArgumentError(f"figure {str(target)!r} cannot be written: {error}") from None
+        _save_figure(figure, target)
     return [target for target, _ in figures]
+
+
+def _save_figure(figure: Figure, target: Path) -> None:
+    try:
+        figure.savefig(target)
+    except (OSError, ValueError) as error:
+        raise ArgumentError(f"figure {str(target)!r} cannot be written: {error}") from None
 
 
 def _print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
@@ -224,6 +327,18 @@ def _print_result(problem: Problem, sentences: list[str], result: Comparison) ->
         console.print(f"• {sentence}", markup=False)
     console.print()
     _print_table(HEADINGS, table(result.metrics))
+
+
+def _print_answers(title: str, answers: Sequence[Answer]) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False, soft_wrap=False)
+    console.print(title, style="bold", markup=False)
+    for answer in answers:
+        console.print(f"\n{answer.question}", markup=False)
+        for sentence in answer.sentences:
+            console.print(f"• {sentence}", markup=False)
+    console.print()
 
 
 def _print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

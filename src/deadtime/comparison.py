@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
+from deadtime.switching import SwitchingSignal
 
 Progress = Callable[[str], None]
 
@@ -33,6 +34,11 @@ class Comparison:
     metrics: Mapping[str, Mapping[str, float]]
     held: tuple[Trajectory, ...]
     growth: tuple[float, ...]
+
+    @property
+    def signal(self) -> SwitchingSignal:
+        """The switching signal of the problem; what the first law's run made of it for a rule."""
+        return self.runs[self.lead].signal
 
     @property
     def lead(self) -> str:

@@ -97,9 +97,11 @@ def plot_run(
             middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=label)
         upper.set_ylabel("state")
         middle.set_ylabel("input")
-        _mode_strip(lower, *_steps(run.signal, float(run.time[-1])), modes)
+        # A run that ended at once still needs an axis.
+        end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
+        _mode_strip(lower, *_steps(run.signal, end), modes)
         lower.set_xlabel("time (s)")
-        lower.set_xlim(run.time[0], run.time[-1])
+        lower.set_xlim(run.time[0], end)
         figure.align_ylabels()
         figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, "u")))
         if title:
@@ -201,7 +203,7 @@ def plot_verdict(result: Comparison) -> Figure:
             label = f"stays in {plain(problem.modes[i])}: {signed(rate)} /s"
             axes.semilogy(held.time[shown], visible(norm), color=COLOURS[1 + i % 5], label=label)
         norm = np.linalg.norm(run.states, axis=0)
-        switching = problem.signal.times[1:].size and problem.signal.times[1] < run.end
+        switching = run.signal.times[1:].size and run.signal.times[1] < run.end
         label = "switches" if switching else "as given"
         norm = visible(norm)
         axes.semilogy(run.time, norm, color=COLOURS[0], linewidth=2.0, label=label)

@@ -29,7 +29,7 @@ from deadtime.laws import (
 )
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import Rule, SwitchingSignal
 from deadtime.wording import subscript
 
 _SIGNAL_NOTE = (
@@ -59,7 +59,7 @@ class Problem:
     source : str
         Where the numbers come from.
     plant, gains, signal, x0, horizon, step
-        As `simulate` takes them.
+        As `simulate` takes them; `signal` may be a rule by which the state decides the mode.
     u0 : float or array_like, shape (m,)
         Constant input before time 0.
     laws : mapping
@@ -81,7 +81,7 @@ class Problem:
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"]
     laws: Mapping[str, Law]
-    signal: SwitchingSignal
+    signal: SwitchingSignal | Rule
     x0: Float[np.ndarray, " n"]
     horizon: float
     step: float | None = 0.01
@@ -100,6 +100,16 @@ class Problem:
             names = tuple(f"mode {i}" for i in range(self.plant.modes))
             object.__setattr__(self, "modes", names)
 
+    @property
+    def given_signal(self) -> SwitchingSignal:
+        """The switching signal, for what needs one before the run; an error for a rule."""
+        if not isinstance(self.signal, SwitchingSignal):
+            raise ArgumentError(
+                f"signal of the problem {self.name!r} is not known in advance: its state decides "
+                "the mode."
+            )
+        return self.signal
+
     def simulate(self, law: str, signal: SwitchingSignal | None = None) -> Trajectory:
         """Run one of the problem's laws, on the problem's signal or on another.
 
@@ -110,9 +120,9 @@ class Problem:
         """
         if law not in self.laws:
             raise ArgumentError(f"law must be one of {sorted(self.laws)}, got {law!r}.")
-        signal = self.signal if signal is None else signal
+        given = self.signal if signal is None else signal
         return simulate(
-            self.plant, self.laws[law], signal, self.x0, self.horizon, self.step, self._history()
+            self.plant, self.laws[law], given, self.x0, self.horizon, self.step, self._history()
         )
 
     def hold(self, mode: int, horizon: float) -> Trajectory:

@@ -20,6 +20,7 @@ from deadtime.constants_table import bound_rows, bound_sentence, bounds_of
 from deadtime.errors import ArgumentError, InfeasibleError
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
+from deadtime.switching import SwitchingSignal
 from deadtime.verdict import HEADINGS, table, verdict
 from deadtime.version import __version__
 
@@ -41,7 +42,7 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
     On the paper's example the first six are Figures 1 to 6 of the paper.
     """
     problem = result.problem
-    signal, delay, end = problem.signal, problem.plant.delay, problem.horizon
+    signal, delay, end = result.signal, problem.plant.delay, problem.horizon
     yield (
         "window",
         "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",
@@ -49,7 +50,8 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
     )
     yield (
         "signal",
-        "The switching signal of every run: active mode in blue, switching instants in black.",
+        f"The switching signal of {_whose(result)}: active mode in blue, switching instants in "
+        "black.",
         plotting.plot_signal(signal, end, problem.modes),
     )
     for name, run in result.runs.items():
@@ -99,6 +101,12 @@ def write_report(
         ) from None
 
 
+def _whose(result: Comparison) -> str:
+    """Which runs have the signal that is shown."""
+    given = isinstance(result.problem.signal, SwitchingSignal)
+    return "every run" if given else f"the run under the law “{result.lead}”"
+
+
 def _is_shown(problem: Problem, law: str) -> bool:
     """Whether a law has a figure of its own: all but a baseline that others are held against."""
     return len(problem.laws) == 1 or not isinstance(problem.laws[law], DelayedStateFeedback)
@@ -116,14 +124,14 @@ def _write(problem: Problem, folder: Path, progress: Progress, command: str) -> 
     sentences = verdict(result)
     progress("drawing: verdict")
     caption = "The same law with and without switching."
-    picture = _save(plotting.plot_verdict(result), folder, "verdict", caption)
+    picture = save_figure(plotting.plot_verdict(result), folder, "verdict", caption)
     images = []
     for number, (name, caption, figure) in enumerate(figures_of(result), 1):
         progress(f"drawing: {name}")
-        images.append(_save(figure, folder, f"figure-{number}-{name}", caption))
+        images.append(save_figure(figure, folder, f"figure-{number}-{name}", caption))
     audited = _audit(problem, folder, progress)
     progress("computing: constants")
-    constants = _constants(problem)
+    constants = _constants(result)
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
@@ -154,13 +162,13 @@ def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any]
     images = []
     for name, (draw, caption) in figures.items():
         progress(f"drawing: {name}")
-        images.append(_save(draw(claims), folder, name, caption))
+        images.append(save_figure(draw(claims), folder, name, caption))
     return {"claims": claims, "figures": images, "scenarios": SCENARIOS}
 
 
-def _constants(problem: Problem) -> dict[str, Any]:
+def _constants(result: Comparison) -> dict[str, Any]:
     """The theorem's constants in three forms, or why there are none."""
-    dwell_time = problem.signal.dwell_time
+    problem, dwell_time = result.problem, result.signal.dwell_time
     dwell_time = dwell_time if np.isfinite(dwell_time) else problem.horizon
     try:
         bounds = bounds_of(problem, dwell_time)
@@ -174,7 +182,7 @@ def _constants(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _save(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
+def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
     """Save as SVG and PNG; return the PNG inlined for the page."""
     figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
     buffer = BytesIO()
@@ -238,6 +246,7 @@ def _page(
     ).get_template("report.html.j2")
     return template.render(
         problem=problem,
+        one_signal=isinstance(problem.signal, SwitchingSignal),
         plant=plant,
         sentences=sentences,
         picture=picture,

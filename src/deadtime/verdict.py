@@ -11,6 +11,7 @@ from deadtime.comparison import Comparison
 from deadtime.laws import (
     DelayedStateFeedback,
     ExactPredictor,
+    ExpectedPredictor,
     Law,
     MeanPredictor,
     SingleModePredictor,
@@ -47,7 +48,8 @@ def _named(result: Comparison, kind: type[Law]) -> list[str]:
 
 
 def _law(name: str) -> str:
-    return {"averaged": "the averaged law", "mean": "the mean law"}.get(name, f"the law “{name}”")
+    known = ("averaged", "mean", "expected")
+    return f"the {name} law" if name in known else f"the law “{name}”"
 
 
 def _start(result: Comparison) -> float:
@@ -62,7 +64,7 @@ def _grows(result: Comparison, name: str) -> bool:
 
 def _headline(result: Comparison) -> str:
     problem, run = result.problem, result.runs[result.lead]
-    signal = problem.signal
+    signal = result.signal
     switches = int(np.sum(signal.times[1:] < run.end))
     setting = f"in {problem.horizon:g} s without a switch"
     if switches:
@@ -75,6 +77,8 @@ def _headline(result: Comparison) -> str:
     law = law[0].upper() + law[1:]
     if run.diverged:
         return f"{law} loses the plant {setting}: {run.message}"
+    if run.end < problem.horizon:
+        return f"The run of {_law(result.lead)} ends early: {run.message}"
     row, start = result.metrics[result.lead], _start(result)
     origin = amount(start) if start else f"a peak of {amount(row['peak'])}"
     if not _grows(result, result.lead):
@@ -142,12 +146,12 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
         f"Compared with an oracle that knows the future, {_law(result.lead)} costs "
         f"{_times(result, result.lead, oracle)} as much"
     )
-    for mean in _named(result, MeanPredictor)[:1]:
-        lead, other = (result.metrics[name]["cost"] for name in (result.lead, mean))
-        better = _law(mean) if other < lead else _law(result.lead)
-        text += (
-            f", {_law(mean)} {_times(result, mean, oracle)}: on this signal {better} is the cheaper"
-        )
+    others = [*_named(result, MeanPredictor)[:1], *_named(result, ExpectedPredictor)[:1]]
+    text += "".join(f", {_law(name)} {_times(result, name, oracle)}" for name in others)
+    if others:
+        best = min((result.lead, *others), key=lambda name: result.metrics[name]["cost"])
+        word = "cheaper" if len(others) == 1 else "cheapest"
+        text += f": on this signal {_law(best)} is the {word}"
     return text + "."
 
 

@@ -137,7 +137,7 @@ def gather_all(
     problem: Problem, dwell_time: float, scenarios: int, seed: int, progress: Progress
 ) -> Evidence:
     """The evidence on the problem's own signal and on random ones."""
-    one = gather(problem, [problem.signal], lambda: None)
+    one = gather(problem, [problem.given_signal], lambda: None)
     signals = random_signals(problem, dwell_time, scenarios, seed)
     many = gather(
         problem, signals, lambda: progress(f"audit: every law on {scenarios:,} random signals")

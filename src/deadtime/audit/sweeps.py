@@ -13,7 +13,6 @@ from deadtime.comparison import Progress
 from deadtime.gains import place
 from deadtime.laws import AveragedPredictor, MeanPredictor
 from deadtime.monte_carlo import monte_carlo
-from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.switching import SwitchingSignal
 from deadtime.wording import amount
@@ -74,11 +73,7 @@ def stretched(signal: SwitchingSignal, factor: float) -> SwitchingSignal:
 
 def moved(problem: Problem, alpha: float) -> tuple[Problem, float]:
     """The problem with its modes α times as far from mode 0, gains placed anew; and its ε."""
-
-    def apart(M: np.ndarray) -> np.ndarray:
-        return M[0] + alpha * (M - M[0])
-
-    plant = SwitchedSystem(apart(problem.plant.A), apart(problem.plant.B), problem.plant.delay)
+    plant = problem.plant.apart(alpha)
     gains = place(plant, POLES)
     laws = {
         LEAD: AveragedPredictor(plant, gains),
@@ -101,7 +96,7 @@ def claims_about_dwell_time(
             continue
         progress(f"audit: laws (2) and (80), dwell time {time:g} s")
         # The problem's own signal is too short to be run faster, only slower.
-        own = stretched(problem.signal, max(factor, 1.0))
+        own = stretched(problem.given_signal, max(factor, 1.0))
         runs.append(pairs(problem, own, random_signals(problem, time, count, seed)))
     yield _better_when_shorter(runs, times)
     yield _gains_when_shorter(runs, times)
@@ -173,7 +168,7 @@ def claim_about_distance(evidence: Evidence, count: int, seed: int, progress: Pr
             runs.append(at_the_example(evidence, count))
             continue
         progress(f"audit: laws (2) and (80), distance of the modes × {alpha:g}")
-        runs.append(pairs(apart, problem.signal, signals))
+        runs.append(pairs(apart, problem.given_signal, signals))
     return _bears_more(runs, epsilons)
 
 

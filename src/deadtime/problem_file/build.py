@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,31 +14,20 @@ from deadtime.laws import (
     AveragedPredictor,
     DelayedStateFeedback,
     ExactPredictor,
+    ExpectedPredictor,
     Law,
     MeanPredictor,
+    OptimalPredictor,
     SingleModePredictor,
+    StateDependentPredictor,
 )
 from deadtime.laws.base import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file import schema
+from deadtime.problem_file.switching import Model, build_model, build_rule, build_signal
 from deadtime.problems import Problem, comparison_laws
-from deadtime.switching import SwitchingSignal
-
-
-class SectionError(ArgumentError):
-    """Something is wrong in one section of the file; `path` says where."""
-
-    def __init__(self, message: str, path: tuple) -> None:
-        super().__init__(message)
-        self.path = path
-
-
-@contextmanager
-def _section(*path: str | int) -> Iterator[None]:
-    try:
-        yield
-    except ArgumentError as error:
-        raise SectionError(str(error), path) from None
+from deadtime.switching import Rule
+from deadtime.toml_file import section as _section
 
 
 def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
@@ -50,19 +38,13 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         modes = _names("modes", file.plant.modes, plant.modes)
     with _section("gains"):
         gains = _gains(plant, file.gains)
-    laws: dict[str, Law] = {}
-    for i, section in enumerate(file.law):
-        with _section("law", i):
-            law = _law(plant, gains, file, section)
-            name = section.name or law.label
-            if name in laws:
-                raise ArgumentError(f"name {name!r} is used twice: give the law another name.")
-            laws[name] = law
-    if not laws:
-        with _section("gains"):
-            allow = file.gains.allow_unstable
-            mean = _mean_law(plant, gains, file, None, allow) if plant.modes > 1 else None
-            laws = comparison_laws(plant, gains, mean, allow)
+    with _section("switching"):
+        model = build_model(file.switching, plant.modes, source.parent)
+    with _section("signal"):
+        rule = build_rule(file.signal)
+        if rule is not None:
+            rule.require(plant)
+    laws = _laws(_Parts(plant, gains, file, model, rule))
     with _section("run"):
         run = file.run
         x0 = shaped("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
@@ -73,8 +55,12 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         step = None if run.step == "ideal" else positive("step", run.step)
     with _section("signal"):
         longest = max(plant.delay, *(law.plant.delay for law in laws.values()))
-        signal = _signal(file.signal, plant, horizon + longest + (step or 0.0), source)
-        signal.require_modes(plant.modes)
+        if rule is None:
+            end = horizon + longest + (step or 0.0)
+            signal = build_signal(file.signal, plant, end, source.parent, model)
+            signal.require_modes(plant.modes)
+        else:
+            signal = rule
     return Problem(
         name=source.stem,
         title=file.title or source.stem,
@@ -121,27 +107,120 @@ def _numbers(poles: list) -> list:
         ) from None
 
 
-def _law(
-    plant: SwitchedSystem, gains: np.ndarray, file: schema.ProblemFile, section: schema.LawSection
-) -> Law:
-    own = section.model
-    model = SwitchedSystem(
-        plant.A if own.A is None else own.A,
-        plant.B if own.B is None else own.B,
-        plant.delay if own.delay is None else own.delay,
+@dataclass(frozen=True)
+class _Parts:
+    """What laws are built from."""
+
+    plant: SwitchedSystem
+    gains: np.ndarray
+    file: schema.ProblemFile
+    model: Model | None
+    rule: Rule | None
+
+
+def _laws(parts: _Parts) -> dict[str, Law]:
+    """The laws of the file by name, or all that apply if it lists none."""
+    laws: dict[str, Law] = {}
+    for i, section in enumerate(parts.file.law):
+        with _section("law", i):
+            law = _law(parts, section)
+            name = section.name or law.label
+            if name in laws:
+                raise ArgumentError(f"name {name!r} is used twice: give the law another name.")
+            laws[name] = law
+    return laws or _all_laws(parts)
+
+
+def _all_laws(parts: _Parts) -> dict[str, Law]:
+    """The paper's laws, and those that use what the file says about the switching."""
+    plant, gains, file = parts.plant, parts.gains, parts.file
+    allow = file.gains.allow_unstable
+    with _section("gains"):
+        mean = _mean_law(plant, gains, file, None, allow) if plant.modes > 1 else None
+        laws = comparison_laws(plant, gains, mean, allow)
+    if parts.model is not None:
+        with _section("switching"):
+            law = ExpectedPredictor(plant, gains, parts.model, allow_unstable=allow)
+            laws[law.label] = law
+    if parts.rule is not None:
+        law = StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
+        # The oracle knows a signal, and there is none before the run.
+        laws = {law.label: law} | {
+            name: one for name, one in laws.items() if not isinstance(one, ExactPredictor)
+        }
+    return laws
+
+
+def _law(parts: _Parts, section: schema.LawSection) -> Law:
+    file, gains, own = parts.file, parts.gains, section.model
+    plant = SwitchedSystem(
+        parts.plant.A if own.A is None else own.A,
+        parts.plant.B if own.B is None else own.B,
+        parts.plant.delay if own.delay is None else own.delay,
     )
     allow = file.gains.allow_unstable or own.A is not None or own.B is not None
     match section:
+        case schema.AveragedLaw(weights="minimax"):
+            return AveragedPredictor.minimax(
+                plant,
+                gains,
+                _period(file, plant),
+                common_gain=section.common_gain,
+                dwell_time=section.dwell_time,
+                allow_unstable=allow,
+            )
+        case schema.AveragedLaw(common_gain=True):
+            raise ArgumentError('common_gain = true goes with weights = "minimax" only.')
         case schema.AveragedLaw():
-            return AveragedPredictor(model, gains, section.weights, allow_unstable=allow)
+            return AveragedPredictor(
+                plant, gains, section.weights, section.dwell_time, allow_unstable=allow
+            )
         case schema.SingleLaw():
-            return SingleModePredictor(model, gains, section.mode, allow_unstable=allow)
+            return SingleModePredictor(plant, gains, section.mode, allow_unstable=allow)
         case schema.MeanLaw():
-            return _mean_law(model, gains, file, section, allow)
+            return _mean_law(plant, gains, file, section, allow)
+        case schema.ExpectedLaw():
+            model = _required(parts.model, section.kind)
+            return ExpectedPredictor(plant, gains, model, ages=section.ages, allow_unstable=allow)
+        case schema.OptimalLaw():
+            return _optimal_law(plant, file, section, _required(parts.model, section.kind))
         case schema.ExactLaw():
-            return ExactPredictor(model, gains, allow_unstable=allow)
+            if parts.rule is not None:
+                raise ArgumentError(
+                    'kind = "exact" needs a signal that is known in advance, but the state '
+                    'decides the mode: use kind = "state-dependent", which is exact there.'
+                )
+            return ExactPredictor(plant, gains, allow_unstable=allow)
+        case schema.StateDependentLaw():
+            if parts.rule is None:
+                raise ArgumentError(
+                    'kind = "state-dependent" needs a [signal] of kind "half-space" or '
+                    '"polyhedra": that is the rule it runs forward.'
+                )
+            return StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
         case _:
-            return DelayedStateFeedback(model, gains, allow_unstable=allow)
+            return DelayedStateFeedback(plant, gains, allow_unstable=allow)
+
+
+def _period(file: schema.ProblemFile, plant: SwitchedSystem) -> float:
+    """The sampling period of the run; a fine one where the law is updated continuously."""
+    return plant.delay / 100.0 if file.run.step == "ideal" else positive("step", file.run.step)
+
+
+def _required(model: Model | None, kind: str) -> Model:
+    if model is None:
+        raise ArgumentError(f"kind = {kind!r} needs a [switching] section: a model to rely on.")
+    return model
+
+
+def _optimal_law(
+    plant: SwitchedSystem, file: schema.ProblemFile, section: schema.OptimalLaw, model: Model
+) -> OptimalPredictor:
+    """The optimal law for its own weights, or those of the gains, or the identity."""
+    weights = file.gains.lqr
+    Q = section.Q or (weights.Q if weights else np.eye(plant.states))
+    R = section.R or (weights.R if weights else np.eye(plant.inputs))
+    return OptimalPredictor(plant, model, Q, R)
 
 
 def _mean_law(
@@ -165,30 +244,5 @@ def _mean_law(
         gain = gains.mean(axis=0)
     else:
         gain = _gains(SwitchedSystem(A[None], B[None], model.delay), file.gains)[0]
-    return MeanPredictor(model, gain, gains, mean=(A, B), allow_unstable=allow)
-
-
-def _signal(
-    section: schema.Signal, plant: SwitchedSystem, end: float, source: Path
-) -> SwitchingSignal:
-    """The switching signal; made ones are long enough for the oracle's last prediction."""
-    match section:
-        case schema.ConstantSignal():
-            return SwitchingSignal.constant(section.mode)
-        case schema.RandomSignal():
-            return SwitchingSignal.random(plant.modes, end, **section.model_dump(exclude={"kind"}))
-        case schema.PeriodicSignal():
-            signal = SwitchingSignal.periodic(section.sojourns, section.modes, end)
-        case schema.SwitchesSignal():
-            known = np.inf if section.end is None else section.end
-            signal = SwitchingSignal(section.times, section.modes, known)
-        case schema.LogSignal():
-            signal = SwitchingSignal.from_csv(
-                source.parent / section.file,
-                modes=plant.modes,
-                labels=section.labels,
-                end=section.end,
-            )
-    if section.dwell_time is not None:
-        signal.require_dwell_time(section.dwell_time)
-    return signal
+    dwell_time = None if section is None else section.dwell_time
+    return MeanPredictor(model, gain, gains, dwell_time, (A, B), allow_unstable=allow)

@@ -75,7 +75,17 @@ class AveragedLaw(LawSection):
     """Average of the modes' exact predictor feedbacks."""
 
     kind: Literal["averaged"]
-    weights: Vector | None = Field(None, description="Probability of each mode; equal by default.")
+    weights: Vector | Literal["minimax"] | None = Field(
+        None,
+        description='Probability of each mode; equal by default; "minimax" finds those with the '
+        "least growth rate of the worst mode.",
+    )
+    common_gain: bool = Field(
+        False, description="With minimax weights: one gain for all modes, tuned as well."
+    )
+    dwell_time: float | None = Field(
+        None, description="Trust the current mode for the rest of this dwell time, seconds."
+    )
 
 
 class SingleLaw(LawSection):
@@ -92,6 +102,24 @@ class MeanLaw(LawSection):
     gain: Matrix | None = Field(None, description="K̄, m × n; needed when gains are given as K.")
     A: Matrix | None = Field(None, description="Ā; the element-wise mean by default.")
     B: Matrix | None = Field(None, description="B̄; the element-wise mean by default.")
+    dwell_time: float | None = Field(
+        None, description="Trust the current mode for the rest of this dwell time, seconds."
+    )
+
+
+class ExpectedLaw(LawSection):
+    """Expected predictor feedback under the file's [switching] model."""
+
+    kind: Literal["expected"]
+    ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
+
+
+class OptimalLaw(LawSection):
+    """The best causal law under the file's [switching] model, for ∫ xᵀQx + uᵀRu."""
+
+    kind: Literal["optimal"]
+    Q: Matrix | None = Field(None, description="n × n; that of [gains.lqr], or I, by default.")
+    R: Matrix | None = Field(None, description="m × m; that of [gains.lqr], or I, by default.")
 
 
 class ExactLaw(LawSection):
@@ -100,10 +128,58 @@ class ExactLaw(LawSection):
     kind: Literal["exact"]
 
 
+class StateDependentLaw(LawSection):
+    """Exact predictor feedback where the state decides the mode, by the rule in [signal]."""
+
+    kind: Literal["state-dependent"]
+
+
 class DelayedLaw(LawSection):
     """State feedback that ignores the delay."""
 
     kind: Literal["delayed"]
+
+
+class SojournSection(Section):
+    """A distribution of scipy.stats by its name there, with its parameters."""
+
+    model_config = ConfigDict(extra="allow", strict=False, title=None)
+
+    distribution: str = Field(description='Name in scipy.stats, such as "expon" or "gamma".')
+
+
+Sojourn = float | SojournSection
+
+
+class MarkovSwitching(Section):
+    """A Markov process of the mode."""
+
+    kind: Literal["markov"]
+    rates: Matrix = Field(description="Rates from mode (row) to mode (column), 1/s.")
+
+
+class SemiMarkovSwitching(Section):
+    """Random sojourns, then a random next mode."""
+
+    kind: Literal["semi-markov"]
+    sojourn: Sojourn | list[Sojourn] = Field(
+        description="Seconds in a mode: a number, or { distribution = …, … }; or one per mode."
+    )
+    transition: Matrix | None = Field(
+        None, description="Probabilities of the next mode; uniform by default."
+    )
+
+
+class FittedSwitching(Section):
+    """A semi-Markov model fitted from logs."""
+
+    kind: Literal["fitted"]
+    logs: list[str] = Field(description="CSV logs, paths relative to the problem file.")
+    family: str | list[str] = Field("auto", description="Family of the sojourns, or one per mode.")
+    first: Literal["whole", "drop"] = Field(
+        "whole", description='"drop" if the logs begin in mid-sojourn.'
+    )
+    labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
 
 
 class ConstantSignal(Section):
@@ -153,6 +229,36 @@ class LogSignal(Section):
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
 
+class ModelSignal(Section):
+    """A signal drawn from the file's [switching] model."""
+
+    kind: Literal["model"]
+    seed: int = 0
+
+
+class HalfSpaceSignal(Section):
+    """Switching by the state: mode 1 where normal·x ≥ offset, mode 0 elsewhere."""
+
+    kind: Literal["half-space"]
+    normal: Vector
+    offset: float = 0.0
+
+
+class Region(Section):
+    """Where H x ≤ h."""
+
+    H: Matrix
+    h: Vector
+    mode: int
+
+
+class PolyhedraSignal(Section):
+    """Switching by the state: the mode of the region that holds it."""
+
+    kind: Literal["polyhedra"]
+    regions: list[Region] = Field(description="Together they must fill the space.")
+
+
 class RunSection(Section):
     """The simulation."""
 
@@ -165,10 +271,28 @@ class RunSection(Section):
 
 
 Law = Annotated[
-    AveragedLaw | SingleLaw | MeanLaw | ExactLaw | DelayedLaw, Field(discriminator="kind")
+    AveragedLaw
+    | SingleLaw
+    | MeanLaw
+    | ExpectedLaw
+    | OptimalLaw
+    | ExactLaw
+    | StateDependentLaw
+    | DelayedLaw,
+    Field(discriminator="kind"),
+]
+Switching = Annotated[
+    MarkovSwitching | SemiMarkovSwitching | FittedSwitching, Field(discriminator="kind")
 ]
 Signal = Annotated[
-    ConstantSignal | PeriodicSignal | RandomSignal | SwitchesSignal | LogSignal,
+    ConstantSignal
+    | PeriodicSignal
+    | RandomSignal
+    | SwitchesSignal
+    | LogSignal
+    | ModelSignal
+    | HalfSpaceSignal
+    | PolyhedraSignal,
     Field(discriminator="kind"),
 ]
 
@@ -181,6 +305,9 @@ class ProblemFile(Section):
     plant: PlantSection
     gains: GainsSection
     law: list[Law] = Field([], description="Laws to run, in order; all of the paper's by default.")
+    switching: Switching | None = Field(
+        None, description="A stochastic model of the switching, for laws and signals that use one."
+    )
     signal: Signal
     run: RunSection
 

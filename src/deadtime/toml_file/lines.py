@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path as File
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"\s*([A-Za-z0-9_.\-\"']+)\s*=")
@@ -51,3 +52,8 @@ def line_of(lines: dict[Path, int], path: Path) -> int | None:
             return lines[path]
         path = path[:-1]
     return None
+
+
+def at_line(source: File, line: int | None) -> str:
+    """A file and a line of it, for the beginning of a message."""
+    return str(source) if line is None else f"{source}, line {line}"

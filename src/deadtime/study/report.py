@@ -1,0 +1,187 @@
+"""The report of a study: answers, maps, data, and one HTML page that opens with the answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deadtime.errors import ArgumentError
+from deadtime.report import save_figure
+from deadtime.study import maps
+from deadtime.study.answers import answers
+from deadtime.study.laws import LEVELS, ORACLE, knowledge_of, within
+from deadtime.study.phrases import Answer, the_law
+from deadtime.study.record import record_of, write_cells
+from deadtime.study.run import Progress, run_study
+from deadtime.study.sojourns import FAMILIES
+from deadtime.study.study import AXES, Study
+from deadtime.version import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+FEWER_KNOWN = {
+    "nothing": "laws that know nothing of the switching",
+    "the dwell time": "laws that know the dwell time at most",
+    "the distribution": "all laws but the oracle",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class StudyReport:
+    """What was written, what it says, and what it is made from."""
+
+    path: Path
+    answers: list[Answer]
+    data: xr.Dataset
+
+
+def write_study(
+    study: Study,
+    folder: str | Path,
+    workers: int | None = None,
+    progress: Progress = lambda _: None,
+    command: str = "",
+) -> StudyReport:
+    """Run a study and write its report into a folder.
+
+    Writes index.html (self-contained), figures/ (PNG and SVG), data/study.nc (every run, netCDF),
+    data/cells.csv (a row per cell and law) and metrics.json; files of the same names are
+    replaced, others are left alone.
+
+    Parameters
+    ----------
+    study : Study
+        From `load_study`.
+    folder : path
+        Made if it does not exist, before anything is run.
+    workers, progress
+        As in `run_study`; progress is called `study.size + 1` times.
+    command : str
+        How to make the report again, for its last line.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder cannot be written.
+    WorkerError
+        If a worker process dies.
+    """
+    folder = Path(folder)
+    with _writing(folder):
+        for part in ("figures", "data"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+    data = run_study(study, workers, progress)
+    progress("drawing and writing")
+    with _writing(folder):
+        data.to_netcdf(folder / "data" / "study.nc", engine="scipy")
+        return write_findings(study, data, folder, command)
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ArgumentError(
+            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
+        ) from None
+
+
+def write_findings(study: Study, data: xr.Dataset, folder: Path, command: str = "") -> StudyReport:
+    """Everything but the runs themselves, from the dataset of `run_study`."""
+    found, failures = answers(data), json.loads(data.attrs["failures"])
+    write_cells(data, folder / "data" / "cells.csv")
+    record = record_of(data, found)
+    text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    causal = [law for law in study.laws if law != ORACLE]
+    caption = "∫|x|² over the oracle’s, geometric mean and 95 % interval, on one line of the grid."
+    picture = save_figure(maps.plot_lines(data, causal), folder, "lines", caption)
+    page = _page(
+        study,
+        command=command,
+        answers=[(answer, list(_duels(data, answer, folder))) for answer in found],
+        picture=picture,
+        winners=list(_winners(data, causal, folder)),
+        laws=[(law, the_law(law), list(_alone(data, law, folder))) for law in study.laws],
+        failures=failures,
+    )
+    path = folder / "index.html"
+    path.write_text(page, encoding="utf-8")
+    return StudyReport(path, found, data)
+
+
+def _duels(data: xr.Dataset, answer: Answer, folder: Path) -> Iterator[dict[str, str]]:
+    for first, second in answer.duels:
+        caption = (
+            f"∫|x|² under {the_law(first)} over that under {the_law(second)}: blue where the "
+            "former is better. Hatched: the signals do not decide."
+        )
+        name = f"{file_name(first)}-over-{file_name(second)}"
+        yield save_figure(maps.plot_duel(data, first, second), folder, name, caption)
+
+
+def _winners(data: xr.Dataset, causal: Sequence[str], folder: Path) -> Iterator[dict[str, str]]:
+    """A map for every level of knowledge that some law has."""
+    for level, who in FEWER_KNOWN.items():
+        if any(knowledge_of(law) == level for law in causal):
+            laws = within(causal, level)
+            caption = (
+                f"The best of {who}. In the cell: ∫|x|² of the second best over that of the best. "
+                "Pale and hatched: tied with it."
+            )
+            name = f"winners-{LEVELS.index(level)}"
+            yield save_figure(maps.plot_winners(data, laws), folder, name, caption)
+
+
+def _alone(data: xr.Dataset, law: str, folder: Path) -> Iterator[dict[str, str]]:
+    """The maps of one law."""
+    if law != ORACLE:
+        caption = f"∫|x|² under {the_law(law)} over the oracle’s, geometric mean over signals."
+        figure = maps.plot_regret(data, law)
+        yield save_figure(figure, folder, f"regret-{file_name(law)}", caption)
+    caption = f"Signals that {the_law(law)} stabilises, %."
+    figure = maps.plot_stabilised(data, law)
+    yield save_figure(figure, folder, f"stabilised-{file_name(law)}", caption)
+
+
+def file_name(law: str) -> str:
+    """A law's name in names of files.
+
+    Examples
+    --------
+    >>> file_name("mean, dwell-aware")
+    'mean-dwell-aware'
+    """
+    return "-".join("".join(c if c.isalnum() else " " for c in law.lower()).split())
+
+
+def _page(study: Study, **parts: Any) -> str:
+    from jinja2 import Environment, PackageLoader
+
+    template = Environment(
+        loader=PackageLoader("deadtime"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    ).get_template("study.html.j2")
+    return template.render(
+        study=study,
+        grid=[
+            (AXES[name].label, ", ".join(map(_value, values)), AXES[name].unit)
+            for name, values in study.grid.items()
+        ],
+        families=[(name, FAMILIES[name][0]) for name in study.grid["sojourn"]],
+        poles=", ".join(_value(pole) for pole in study.poles),
+        x0=", ".join(f"{value:g}" for value in study.x0).replace("-", "−"),
+        version=__version__,
+        **parts,
+    )
+
+
+def _value(value: object) -> str:
+    if isinstance(value, complex) and value.imag == 0.0:
+        value = value.real
+    return value if isinstance(value, str) else f"{value:g}".replace("-", "−")

@@ -1,0 +1,76 @@
+"""Read a TOML file into a pydantic model; every error names the file, the line and the key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from deadtime.errors import ArgumentError
+from deadtime.toml_file.complaints import first_complaint
+from deadtime.toml_file.errors import SectionError
+from deadtime.toml_file.lines import at_line, key_lines, line_of
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class TomlText:
+    """A file as read: where it is, what it says, and how errors about it are raised.
+
+    Attributes
+    ----------
+    source : Path
+    text : str
+    kind : type of ArgumentError
+        What is raised for anything wrong with the file.
+    """
+
+    source: Path
+    text: str
+    kind: type[ArgumentError]
+
+    def complaint(self, error: SectionError) -> ArgumentError:
+        """The error with its line: that of the key it starts with, or of the section."""
+        lines = key_lines(self.text)
+        key = re.split(r"[ \[:]", str(error), maxsplit=1)[0]
+        path = (*error.path, key) if (*error.path, key) in lines else error.path
+        where = f", [{'.'.join(map(str, error.path))}]" if error.path else ""
+        return self.kind(f"{at_line(self.source, line_of(lines, path))}{where}: {error}")
+
+
+def read_toml(
+    source: Path, model: type[Model], kind: type[ArgumentError], hint: str = ""
+) -> tuple[Model, TomlText]:
+    """The checked contents of a TOML file, and its text for later complaints.
+
+    Parameters
+    ----------
+    source : Path
+        The file.
+    model : pydantic model
+        What it may say.
+    kind : type of ArgumentError
+        What to raise if the file is missing, is not TOML, or says something else.
+    hint : str
+        How to come by such a file, for when it cannot be read.
+    """
+    try:
+        text = source.read_text(encoding="utf-8")
+    except OSError as error:
+        advice = f"; {hint}" if hint else ""
+        raise kind(f"{source} cannot be read: {error.strerror}{advice}.") from None
+    except UnicodeDecodeError:
+        raise kind(f"{source} is not UTF-8 text: save it as UTF-8.") from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise kind(f"{source} is not valid TOML: {error}.") from None
+    try:
+        return model.model_validate(data), TomlText(source, text, kind)
+    except ValidationError as error:
+        raise kind(first_complaint(source, text, error, model)) from None
