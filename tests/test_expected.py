@@ -115,13 +115,27 @@ def test_a_markov_table_is_the_limit_of_a_jump_chain(delay, mode):
     assert np.abs(ours - table[0]).max() <= 1e-8 * scale
 
 
-@pytest.mark.parametrize("delay", [0.234, 0.4, 0.07, 1.25])
+@pytest.mark.parametrize("delay", [0.234, 0.4, 0.1001, 1.25])
 def test_the_factor_of_a_markov_table_gives_its_rows(delay):
     feedback = expected(plants.generic(delay), dt.Markov(RATES)).digital(H)
-    if delay > H:
-        assert feedback.factor is not None
-        taps = feedback.factor.taps(feedback.taps)
-        plants.close(taps, feedback.input_gain, 1e-12)
+    assert feedback.factor is not None
+    plants.close(feedback.factor.taps(feedback.taps), feedback.input_gain, 1e-12)
+
+
+def test_the_ideal_markov_law_is_the_limit_of_the_digital_one():
+    # Switches and the delay on every grid: the digital loop is a power series in the period.
+    plant = plants.generic(0.4)
+    signal = dt.SwitchingSignal([0.0, 0.3, 0.7, 1.1], [0, 2, 1, 0])
+    law, x0, times = expected(plant, dt.Markov(RATES)), [1.0, -0.5, 0.8], np.arange(16) * 0.1
+    runs = [
+        dt.simulate(plant, law, signal, x0, 1.5, H / 2**k, times=times).states for k in range(2, 9)
+    ]
+    for order in range(1, 7):
+        runs = [
+            (2**order * fine - coarse) / (2**order - 1) for coarse, fine in itertools.pairwise(runs)
+        ]
+    ideal = dt.simulate(plant, law, signal, x0, 1.5, step=None, times=times).states
+    plants.close(runs[0], ideal, 1e-9)
 
 
 def test_a_defective_generator_is_factored_too():
@@ -249,6 +263,22 @@ def test_ages_past_the_table_use_its_last_row():
             assert np.array_equal(few.input_gain[rows[0]], whole.input_gain[rows[1]])
 
 
+def test_no_sojourn_is_so_long_that_a_certain_switch_is_forgotten():
+    plant, law = plants.paper(), expected(plants.paper(), dt.SemiMarkov(12.0))
+    feedback = law.digital(0.01)
+    oracle = dt.ExactPredictor(plant, law.gains)
+    exact = oracle.digital(0.01, dt.SwitchingSignal([0, 12.0], [0, 1], 25.0), 1151)
+    row = feedback.rows(np.zeros(1200, int))[1150]
+    plants.close(feedback.state_gain[row], exact.state_gain[1150], 1e-10)
+
+
+def test_very_long_sojourns_are_fine_once_the_ages_are_limited():
+    law = expected(plants.paper(), dt.SemiMarkov(1e6), ages=10)
+    single = dt.SingleModePredictor(plants.paper(), law.gains, 0).digital(0.01)
+    assert law.digital(0.01).ages == 10
+    assert distance(law.digital(0.01), single, 0) <= 1e-13
+
+
 # -- refused -----------------------------------------------------------------------------------
 
 
@@ -272,6 +302,28 @@ def test_a_step_too_long_for_the_sojourns_is_refused():
     law = expected(PLANT, dt.SemiMarkov([0.5, 0.15, 0.5]))
     with pytest.raises(dt.ArgumentError, match=r"step.*mode 1"):
         law.digital(H)
+
+
+def test_a_table_that_memory_does_not_hold_is_refused():
+    law = expected(plants.paper(), dt.SemiMarkov(1e6))
+    with pytest.raises(dt.ArgumentError, match=r"step = 0\.01 s asks for a table of more than"):
+        law.digital(0.01)
+    law = expected(plants.paper(), dt.SemiMarkov(1.0), ages=10**9)
+    with pytest.raises(dt.ArgumentError, match=r"ages asks for a table of 1e\+09 ages"):
+        law.digital(0.01)
+
+
+@pytest.mark.parametrize("rate", [1e10, 1e20, 1e200])
+def test_rates_that_doubles_cannot_tell_from_infinite_ones_are_refused(rate):
+    law = expected(plants.paper(), dt.Markov([[0.0, rate], [2.0 * rate, 0.0]]))
+    with pytest.raises(dt.ArgumentError, match="model has rates up to"):
+        law.digital(0.01)
+
+
+def test_fast_switching_under_the_ideal_loop_is_refused_by_name():
+    law = expected(plants.paper(), dt.Markov([[0.0, 50.0], [50.0, 0.0]]))
+    with pytest.raises(dt.ArgumentError, match=r"closed form of ExpectedPredictor .* up to 50"):
+        law.ideal(dt.SwitchingSignal.constant(0), 1.0)
 
 
 def test_the_ideal_loop_is_refused_by_name():

@@ -95,3 +95,11 @@ def test_a_table_of_taps_that_does_not_fit_is_refused(shape):
     vars(unchecked).update(state_gain=np.zeros((3, 2, 3)), input_gain=np.zeros(shape), factor=None)
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         unchecked.__post_init__()
+
+
+@pytest.mark.parametrize(
+    ("age", "rows"), [(0, [0, 1, 2, 3]), (1, [1, 2, 2, 3]), (10**30, [2, 2, 2, 3])]
+)
+def test_the_age_at_the_start_counts_until_the_first_switch(age, rows):
+    table = dt.Feedback(np.zeros((6, 1, 1)), np.zeros((6, 1, 1, 1)), "mode_age", 0.1, ages=3)
+    assert table.rows(np.array([0, 0, 0, 1]), age).tolist() == rows

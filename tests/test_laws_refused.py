@@ -128,3 +128,18 @@ def test_the_oracle_needs_the_signal_up_to_the_last_arrival_and_no_further():
 def test_an_unstable_mean_gain_is_taken_when_it_is_meant():
     law = dt.MeanPredictor(PLANT, -GAIN, allow_unstable=True)
     assert np.array_equal(law.gain, -GAIN)
+
+
+@pytest.mark.parametrize("dwell_time", [0.0, -0.2, np.nan, np.inf])
+def test_a_dwell_time_that_is_none_is_refused(dwell_time):
+    with pytest.raises(dt.ArgumentError, match="dwell_time must be"):
+        dt.AveragedPredictor(PLANT, GAINS, None, dwell_time)
+    with pytest.raises(dt.ArgumentError, match="dwell_time must be"):
+        dt.MeanPredictor(PLANT, GAIN, None, dwell_time)
+
+
+@pytest.mark.parametrize("dwell_time", [1e9, 1e30])
+def test_a_dwell_time_whose_table_memory_does_not_hold_is_refused(dwell_time):
+    law = dt.AveragedPredictor(PLANT, GAINS, None, dwell_time)
+    with pytest.raises(dt.ArgumentError, match=r"dwell_time asks for a table of .* ages"):
+        law.digital(H)

@@ -237,3 +237,34 @@ random = dt.SwitchingSignal.random
 def test_a_malformed_signal_is_refused_by_name(call, message):
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         call()
+
+
+# -- the first mode's age ----------------------------------------------------------------------
+
+
+def test_the_first_sojourn_counts_from_before_0():
+    signal = dt.SwitchingSignal([0, 0.2, 1.0], [0, 1, 0], initial_age=0.5)
+    assert signal.sojourns.tolist() == [0.7, 0.8]
+    assert signal.dwell_time == 0.7
+    assert signal.last_switch(np.array([0.0, 0.1999, 0.2, 5.0])).tolist() == [-0.5, -0.5, 0.2, 1.0]
+
+
+def test_a_signal_seen_later_keeps_the_age_of_its_mode():
+    signal = dt.SwitchingSignal([0, 0.25, 1.0], [0, 1, 0], initial_age=0.5)
+    assert signal.after(0.125).initial_age == 0.625
+    assert signal.after(0.75).initial_age == 0.5
+    assert signal.after(0.25).initial_age == 0.0
+
+
+def test_a_log_keeps_the_first_mode_s_age(tmp_path):
+    signal = dt.SwitchingSignal([0, 0.25, 1.0], [0, 1, 0], end=2.0, initial_age=0.1 + 0.2)
+    signal.to_csv(tmp_path / "log.csv")
+    again = dt.SwitchingSignal.from_csv(tmp_path / "log.csv")
+    assert again.initial_age == signal.initial_age
+    assert (again.times.tolist(), again.end) == (signal.times.tolist(), 2.0)
+
+
+@pytest.mark.parametrize("age", [-0.1, np.nan, np.inf])
+def test_an_age_that_is_none_is_refused(age):
+    with pytest.raises(dt.ArgumentError, match="initial_age must be"):
+        dt.SwitchingSignal([0.0], [0], initial_age=age)

@@ -94,6 +94,36 @@ def test_ages_end_where_hazards_stay_or_survival_is_below_a_millionth(sojourn, s
     assert SemiMarkov(sojourn).ages(step) == ages
 
 
+@pytest.mark.parametrize("most", [1, 7, 500, 99_999, 250_000])
+def test_the_count_of_ages_stops_where_it_is_told_to(most):
+    """However long or heavy the tail; what needs fewer ages is counted as before."""
+    for tail in (
+        3600.0,
+        stats.lomax(1.0),
+        stats.levy(scale=1.0),
+        stats.pareto(1.5),
+        stats.lognorm(2.0, scale=0.8),
+    ):
+        assert SemiMarkov([1.0, tail]).ages(0.01, most=most) == most
+    assert SemiMarkov(stats.expon(scale=3600.0)).ages(0.01, most=most) == 1
+    assert SemiMarkov(stats.expon(loc=0.3, scale=0.5)).ages(0.1, most=most) == min(4, most)
+    assert SemiMarkov(1500.0).ages(0.01, most=most) == min(150_000, most)
+
+
+def test_those_that_outlive_a_time_are_the_survival_of_every_mode():
+    dists = [stats.gamma(2.0, scale=0.3), stats.lomax(1.0)]
+    model = SemiMarkov([*dists, Erlang(), 0.3])
+    for time in (0.0, 0.1, 0.3, 7.0):
+        expected = [*(dist.sf(time) for dist in dists), Erlang().sf(time), float(time < 0.3)]
+        assert model.outlives(time) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_table_of_values_has_its_hazards():
+    model = SemiMarkov(stats.rv_discrete(values=([1, 2, 4], [0.25, 0.25, 0.5]))())
+    assert model.hazard(0.5, 9)[0] == pytest.approx([0, 0.25, 0, 1 / 3, 0, 0, 0, 1, 1], rel=1e-12)
+    assert model.ages(0.5) == 8
+
+
 def test_beyond_the_ages_nothing_is_left_to_know():
     for dist in (stats.gamma(2.0, scale=0.3), stats.lognorm(0.5), Erlang()):
         model = SemiMarkov(dist)
@@ -130,8 +160,11 @@ semi = SemiMarkov
         (
             lambda: semi([1.0, stats.lomax(1.0)]).ages(0.01),
             "step = 0.01 s is too short for sojourn[1] = lomax(1): its hazard still changes after "
-            "100000 steps, which it outlives with probability 0.001; lengthen the step or shorten",
+            "100,000 steps, which it outlives with probability 0.001; lengthen the step, or say "
+            "with `most` how many ages to tell apart.",
         ),
+        (lambda: semi(1.0).ages(0.01, most=0), "most must be an integer of at least 1, got 0."),
+        (lambda: semi(1.0).outlives(np.nan), "time must be finite, got nan."),
         (lambda: semi(3600.0).ages(0.01), "step = 0.01 s is too short for sojourn[0] = 3600"),
     ],
 )

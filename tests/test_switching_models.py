@@ -217,6 +217,11 @@ semi = SemiMarkov
         ),
         (lambda: semi(stats.gamma), "sojourn must be a frozen distribution, got gamma without"),
         (lambda: semi(stats.gamma), "freeze it: gamma(a=…, scale=…)."),
+        (lambda: semi(stats.geom), "freeze it: geom(p=…)."),
+        (
+            lambda: semi([stats.rv_discrete(values=([1, 2], [0.5, 0.5])), 1.0]),
+            "sojourn[0] must be a frozen distribution, got one that is not: call it, …().",
+        ),
         (
             lambda: semi([stats.norm(1.0, 0.5), 1.0]),
             "sojourn[0] must be positive with probability 1, got norm(1, 0.5) with "

@@ -127,6 +127,7 @@ class Feedback:
         if self.context == "step":
             return samples
         changed = np.concatenate(([True], np.diff(modes) != 0))
+        initial_age = min(initial_age, self.ages)
         began = np.where(changed, samples, -initial_age)
         began[0] = -initial_age
         age = samples - np.maximum.accumulate(began)

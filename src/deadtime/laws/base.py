@@ -18,6 +18,8 @@ from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
 from deadtime.switching import SwitchingSignal
 
+MOST_BYTES = 1e9  # of a table
+
 # From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k.
 Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
@@ -130,6 +132,20 @@ def checked_gains(
         shaped(f"gains[{i}]", K[i], (plant.inputs, plant.states), "(m, n)")
         require_hurwitz(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i], allow_unstable)
     return K
+
+
+def room(bytes_per_age: float, most_bytes: float = MOST_BYTES) -> int:
+    """How many ages a table has room for."""
+    return int(most_bytes // bytes_per_age)
+
+
+def require_room(name: str, ages: float, step: float, most: int) -> None:
+    """Refuse a table of more ages than there is room for."""
+    if ages > most:
+        raise ArgumentError(
+            f"{name} asks for a table of {ages:.3g} ages of {step:g} s, and there is room for "
+            f"{most:,}: lengthen the step."
+        )
 
 
 def require_match(plant: SwitchedSystem, law: Law) -> None:

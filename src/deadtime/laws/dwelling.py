@@ -18,6 +18,7 @@ from numba import njit
 
 from deadtime.exponential import held, held_modes, multiply
 from deadtime.feedback import Feedback
+from deadtime.laws.base import require_room, room
 from deadtime.steps import Window, snap
 
 
@@ -82,6 +83,9 @@ def dwelling_table(
 ) -> Feedback:
     """The (mode, age) table; `after` are the A, B and (weighted) K of the systems that follow."""
     periods = snap(dwell_time / window.step)
+    modes, _, m = B.shape
+    most = room(8 * modes * window.count * m * m)
+    require_room("dwell_time", periods, window.step, most)
     ages = math.ceil(periods) + 1
     rest = np.maximum(0.0, periods - np.arange(ages)) * window.step
     fA, fB, fK = (np.array(M, order="C") for M in after)

@@ -12,11 +12,9 @@ from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains, remembered
+from deadtime.laws.base import TableLaw, checked_gains, remembered, require_room, room
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
-
-MOST_AGES = 1000
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -40,7 +38,7 @@ class ExpectedPredictor(TableLaw):
         How the mode switches, with as many modes as the plant.
     ages : int, optional
         The most ages (samples) that a semi-Markov table tells apart; older modes count as that
-        old. By default as many as matter to the model, at most 1,000.
+        old. By default as many as matter to the model.
     allow_unstable : bool
         Accept gains that leave some A_i + B_i K_i unstable.
 
@@ -48,8 +46,9 @@ class ExpectedPredictor(TableLaw):
     ------
     ArgumentError
         If the model has another number of modes than the plant or is no switching model;
-        `digital` raises it if the step is too long for the model's sojourns, `simulate` with
-        `step=None` if the model is semi-Markov or switches many times per delay.
+        `digital` raises it if the step is too long for the model's sojourns, or the table would
+        take more than 1 GB; `simulate` with `step=None` if the model is semi-Markov or switches
+        many times per delay.
 
     Notes
     -----
@@ -112,7 +111,8 @@ class ExpectedPredictor(TableLaw):
             return markov_table(plant.A, plant.B, self.gains, model.generator, window)
         from deadtime.laws.semi_markov_table import semi_markov_table
 
-        ages = min(model.ages(window.step), self.ages or MOST_AGES)
+        most = room(8 * plant.modes * window.count * plant.inputs**2)
+        ages = table_ages(model, window.step, self.ages, most)
         hazard = model.hazard(window.step, ages + window.count)
         return semi_markov_table(
             plant.A, plant.B, self.gains, hazard, model.transition, ages, window
@@ -137,6 +137,21 @@ class ExpectedPredictor(TableLaw):
                 f"rates up to {model.rates.max():g} 1/s and a delay of {plant.delay:g} s."
             )
         return forecast
+
+
+def table_ages(model: SemiMarkov, step: float, asked: int | None, most: int) -> int:
+    """How many ages a table tells apart: as many as matter, or no more than asked for."""
+    if asked is not None:
+        require_room("ages", asked, step, most)
+        return model.ages(step, most=asked)
+    ages = model.ages(step, most=most + 1)
+    if ages > most:
+        raise ArgumentError(
+            f"step = {step:g} s asks for a table of more than the {most:,} ages that there is "
+            "room for, so long are the model's sojourns: lengthen it, or give `ages`, the most to "
+            "tell apart."
+        )
+    return ages
 
 
 def require_model(model: object, modes: int) -> None:

@@ -39,6 +39,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
+from deadtime.errors import ArgumentError
 from deadtime.exponential import held
 from deadtime.feedback import Factor, Feedback
 from deadtime.forecast import Forecast
@@ -47,6 +48,7 @@ from deadtime.switching import SwitchingSignal
 
 _AGREEMENT = 1e-13
 _CLOSED_FORM = 1e-11
+_PROBABILITY = 1e-9
 
 
 def markov_table(
@@ -63,6 +65,7 @@ def markov_table(
     Z = np.zeros((states + modes * m, states + modes * m))
     Z[:states, :states], Z[:states, states:] = _expected_system(A, B, generator)
     Z[states:, states:] = np.kron(generator.T, np.eye(m))
+    _require_precision(generator, h)
     whole, first = exponential(Z, h), exponential(Z, window.phase)
     E, forced = whole[:states, :states], whole[:states, states:]
 
@@ -124,6 +127,18 @@ def _expected_system(
     """𝒜 and ℬ."""
     free = np.asarray(block_diag(*A)) + np.kron(generator.T, np.eye(A.shape[1]))
     return free, np.asarray(block_diag(*B))
+
+
+def _require_precision(generator: np.ndarray, step: float) -> None:
+    """Refuse rates so fast that probabilities do not sum to 1 any more."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        lost = np.abs(exponential(generator.T, step).sum(axis=0) - 1.0).max()
+    if not lost <= _PROBABILITY:
+        raise ArgumentError(
+            f"model has rates up to {generator.max():.2g} 1/s, which double precision cannot tell "
+            f"apart from infinite ones over a step of {step:g} s: use MeanPredictor, the limit of "
+            "fast switching, or slower rates."
+        )
 
 
 def exponential(A: np.ndarray, tau: float) -> np.ndarray:

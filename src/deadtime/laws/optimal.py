@@ -13,8 +13,8 @@ from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
 from deadtime.gains import weight_matrix
-from deadtime.laws.base import TableLaw
-from deadtime.laws.expected import MOST_AGES, require_model
+from deadtime.laws.base import TableLaw, require_room, room
+from deadtime.laws.expected import require_model, table_ages
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
@@ -54,7 +54,7 @@ class OptimalPredictor(TableLaw):
         Input weight, symmetric, positive definite.
     ages : int, optional
         The most ages (samples) that a semi-Markov table tells apart; older modes count as that
-        old. By default as many as matter to the model, at most 1,000.
+        old. By default as many as matter to the model.
 
     Raises
     ------
@@ -157,15 +157,11 @@ class OptimalPredictor(TableLaw):
         from deadtime.laws.riccati import period, solve
 
         plant, h, N = self.plant, window.step, window.count
-        hazard, transition = self._chain(h)
         modes, n, m = plant.B.shape
+        most = room(8.0 * modes * (n + N * m) ** 2, MOST_MEMORY)
+        require_room("the lifted state", 1, h, most)
+        hazard, transition = self._chain(h, most)
         ages = hazard.shape[1]
-        memory = 8.0 * modes * ages * (n + N * m) ** 2
-        if memory > MOST_MEMORY:
-            raise ArgumentError(
-                f"step = {h:g} s asks for {memory / 1e9:.3g} GB, {modes} modes of {ages} ages "
-                f"and N = {N} inputs under way: lengthen it or give fewer `ages`."
-            )
         root = np.ascontiguousarray(np.linalg.cholesky(self.Q).T)
         L, stage = period(plant.A, plant.B, root, h, window.phase)
         P, gain = solve(L, stage, h * self.R, hazard, transition, N, h)
@@ -176,11 +172,11 @@ class OptimalPredictor(TableLaw):
         context = "mode" if isinstance(self.model, Markov) else "mode_age"
         return Feedback(F, G, context, h, ages), cost
 
-    def _chain(self, step: float) -> tuple[np.ndarray, np.ndarray]:
+    def _chain(self, step: float, most: int) -> tuple[np.ndarray, np.ndarray]:
         """Chances of a switch by the next sample (modes, ages), and of each mode after one."""
         model = self.model
         if isinstance(model, SemiMarkov):
-            ages = min(model.ages(step), self.ages or MOST_AGES)
+            ages = table_ages(model, step, self.ages, most)
             return model.hazard(step, ages), model.transition.copy()
         from scipy.linalg import expm
 

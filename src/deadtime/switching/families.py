@@ -2,8 +2,9 @@
 
 With whole sojourns t and right-censored ones c, the likelihood is Π f(t) Π P(S > c). The
 estimates of a start or an end of the support (shifted exponential, uniform) are corrected for
-their bias, which moves them off the extreme observation, so that no observation has density 0;
-Akaike's criterion is that of the uncorrected estimate, where the likelihood is largest.
+their bias, which moves them off the extreme observation, so that no observation has density 0.
+Akaike's criterion is that of the distribution returned: at the extreme observation the likelihood
+gains about twice what the criterion charges for such a parameter.
 """
 
 from __future__ import annotations
@@ -62,10 +63,13 @@ class Goodness:
         the fitted distribution function, up to the longest observation.
     p_value : float
         Asymptotic probability of a larger distance if the family were right, as if there were
-        `complete` sojourns and none cut off. Optimistic, because the parameters were fitted to
-        the same sojourns: a small value refutes the family, a large one does not prove it.
+        `complete` sojourns and none cut off. Optimistic where few are cut off, because the
+        parameters were fitted to the same sojourns: a small value refutes the family, a large
+        one does not prove it. Pessimistic where most are: it fell below 0.05 for 9 to 13 in 100
+        of the very distributions that the sojourns were drawn from.
     aic : float
-        Akaike's criterion, 2 · parameters − 2 log likelihood; the least is the best.
+        Akaike's criterion of the fitted distribution, 2 · parameters − 2 log likelihood; the
+        least is the best.
 
     References
     ----------
@@ -99,12 +103,14 @@ def estimate(family: str, observed: Observed) -> tuple[Distribution, Parameters,
         from scipy import stats
 
         name, fit = FAMILIES[family]
-        parameters, likelihood = fit(getattr(stats, name), observed)
-        values = np.array([*parameters.values(), likelihood])
-        if not np.isfinite(values).all() or not parameters["scale"] > 0.0:
+        parameters = fit(getattr(stats, name), observed)
+        if not np.isfinite(list(parameters.values())).all() or not parameters["scale"] > 0.0:
             return None
         dist = getattr(stats, name)(**parameters)
-    return dist, parameters, 2.0 * len(parameters) - 2.0 * likelihood
+        likelihood = dist.logpdf(observed.complete).sum() + dist.logsf(observed.censored).sum()
+        if not np.isfinite(likelihood):
+            return None
+    return dist, parameters, 2.0 * len(parameters) - 2.0 * float(likelihood)
 
 
 def _fixed(observed: Observed) -> tuple[Distribution, Parameters, float] | None:
@@ -114,55 +120,59 @@ def _fixed(observed: Observed) -> tuple[Distribution, Parameters, float] | None:
     return Fixed(length), {"length": length}, -np.inf
 
 
-def _exponential(_: Any, observed: Observed) -> tuple[Parameters, float]:
+def _exponential(_: Any, observed: Observed) -> Parameters:
     """Scale = Σ(t + c)/n."""
-    n = observed.complete.size
-    scale = (observed.complete.sum() + observed.censored.sum()) / n
-    return {"scale": float(scale)}, float(-n * np.log(scale) - n)
+    total = observed.complete.sum() + observed.censored.sum()
+    return {"scale": float(total / observed.complete.size)}
 
 
-def _shifted_exponential(_: Any, observed: Observed) -> tuple[Parameters, float]:
+def _shifted_exponential(_: Any, observed: Observed) -> Parameters:
     """The likelihood is largest at loc = min t, scale = Σ(t − loc)⁺/n.
 
     Unbiased, when nothing is cut off, are n/(n − 1) times this scale and loc − scale/n (Epstein
-    and Sobel 1954, theorem 4); loc stays ≥ 0.
+    and Sobel 1954, theorem 4). The least of r sojourns under way at loc lies scale/r beyond it,
+    so loc moves by that, with r = n + #{c > loc}, but stays ≥ 0. Of its bias under censoring 4 to
+    14 % remain, with the other sign: expon(0.3, 0.5), 60 sojourns, 18 or 6 of them complete.
     """
-    n, loc = observed.complete.size, observed.complete[0]
-    total = (observed.complete - loc).sum() + np.maximum(observed.censored - loc, 0.0).sum()
-    likelihood = -n * np.log(total / n) - n
-    scale = total / (n - 1)
-    return {"loc": float(max(0.0, loc - scale / n)), "scale": float(scale)}, float(likelihood)
+    n, least = observed.complete.size, observed.complete[0]
+    cut = observed.censored[observed.censored > least]
+    scale = ((observed.complete - least).sum() + (cut - least).sum()) / (n - 1)
+    loc = max(0.0, least - scale / (n + cut.size))
+    return {"loc": float(loc), "scale": float(scale)}
 
 
-def _uniform(_: Any, observed: Observed) -> tuple[Parameters, float]:
+def _uniform(_: Any, observed: Observed) -> Parameters:
     """The likelihood is largest at low = min t and the least high ≥ max t that satisfies
 
         Σ_{c > low} (c − low)/(high − c) ≤ n.
 
     Its left side falls with `high`: one root, at most. Unless it is the root, `high` is moved
-    outwards by (max t − low)/(n − 1), as `low` always is, but not below 0: unbiased, when
-    nothing is cut off.
+    outwards by (max t − low)/(n − 1); then `low` by (high − low)/r, r = n + #{c > low} under way
+    there, but not below 0. That is unbiased when nothing is cut off. Under censoring `low`
+    remains nearly so; `high` does not: for 60 uniform sojourns on 0.2..1 s it is 0.02 s too low,
+    with a deviation of 0.05 s, if 24 are complete (cut at exponential times of mean 0.6 s), and
+    0.03 s with 0.2 s if 10 are (cut at 0.2..0.45 s). n − 1 for n above, a correction of second
+    order and a posterior mean each help in some such cases and err more in others.
     """
-    n, low, top = observed.complete.size, observed.complete[0], observed.complete[-1]
-    cut = observed.censored[observed.censored > low]
+    n, least, top = observed.complete.size, observed.complete[0], observed.complete[-1]
+    cut = observed.censored[observed.censored > least]
 
     def excess(end: float) -> float:
-        return float(((cut - low) / (end - cut)).sum()) - n
+        return float(((cut - least) / (end - cut)).sum()) - n
 
-    high, move = float(top), float(top - low) / (n - 1)
     if cut.size and (cut[-1] >= top or excess(top) > 0.0):
         from scipy.optimize import brentq
 
-        least = max(top, cut[-1] + 0.5 * (cut[-1] - low) / (n + 1))
-        most = 1.000001 * (cut[-1] + (cut - low).sum() / n)
-        high = float(brentq(excess, least, most))  # pyright: ignore[reportArgumentType]
-    likelihood = -n * np.log(high - low) + np.log((high - cut) / (high - low)).sum()
-    high += move if high == top else 0.0
-    low = max(0.0, low - move)
-    return {"loc": float(low), "scale": float(high - low)}, float(likelihood)
+        first = max(top, cut[-1] + 0.5 * (cut[-1] - least) / (n + 1))
+        last = 1.000001 * (cut[-1] + (cut - least).sum() / n)
+        high = float(brentq(excess, first, last))  # pyright: ignore[reportArgumentType]
+    else:
+        high = float(top + (top - least) / (n - 1))
+    low = max(0.0, least - (high - least) / (n + cut.size))
+    return {"loc": float(low), "scale": float(high - low)}
 
 
-def _by_scipy(family: Any, observed: Observed) -> tuple[Parameters, float]:
+def _by_scipy(family: Any, observed: Observed) -> Parameters:
     """SciPy's maximum, with the origin held at 0 and times in units of their mean."""
     from scipy.stats import CensoredData, FitError
 
@@ -172,14 +182,11 @@ def _by_scipy(family: Any, observed: Observed) -> tuple[Parameters, float]:
     try:
         shape, _, scale = family.fit(data, floc=0.0)
     except (FitError, FloatingPointError, ValueError):
-        return {"scale": np.nan}, np.nan
-    parameters = {family.shapes: float(shape), "scale": float(scale * unit)}
-    dist = family(**parameters)
-    likelihood = dist.logpdf(observed.complete).sum() + dist.logsf(observed.censored).sum()
-    return parameters, float(likelihood)
+        return {"scale": np.nan}
+    return {family.shapes: float(shape), "scale": float(scale * unit)}
 
 
-Fit = Callable[[Any, Observed], tuple[Parameters, float]]
+Fit = Callable[[Any, Observed], Parameters]
 
 FAMILIES: dict[str, tuple[str, Fit]] = {
     "exponential": ("expon", _exponential),

@@ -20,6 +20,7 @@ from deadtime.switching.signal import SwitchingSignal
 from deadtime.switching.sojourns import Distribution, Fixed
 
 LEAST = 5
+MARGIN = 4.0
 NAMES = (*FAMILIES, "fixed")
 
 
@@ -33,6 +34,11 @@ def fit_model(
     to j. Beyond the longest logged sojourn the tail is the family's word alone: if the law's
     trust in it matters, name the family, for "auto" judges only what was observed.
 
+    Few sojourns cannot tell families apart: of 80 logs with 5, 10, 20 and 50 complete sojourns,
+    "auto" named gamma (a = 3) for what it was in 5, 6, 21 and 44, shifted exponential (loc 0.3,
+    scale 0.5) in 44, 67, 72 and 78, uniform (0.2 to 1) in 0, 7, 43 and 76. Below about 50 in each
+    mode, name the family.
+
     Parameters
     ----------
     signals : SwitchingSignal, or list of them
@@ -40,7 +46,8 @@ def fit_model(
     family : str, or list of str with one per mode
         "exponential", "shifted exponential", "gamma", "weibull", "uniform", "lognormal",
         "fixed" (all sojourns equal within 1e-6), or "auto": fixed where that holds, else the
-        family with the least AIC.
+        family with the least AIC, a uniform only if it is the least by 4: the end of its support
+        promises a switch, and a wrong one misleads a law more than a wrong tail does.
     modes : int, optional
         Number of modes; by default the largest in the logs, plus one.
     first : {"whole", "drop"}
@@ -151,7 +158,7 @@ def _fit_mode(mode: int, name: str, observed: Observed) -> tuple[Distribution, G
             f"family {name!r} cannot be fitted to the sojourns of mode {mode}, which last from "
             f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: take 'auto'."
         )
-    family = min(found, key=lambda key: found[key][2])
+    family = min(found, key=lambda key: found[key][2] + MARGIN * (key == "uniform"))
     dist, parameters, aic = found[family]
     n, gap = observed.complete.size, distance(dist, observed)
     p_value = float(kstwobign.sf(np.sqrt(n) * gap))

@@ -37,23 +37,33 @@ def hazards(
     return np.where(np.isnan(result), 1.0, result + 0.0)  # 0, not −0
 
 
-def count_ages(name: str, dist: Distribution, step: float) -> int:
-    """How many ages have a hazard of their own: later ones repeat the last, or hardly occur."""
+def count_ages(name: str, dist: Distribution, step: float, most: int | None = None) -> int:
+    """How many ages have a hazard of their own: later ones repeat the last, or hardly occur.
+
+    The count stops at `most`; without one, more than 100,000 are refused.
+    """
     last = _outlived(dist, step)
-    ages = np.arange(min(last, MOST_AGES))
-    if last > MOST_AGES:  # is the hazard constant long before, as an exponential's is?
-        later = np.geomspace(MOST_AGES, last - 1, 1000).astype(np.int64)
-        ages = np.concatenate((ages, later))
-    hazard = hazards(dist, step, ages)
-    differing = np.flatnonzero(np.abs(hazard - hazard[-1]) > 1e-12)
-    number = int(differing[-1]) + 2 if differing.size else 1
-    if number > MOST_AGES:
+    final = hazards(dist, step, np.array([last - 1]))
+
+    def latest(ages: Int[np.ndarray, " age"]) -> int:
+        """The latest of these ages whose hazard is not the final one; −1 if none is."""
+        differing = np.flatnonzero(np.abs(hazards(dist, step, ages) - final) > 1e-12)
+        return int(ages[differing[-1]]) if differing.size else -1
+
+    limit = max(MOST_AGES, most or 0)
+    number = 0
+    if last > limit:  # is the hazard constant long before, as an exponential's is?
+        number = latest(np.geomspace(limit, last - 1, 1000).astype(np.int64)) + 2
+    for end in range(min(last, limit), 0, -MOST_AGES):
+        number = number if number > 1 else latest(np.arange(max(0, end - MOST_AGES), end)) + 2
+    if number > limit and most is None:
         raise ArgumentError(
             f"step = {step:g} s is too short for {name} = {describe(dist)}: its hazard still "
-            f"changes after {MOST_AGES} steps, which it outlives with probability "
-            f"{survival(dist, MOST_AGES * step):.2g}; lengthen the step or shorten the tail."
+            f"changes after {MOST_AGES:,} steps, which it outlives with probability "
+            f"{survival(dist, MOST_AGES * step):.2g}; lengthen the step, or say with `most` how "
+            "many ages to tell apart."
         )
-    return number
+    return number if most is None else min(number, most)
 
 
 def _outlived(dist: Distribution, step: float) -> int:

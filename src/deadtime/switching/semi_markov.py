@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, positive, real_array, shaped
+from deadtime.checks import count, number, positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.switching.families import Goodness
 from deadtime.switching.hazards import count_ages, hazards, require_short
@@ -23,6 +23,7 @@ from deadtime.switching.sojourns import (
     describe,
     draw_from,
     mean_sojourn,
+    survival,
 )
 
 if TYPE_CHECKING:
@@ -170,28 +171,52 @@ class SemiMarkov:
         range_of_ages = np.arange(count("ages", ages))
         return np.stack([hazards(dist, step, range_of_ages) for dist in self.sojourn])
 
-    def ages(self, step: float) -> int:
+    def ages(self, step: float, most: int | None = None) -> int:
         """How many ages tell the hazards of all modes: `hazard(step, ages)` then holds for good.
 
         A mode's later ages have the hazard of the last one to 1e-12, or are reached by less
         than one sojourn in a million.
 
+        Parameters
+        ----------
+        step : float
+            Sampling period h, seconds; at most half the median sojourn of every mode.
+        most : int, optional
+            Where the count stops, at least 1. If it stops there, later ages may still differ:
+            `outlives(most · step)` tells how many sojourns reach them.
+
         Raises
         ------
         ArgumentError
-            If the step is too long for the sojourns of some mode, or so short that a table
-            would need more than 100 000 ages.
+            If the step is too long for the sojourns of some mode, or, without `most`, so short
+            that more than 100,000 ages would be needed.
 
         Examples
         --------
         >>> from scipy.stats import expon
         >>> SemiMarkov(expon(loc=0.3, scale=0.5)).ages(step=0.1)
         4
+        >>> SemiMarkov(3600.0).ages(step=0.01, most=500)
+        500
         """
         step = require_short(step, self.sojourn)
+        most = None if most is None else count("most", most)
         return max(
-            count_ages(f"sojourn[{mode}]", dist, step) for mode, dist in enumerate(self.sojourn)
+            count_ages(f"sojourn[{mode}]", dist, step, most)
+            for mode, dist in enumerate(self.sojourn)
         )
+
+    def outlives(self, time: float) -> Float[np.ndarray, " mode"]:
+        """P(S_i > time) for every mode, `time` in seconds.
+
+        Examples
+        --------
+        >>> from scipy.stats import expon
+        >>> SemiMarkov([expon(scale=0.5), 0.4]).outlives(0.5).round(3)
+        array([0.368, 0.   ])
+        """
+        time = number("time", time)
+        return np.array([survival(dist, time) for dist in self.sojourn])
 
     @classmethod
     def fit(
@@ -204,7 +229,8 @@ class SemiMarkov:
     ) -> SemiMarkov:
         """The model of maximum likelihood for logged signals.
 
-        See `deadtime.switching.fit.fit_model` for what the arguments mean.
+        See `deadtime.switching.fit.fit_model` for what the arguments mean, and for what few
+        sojourns are worth: with fewer than about 50 per mode, name the family.
 
         Examples
         --------

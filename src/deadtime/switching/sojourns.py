@@ -70,10 +70,13 @@ def checked_sojourn(name: str, value: object) -> Distribution:
     if hasattr(value, "freeze"):
         kind = getattr(value, "name", None) or "distribution"
         shapes = [s.strip() for s in (getattr(value, "shapes", None) or "").split(",") if s]
-        call = ", ".join(f"{word}=…" for word in [*shapes, "scale"])
+        words = shapes if hasattr(value, "pmf") else [*shapes, "scale"]
+        call = ", ".join(f"{word}=…" for word in words)
         raise ArgumentError(
             f"{name} must be a frozen distribution, got {kind} without its parameters: freeze "
             f"it: {kind}({call})."
+            if words
+            else f"{name} must be a frozen distribution, got one that is not: call it, …()."
         )
     usable = all(callable(getattr(value, word, None)) for word in ("cdf", "rvs"))
     if not usable or not (hasattr(value, "sf") or hasattr(value, "logsf")):
