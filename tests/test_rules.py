@@ -141,6 +141,49 @@ def test_a_thin_gap_and_a_thin_overlap_are_found():
             Polyhedra([([[1.0]], [1.0]), ([[-1.0]], [-1.0 - gap])])
 
 
+def millimetres_and_pascals(left, right):
+    """Two half-strips below 2 bar that should meet at 1 mm, and all above 2 bar."""
+    below = [([[1, 0], [0, 1]], [left, 2e5]), ([[-1, 0], [0, 1]], [right, 2e5])]
+    return Polyhedra([*below, ([[0, -1]], [-2e5])], modes=[0, 1, 0])
+
+
+def test_states_in_different_units_have_tolerances_of_their_own():
+    e, p = 1e-3, 2e5
+    slab = [([[1, 0], [-1, 0], [0, s]], [e, e, s * p]) for s in (1, -1)]
+    rule = Polyhedra([*slab, ([[1, 0]], [-e]), ([[-1, 0]], [-e])])
+    assert rule.modes_of(np.array([[0, 1e5], [0, 3e5], [-2e-3, 0], [2e-3, 0]])).tolist() == [
+        0,
+        1,
+        2,
+        3,
+    ]
+    millimetres_and_pascals(e, -e)
+    with pytest.raises(dt.ArgumentError, match="regions leave a gap"):
+        millimetres_and_pascals(-0.9e-3, -0.9e-3)
+    with pytest.raises(dt.ArgumentError, match=r"regions\[0\] and regions\[1\] overlap"):
+        millimetres_and_pascals(1e-3, 0.8e-3)
+    for thin in (1e-9, -1e-9):
+        with pytest.raises(dt.ArgumentError, match="leave a gap" if thin > 0 else "overlap"):
+            millimetres_and_pascals(e, -e - thin)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_a_partition_in_slanted_cells_stays_one_in_other_units(unit):
+    # Voronoi cells: every region has more rows than it needs.
+    centres = RNG.normal(size=(8, 2))
+    cells = []
+    for i, centre in enumerate(centres):
+        others = np.delete(centres, i, axis=0)
+        cells.append((2.0 * (others - centre), (others**2).sum(axis=1) - centre @ centre))
+    scale = np.array([1.0, unit])
+    rule = Polyhedra([(H / scale, h) for H, h in cells])
+    x = RNG.normal(size=(200, 2))
+    nearest = np.linalg.norm(x[:, None] - centres, axis=2).argmin(axis=1)
+    assert np.array_equal(rule.modes_of(x * scale), nearest)
+    with pytest.raises(dt.ArgumentError, match="leave a gap"):
+        Polyhedra([(H / scale, h) for H, h in cells[1:]])
+
+
 LEFT, RIGHT = ([[1.0]], [0.0]), ([[-1.0]], [0.0])
 
 
@@ -169,7 +212,7 @@ LEFT, RIGHT = ([[1.0]], [0.0]), ([[-1.0]], [0.0])
         ),
         (
             lambda: Polyhedra([LEFT, RIGHT, ([[1.0], [-1.0]], [-1.0, -1.0])]),
-            "regions[2] is empty: no state meets H x ≤ h with room to spare",
+            "regions[2] is empty: no state meets H x ≤ h with room to spare, 1e-08 of the largest",
         ),
         (lambda: Polyhedra([LEFT, ([[-1.0]], [-1.0])]), "regions leave a gap: none of them holds"),
         (lambda: FunctionRule(lambda x: 0, samples=0), "samples must be an integer of at least 1"),

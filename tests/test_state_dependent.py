@@ -492,19 +492,167 @@ def test_too_many_crossings_within_a_piece_are_chattering():
     rule = Polyhedra(slabs, modes=[i % 2 for i in range(81)])
     plant = pushing()
     plant = dt.SwitchedSystem(np.abs(plant.A), plant.B, plant.delay)
-    one = run(idle(plant), rule, plant, [-0.35, 1.0], 2.0, None, step=1.0)
-    assert re.match(
-        r"chattering at t = 0\.9\d* s: more than 50 boundaries are crossed within 0.75 s",
-        one.message,
-    )
-    assert run(idle(plant), rule, plant, [-0.35, 1.0], 2.0, None, 0.1).message == ""
+    function = FunctionRule(lambda x: int(np.clip(np.ceil(79.0 * x[0]), 0, 80)) % 2, samples=200)
+    for same in (rule, function):
+        one = run(idle(plant), same, plant, [-0.35, 1.0], 2.0, None, step=1.0)
+        assert re.match(
+            r"chattering at t = 0\.9\d* s: more than 50 boundaries are crossed within 0.75 s; if "
+            "they are meant to be, shorten the step; the run ends there.",
+            one.message,
+        )
+        assert run(idle(plant), same, plant, [-0.35, 1.0], 2.0, None, 0.1).message == ""
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1])
+def test_many_crossings_of_a_fast_plant_within_a_step_are_no_chattering(step):
+    plant = rotating([300.0, 300.0], delay=0.25)
+    one = run(idle(plant), SIGN, plant, [1.0, 0.3], 3.0, None, step)
+    turns = 300.0 * (one.signal.times[1:] - one.signal.times[1]) / np.pi
+    assert one.message == ""
+    assert one.signal.switches > 280
+    assert np.abs(turns - np.arange(turns.size)).max() <= 1e-9
 
 
 def test_a_rule_that_keeps_changing_its_mind_does_not_hang():
     calls = iter(range(10**9))
     plant = pushing(towards=False)
     one = run(idle(plant), lambda x: next(calls) % 2, plant, [1.0, 1.0], 2.0, None)
-    assert one.message.startswith("chattering at t = 0")
+    assert one.end <= 2.0
+
+
+@pytest.mark.parametrize("rule", [SIGN, lambda x: int(x[0] >= 0.0)], ids=["half-space", "function"])
+@pytest.mark.parametrize("speed", [1e-4, 1e-8, 1e-12])
+def test_chattering_is_found_however_slowly_both_fields_approach_the_boundary(rule, speed):
+    plant = dt.SwitchedSystem(
+        [[[0.0, speed], [0.0, 0.0]], [[0.0, -2.0 * speed], [0.0, 0.0]]], np.zeros((2, 2, 1)), 0.25
+    )
+    one = run(idle(plant), rule, plant, [-0.537 * speed, 1.0], 2.0, None)
+    assert one.message.startswith("chattering at t = 0.537 s: both vector fields point at")
+    assert one.signal.switches == 0
+
+
+@pytest.mark.parametrize("rule", [SIGN, lambda x: int(x[0] >= 0.0)], ids=["half-space", "function"])
+@pytest.mark.parametrize("start", [-0.7, -0.9, -0.3 + 1e-12, -0.3 - 1e-12, 0.3])
+@pytest.mark.parametrize("delay", [0.25, 0.1])
+def test_chattering_within_round_off_of_a_sample_ends_the_run_at_that_sample(rule, start, delay):
+    plant = pushing(delay=delay)
+    one = run(idle(plant), rule, plant, [start, 1.0], 2.0, None)
+    samples = round(abs(start) / H)
+    assert one.end == one.time[-1] == samples * H
+    assert one.time.size == one.inputs.shape[1] == samples + 1
+    assert one.message == (
+        f"chattering at t = {samples * H:.12g} s: both vector fields point at the boundary between "
+        "modes 0 and 1; the run ends there."
+    )
+
+
+@pytest.mark.parametrize("towards", [True, False], ids=["chattering", "diverging"])
+def test_times_past_an_early_end_are_dropped(towards):
+    plant = pushing() if towards else plants.scalar([500.0, 500.0])
+    x0 = [-0.35, 1.0] if towards else [1.0]
+    law = idle(plant) if towards else idle_scalar(plant)
+    rule = SIGN if towards else HalfSpace([1.0])
+    some = run(law, rule, plant, x0, 2.0, None, times=[0.0, 0.2, 1.5])
+    assert some.time.tolist() == [0.0, 0.2]
+    none = run(law, rule, plant, x0, 2.0, None, times=[1.5, 1.9])
+    assert none.time.size == none.states.size == none.mode.size == 0
+    assert none.metrics() == some.metrics()
+    assert repr(none).endswith("samples=0, ended early)" if towards else "samples=0, diverged)")
+    none.plot()
+
+
+# -- round-off at a boundary -------------------------------------------------------------------
+
+
+def nodes(seed, alike):
+    """Two stable modes that share the eigenvector v of their slowest motion; v, and v's normal."""
+    rng = np.random.default_rng(seed)
+    V = rng.normal(size=(2, 2))
+    fast = rng.uniform(2.0, 5.0, size=2)
+    A = [V @ np.diag([-0.5, -fast[0 if alike else i]]) @ np.linalg.inv(V) for i in range(2)]
+    v = V[:, 0]
+    return dt.SwitchedSystem(A, [[[0.0], [1.0]]] * 2, 0.25), V, np.array([-v[1], v[0]])
+
+
+@pytest.mark.parametrize("alike", [True, False], ids=["one mode twice", "two modes"])
+@pytest.mark.parametrize("as_function", [False, True], ids=["half-space", "function"])
+def test_a_plant_that_moves_along_a_boundary_does_not_chatter(alike, as_function):
+    for seed in range(10 if as_function else 30):
+        plant, V, normal = nodes(seed, alike)
+        rule = (lambda x, n=normal: int(n @ x >= 0.0)) if as_function else HalfSpace(normal)
+        for x0 in (V[:, 0], V[:, 0] + 0.3 * V[:, 1]):
+            one = run(idle(plant), rule, plant, x0, 30.0, None)
+            assert (one.message, one.end) == ("", 30.0), seed
+            assert one.signal.switches <= 1
+            # Along the boundary the modes agree.
+            late = np.linalg.norm(one.states[:, 250:], axis=0)
+            plants.close(late, np.exp(-0.5 * one.time[250:]) * np.linalg.norm(V[:, 0]), 1e-9)
+
+
+def test_a_law_predicts_along_a_boundary():
+    for seed in range(8):
+        plant, V, normal = nodes(seed, True)
+        gains = dt.place(plant, [-1.5, -2.0])
+        free = run(dt.MeanPredictor(plant, gains[0], gains), dt.SwitchingSignal.constant(0), plant,
+                   V[:, 0], 20.0, None)  # fmt: skip
+        for rule in (HalfSpace(normal), lambda x, n=normal: int(n @ x >= 0.0)):
+            law = StateDependentPredictor(plant, gains, rule)
+            one = run(law, rule, plant, V[:, 0], 20.0, None)
+            assert one.message == ""
+            plants.close(one.states, free.states, 1e-10)
+
+
+def test_a_plant_that_comes_to_rest_on_an_offset_boundary_does_not_chatter():
+    """Nodes, affine by a third state that is 1; far from rest they may truly chatter."""
+    rng = np.random.default_rng(3)
+    rested = 0
+    for _ in range(40):
+        normal, rest = rng.normal(size=(2, 2))
+        A = np.zeros((2, 3, 3))
+        for i in range(2):
+            V = rng.normal(size=(2, 2))
+            A[i, :2, :2] = V @ np.diag(-rng.uniform(0.5, 3.0, size=2)) @ np.linalg.inv(V)
+            A[i, :2, 2] = -A[i, :2, :2] @ rest
+        plant = dt.SwitchedSystem(A, np.zeros((2, 3, 1)), 0.25)
+        law = dt.DelayedStateFeedback(plant, np.zeros((2, 1, 3)), allow_unstable=True)
+        rule = HalfSpace([*normal, 0.0], float(normal @ rest))
+        one = run(law, rule, plant, [*(rest + rng.normal(size=2)), 1.0], 120.0, None, 0.2)
+        away = one.states[:2, -1] - rest
+        if one.message:
+            # Both fields do point at the boundary, far beyond round-off.
+            slopes = normal @ (A[:, :2, :2] @ away).T
+            assert np.linalg.norm(away) > 1e-7
+            assert slopes[0] > 1e-7
+            assert slopes[1] < -1e-7
+        else:
+            rested += 1
+            assert np.linalg.norm(away) < 1e-9
+        assert one.signal.switches < 10
+    assert rested > 25
+
+
+CORNERS = {
+    "quadrants": [np.diag(s) for s in ([-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0])],
+    "junction": [np.array([[1.0, 0.0]]), np.diag([-1.0, -1.0]), np.diag([-1.0, 1.0])],
+}
+
+
+@pytest.mark.parametrize("corner", CORNERS)
+def test_a_plant_that_passes_through_a_corner_goes_on_in_the_region_beyond(corner):
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        angle, at, v = rng.uniform(0.0, 6.28), 10.0 * rng.normal(size=2), rng.normal(size=2)
+        R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        rows = [np.column_stack((H @ R.T, np.zeros(len(H)))) for H in CORNERS[corner]]
+        rule = Polyhedra([(H, H[:, :2] @ at) for H in rows])
+        A = np.zeros((len(rows), 3, 3))
+        A[:, :2, 2] = v * (1.0 + 0.1 * np.arange(len(rows))[:, None])
+        plant = dt.SwitchedSystem(A, np.zeros((len(rows), 3, 1)), 0.25)
+        law = dt.DelayedStateFeedback(plant, np.zeros((len(rows), 1, 3)), allow_unstable=True)
+        x0 = [*(at - v * rng.uniform(0.2, 0.9)), 1.0]
+        one = run(law, rule, plant, x0, 2.0, None)
+        assert one.message == ""
+        assert one.signal.modes[-1] == rule([*(at + 0.3 * v), 1.0])
 
 
 # -- what is refused ---------------------------------------------------------------------------

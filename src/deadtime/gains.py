@@ -220,9 +220,7 @@ def lqr(plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike) -> Float[np.ndarray, 
     return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])
 
 
-def weight_matrix(
-    name: str, value: ArrayLike, size: int, letter: str, strict: bool
-) -> np.ndarray:
+def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
     """A symmetric weight of a quadratic cost, positive semidefinite or (`strict`) definite."""
     form = f"({letter}, {letter})"
     weight = real_array(name, value, form, 2)

@@ -18,7 +18,7 @@ from deadtime.laws.base import Law, Update
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Grid, Outcome, initial_age
 from deadtime.simulation.record import DigitalRecord, PhaseTable
-from deadtime.steps import TOLERANCE, Cuts, Window, modes_at
+from deadtime.steps import TOLERANCE, Cuts, Window, modes_at, snap
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.motion import Chatter
 from deadtime.switching.rules import Rule
@@ -106,7 +106,11 @@ class RuleTruth(Truth):
             if phase == 0 and offset <= TOLERANCE * h:
                 self.mode = mode
         if move.chatter is not None:
-            self.chatter = move.chatter._replace(time=k * h + begin + move.chatter.time)
+            # Within 1e-9 h of a sample it begins there, as `DigitalRecord.locate` has it.
+            time = k * h + begin + move.chatter.time
+            ratio = snap(time / h)
+            time = ratio * h if ratio == np.floor(ratio) else time
+            self.chatter = move.chatter._replace(time=time)
         return move.x
 
     def signal(self, end: float) -> SwitchingSignal:
@@ -207,7 +211,9 @@ def _run(
                 kept, stop = k + 1, _Stop(k * h, False, note)
         states[k + 1] = truth.move(k, 1, at_phase[k], inputs[now - ahead + 1])
         if k < kept and stop is None and truth.chatter and truth.chatter.time < horizon:
-            kept, stop = k + 1, _Stop(truth.chatter.time, False, "")
+            # It may begin at the next sample, which then belongs to the run.
+            last = int(snap(truth.chatter.time / h))
+            kept, stop = min(kept, last + 1), _Stop(truth.chatter.time, False, "")
         k += 1
     # The run may end between samples: a delay later falls into one phase more.
     truth.move(k, 0, states[k], inputs[past + k - ahead])

@@ -61,7 +61,8 @@ def simulate(
         delays; the digital loop samples a function and holds it, and N counts its periods; for
         the ideal loop N samples divide D evenly. `run.history` is one, too.
     times : array_like, shape (T,), optional
-        Instants in [0, horizon] to report, instead of the samples.
+        Instants in [0, horizon] to report, instead of the samples. A run that ends early drops
+        those past its end.
 
     Returns
     -------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -111,10 +111,24 @@ class Trajectory:
         return float(-np.polyfit(time, np.log(norm), 1)[0])
 
     def plot(self, title: str | None = None) -> Figure:
-        """States, inputs and mode over time, as a matplotlib figure."""
+        """States, inputs and mode over time, as a matplotlib figure.
+
+        A run that ended before the first of the `times` asked for is drawn at its samples.
+        """
         from deadtime.plotting import plot_run
 
-        return plot_run(self, title)
+        if self.time.size:
+            return plot_run(self, title)
+        time = self.record.grid(self.end)
+        whole = replace(
+            self,
+            time=time,
+            states=self.record.states_at(time).T,
+            inputs=self.record.inputs_at(time).T,
+            mode=self.signal(time),
+            mismatch=None,
+        )
+        return plot_run(whole, title)
 
     def _columns(self) -> dict[str, np.ndarray]:
         """The signals by python-control's names."""
@@ -172,7 +186,10 @@ class Trajectory:
         )
 
     def __repr__(self) -> str:
-        state = "diverged" if self.diverged else f"|x| = {np.linalg.norm(self.states[:, -1]):.3g}"
+        final = (
+            f"|x| = {np.linalg.norm(self.states[:, -1]):.3g}" if self.time.size else "ended early"
+        )
+        state = "diverged" if self.diverged else final
         return f"Trajectory(end={self.end:g} s, samples={self.time.size}, {state})"
 
 

@@ -5,6 +5,10 @@ its *place* (a region of the rule, or for rules that only name a mode that mode)
 into another, from where it goes on in the new mode. Its matrix exponentials take it from crossing
 to crossing; a crossing's time is the right end of its bracket, at which the new mode is active.
 
+A state is known to round-off only, and so are its mode and the direction of the vector field near
+a boundary. A crossing counts once it is beyond the round-off of the state, and a vector field
+points at a boundary if it does so beyond its own; below that the mode is kept.
+
 Where both modes point at their boundary no trajectory goes on: crossings pile up, the plant
 chatters. The move then says so, and holds one of the modes from there on.
 """
@@ -15,6 +19,11 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+
+MOST = 50  # crossings of boundaries within one piece; more are chattering
+ROUND_OFF = 16.0 * 2.0**-52  # relative, of a state that many exponentials have made
+_INSTANT = 1e-10  # of a piece: chattering that soon has been there from its start
 
 
 class Chatter(NamedTuple):
@@ -25,16 +34,20 @@ class Chatter(NamedTuple):
     reason: str
 
     @classmethod
-    def found(cls, time: float, mode: int, other: int, back: bool, length: float) -> Chatter:
-        from deadtime.switching.crossings import INSTANT, MOST
+    def facing(cls, time: float, mode: int, other: int, length: float) -> Chatter:
+        """Both modes point at their boundary."""
+        modes = min(mode, other), max(mode, other)
+        reason = "both vector fields point at the boundary between modes {} and {}".format(*modes)
+        return cls(time if time > _INSTANT * length else 0.0, modes, reason)
 
-        low, high = sorted((mode, other))
+    @classmethod
+    def piled_up(cls, time: float, mode: int, other: int, length: float, most: int) -> Chatter:
+        """More than `most` boundaries are crossed in a piece."""
         reason = (
-            f"both vector fields point at the boundary between modes {low} and {high}"
-            if back
-            else f"more than {MOST} boundaries are crossed within {length:g} s"
+            f"more than {most} boundaries are crossed within {length:g} s; if they are meant to "
+            "be, shorten the step"
         )
-        return cls(time if time > INSTANT * length else 0.0, (low, high), reason)
+        return cls(time, (min(mode, other), max(mode, other)), reason)
 
 
 class Move(NamedTuple):
@@ -77,3 +90,20 @@ class Motion(ABC):
     @abstractmethod
     def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray) -> Arrival:
         """Move over many pieces."""
+
+
+def round_off(
+    A: Float[np.ndarray, "mode n n"], B: Float[np.ndarray, "mode n m"], tau: float
+) -> tuple[Float[np.ndarray, "mode n n"], Float[np.ndarray, "mode n m"]]:
+    """M and N per mode: M|x| + N|u| is the round-off of x, coordinate by coordinate.
+
+    Besides its own a coordinate carries that of the others which move it: as much as they add
+    within `tau` seconds, or within the coordinate's own time 1/Σ_j|A_ij| if that is shorter.
+    """
+    times = 1.0 / np.maximum(np.abs(A).sum(axis=2), 1.0 / tau)[:, :, None]
+    return ROUND_OFF * (np.eye(A.shape[1]) + times * np.abs(A)), ROUND_OFF * times * np.abs(B)
+
+
+def most_crossings(A: Float[np.ndarray, "mode n n"], tau: float) -> int:
+    """How many crossings a piece may hold: more than MOST if the plant can turn round in it."""
+    return int(MOST * min(max(1.0, tau * np.abs(A).sum(axis=2).max()), 200.0))

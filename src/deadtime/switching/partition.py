@@ -2,8 +2,9 @@
 
 Each question is whether a polyhedron {x: H x ≤ h} has an interior, which the linear programme of
 its largest inscribed ball answers (Boyd and Vandenberghe, Convex Optimization, Section 4.3.1).
-Lengths are measured against the largest distance of a boundary from the origin; what is thinner
-than 1e-8 of that counts as a shared boundary.
+Every coordinate is first measured in a unit of its own, in which the boundaries lie at comparable
+distances; lengths are then measured against the largest distance of a boundary from the origin.
+What is thinner than 1e-8 of that counts as a shared boundary.
 """
 
 from __future__ import annotations
@@ -20,19 +21,22 @@ Polyhedron = tuple[np.ndarray, np.ndarray]  # H (rows, n) and h (rows,)
 
 def require_partition(regions: list[Polyhedron], modes: Int[np.ndarray, " region"]) -> None:
     """Refuse regions that are empty, that overlap in different modes, or that leave a gap."""
-    norms = [np.linalg.norm(H, axis=1) for H, _ in regions]
-    unit = max(float(np.abs(h / norm).max()) for (_, h), norm in zip(regions, norms, strict=True))
-    unit = unit or 1.0
-    scaled = [
-        (H / norm[:, None], h / norm / unit)
-        for (H, h), norm in zip(regions, norms, strict=True)
-    ]  # fmt: skip
-    for i, region in enumerate(scaled):
+    unit = _units(np.vstack([H for H, _ in regions]), np.concatenate([h for _, h in regions]))
+    norms = [np.linalg.norm(H * unit, axis=1) for H, _ in regions]
+    size = max(float(np.abs(h / norm).max()) for (_, h), norm in zip(regions, norms, strict=True))
+    unit = unit * (size or 1.0)
+    scaled: list[Polyhedron] = []
+    for i, (H, h) in enumerate(regions):
+        norm = np.linalg.norm(H * unit, axis=1)
+        region = H * unit / norm[:, None], h / norm
         if _inner_point(*region) is None:
             raise ArgumentError(
-                f"regions[{i}] is empty: no state meets H x ≤ h with room to spare; check the "
-                "signs of its rows."
+                f"regions[{i}] is empty: no state meets H x ≤ h with room to spare, "
+                f"{_FLAT:g} of the largest distance of a boundary from 0; check the signs of its "
+                "rows."
             )
+        scaled.append(_without_redundant_rows(*region))
+    for i, region in enumerate(scaled):
         for j in range(i):
             shared = None if modes[i] == modes[j] else _inner_point(*_both(scaled[j], region))
             if shared is not None:
@@ -47,6 +51,44 @@ def require_partition(regions: list[Polyhedron], modes: Int[np.ndarray, " region
             f"regions leave a gap: none of them holds x = {_written(missing * unit)}; every state "
             "needs a mode."
         )
+
+
+def _units(H: np.ndarray, h: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Powers of two, one per coordinate, in which the boundaries lie at comparable distances.
+
+    First those for which the entries of [H diag(unit), h] vary least within the rows, in least
+    squares of their logarithms; then, from the rows that mostly concern one coordinate, the
+    farthest boundary becomes 1.
+    """
+    n = H.shape[1]
+    entries = np.column_stack((H, h))
+    there = entries != 0.0
+    logs = np.log2(np.abs(entries), out=np.zeros_like(entries), where=there)
+    # Row by row: the entries less their mean, as a function of the coordinates' logarithms.
+    share = there / there.sum(axis=1, keepdims=True)
+    normal = (np.diag(there.sum(axis=0)) - there.T @ share)[:n, :n]
+    right = np.sum(there * (logs - (share * logs).sum(axis=1, keepdims=True)), axis=0)[:n]
+    unit = 2.0 ** np.rint(np.linalg.lstsq(normal, -right, rcond=None)[0])
+    size = np.abs(H) * unit
+    along = (size >= 0.5 * size.max(axis=1, keepdims=True)) & (h != 0.0)[:, None]
+    cut = np.divide(np.abs(h)[:, None], np.abs(H), out=np.zeros_like(H), where=along)
+    farthest = cut.max(axis=0)
+    return np.where(farthest > 0.0, 2.0 ** np.rint(np.log2(farthest + (farthest == 0.0))), unit)
+
+
+def _without_redundant_rows(H: np.ndarray, h: np.ndarray) -> Polyhedron:
+    """The same polyhedron, to a tenth of the tolerance, without the rows that others imply.
+
+    Where rows are as few as those of a box, to look for them takes longer than to keep them.
+    """
+    from scipy.optimize import linprog
+
+    keep = np.full(h.size, True)
+    for i in range(h.size if h.size > 2 * H.shape[1] else 0):
+        keep[i] = False
+        result = linprog(-H[i], H[keep], h[keep], bounds=(None, None))
+        keep[i] = result.status != 0 or -result.fun > h[i] + 0.1 * _FLAT
+    return H[keep], h[keep]
 
 
 def _both(one: Polyhedron, other: Polyhedron) -> Polyhedron:

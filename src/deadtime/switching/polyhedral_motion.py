@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.switching.motion import Arrival, Chatter, Motion, Move
+from deadtime.switching.motion import Arrival, Chatter, Motion, Move, most_crossings, round_off
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +25,14 @@ class PolyhedralMotion(Motion):
     B: Float[np.ndarray, "mode n m"]
     rows: Float[np.ndarray, "row n"]
     offsets: Float[np.ndarray, " row"]
-    norms: Float[np.ndarray, " row"]
     modes: Int[np.ndarray, " region"]
     first: Int[np.ndarray, " region+1"]
+    noise: tuple[Float[np.ndarray, "mode n n"], Float[np.ndarray, "mode n m"]]
     lengths: Float[np.ndarray, " length"]
     Phi: Float[np.ndarray, "length mode n n"]
     Gamma: Float[np.ndarray, "length mode n m"]
     bend: Float[np.ndarray, "length mode row"]
+    most: Int[np.ndarray, " length"]
 
     @classmethod
     def of(
@@ -62,18 +63,23 @@ class PolyhedralMotion(Motion):
             B,
             scaled,
             offsets,
-            np.linalg.norm(rows, axis=1),
             modes,
             first,
+            round_off(A, B, max(lengths)),
             np.array(lengths),
             np.stack([Phi for Phi, _ in tables]),
             np.stack([Gamma for _, Gamma in tables]),
             bend,
+            np.array([most_crossings(A, length) for length in lengths]),
         )
 
     @property
+    def _plant(self) -> tuple[np.ndarray, ...]:
+        return self.A, self.B, *self.noise
+
+    @property
     def _regions(self) -> tuple[np.ndarray, ...]:
-        return self.rows, self.offsets, self.norms, self.first, self.modes
+        return self.rows, self.offsets, self.first, self.modes
 
     def place_of(self, x: np.ndarray) -> int:
         return int(self.regions_of(x[None])[0])
@@ -81,18 +87,24 @@ class PolyhedralMotion(Motion):
     def mode_of(self, place: int) -> int:
         return int(self.modes[place])
 
-    def advance(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> Move:
-        from deadtime.switching.crossings import MOST, advance
+    def _chatter(self, kind: int, time: float, mode: int, other: int, facing: bool) -> Chatter:
+        length, most = float(self.lengths[kind]), int(self.most[kind])
+        if facing:
+            return Chatter.facing(time, mode, other, length)
+        return Chatter.piled_up(time, mode, other, length, most)
 
-        length = float(self.lengths[kind])
-        at, to = np.empty(MOST), np.empty(MOST, np.int64)
-        piece = length, self.Phi[kind], self.Gamma[kind], self.bend[kind]
-        z, region, switches, time, other, back = advance(
-            (self.A, self.B), self._regions, piece, x / self.unit, u, place, at, to
+    def advance(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> Move:
+        from deadtime.switching.crossings import advance
+
+        most = int(self.most[kind])
+        at, to = np.empty(most), np.empty(most, np.int64)
+        piece = float(self.lengths[kind]), self.Phi[kind], self.Gamma[kind], self.bend[kind]
+        z, region, switches, time, other, facing = advance(
+            self._plant, self._regions, piece, x / self.unit, u, place, at, to
         )
         chatter = None
         if time >= 0.0:
-            chatter = Chatter.found(time, self.mode_of(region), other, back, length)
+            chatter = self._chatter(kind, time, self.mode_of(region), other, facing)
         return Move(z * self.unit, region, at[:switches], to[:switches], chatter)
 
     def hold(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> np.ndarray:
@@ -102,14 +114,14 @@ class PolyhedralMotion(Motion):
     def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray) -> Arrival:
         from deadtime.switching.crossings import follow
 
-        pieces = self.lengths, self.Phi, self.Gamma, self.bend
+        pieces = self.lengths, self.Phi, self.Gamma, self.bend, self.most
         start = x / self.unit
-        z, region, piece, time, mode, other, back = follow(
-            (self.A, self.B), self._regions, pieces, kinds, inputs, start, self.place_of(x)
+        z, region, piece, time, mode, other, facing = follow(
+            self._plant, self._regions, pieces, kinds, inputs, start, self.place_of(x)
         )
         chatter = None
         if piece >= 0:
-            time += float(self.lengths[kinds[:piece]].sum())
-            length = float(self.lengths[kinds[piece]])
-            chatter = Chatter.found(time, mode, other, back, length)
+            chatter = self._chatter(int(kinds[piece]), time, mode, other, facing)
+            earlier = float(self.lengths[kinds[:piece]].sum())
+            chatter = chatter._replace(time=chatter.time + earlier)
         return Arrival(z * self.unit, region, chatter)

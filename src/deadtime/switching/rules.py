@@ -190,7 +190,7 @@ class FunctionRule(Rule):
 
     A function can only be asked, so its crossings are looked for at samples of every piece of
     time under one input, and then bisected: a stay in a mode that falls between two samples is
-    missed. `HalfSpace` and `Polyhedra` miss none.
+    missed. `HalfSpace` and `Polyhedra` miss none that is deeper than round-off.
 
     Parameters
     ----------

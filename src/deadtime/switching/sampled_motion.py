@@ -8,9 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.switching.motion import Arrival, Chatter, Motion, Move
+from deadtime.switching.motion import (
+    Arrival,
+    Chatter,
+    Motion,
+    Move,
+    most_crossings,
+    round_off,
+)
 
 _SHARP = 1e-15  # of the time from the last crossing, or the piece's start, to the sample after it
+_ASIDE = (1e-8, 1e-6, 1e-4, 1e-2)  # of a piece: how far along a field to ask for the mode
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +27,8 @@ class SampledMotion(Motion):
 
     The rule is asked at `samples` instants of every piece, and again after every crossing; a
     change between two of them is bisected. What enters and leaves a mode between two samples is
-    missed.
+    missed. Only a sample that is in another mode together with its surroundings, as wide as its
+    round-off, tells of a change.
     """
 
     mode_at: Callable[[np.ndarray], int]
@@ -28,6 +37,7 @@ class SampledMotion(Motion):
     lengths: Float[np.ndarray, " length"]
     Phi: Float[np.ndarray, "mode length sample n n"]
     Gamma: Float[np.ndarray, "mode length sample n m"]
+    noise: tuple[Float[np.ndarray, "mode n n"], Float[np.ndarray, "mode n m"]]
 
     @classmethod
     def of(
@@ -41,7 +51,7 @@ class SampledMotion(Motion):
         tables = [[_to_samples(A[i], B[i], t, samples) for t in lengths] for i in range(len(A))]
         Phi = np.array([[Phi for Phi, _ in row] for row in tables])
         Gamma = np.array([[Gamma for _, Gamma in row] for row in tables])
-        return cls(mode_at, A, B, np.array(lengths), Phi, Gamma)
+        return cls(mode_at, A, B, np.array(lengths), Phi, Gamma, _balanced_noise(A, B, lengths))
 
     def place_of(self, x: np.ndarray) -> int:
         return self.mode_at(x)
@@ -49,13 +59,36 @@ class SampledMotion(Motion):
     def mode_of(self, place: int) -> int:
         return place
 
-    def _change(self, points: np.ndarray, mode: int) -> int:
-        """Index of the first point that the rule puts into another mode; −1 if none."""
-        mode_at = self.mode_at
+    def _around(self, mode: int, x: np.ndarray, u: np.ndarray) -> set[int]:
+        """The modes of the states that are as far from x as its round-off in `mode`."""
+        M, N = self.noise
+        spread = np.diag(M[mode] @ np.abs(x) + N[mode] @ np.abs(u))
+        return {self.mode_at(y) for y in np.concatenate((x + spread, x - spread))}
+
+    def _change(self, points: np.ndarray, inputs: np.ndarray, mode: int) -> int:
+        """Index of the first point that is surely in another mode; −1 if none.
+
+        Each row of inputs leads to as many points.
+        """
+        mode_at, each = self.mode_at, len(points) // len(inputs)
         for i, point in enumerate(points):
-            if mode_at(point) != mode:
+            if mode_at(point) != mode and mode not in self._around(mode, point, inputs[i // each]):
                 return i
         return -1
+
+    def _facing(self, mode: int, other: int, x: np.ndarray, u: np.ndarray) -> bool:
+        """Whether both modes point at their boundary at x, surely.
+
+        The mode before the crossing leads into the other and comes from itself, and so does the
+        other; asked so close that round-off leaves no doubt.
+        """
+        fields = [self.A[i] @ x + self.B[i] @ u for i in (mode, other)]
+        for share in _ASIDE:
+            ahead = [share * float(self.lengths.max()) * field for field in fields]
+            found = [self._around(mode, x + side, u) for a in ahead for side in (a, -a)]
+            if all(len(modes) == 1 for modes in found):
+                return found == [{other}, {mode}, {mode}, {other}]
+        return False
 
     def _flow(self, mode: int, x: np.ndarray, u: np.ndarray, tau: float) -> np.ndarray:
         from deadtime.exponential import held
@@ -81,9 +114,8 @@ class SampledMotion(Motion):
         return high, state, new
 
     def advance(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> Move:
-        from deadtime.switching.crossings import INSTANT, MOST
-
         length = float(self.lengths[kind])
+        most = most_crossings(self.A, length)
         times: list[float] = []
         modes = [place]
         start, rest = 0.0, length
@@ -92,22 +124,22 @@ class SampledMotion(Motion):
         while True:
             mode = modes[-1]
             points = Phi @ x + Gamma @ u
-            change = self._change(points, mode)
+            change = self._change(points, u[None], mode)
             if change < 0:
                 return Move(points[-1], mode, np.array(times), np.array(modes[1:]), None)
             low, high = rest * change / samples, rest * (change + 1) / samples
             s, x, entered = self._crossing(mode, x, u, low, high)
             start = min(start + s, length)
             rest = length - start
-            back = len(times) > 0 and entered == modes[-2] and start - times[-1] <= INSTANT * length
-            if back or len(times) == MOST:
-                if back:
-                    times.pop()
-                    modes.pop()
-                chatter = Chatter.found(start, mode, entered, back, length)
-                held = modes[-1]
-                end = self._flow(held, x, u, rest)
-                return Move(end, held, np.array(times), np.array(modes[1:]), chatter)
+            facing = self._facing(mode, entered, x, u)
+            if facing or len(times) == most:
+                chatter = (
+                    Chatter.facing(start, mode, entered, length)
+                    if facing
+                    else Chatter.piled_up(start, mode, entered, length, most)
+                )
+                end = self._flow(mode, x, u, rest)
+                return Move(end, mode, np.array(times), np.array(modes[1:]), chatter)
             times.append(start)
             modes.append(entered)
             Phi, Gamma = _to_samples(self.A[entered], self.B[entered], rest, samples)
@@ -122,7 +154,7 @@ class SampledMotion(Motion):
         while p < kinds.size:
             path = frozen_path(self.Phi[mode], self.Gamma[mode], kinds[p:], inputs[p:], x)
             pieces, samples, n = path.shape
-            change = self._change(path.reshape(pieces * samples, n), mode)
+            change = self._change(path.reshape(pieces * samples, n), inputs[p:], mode)
             if change < 0:
                 return Arrival(path[-1, -1], mode, None)
             before = change // samples
@@ -145,3 +177,15 @@ def _to_samples(
 
     pairs = [held(A, B, length * (i + 1) / samples) for i in range(samples)]
     return np.array([Phi for Phi, _ in pairs]), np.array([Gamma for _, Gamma in pairs])
+
+
+def _balanced_noise(
+    A: np.ndarray, B: np.ndarray, lengths: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """`round_off`, found in the units of the states in which the modes are balanced."""
+    from deadtime.exponential import balance
+
+    unit = balance(np.abs(A).sum(axis=0))
+    back = unit[:, None]
+    M, N = round_off(A * unit / back, B / back, max(lengths))
+    return M * back / unit, N * back

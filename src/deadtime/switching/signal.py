@@ -169,7 +169,11 @@ class SwitchingSignal:
         return self
 
     def after(self, time: float) -> SwitchingSignal:
-        """The signal from `time` on, with that instant as its new 0; its mode keeps its age."""
+        """The signal from `time` on, with that instant as its new 0; its mode keeps its age.
+
+        That age counts from the true last switch, which a law that sees the mode at samples only
+        may have missed: after two switches within one step it starts younger than in a whole run.
+        """
         if not 0.0 <= number("time", time) < self.end:
             raise ArgumentError(f"time must be in [0, end) = [0, {self.end:g}), got {time:g}.")
         later = self.times > time
