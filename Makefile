@@ -25,7 +25,7 @@ types: .venv/installed-test
 	$(BIN)/basedpyright
 
 pytest: .venv/installed-test .venv/compiled
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses auto --dist loadfile
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/single_run.py
