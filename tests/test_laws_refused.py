@@ -70,7 +70,7 @@ ORACLE = dt.ExactPredictor(PLANT, GAINS)
         ),
         (
             lambda: dt.AveragedPredictor(PLANT, GAINS, [0.5, 0.6]),
-            "with sum 1.1: divide them by their sum.",
+            "with sum 1.1: give probabilities; if none is negative, divide them by their sum.",
         ),
         (
             lambda: dt.SingleModePredictor(PLANT, GAINS, 2),

@@ -9,7 +9,9 @@ from scipy import stats
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.comparison import compare
 from deadtime.problem_file import load_problem
+from deadtime.verdict import verdict
 
 PLANT = """\
 [plant]
@@ -102,6 +104,31 @@ def test_a_rule_switches_by_the_state_and_its_law_comes_first(tmp_path):
     run = problem.simulate("state-dependent")
     assert run.signal.switches == 1
     assert np.abs(run.mismatch).max() <= 1e-10
+
+
+def test_the_verdict_compares_no_runs_that_chattering_ended(tmp_path):
+    text = """\
+[plant]
+delay = 0.3
+A = [[[1.0]], [[-1.5]]]
+B = [[[1.0]], [[1.0]]]
+[gains]
+poles = [-2.0]
+[signal]
+kind = "half-space"
+normal = [1.0]
+offset = 1.0
+[run]
+x0 = [0.9]
+horizon = 2.0
+step = 0.05
+u0 = 1.0
+"""
+    (tmp_path / "chatter.toml").write_text(text)
+    sentences = verdict(compare(load_problem(tmp_path / "chatter.toml")))
+    assert len(sentences) == 2
+    assert "ends early: chattering" in sentences[0]
+    assert sentences[1].startswith("Runs that chatter end early: state-dependent, averaged,")
 
 
 def test_polyhedra_may_say_the_same_as_a_half_space(tmp_path):

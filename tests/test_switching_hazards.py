@@ -153,10 +153,10 @@ semi = SemiMarkov
         (lambda: semi(1.0).hazard(0.1, 0), "ages must be an integer of at least 1, got 0."),
         (
             lambda: semi([1.0, stats.expon(scale=0.5)]).hazard(0.2, 3),
-            "step = 0.2 s is too long for the sojourns: half of those in mode 1 are shorter than "
+            "step = 0.2 s is too long for the sojourns: half of those in mode 1 last at most "
             "0.3466 s, less than two steps; take at most 0.1732 s.",
         ),
-        (lambda: semi(0.3).ages(0.16), "half of those in mode 0 are shorter than 0.3 s"),
+        (lambda: semi(0.3).ages(0.16), "half of those in mode 0 last at most 0.3 s"),
         (
             lambda: semi([1.0, stats.lomax(1.0)]).ages(0.01),
             "step = 0.01 s is too short for sojourn[1] = lomax(1): its hazard still changes after "

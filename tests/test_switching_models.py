@@ -262,8 +262,8 @@ semi = SemiMarkov
         ),
         (
             lambda: semi(1.0, [[0.0, 1.0], [0.9, 0.0]]),
-            "transition[1] must be ≥ 0 and sum to 1, got [0.9, 0.0] with sum 0.9: divide it by "
-            "its sum.",
+            "transition[1] must be ≥ 0 and sum to 1, got [0.9, 0.0] with sum 0.9: give "
+            "probabilities; if none is negative, divide them by their sum.",
         ),
         (lambda: semi(1.0, [[0, 2, -1], *JUMPS[1:]]), "transition[0] must be ≥ 0 and sum to 1"),
     ],

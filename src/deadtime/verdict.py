@@ -16,6 +16,7 @@ from deadtime.laws import (
     MeanPredictor,
     SingleModePredictor,
 )
+from deadtime.simulation import Trajectory
 from deadtime.wording import amount, compact, signed
 
 
@@ -30,12 +31,22 @@ def verdict(result: Comparison) -> list[str]:
     Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
     """
     sentences = [_headline(result)]
-    sentences += [_without_switching(result)] if result.problem.plant.modes > 1 else []
+    early = [name for name, run in result.runs.items() if _ended_early(result, run)]
+    if early:
+        # Figures of runs of different length do not compare.
+        return [*sentences, f"Runs that chatter end early: {', '.join(early)}; see their messages."]
+    settled = not any(run.message and not run.diverged for run in result.held)
+    sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _named(result, DelayedStateFeedback)[:1]]
     singles = _named(result, SingleModePredictor)
     sentences += [_believing_one_mode(result, singles)] if singles else []
     sentences += [_against_the_oracle(result, name) for name in _named(result, ExactPredictor)[:1]]
     return sentences
+
+
+def _ended_early(result: Comparison, run: Trajectory) -> bool:
+    """Whether a run could not go on, though it did not diverge."""
+    return not run.diverged and run.end < result.problem.horizon
 
 
 def _named(result: Comparison, kind: type[Law]) -> list[str]:
@@ -77,7 +88,7 @@ def _headline(result: Comparison) -> str:
     law = law[0].upper() + law[1:]
     if run.diverged:
         return f"{law} loses the plant {setting}: {run.message}"
-    if run.end < problem.horizon:
+    if _ended_early(result, run):
         return f"The run of {_law(result.lead)} ends early: {run.message}"
     row, start = result.metrics[result.lead], _start(result)
     origin = amount(start) if start else f"a peak of {amount(row['peak'])}"

@@ -83,7 +83,8 @@ class AveragedPredictor(TableLaw):
         if weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-9:
             raise ArgumentError(
                 f"weights must be ≥ 0 and sum to 1, got {weights.tolist()} with sum "
-                f"{weights.sum():.10g}: divide them by their sum."
+                f"{weights.sum():.10g}: give probabilities; if none is negative, divide them by "
+                "their sum."
             )
         vars(self).update(
             plant=plant,

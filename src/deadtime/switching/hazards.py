@@ -92,7 +92,7 @@ def require_short(step: float, sojourn: tuple[Distribution, ...]) -> float:
             unit = 10.0 ** (np.floor(np.log10(longest)) - 3.0)
             raise ArgumentError(
                 f"step = {step:g} s is too long for the sojourns: half of those in mode {mode} "
-                f"are shorter than {median:.4g} s, less than two steps; take at most "
+                f"last at most {median:.4g} s, less than two steps; take at most "
                 f"{np.floor(longest / unit) * unit:.4g} s."
             )
     return step

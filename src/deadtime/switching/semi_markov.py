@@ -270,6 +270,7 @@ def _transition(transition: ArrayLike) -> Float[np.ndarray, "mode mode"]:
         if row.min() < 0.0 or abs(row.sum() - 1.0) > 1e-9:
             raise ArgumentError(
                 f"transition[{i}] must be ≥ 0 and sum to 1, got {row.tolist()} with sum "
-                f"{row.sum():.10g}: divide it by its sum."
+                f"{row.sum():.10g}: give probabilities; if none is negative, divide them by "
+                "their sum."
             )
     return table
