@@ -1,4 +1,4 @@
-"""Growth rates: one mode for ever, and the loop of plant and law as one matrix.
+"""The digital loop of one mode and one row of a law's table, as one matrix.
 
 Over a sampling period the plant in one mode under one row (F, G) of a law's table is linear in
 
@@ -21,14 +21,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.checks import index, instance, positive
-from deadtime.errors import ArgumentError
+from deadtime.checks import index
 from deadtime.feedback import Feedback
-from deadtime.laws.base import Law, require_match
-from deadtime.laws.exact import ExactPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
-from deadtime.switching import SwitchingSignal
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
@@ -97,15 +93,15 @@ class LiftedLoop:
 
     def after(self, z: Float[np.ndarray, " order"], periods: int) -> Float[np.ndarray, " order"]:
         """L^periods z, by running the loop: O(W m²) a period."""
+        from deadtime.spectrum.compiled import march
+
         m, n = self.F.shape
         taps, N, W = self.G.shape[0], self.count, self.held
-        G = self.G[::-1].transpose(1, 0, 2).reshape(m, taps * m)
-        x, inputs = z[:n], np.empty((W + periods, m))
-        inputs[:W] = z[n:].reshape(W, m)[::-1]
-        for now in range(W, W + periods):
-            inputs[now] = self.F @ x + G @ inputs[now - taps : now].ravel()
-            x = self.Phi @ x + self.early @ inputs[now - N] + self.late @ inputs[now - N + 1]
-        return np.concatenate((x, inputs[: -W - 1 : -1].ravel()))
+        G = np.array(self.G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
+        inputs = np.empty((W + periods) * m)
+        inputs[: W * m] = z[n:].reshape(W, m)[::-1].ravel()
+        x = march(self.Phi, self.early, self.late, self.F, G, N, z[:n].copy(), inputs, W)
+        return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
     def growth_rate(self, step: float) -> float:
         """ln(spectral radius of L)/h, −∞ where that is 0.
@@ -159,70 +155,11 @@ def lifted_loop(
     """
     mode = index("mode", mode, plant.modes)
     rows = feedback.state_gain.shape[0]
-    row = _aged_row(feedback, mode) if row is None else index("row", row, rows)
+    row = aged_row(feedback, mode) if row is None else index("row", row, rows)
     return LiftedLoop.of(plant, feedback, mode, row).matrix()
 
 
-def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None = 0.01) -> float:
-    """How fast the loop grows if the plant stays in one mode for ever, in 1/s.
-
-        max Re s = ln(spectral radius of the lifted loop)/h
-
-    Negative for a loop that decays. The row of a law that tells ages apart is the one of a mode
-    that has lasted for ever; an oracle knows that nothing will switch.
-
-    Parameters
-    ----------
-    plant : SwitchedSystem
-        The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
-    law : Law
-        A law that is a table.
-    mode : int
-        The mode.
-    step : float
-        Sampling period h, in seconds.
-
-    Returns
-    -------
-    float
-        The growth rate, to about 1e-9 1/s. A double precision loop cannot show that it decays
-        much faster than −30/D, where round-off takes over; there the rate is that of round-off.
-
-    Raises
-    ------
-    ArgumentError
-        If the law and the plant do not belong together, the law is no table, or it foresees a
-        signal of its own that switches.
-
-    Examples
-    --------
-    >>> import deadtime as dt
-    >>> problem = dt.problems.paper()
-    >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
-    >>> [round(growth_rate(problem.plant, law, mode), 3) for mode in (0, 1)]
-    [0.128, 0.282]
-    """
-    instance("plant", plant, SwitchedSystem)
-    instance("law", law, Law)
-    require_match(plant, law)
-    mode = index("mode", mode, plant.modes)
-    if step is None:
-        raise ArgumentError(
-            "step must be given: the rate of the ideal loop, updated continuously, is not there "
-            "yet; a short period comes close to it."
-        )
-    step = positive("step", step)
-    if isinstance(law, ExactPredictor) and law.signal is not None and law.signal.switches:
-        raise ArgumentError(
-            "law must not foresee a signal of its own that switches, when the mode stays the "
-            "same for ever: build the ExactPredictor without one."
-        )
-    feedback = law.digital(step, SwitchingSignal.constant(mode), 1)
-    loop = LiftedLoop.of(plant, feedback, mode, _aged_row(feedback, mode))
-    return loop.growth_rate(step)
-
-
-def _aged_row(feedback: Feedback, mode: int) -> int:
+def aged_row(feedback: Feedback, mode: int) -> int:
     """The row that applies when a mode has lasted for ever."""
     if feedback.context in ("mode", "mode_age"):
         return (mode + 1) * feedback.ages - 1

@@ -1,0 +1,27 @@
+"""What every function of a loop with one mode for ever asks of its arguments."""
+
+from __future__ import annotations
+
+from deadtime.checks import index, instance
+from deadtime.errors import ArgumentError
+from deadtime.laws.base import Law, require_match
+from deadtime.laws.exact import ExactPredictor
+from deadtime.plant import SwitchedSystem
+
+
+def require_constant(plant: SwitchedSystem, law: Law) -> None:
+    """Refuse a plant and a law that do not make a loop with one mode for ever."""
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    require_match(plant, law)
+    if isinstance(law, ExactPredictor) and law.signal is not None and law.signal.switches:
+        raise ArgumentError(
+            "law must not foresee a signal of its own that switches, when the mode stays the "
+            "same for ever: build the ExactPredictor without one."
+        )
+
+
+def checked_mode(plant: SwitchedSystem, law: Law, mode: object) -> int:
+    """The mode of a loop that stays in it for ever."""
+    require_constant(plant, law)
+    return index("mode", mode, plant.modes)

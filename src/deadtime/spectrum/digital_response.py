@@ -1,0 +1,101 @@
+"""The digital loop at the limit of stability; see `deadtime.spectrum.response`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.feedback import Feedback
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.lifted import aged_row
+from deadtime.spectrum.response import Response
+
+_CUTS = 5  # delays within a period at which the pipe is tried
+
+
+@dataclass(frozen=True, eq=False)
+class DigitalResponse(Response):
+    """A plant in one mode under a row (F, G) of a table, at the table's period (immutable)."""
+
+    A: Float[np.ndarray, "n n"]
+    B: Float[np.ndarray, "n m"]
+    F: Float[np.ndarray, "m n"]
+    G: Float[np.ndarray, "tap m m"]
+    step: float
+    Phi: Float[np.ndarray, "n n"]
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, feedback: Feedback, mode: int) -> DigitalResponse:
+        """The loop with one mode for ever."""
+        from deadtime.exponential import held
+
+        row = aged_row(feedback, mode)
+        A, B, h = plant.A[mode], plant.B[mode], feedback.step
+        F, G = feedback.state_gain[row], feedback.input_gain[row]
+        return cls(A, B, F, G, h, held(A, B, h)[0])
+
+    @property
+    def memory(self) -> float:
+        return self.G.shape[0] * self.step
+
+    @property
+    def highest(self) -> float:
+        return np.pi / self.step
+
+    def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(self.A.shape[0])
+        return z - self.Phi, 1j * self.step * z
+
+    def law(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        from deadtime.spectrum.compiled import transform
+
+        g, slope = transform(self.G, np.exp(-1j * omega * self.step))
+        return np.eye(g.shape[1]) - g, 1j * self.step * slope
+
+    def even_law(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        taps, m, _ = self.G.shape
+        j = np.arange(1, taps + 1)[:, None, None]
+        # The half point is turned into the taps; the rest is one transform of 2·count points.
+        turned = np.zeros((2, 2 * count, m, m), complex)
+        turned[0, 1 : taps + 1] = self.G * np.exp(-0.5j * np.pi * j / count)
+        turned[1, 1 : taps + 1] = turned[0, 1 : taps + 1] * (j * self.step)
+        g, slope = np.fft.fft(turned, axis=1)[:, :count]
+        return np.eye(m) - g, 1j * slope
+
+    def pipe(
+        self, omega: np.ndarray, delay: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        values, which = np.unique(delay, return_inverse=True)
+        parts = [self._parts(float(value)) for value in values]
+        count = np.array([part[0] for part in parts])[which]
+        early, late, last = (np.stack([part[k] for part in parts])[which] for k in (1, 2, 3))
+        z = np.exp(1j * omega * self.step)
+        old, new = ((z**-c)[:, None, None] for c in (count, count - 1.0))
+        rate = -1j * self.step * count[:, None, None]
+        p = old * early + new * late
+        return p, rate * p + 1j * self.step * new * late, (old - new) * last
+
+    def _parts(self, delay: float) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+        """N, Γ_early, Γ_late and e^{A(h − φ)} B."""
+        from deadtime.exponential import held
+
+        # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
+        count = max(1, math.ceil(delay / self.step))
+        phase = delay - (count - 1) * self.step
+        early = held(self.A, self.B, phase)[1]
+        rest, late = held(self.A, self.B, self.step - phase)
+        return count, rest @ early, late, rest @ self.B
+
+    def pipes(self, omega: np.ndarray) -> list[np.ndarray]:
+        delays = self.step * np.arange(1, _CUTS + 1) / _CUTS
+        return [self.pipe(omega, np.full(omega.size, delay))[0] for delay in delays]
+
+    def speed(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        from deadtime.exponential import held
+
+        ages = self.step * np.arange(_CUTS) / (_CUTS - 1)
+        C = np.stack([held(self.A, self.B, age)[0] @ self.B for age in ages])
+        return np.abs(1.0 - np.exp(1j * omega * self.step)), C

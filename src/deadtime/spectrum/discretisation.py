@@ -1,0 +1,73 @@
+"""Approximate characteristic roots: the ideal loop's generator on a Chebyshev grid.
+
+The state of the loop is x(t) and u on [t − T, t], T the longer of the two delays. Shifting it in
+time is a semigroup with the generator
+
+    (x, u) ↦ (A x + B u(−D), du/dθ)    where    u(0) = F x + ∫₀^D̂ w(τ) u(−τ) dτ.
+
+A polynomial through u at Chebyshev points turns it into a matrix whose eigenvalues tend to the
+roots, faster than any power of the degree since eigenfunctions are exponentials: for a degree of
+a few more than |s| T/2. The others are of no meaning, so all are polished and counted
+(`deadtime.spectrum.characteristic`). One polynomial serves unequal delays, too: the smooth
+functions that matter do not break at −D or −D̂.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from deadtime.spectrum.ideal import IdealLoop, weights
+
+
+def approximate_roots(loop: IdealLoop, degree: int) -> Complex[np.ndarray, " order"]:
+    """Eigenvalues of the generator on polynomials of a degree, n + m·degree of them."""
+    return np.linalg.eigvals(generator(loop, degree)).astype(complex)
+
+
+def generator(loop: IdealLoop, degree: int) -> Float[np.ndarray, "order order"]:
+    """The generator as a matrix, of (x, u(θ_1), …, u(θ_degree)), u(0) eliminated."""
+    n, m = loop.B.shape
+    longest = loop.longest
+    nodes, derivative, barycentric = _chebyshev(degree)
+    tau, taps = weights(loop.K, loop.S, loop.R, loop.lead, loop.near + 2.0 * degree / longest)
+    at = _interpolation(nodes, barycentric, 1.0 - 2.0 * np.append(tau, loop.delay) / longest)
+    window = np.tensordot(taps, at[:-1], ([0], [0])).transpose(2, 0, 1)  # node by node (m, m)
+    now = np.zeros((m, n + m * degree))
+    now[:, :n] = loop.F
+    now[:, n:] = window[1:].transpose(1, 0, 2).reshape(m, m * degree)
+    now = np.linalg.solve(np.eye(m) - window[0], now)
+    later = np.zeros((n, n + m * degree))
+    later[:, n:] = np.kron(at[-1, 1:], loop.B)
+    result = np.zeros((n + m * degree, n + m * degree))
+    result[:n] = at[-1, 0] * (loop.B @ now) + later
+    result[:n, :n] += loop.A
+    slope = derivative[1:] * (2.0 / longest)
+    result[n:] = np.kron(slope[:, :1], now)
+    result[n:, n:] += np.kron(slope[:, 1:], np.eye(m))
+    return result
+
+
+def _chebyshev(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points cos(jπ/degree), the matrix that differentiates there, barycentric weights."""
+    angle = np.arange(degree + 1) * (np.pi / degree)
+    nodes = np.cos(angle)
+    barycentric = (-1.0) ** np.arange(degree + 1)
+    barycentric[[0, -1]] /= 2.0
+    # x_i − x_j = −2 sin((a_i + a_j)/2) sin((a_i − a_j)/2) keeps its digits where points crowd.
+    half = angle / 2.0
+    apart = -2.0 * np.sin(half[:, None] + half) * np.sin(half[:, None] - half)
+    np.fill_diagonal(apart, 1.0)
+    derivative = barycentric / barycentric[:, None] / apart
+    np.fill_diagonal(derivative, 0.0)
+    np.fill_diagonal(derivative, -derivative.sum(axis=1))
+    return nodes, derivative, barycentric
+
+
+def _interpolation(nodes: np.ndarray, barycentric: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Rows that evaluate the polynomial through values at the nodes."""
+    apart = at[:, None] - nodes
+    hit = np.abs(apart) < 1e-15
+    ratio = barycentric / np.where(hit, 1.0, apart)
+    rows = ratio / ratio.sum(axis=1, keepdims=True)
+    return np.where(hit.any(axis=1, keepdims=True), hit, rows).astype(float)
