@@ -22,6 +22,10 @@ class StudyFileError(ArgumentError):
     """A study file is malformed; the message names the file, the line and the key."""
 
 
+class CertificateFileError(ArgumentError):
+    """A certificate's files cannot be read as such; the message names the file and what to do."""
+
+
 class InfeasibleError(DeadtimeError, ValueError):
     """What was asked for does not exist: the message gives the solver's verdict."""
 

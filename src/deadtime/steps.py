@@ -100,7 +100,7 @@ class Cuts:
         offset = np.where(ratio == step, 0.0, times - step * h)
         if phase < h:
             late = snap_all((times - window.delay) / h)
-            on_phase = late == np.rint(late)
+            on_phase = (late == np.rint(late)) & (ratio != step)
             step = np.where(on_phase, late + (window.count - 1), step)
             offset = np.where(on_phase, phase, offset)
         return cls(step.astype(np.int64), offset, signal.modes)

@@ -1,0 +1,279 @@
+"""Certify: stability of the digital loop for every admissible signal, proved by machine.
+
+First the modes alone: one that grows for ever is a witness against stability. Then Lyapunov
+functions, the common one first and those of mode and age when it fails (`dwell`), each proposal
+judged by the check of `proof`. When none is found the search for a bad signal has the last word.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from deadtime.certificates.certificate import Certificate
+from deadtime.certificates.dwell.search import Level, Search
+from deadtime.certificates.proof import Check, Evidence
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.transitions import exact_ratio
+from deadtime.checks import count, instance, number, positive
+from deadtime.errors import ArgumentError, DeadtimeError
+from deadtime.laws.base import Law, TableLaw, require_match
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum import growth_rate
+
+LEVELS = (Level(0), Level(2), Level(4))
+AGE_LEVELS = (Level(0), Level(2, 3))  # where the rows change with the age, S must, too
+LARGE = 400  # order from which the last levels cost more than they bring
+LARGEST = 3000  # order that memory allows
+PARTS = (0.9, 0.6, 0.3, 0.1)  # of the slowest mode's decay, tried as the certified one
+GROWS = 1e-7  # 1/s: growth that round-off does not explain
+
+
+def certify(
+    plant: SwitchedSystem | Sequence[SwitchedSystem],
+    law: Law,
+    dwell_time: float,
+    step: float = 0.01,
+    *,
+    maximum_dwell: float | None = None,
+    chatter: int = 1,
+    delays: tuple[float, float] | None = None,
+    decay_rate: float | None = None,
+    search_signals: bool = True,
+) -> Certificate:
+    """Whether the digital loop is stable for every switching signal with a dwell time.
+
+    Switches may fall anywhere, not only on the sampling grid. The answer is True with a Lyapunov
+    function, False with a signal under which the loop grows, or None with a reason.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem, or a sequence of them
+        The truth, which may differ from the law's model; a sequence gives the corners of a
+        polytope of plants (of one delay).
+    law : Law
+        A law that is a table with rows by nothing, by mode, or by mode and age.
+    dwell_time : float
+        Shortest sojourn τ_d, in seconds, at least one period.
+    step : float
+        Sampling period h, in seconds.
+    maximum_dwell : float, optional
+        Longest sojourn, in seconds; without it a mode may last for ever.
+    chatter : int
+        N₀: above 1, `dwell_time` is an average dwell time τ_a, and any window of T s may hold
+        N₀ + T/τ_a switches, at most one per period.
+    delays : (low, high), optional
+        A range of the plant's true delay, in seconds, within which it is constant; by default the
+        plant's delay. The law's table stays what it is.
+    decay_rate : float, optional
+        The rate to certify, 1/s; by default one close to the slowest mode's.
+    search_signals : bool
+        Whether to look for a signal under which the loop grows where no certificate is found.
+
+    Returns
+    -------
+    Certificate
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, or law and plant do not belong together.
+
+    Notes
+    -----
+    See docs/certificates.md for what is proved and how; `proof.evidence` has the inequalities.
+    Order d = n + N m: with N = 100 a second or two, with N = 1,000 half a minute.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.problems.paper().plant.apart(0.5)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
+    >>> certificate = certify(plant, law, dwell_time=0.2, step=0.1)
+    >>> certificate.stable, certificate.proven
+    (True, True)
+    """
+    plants = _plants(plant)
+    instance("law", law, Law)
+    for corner in plants:
+        require_match(corner, law)
+    step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
+    if maximum_dwell is not None and positive("maximum_dwell", maximum_dwell) < dwell_time:
+        raise ArgumentError(
+            f"maximum_dwell must be at least dwell_time = {dwell_time:g} s, got {maximum_dwell:g}."
+        )
+    if count("chatter", chatter) > 1 and maximum_dwell is not None:
+        raise ArgumentError("chatter > 1 and maximum_dwell exclude each other: give one of them.")
+    if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
+        raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
+    reason = _out_of_reach(plants, law, dwell_time, step)
+    if reason:
+        return Certificate(None, reason)
+    table = law.digital(step)
+    setting = Setting(
+        np.stack([corner.A for corner in plants]),
+        np.stack([corner.B for corner in plants]),
+        _delays(delays, plants[0].delay, step),
+        table.state_gain,
+        table.input_gain,
+        table.context,
+        table.ages,
+        step,
+        dwell_time,
+        maximum_dwell,
+        chatter,
+    )
+    if setting.order > LARGEST:
+        return Certificate(None, _too_large(setting.order))
+    return _decide(plants, law, setting, decay_rate, search_signals)
+
+
+def _decide(
+    plants: list[SwitchedSystem],
+    law: Law,
+    setting: Setting,
+    wanted: float | None,
+    search_signals: bool,
+) -> Certificate:
+    """The modes alone, then Lyapunov functions, then a bad signal."""
+    slowest = -math.inf
+    if setting.maximum_dwell is None:
+        corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in setting.delays]
+        rates = [
+            (growth_rate(corner, law, mode, setting.step), mode, corner)
+            for corner in corners
+            for mode in range(corner.modes)
+        ]
+        slowest, mode, corner = max(rates, key=lambda item: item[0])
+        if slowest > GROWS and not search_signals:
+            return Certificate(None, f"Held in mode {mode} it grows at {slowest:+.4g} 1/s.")
+        if slowest > GROWS:
+            return _refuted(corner, law, setting, f"held in mode {mode} for ever it grows")
+    if wanted is not None and slowest > -wanted:
+        return Certificate(
+            None,
+            f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays at "
+            f"{-slowest:.4g} 1/s.",
+        )
+    evidence, outcome = _evidence(setting, _rates(wanted, -slowest))
+    if evidence is not None:
+        return Certificate.of(evidence, outcome.cells)
+    if not search_signals:
+        return Certificate(None, f"Inconclusive: {outcome.reason}.")
+    searched = []
+    for corner in plants:
+        searched.append(_refuted(corner, law, setting, ""))
+        if searched[-1].stable is False:
+            return searched[-1]
+    return Certificate(
+        None,
+        f"Inconclusive: {outcome.reason}, and no admissible signal that grows was found either. "
+        f"{searched[0].message}",
+        witness=searched[0].witness,
+    )
+
+
+def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Check]:
+    """The first level that proves stability, at the best decay that it reaches."""
+    outcome = Check(False, "no Lyapunov function of the kinds tried was found")
+    for level in AGE_LEVELS if setting.context == "mode_age" else LEVELS:
+        if setting.order > LARGE and level.eigenvectors > 2:
+            break
+        search = Search(setting, level)
+        if search.propose(math.exp(-rates[-1] * setting.step)) is None:
+            continue
+        for rate in rates:
+            proposal = search.propose(math.exp(-rate * setting.step))
+            if proposal is None:
+                continue
+            evidence, outcome = search.prove(proposal)
+            if outcome.proven:
+                return evidence, outcome
+    return None, outcome
+
+
+def _rates(wanted: float | None, fastest: float) -> list[float]:
+    """Decay rates to try, best first."""
+    if wanted is not None:
+        return [wanted]
+    if not math.isfinite(fastest):
+        return [0.0]
+    return [part * fastest for part in PARTS] + [0.0]
+
+
+def _refuted(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:
+    """The worst signal: False if the loop grows under it, None with the signal otherwise."""
+    from deadtime.certificates.worst_case import falsify
+
+    dwell_time, longest = setting.dwell_time, setting.maximum_dwell
+    try:
+        worst = falsify(plant, law, dwell_time, setting.step, maximum_dwell=longest)
+    except DeadtimeError as error:
+        return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
+    if worst.growth_rate > GROWS:
+        also = f" ({why})" if why and worst.signal.switches else ""
+        return Certificate(
+            False, f"Not stable for every admissible signal{also}: {worst.message}", witness=worst
+        )
+    return Certificate(None, worst.message, witness=worst)
+
+
+def _plants(plant: SwitchedSystem | Sequence[SwitchedSystem]) -> list[SwitchedSystem]:
+    plants = [plant] if isinstance(plant, SwitchedSystem) else list(plant)
+    if not plants:
+        raise ArgumentError("plant must be a SwitchedSystem or a sequence of them, got none.")
+    for corner in plants:
+        instance("plant", corner, SwitchedSystem)
+        if corner.delay != plants[0].delay:
+            raise ArgumentError(
+                "plant must have one delay at all corners of the polytope: give a range of delays "
+                "as delays=(low, high)."
+            )
+    return plants
+
+
+def _delays(delays: tuple[float, float] | None, nominal: float, step: float) -> tuple[float, float]:
+    if delays is None:
+        return nominal, nominal
+    low, high = (positive("delays", value) for value in delays)
+    if low > high:
+        raise ArgumentError(f"delays must ascend, got ({low:g}, {high:g}).")
+    try:
+        Family.of(np.zeros((1, 1, 1, 1)), np.zeros((1, 1, 1, 1)), (low, high), step)
+    except ValueError:
+        raise ArgumentError(
+            f"delays must lie within one period, between two multiples of step = {step:g} s, got "
+            f"({low:g}, {high:g}): certify the parts one by one, as delay_margin does."
+        ) from None
+    return low, high
+
+
+def _out_of_reach(plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float) -> str:
+    """Why there can be no certificate, if so."""
+    if not isinstance(law, TableLaw):
+        return f"{type(law).__name__} is no table but a nonlinear law: no certificate of this kind."
+    from deadtime.laws.exact import ExactPredictor
+
+    if isinstance(law, ExactPredictor):
+        return (
+            "ExactPredictor foresees the signal, so its table is one for each signal: there is no "
+            "one loop to certify."
+        )
+    if plants[0].modes > 1 and exact_ratio(dwell_time, step) < 1:
+        return (
+            f"dwell_time = {dwell_time:g} s is below one period of {step:g} s: several switches "
+            "may fall into a step; shorten the step."
+        )
+    return ""
+
+
+def _too_large(order: int) -> str:
+    """An estimate of what a loop of this order would take."""
+    gigabytes, minutes = 14 * 8e-9 * order**2 + 3e-7 * order**2, 0.5 * (order / 1000) ** 3
+    return (
+        f"the lifted loop has order {order:,}: a certificate would take about {gigabytes:.1f} GB "
+        f"and {minutes:.0f} min, and {LARGEST:,} is the limit; lengthen the step."
+    )

@@ -1,0 +1,204 @@
+"""Where to write the loop around: the centre, and functionals that the certificate may use.
+
+E₀ is the mean of the modes' steps and row₀ of the table's rows, so that Δ is small. R are
+leading singular directions of the rows' differences; with all of them T_c R is exact, with a
+few the search is quick. Ψ are dominant left eigenvectors of each mode's loop, and close as a
+filter: where Ψ_i M_i = Λ_i Ψ_i and M_i is the loop with w = Δ_i v,
+
+    Ψ_i ξ⁺ = Λ_i Ψ_i ξ + Ψ_i B (w − w_i),
+
+w_i what w would be in mode i, a function of v and w. So a Lyapunov function that weighs Ψξ by
+mode and age needs nothing outside (v, w).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.proof.channels import Channels
+from deadtime.certificates.proof.evidence import Centre, Setting
+
+DENSE = 1500  # order up to which all eigenvectors are computed
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A centre with its matrices in floats, for the search.
+
+    Attributes
+    ----------
+    eigenvectors : tuple of int
+        How many were asked for, per mode.
+    M : (d, d), B : (d, w)
+        ξ⁺ = M ξ + B w.
+    rest : (q, d)
+        What R leaves of the rows: |(row_c − row₀ − T_c R) ξ| ≤ |rest ξ| for every c.
+    """
+
+    setting: Setting
+    centre: Centre
+    channels: Channels
+    eigenvectors: tuple[int, ...]
+    M: np.ndarray
+    B: np.ndarray
+    rest: np.ndarray
+
+    @classmethod
+    def of(cls, setting: Setting, eigenvectors: tuple[int, ...], rank: int) -> Model:
+        """The model with so many left eigenvectors per mode and directions of the rows."""
+        full = [
+            setting.family.sample(setting.family.orders(i, i)[0], 0.0, 0.5)
+            for i in range(setting.A.shape[1])
+        ]
+        E, rows = np.mean(full, axis=0), setting.rows
+        row = rows.mean(axis=0) if setting.rows_differ else rows[0].copy()
+        R, T, rest = _directions(setting, rows - row, rank)
+        d = setting.order
+        bare = Centre(E, row, R, T, np.zeros((0, d)), np.zeros((0, 0)))
+        model = cls._laid_out(setting, bare, eigenvectors, rest)
+        if not any(eigenvectors):
+            return model
+        blocks = [
+            _dominant(loop_matrix(setting, full[i], i), count)
+            for i, count in enumerate(eigenvectors)
+        ]
+        Psi = np.concatenate([block for block, _ in blocks])
+        channels = Channels.of(setting, Centre(E, row, R, T, Psi, np.zeros((len(Psi), 0))))
+        F = _filter(setting, model, channels, blocks, full)
+        return cls._laid_out(setting, Centre(E, row, R, T, Psi, F), eigenvectors, rest)
+
+    @classmethod
+    def _laid_out(
+        cls, setting: Setting, centre: Centre, eigenvectors: tuple[int, ...], rest: np.ndarray
+    ) -> Model:
+        channels = Channels.of(setting, centre)
+        whole = channels.shifted(setting.inputs)
+        d = setting.order
+        if not centre.F.size:
+            v, w = channels.D.shape
+            centre = Centre(
+                centre.E, centre.row, centre.R, centre.T, centre.Psi, np.zeros((0, v + w))
+            )
+        return cls(setting, centre, channels, eigenvectors, whole[:, :d], whole[:, d:], rest)
+
+    def delta(self, E: np.ndarray, row: int) -> np.ndarray:
+        """Δ (w, v) of plant rows and a table's row, in floats."""
+        v, w = self.channels.D.shape
+        n, y = self.centre.E.shape
+        result = np.zeros((w, v))
+        result[:n, :y] = E - self.centre.E
+        if self.setting.rows_differ:
+            result[n:, : y + len(self.centre.R)] = self.centre.T[row]
+        return result
+
+
+def loop_matrix(setting: Setting, E: np.ndarray, mode: int) -> np.ndarray:
+    """M of ξ⁺ = M ξ in one mode that has lasted for ever (or as long as it may)."""
+    row = setting.rows[setting.transitions.row(mode, setting.transitions.last)]
+    r = np.zeros((0, setting.order))
+    centre = Centre(E, row, r, np.zeros((1, setting.inputs, 0)), r, np.zeros((0, 0)))
+    one = replace(setting, F=setting.F[:1], G=setting.G[:1])
+    return Channels.of(one, centre).shifted(setting.inputs)[:, : setting.order]
+
+
+def _directions(
+    setting: Setting, differences: np.ndarray, rank: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """R (r, d), T (rows, m, y + r) and `rest` (q, d) with differences ≈ T (y, R), `rest` what is
+    left.
+
+    What y holds of ξ comes through y. Of the others R holds the rows of modes that have lasted,
+    as the filter of Ψ needs them, and `rank` leading singular directions.
+    """
+    count, m, d = differences.shape
+    n, taps = setting.states, setting.family.taps
+    y = n + m * len(taps)
+    if not setting.rows_differ:
+        return np.zeros((0, d)), np.zeros((count, m, y)), np.zeros((0, d))
+    others, T = differences.copy(), np.zeros((count, m, y))
+    T[:, :, :n], others[:, :, :n] = differences[:, :, :n], 0.0
+    for place, j in enumerate(taps):
+        if j:
+            here, there = (
+                slice(n + place * m, n + (place + 1) * m),
+                slice(n + (j - 1) * m, n + j * m),
+            )
+            T[:, :, here], others[:, :, there] = differences[:, :, there], 0.0
+    transitions = setting.transitions
+    lasting = [transitions.row(i, transitions.last) for i in range(transitions.modes)]
+    size = max(float(np.abs(differences).max()), 1e-300) * count
+    first = _singular(others[lasting].reshape(-1, d), size)[1]
+    left = others.reshape(count * m, d)
+    left = left - left @ first.T @ first
+    values, right = _singular(left, size)
+    keep = min(rank, len(values))
+    R = np.linalg.qr(np.concatenate((first, right[:keep])).T)[0].T
+    T = np.concatenate((T, (others.reshape(count * m, d) @ R.T).reshape(count, m, len(R))), axis=2)
+    return R, T, values[keep:, None] * right[keep:]
+
+
+def _singular(rows: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values above round-off of numbers of a size, and their right directions."""
+    _, values, right = np.linalg.svd(rows, full_matrices=False)
+    there = values > 4e-15 * size
+    return values[there], right[there]
+
+
+def _dominant(M: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(Ψ, Λ) with Ψ M = Λ Ψ for the `count` largest eigenvalues; pairs stay together."""
+    from scipy.linalg import block_diag, eig
+
+    found: Any = eig(M.T)
+    values, vectors = found
+    chosen, blocks = [], []
+    for k in np.argsort(-np.abs(values), kind="stable"):
+        if len(chosen) >= count:
+            break
+        value, y = values[k], vectors[:, k] / np.abs(vectors[:, k]).max()
+        if value.imag < 0.0:
+            continue
+        if value.imag == 0.0:
+            chosen.append(y.real)
+            blocks.append(np.array([[value.real]]))
+        else:
+            chosen += [y.real, y.imag]
+            a, b = value.real, value.imag
+            blocks.append(np.array([[a, -b], [b, a]]))
+    return np.array(chosen).reshape(len(chosen), len(M)), np.asarray(block_diag(*blocks))
+
+
+def _filter(
+    setting: Setting,
+    model: Model,
+    channels: Channels,
+    blocks: list[tuple[np.ndarray, np.ndarray]],
+    full: list[np.ndarray],
+) -> np.ndarray:
+    """F of ψ⁺ = F (v, w)."""
+    v, w = channels.D.shape
+    n, y = model.centre.E.shape
+    r, s = len(model.centre.R), v - y - len(model.centre.R)
+    F = np.zeros((s, v + w))
+    at = 0
+    # w_i(v, w): w_u = T_i (y, r), y_i = y − D w + D w_u, then w_x = (E_i − E₀) y_i.
+    D = channels.D[:y]
+    transitions = setting.transitions
+    for i, (Psi, Lambda) in enumerate(blocks):
+        rows = slice(at, at + len(Psi))
+        would = np.zeros((w, v + w))
+        difference = full[i] - model.centre.E
+        would[:n, :y] = difference
+        if setting.rows_differ:
+            T = model.centre.T[transitions.row(i, transitions.last)]
+            would[n:, : y + r] = T
+            would[:n, : y + r] += difference @ D[:, n:] @ T
+            would[:n, v:] = -difference @ D
+        PsiB = Psi @ model.B
+        F[rows, y + r + at : y + r + at + len(Psi)] = Lambda
+        F[rows, v:] += PsiB
+        F[rows] -= PsiB @ would
+        at += len(Psi)
+    return F

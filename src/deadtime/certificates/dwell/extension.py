@@ -1,0 +1,60 @@
+"""From a few directions of the table's rows to all of them, for the proof.
+
+The search tells rows apart along a few directions only, and P comes from that. For the proof
+the directions must hold every row: with R complete, the best multiplier for the P at hand is the
+partial minimum over ξ of
+
+    ξᵀ P ξ − (M₀ ξ + B w)ᵀ P (M₀ ξ + B w)/ρ² − slack    for given (v, w),
+
+a Schur complement. One large inequality then still proves all rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.proof.evidence import Evidence
+
+ALL = 10**6
+SMALLEST = 1e-10  # singular values of Y below this part of the largest count as 0
+
+
+def extended(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | None:
+    """The same P and S with all directions of the rows, and Π from P; None where that fails."""
+    from scipy.linalg import cho_factor, cho_solve, null_space
+
+    setting = evidence.setting
+    full = Model.of(setting, model.eigenvectors, ALL)
+    P, rho, d = evidence.P, evidence.rho, setting.order
+    moved = np.concatenate((full.M, full.B), axis=1) / rho
+    form = -moved.T @ P @ moved
+    form[:d, :d] += P
+    form[np.diag_indices_from(form)] -= slack
+    inside = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(form)), 1e-300))
+    form = form * inside * inside[:, None]
+    wide = full.channels.wide * inside
+    units = 1.0 / np.linalg.norm(wide, axis=1)
+    left, values, right = np.linalg.svd(wide * units[:, None], full_matrices=False)
+    keep = values > SMALLEST * values[0]
+    left, values, right = left[:, keep], values[keep], right[keep]
+    rest = null_space(right)
+    across = rest.T @ form @ right.T
+    try:
+        inner = cho_factor(rest.T @ form @ rest)
+    except np.linalg.LinAlgError:
+        return None
+    best = right @ form @ right.T - across.T @ cho_solve(inner, across)
+    back = left / values
+    Pi = back @ best @ back.T
+    outside = np.eye(len(left)) - left @ left.T
+    Pi = (Pi + np.abs(Pi).max() * (outside @ outside.T)) * units * units[:, None]
+    return Evidence(
+        setting,
+        full.centre,
+        P,
+        0.5 * (Pi + Pi.T),
+        evidence.S,
+        evidence.knots,
+        rho,
+    )

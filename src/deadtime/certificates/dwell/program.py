@@ -1,0 +1,211 @@
+"""The small semidefinite program behind a certificate: Π, S and a margin t.
+
+    maximise t
+    −Y(z)* Π Y(z) ⪰ t (Ξ* Q₀ Ξ + I)            at chosen frequencies, Y = [V; I],
+    [I; Δ]ᵀ (Π + S_{i,a} − Fᵀ S_{j,b} F/ρ²) [I; Δ] ⪰ t I   for sampled steps,
+    −I ⪯ Π ⪯ I.
+
+Where R leaves something of the rows, w_u = T_c r + δ with |δ| ≤ |rest ξ|: κ |rest Ξ|² is added
+on the right of the first, and κ |δ|² on the left of the second, which then holds for all (v, δ).
+Everything is in units in which w is as large as Δ makes it and v as large as its peak response.
+What the solver says is a proposal: the frequencies between the chosen ones are looked at, and
+the proof in the end looks at nothing of this. Clarabel is called directly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.response import Response
+from deadtime.certificates.proof.transitions import Transition, interpolation
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A step at one point of its parameters: its place in the graph, and Δ (w, v)."""
+
+    transition: Transition
+    delta: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Units of v and w, and of Ξ* Q₀ Ξ."""
+
+    v: np.ndarray
+    w: np.ndarray
+    q: float
+
+    @classmethod
+    def of(cls, model: Model, found: Response, samples: list[Sample]) -> Units:
+        """Units in which the numbers of the program are about 1."""
+        n = model.setting.states
+        deltas = np.stack([sample.delta for sample in samples])
+        w = np.empty(deltas.shape[1])
+        for part in (slice(0, n), slice(n, None)):
+            size = np.linalg.norm(deltas[:, part], axis=(1, 2)).max() if w[part].size else 0.0
+            w[part] = max(size, 1e-9)
+        v = np.sqrt((np.abs(found.V * w) ** 2).sum(axis=2)).max(axis=0)
+        q = np.linalg.norm(found.Q * w * w[:, None], axis=(1, 2)).max()
+        return cls(np.maximum(v, 1e-300), w, max(float(q), 1e-300))
+
+    def of_signals(self, found: Response) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(Y, weight, rest) of the frequencies, in these units; δ in the last one of w."""
+        count, _, w = found.V.shape
+        eye = np.broadcast_to(np.eye(w), (count, w, w))
+        Y = np.concatenate((found.V * self.w / self.v[:, None], eye), axis=1)
+        scale = self.w * self.w[:, None]
+        return Y, found.Q * scale / self.q + np.eye(w), found.rest * scale / self.w[-1] ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the solver proposes, in the units: the margin, κ, Π, S, and its status."""
+
+    margin: float
+    kappa: float
+    Pi: np.ndarray
+    S: np.ndarray
+    status: str
+
+
+def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
+    columns, rows = np.tril_indices(size)
+    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
+
+
+def _squares(left: np.ndarray) -> np.ndarray:
+    """left* E left for every basis matrix E of a packed symmetric matrix: (entries, k, k)."""
+    rows, columns, _ = packing(len(left))
+    product = left[rows][:, :, None].conj() * left[columns][:, None, :]
+    both = product + product.conj().transpose(0, 2, 1)
+    return np.where((rows == columns)[:, None, None], product, both)
+
+
+def solve(
+    model: Model,
+    found: Response,
+    samples: list[Sample],
+    units: Units,
+    knots: tuple[int, ...],
+    rho: float,
+) -> Solution | None:
+    """Solve the program; None if the solver has no answer."""
+    v, w = len(units.v), len(units.w)
+    s = len(model.centre.Psi)
+    pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
+    unknowns = pi_size + model.setting.A.shape[1] * len(knots) * s_size + 2
+    blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
+    for sample in samples:
+        block = _at_step(model, sample, units, knots, rho, unknowns)
+        blocks.append(_packed(block))
+        cones.append(block.shape[1])
+    bounds = np.zeros((unknowns, v + w, v + w))
+    bounds[:pi_size] = _squares(np.eye(v + w))
+    bound = _packed(bounds)
+    nonnegative = np.zeros((1, unknowns))
+    nonnegative[0, -2] = 1.0
+    A = np.concatenate([*blocks, nonnegative, bound, -bound])
+    rows, columns, _ = packing(v + w)
+    eye = (rows == columns).astype(float)
+    b = np.concatenate([np.zeros(len(A) - 2 * len(eye)), eye, eye])
+    answer = _clarabel(-A, b, [*cones, 1, v + w, v + w])
+    if answer is None:
+        return None
+    x, status = answer
+    Pi = _unpacked(x[:pi_size], v + w)
+    parts = x[pi_size:-2].reshape(model.setting.A.shape[1], len(knots), s_size)
+    S = np.array([[_unpacked(part, s) for part in mode] for mode in parts])
+    return Solution(float(x[-1]), float(x[-2]), Pi, S.reshape(*parts.shape[:2], s, s), status)
+
+
+def _at_frequencies(
+    signals: tuple[np.ndarray, np.ndarray, np.ndarray], pi_size: int, unknowns: int
+) -> tuple[list[np.ndarray], list[int]]:
+    """−Y* Π Y − κ rest − t weight ⪰ 0 as real matrices of twice the order, one per frequency."""
+    blocks, w = [], signals[0].shape[2]
+    for Y, weight, rest in zip(*signals, strict=True):
+        M = np.zeros((unknowns, 2 * w, 2 * w))
+        both: Any = np.concatenate((-_squares(Y), -rest[None], -weight[None]))
+        real = np.block([[both.real, -both.imag], [both.imag, both.real]])
+        M[:pi_size], M[-2:] = real[:-2], real[-2:]
+        blocks.append(_packed(M))
+    return blocks, [2 * w] * len(blocks)
+
+
+def _at_step(
+    model: Model,
+    sample: Sample,
+    units: Units,
+    knots: tuple[int, ...],
+    rho: float,
+    unknowns: int,
+) -> np.ndarray:
+    """Coefficients (unknowns, k, k) of the small inequality of one step, k = v or (v, δ)."""
+    v, w = len(units.v), len(units.w)
+    s, n = len(model.centre.Psi), model.setting.states
+    extra = w - n if len(model.rest) else 0
+    pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
+    T = np.eye(v + w, v + extra)
+    T[v:, :v] = sample.delta * units.v / units.w[:, None]
+    T[v:, v:] = np.eye(w)[:, n : n + extra]
+    M = np.zeros((unknowns, v + extra, v + extra))
+    M[:pi_size] = _squares(T)
+    M[-2, v:, v:] = np.eye(extra)
+    M[-1, :v, :v] = -np.eye(v)
+    if s:
+        scale = np.concatenate((units.v, units.w))
+        here = np.eye(v, v + extra)[v - s :]
+        there = model.centre.F * scale / units.v[v - s :, None] @ T / rho
+        step = sample.transition
+        for mode, age, left, sign in (
+            (step.mode, step.age, here, 1.0),
+            (step.after, step.next_age, there, -1.0),
+        ):
+            squares = _squares(left)
+            for knot, weight in interpolation(knots, age):
+                at = pi_size + (mode * len(knots) + knot) * s_size
+                M[at : at + s_size] += sign * float(weight) * squares
+    return M
+
+
+def _packed(M: np.ndarray) -> np.ndarray:
+    """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
+    rows, columns, factors = packing(M.shape[1])
+    return (M[:, rows, columns] * factors).T
+
+
+def _unpacked(entries: np.ndarray, size: int) -> np.ndarray:
+    rows, columns, _ = packing(size)
+    result = np.zeros((size, size))
+    result[rows, columns] = result[columns, rows] = entries
+    return result
+
+
+def _clarabel(A: np.ndarray, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] | None:
+    """Maximise the last unknown subject to b − A x in the cones; None if that fails."""
+    import clarabel
+    from scipy.sparse import csc_matrix
+
+    solver: Any = clarabel
+
+    unknowns = A.shape[1]
+    cost = np.zeros(unknowns)
+    cost[-1] = -1.0
+    settings = solver.DefaultSettings()
+    settings.verbose = False
+    cones = [solver.PSDTriangleConeT(size) for size in sizes]
+    nothing = csc_matrix((unknowns, unknowns))
+    try:
+        solution = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings).solve()
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException:  # a panic in compiled code is no Exception
+        return None
+    x = np.array(solution.x)
+    return (x, str(solution.status)) if np.isfinite(x).all() else None

@@ -1,0 +1,79 @@
+"""The frequency response of the centre: v and ξ that a signal w on |z| = ρ gives rise to.
+
+    z x = E₀ y + w_x,    u = row₀ ξ + w_u,    u_{k−j} = z^{−j} u:
+
+a small system at each z, W m² operations to set up, so that no matrix of the loop's order is
+ever inverted.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deadtime.certificates.dwell.centre import Model
+
+
+class Response(NamedTuple):
+    """V (f, v, w) = v(z); Q (f, w, w) = Ξ* Q₀ Ξ with Q₀ = diag(I, h I), Ξ = ξ(z); and rest
+    (f, w, w) = |rest Ξ|², what is left of the rows."""
+
+    V: np.ndarray
+    Q: np.ndarray
+    rest: np.ndarray
+
+
+def frequencies(count: int, held: int, step: float, delay: float) -> np.ndarray:
+    """Angles to start from: dense where the loop lives, 0 and π included."""
+    low = min(1e-3 / delay * step, 1e-2)
+    return np.unique(np.concatenate([[0.0], np.geomspace(low, np.pi, count)]))
+
+
+def fine_frequencies(held: int, step: float, delay: float) -> np.ndarray:
+    """Angles to look for violations at: eight to a wave of z^{−W}, and more where slow."""
+    low = min(1e-4 / delay * step, 1e-3)
+    return np.unique(
+        np.concatenate([np.linspace(0.0, np.pi, 8 * held + 65), np.geomspace(low, np.pi, 2000)])
+    )
+
+
+def response(model: Model, angles: np.ndarray, rho: float) -> Response:
+    """V and Q at z = ρ e^{iω}, ω the angles."""
+    chunk = max(1, int(4e7 / (16 * model.setting.held)))
+    parts = [
+        _response(model, rho * np.exp(1j * angles[at : at + chunk]))
+        for at in range(0, len(angles), chunk)
+    ]
+    return Response(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _response(model: Model, z: np.ndarray) -> Response:
+    setting, centre, channels = model.setting, model.centre, model.channels
+    n, m, W = setting.states, setting.inputs, setting.held
+    w = channels.D.shape[1]
+    powers = z[:, None] ** -np.arange(1.0, W + 1.0)
+    late = np.concatenate((np.ones((len(z), 1)), powers), axis=1)
+    G = centre.row[:, n:].reshape(m, W, m)
+    system = np.zeros((len(z), n + m, n + m), complex)
+    system[:, :n, :n] = z[:, None, None] * np.eye(n) - centre.E[:, :n]
+    for place, j in enumerate(setting.family.taps):
+        column = centre.E[:, n + place * m : n + (place + 1) * m]
+        system[:, :n, n:] -= column * late[:, j, None, None]
+    system[:, n:, :n] = -centre.row[:, :n]
+    g = powers @ G.transpose(1, 0, 2).reshape(W, m * m)
+    system[:, n:, n:] = np.eye(m) - g.reshape(len(z), m, m)
+    inputs = np.eye(n + m)[:, :w]
+    both = np.linalg.solve(system, np.broadcast_to(inputs, (len(z), *inputs.shape)))
+    X, U = both[:, :n], both[:, n:]
+    C = np.concatenate((channels.C, model.rest))
+    taps = C[:, n:].reshape(len(C), W, m).transpose(1, 0, 2).reshape(W, -1)
+    from_inputs = (powers @ taps).reshape(len(z), len(C), m)
+    seen = C[:, :n] @ X + from_inputs @ U
+    V, left = seen[:, : len(channels.C)] + channels.D, seen[:, len(channels.C) :]
+    Q = _square(X) + setting.step * (np.abs(powers) ** 2).sum(axis=1)[:, None, None] * _square(U)
+    return Response(V, Q, _square(left))
+
+
+def _square(X: np.ndarray) -> np.ndarray:
+    return X.conj().transpose(0, 2, 1) @ X

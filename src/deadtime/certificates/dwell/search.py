@@ -1,0 +1,191 @@
+"""The search for evidence at one decay: frequencies, program, Riccati equation, check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.extension import extended
+from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
+from deadtime.certificates.dwell.response import (
+    Response,
+    fine_frequencies,
+    frequencies,
+    response,
+)
+from deadtime.certificates.dwell.riccati import solve_riccati
+from deadtime.certificates.proof import Check, Evidence, check
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.family import Segment
+from deadtime.certificates.proof.transitions import Transition
+
+LEAST_MARGIN = 1e-9
+ROUNDS = 10  # of adding frequencies
+REPAIRS = 4  # of adding steps where a proof failed
+FREQUENCIES = 40
+INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+RANK = 4  # directions of the rows that the search tells apart
+MOST_AGES = 40  # of a (mode, age) table that the search looks at
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A solution that holds on the fine grid, with its units and its least margin there."""
+
+    model: Model
+    units: Units
+    solution: Solution
+    margin: float
+    knots: tuple[int, ...]
+    rho: float
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """How much freedom the search has: left eigenvectors per mode, and knots of S in age."""
+
+    eigenvectors: int
+    segments: int = 1
+
+
+class Search:
+    """Looks for evidence in one setting; models and samples are kept between decays."""
+
+    def __init__(self, setting: Setting, level: Level) -> None:
+        self.setting = setting
+        modes = setting.A.shape[1]
+        self.model = Model.of(setting, (level.eigenvectors,) * modes, RANK)
+        last = setting.transitions.last
+        marks = np.linspace(0, last, level.segments + 1).round().astype(int)
+        self.knots = tuple(sorted({int(mark) for mark in marks})) if level.eigenvectors else (0,)
+        self.looked_at: set[tuple[Transition, tuple[Segment, ...], float]] = set()
+        self.samples = self._samples()
+        delay = setting.delays[1]
+        self.angles = frequencies(FREQUENCIES, setting.held, setting.step, delay)
+        self.fine = fine_frequencies(setting.held, setting.step, delay)
+
+    def propose(self, rho: float) -> Proposal | None:
+        """A solution with a margin at all frequencies looked at, or None."""
+        fine = response(self.model, self.fine, rho)
+        for _ in range(ROUNDS):
+            chosen = response(self.model, self.angles, rho)
+            units = Units.of(self.model, chosen, self.samples)
+            solution = solve(self.model, chosen, self.samples, units, self.knots, rho)
+            if solution is None or solution.margin < LEAST_MARGIN:
+                return None
+            margins = _margins(fine, units, solution)
+            if margins.min() > 0.5 * solution.margin:
+                margin = min(solution.margin, float(margins.min()))
+                return Proposal(self.model, units, solution, margin, self.knots, rho)
+            lows = (margins <= np.roll(margins, 1)) & (margins <= np.roll(margins, -1))
+            lows[[0, -1]] = True
+            worst = self.fine[lows & (margins < 0.8 * solution.margin)]
+            self.angles = np.unique(np.concatenate((self.angles, worst)))
+        return None
+
+    def prove(self, proposal: Proposal) -> tuple[Evidence | None, Check]:
+        """Evidence from a proposal, and what the check says; steps that fail are added."""
+        outcome = Check(False, "no Lyapunov function was found from the multiplier")
+        for _ in range(REPAIRS):
+            evidence = _evidence(proposal)
+            if evidence is None:
+                return None, outcome
+            outcome = check(evidence)
+            if outcome.proven or outcome.failed is None:
+                return evidence, outcome
+            again = self.propose(proposal.rho) if self._add(*outcome.failed) else None
+            if again is None:
+                return None, outcome
+            proposal = again
+        return None, outcome
+
+    def _samples(self) -> list[Sample]:
+        found: list[Sample] = []
+        steps: dict[tuple[int, int], np.ndarray] = {}
+        kept = _thinned(self.setting)
+        for transition in self.setting.transitions.all(self.knots):
+            if kept is not None and transition.age not in kept:
+                continue
+            pair = transition.mode, transition.after
+            if pair not in steps:
+                orders = self.setting.family.orders(*pair)
+                instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
+                steps[pair] = np.concatenate(
+                    [self.setting.family.corners(order, instants) for order in orders]
+                )
+            found += [Sample(transition, self.model.delta(E, transition.row)) for E in steps[pair]]
+            if not transition.switches:
+                self.looked_at.add((transition, self.setting.family.orders(*pair)[0], 0.0))
+        return found
+
+    def _add(self, failed: Transition, u: float) -> bool:
+        """Look at a step at the instant u of the period, too; False if that is done already."""
+        family = self.setting.family
+        order, inner = family.orders(failed.mode, failed.after)[0], u
+        if family.split and failed.switches:
+            part = family.phases[1] / family.step
+            late = u > part
+            order = family.orders(failed.mode, failed.after)[int(late)]
+            inner = (u - part) / (1.0 - part) if late else u / part
+        key = failed, order, inner if failed.switches else 0.0
+        if key in self.looked_at:
+            return False
+        self.looked_at.add(key)
+        for E in family.corners(order, np.array([inner])):
+            self.samples.append(Sample(failed, self.model.delta(E, failed.row)))
+        return True
+
+
+def _thinned(setting: Setting) -> set[int] | None:
+    """Ages to look at where the table has very many; None for all."""
+    last = setting.transitions.last
+    if setting.context != "mode_age" or last <= MOST_AGES:
+        return None
+    return {int(age) for age in np.linspace(0, last, MOST_AGES).round()} | {
+        setting.transitions.first,
+        max(last - 1, 0),
+    }
+
+
+def _margins(found: Response, units: Units, solution: Solution) -> np.ndarray:
+    """The least t of each frequency: eigenvalues of −Y* Π Y against the weight."""
+    Y, weight, rest = units.of_signals(found)
+    form = -(Y.conj().transpose(0, 2, 1) @ (solution.Pi @ Y)) - solution.kappa * rest
+    inverse = np.linalg.inv(np.linalg.cholesky(weight))
+    scaled = inverse @ form @ inverse.conj().transpose(0, 2, 1)
+    return np.linalg.eigvalsh(scaled)[:, 0]
+
+
+def _evidence(proposal: Proposal) -> Evidence | None:
+    """P by the Riccati equation with half of the margin as slack; nothing rounded is trusted."""
+    model, units, rho = proposal.model, proposal.units, proposal.rho
+    setting, channels = model.setting, model.channels
+    d, v = setting.order, len(units.v)
+    scale = 1.0 / np.concatenate((units.v, units.w))
+    Pi = proposal.solution.Pi * scale * scale[:, None]
+    wide = channels.wide
+    form = wide.T @ Pi @ wide
+    weight = np.full(d, setting.step)
+    weight[: setting.states] = 1.0
+    slack = np.concatenate((weight / units.q, 1.0 / units.w**2)) * (0.5 * proposal.margin)
+    form[np.diag_indices_from(form)] += slack
+    form[:d, :d] += (proposal.solution.kappa / units.w[-1] ** 2) * (model.rest.T @ model.rest)
+    P = solve_riccati(model.M / rho, model.B / rho, form[:d, :d], form[d:, d:], form[:d, d:])
+    if P is None:
+        return None
+    psi = units.v[v - len(model.centre.Psi) :]
+    S = proposal.solution.S / psi / psi[:, None]
+    evidence = Evidence(
+        setting,
+        model.centre,
+        P,
+        0.5 * (Pi + Pi.T),
+        0.5 * (S + np.swapaxes(S, -1, -2)),
+        proposal.knots,
+        rho,
+    )
+    if len(model.rest):
+        return extended(evidence, model, 0.5 * slack)
+    return evidence

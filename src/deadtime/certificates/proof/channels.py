@@ -1,0 +1,68 @@
+"""The matrices of ξ⁺ = M₀ ξ + B w, v = C ξ + D w, in floats: every entry is exact but E₀ D."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.proof.evidence import Centre, Setting
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """C (v, d), D (v, w), and [M₀ B]'s first n + m rows as a product: top = left · right.
+
+    top ζ = (x⁺, u_k) of ζ = (ξ, w); all entries of `left` and `right` are entries of the centre,
+    ones and zeros.
+    """
+
+    C: Float[np.ndarray, "v order"]
+    D: Float[np.ndarray, "v w"]
+    left: Float[np.ndarray, "top inner"]
+    right: Float[np.ndarray, "inner dw"]
+
+    @classmethod
+    def of(cls, setting: Setting, centre: Centre) -> Channels:
+        """Lay out the channels of a centre."""
+        n, m, d = setting.states, setting.inputs, setting.order
+        taps = setting.family.taps
+        w = n + m * setting.rows_differ
+        k = n + m * len(taps)
+        C, D = np.zeros((k, d)), np.zeros((k, w))
+        C[:n, :n] = np.eye(n)
+        for place, j in enumerate(taps):
+            rows = slice(n + place * m, n + (place + 1) * m)
+            if j:
+                C[rows, n + (j - 1) * m : n + j * m] = np.eye(m)
+            else:
+                C[rows] = centre.row
+                D[rows, n:] = np.eye(m)[:, : w - n]
+        # (x⁺, u) = [E₀ I 0; 0 0 I] (y, w_x, row₀ ξ + w_u)
+        left, right = np.zeros((n + m, k + n + m)), np.zeros((k + n + m, d + w))
+        left[:n, :k], left[:n, k : k + n], left[n:, k + n :] = centre.E, np.eye(n), np.eye(m)
+        right[:k, :d], right[:k, d:] = C, D
+        right[k : k + n, d : d + n] = np.eye(n)
+        right[k + n :, :d] = centre.row
+        right[k + n :, d + n :] = np.eye(m)[:, : w - n]
+        more = np.concatenate((C, centre.R, centre.Psi))
+        return cls(more, np.concatenate((D, np.zeros((len(more) - k, w)))), left, right)
+
+    @property
+    def wide(self) -> Float[np.ndarray, "vw dw"]:
+        """Y = [C D; 0 I], from ζ to (v, w)."""
+        w = self.D.shape[1]
+        bottom = np.concatenate((np.zeros((w, self.C.shape[1])), np.eye(w)), axis=1)
+        return np.concatenate((np.concatenate((self.C, self.D), axis=1), bottom))
+
+    def shifted(self, m: int) -> Float[np.ndarray, "order dw"]:
+        """[M₀ B]."""
+        d = self.C.shape[1]
+        top = self.left @ self.right
+        result = np.zeros((d, top.shape[1]))
+        result[: len(top)] = top
+        keep = d - len(top)
+        n = len(top) - m
+        result[len(top) :, n : n + keep] = np.eye(keep)
+        return result

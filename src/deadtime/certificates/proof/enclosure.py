@@ -1,0 +1,206 @@
+"""The steps of a family, enclosed: E at a point of the parameters, and its derivatives on a cell.
+
+A cell is one order of events with u in [u₀, u₁], f in [f₀, f₁] and λ in a simplex of the
+polytope. The derivative of the product e^{𝒜_K τ_K} … e^{𝒜_1 τ_1} with respect to a parameter
+is, segment by segment,
+
+    … e^{𝒜_k τ_k} 𝒜_k (∂τ_k/∂θ) …    (instants and the delay),
+    … L(𝒜_k τ_k, 𝒟_k τ_k) …          (the polytope, 𝒟 = 𝒜^corner − 𝒜^centre),
+
+L the Fréchet derivative of the exponential, the top right block of exp [[X, Y], [0, X]].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.family import Family, Segment
+
+SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A part of the parameters: `corners` (k, vertices) are the simplex in λ."""
+
+    order: tuple[Segment, ...]
+    u: tuple[float, float]
+    f: tuple[float, float]
+    corners: np.ndarray
+
+    def halves(self, direction: int) -> tuple[Cell, Cell]:
+        """Bisect along u (0), f (1), or the longest edge of the simplex (2)."""
+        if direction < 2:
+            low, high = (self.u, self.f)[direction]
+            middle = 0.5 * (low + high)
+            name = ("u", "f")[direction]
+            return replace(self, **{name: (low, middle)}), replace(self, **{name: (middle, high)})
+        distance = np.linalg.norm(self.corners[:, None] - self.corners, axis=2)
+        a, b = np.unravel_index(np.argmax(distance), distance.shape)
+        between = 0.5 * (self.corners[a] + self.corners[b])
+        first, second = self.corners.copy(), self.corners.copy()
+        first[b] = second[a] = between
+        return replace(self, corners=first), replace(self, corners=second)
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosure:
+    """E (n, k) at the centre of a cell, and (direction, D) with E over the cell within
+
+    E + Σ [−1, 1] D over directions 0 and 1, plus the convex hull of the D of direction 2.
+    """
+
+    centre: Any
+    slopes: list[tuple[int, Any]]
+
+
+def cells_of(family: Family, mode: int, after: int) -> list[Cell]:
+    """The cells that cover every step from `mode` to `after`."""
+    corners = np.eye(len(family.A))
+    return [Cell(order, (0.0, 1.0), (0.0, 1.0), corners) for order in family.orders(mode, after)]
+
+
+class Enclosures:
+    """Encloses cells of a family; generators are made once."""
+
+    def __init__(self, family: Family) -> None:
+        self.family = family
+        self.step = balls.decimal_number(family.step)
+        self.phases = tuple(
+            self.step if phase == family.step else balls.decimal_number(phase) + _slack(family)
+            for phase in family.phases
+        )
+        self.generators = {
+            early: [[balls.decimal(X) for X in corner] for corner in family.generators(early)]
+            for early in (True, False)
+        }
+
+    def of(self, cell: Cell) -> Enclosure:
+        """Enclose one cell; E may be split by `Cell.halves` until the slopes are small."""
+        from flint import arb
+
+        family = self.family
+        n = family.A.shape[2]
+        u, f = balls.interval(*cell.u), balls.interval(*cell.f)
+        middle_u, middle_f = (arb(0.5) * (arb(a) + arb(b)) for a, b in (cell.u, cell.f))
+        weights = cell.corners.mean(axis=0)
+        centre = _product(self._factors(cell, middle_u, middle_f, weights, None))
+        slopes: list[tuple[int, Any]] = []
+        hull = None if len(cell.corners) == 1 else cell.corners
+        halves = (
+            (0, cell.u, any(part.share != "all" for part in cell.order)),
+            (1, cell.f, family.ranges),
+        )
+        moving = [(k, (b - a) / 2) for k, (a, b), there in halves if there and b > a]
+        if moving or hull is not None:
+            factors = self._factors(cell, u, f, weights, hull)
+            for k, half in moving:
+                rates = [self._rate(part, k, u, f) for part in cell.order]
+                generators = [self._generator(part, weights, hull) for part in cell.order]
+                inner = [
+                    G * X * rate for G, X, rate in zip(generators, factors, rates, strict=True)
+                ]
+                slopes.append((k, balls.top(_sum(factors, inner), n) * arb(half)))
+            for corner in cell.corners if hull is not None else ():
+                inner = [self._frechet(part, u, f, weights, hull, corner) for part in cell.order]
+                slopes.append((2, balls.top(_sum(factors, inner), n)))
+        return Enclosure(balls.top(centre, n), slopes)
+
+    def _duration(self, part: Segment, u: Any, f: Any) -> Any:
+        a, b = SHARES[part.share]
+        low, high = self.phases
+        phase = low + f * (high - low)
+        return (phase if part.early else self.step - phase) * (u * b + a)
+
+    def _rate(self, part: Segment, direction: int, u: Any, f: Any) -> Any:
+        """∂τ/∂u or ∂τ/∂f."""
+        a, b = SHARES[part.share]
+        low, high = self.phases
+        if direction == 0:
+            phase = low + f * (high - low)
+            return (phase if part.early else self.step - phase) * b
+        return (u * b + a) * (high - low) * (1 if part.early else -1)
+
+    def _generator(self, part: Segment, weights: np.ndarray, hull: np.ndarray | None) -> Any:
+        """𝒜 at the weights, or over the simplex."""
+        corners = [corner[part.mode] for corner in self.generators[part.early]]
+        if len(corners) == 1:
+            return corners[0]
+        if hull is None:
+            return _combine(corners, weights)
+        from flint import arb_mat
+
+        points = [_combine(corners, point).entries() for point in (weights, *hull)]
+        size = corners[0].nrows()
+        union = points[0]
+        for point in points[1:]:
+            union = [x.union(y) for x, y in zip(union, point, strict=True)]
+        return arb_mat(size, size, union)
+
+    def _factors(
+        self, cell: Cell, u: Any, f: Any, weights: np.ndarray, hull: np.ndarray | None
+    ) -> list[Any]:
+        """The exponentials of a cell, in order of time."""
+        return [
+            (self._generator(part, weights, hull) * self._duration(part, u, f)).exp()
+            for part in cell.order
+        ]
+
+    def _frechet(
+        self,
+        part: Segment,
+        u: Any,
+        f: Any,
+        weights: np.ndarray,
+        hull: np.ndarray | None,
+        corner: np.ndarray,
+    ) -> Any:
+        """The derivative of a segment's exponential from the weights towards a corner."""
+        from flint import arb_mat
+
+        corners = [corner[part.mode] for corner in self.generators[part.early]]
+        tau = self._duration(part, u, f)
+        X = self._generator(part, weights, hull) * tau
+        Y = (_combine(corners, corner) - _combine(corners, weights)) * tau
+        size = X.nrows()
+        whole = balls.blocks([[X, Y], [balls.zeros(size, size), X]]).exp().tolist()
+        return arb_mat([row[size:] for row in whole[:size]])
+
+
+def _slack(family: Family) -> Any:
+    """Room for φ = D − (N − 1) h computed from decimals, not from floats."""
+    from flint import arb
+
+    scale = family.step * (family.count + 1)
+    return arb(0.0, 4.0 * float(np.spacing(scale)))
+
+
+def _combine(corners: list[Any], weights: np.ndarray) -> Any:
+    """Σ λ_k 𝒜^k."""
+    from flint import arb
+
+    total = corners[0] * arb(float(weights[0]))
+    for corner, weight in zip(corners[1:], weights[1:], strict=True):
+        total = total + corner * arb(float(weight))
+    return total
+
+
+def _product(factors: list[Any]) -> Any:
+    """factors[-1] … factors[0]."""
+    result = factors[0]
+    for factor in factors[1:]:
+        result = factor * result
+    return result
+
+
+def _sum(factors: list[Any], inner: list[Any]) -> Any:
+    """Σ_k factors[-1] … inner[k] … factors[0]."""
+    total = None
+    for k, derivative in enumerate(inner):
+        term = _product([*factors[:k], derivative, *factors[k + 1 :]])
+        total = term if total is None else total + term
+    return total

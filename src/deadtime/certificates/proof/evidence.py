@@ -1,0 +1,171 @@
+"""The evidence for a certificate: numbers, exact as stored, that a check can judge on its own.
+
+The loop. ξ_k = (x_k, u_{k−1}, …, u_{k−W}) of order d = n + W m. A period under the row c of the
+table and the plant's rows E is
+
+    u_k = row_c ξ,    x⁺ = E y,    y = (x, u_{k−j}: j in taps),    the rest of ξ is shifted.
+
+The centre E₀, row₀ makes of it one linear system with a small feedback Δ around it,
+
+    ξ⁺ = M₀ ξ + B w,    v = C ξ + D w,    v = (y, r, ψ),  r = R ξ,  ψ = Ψ ξ,
+    w = (w_x, w_u),    w_x = (E − E₀) y,    w_u = (row_c − row₀) ξ = T_c (y, r):    w = Δ v,
+
+(no w_u if there is one row; y reads w_u if u_k itself reaches the plant within the period).
+
+The Lyapunov function is V_{i,a}(ξ) = ξᵀ(P + Ψᵀ S_{i,a} Ψ) ξ, S linear in the age a between
+knots. If ψ⁺ = F (v, w) and
+
+    K = [P 0; 0 0] − [M₀ B]ᵀ P [M₀ B]/ρ² − [C D; 0 I]ᵀ Π [C D; 0 I] ≻ 0,
+    [I; Δ]ᵀ (Π + [S_{i,a} 0; 0 0]_ψ − Fᵀ S_{j,b} F/ρ²) [I; Δ] ≻ 0 for every step (i, a) → (j, b),
+
+then adding the two up gives V_{j,b}(ξ⁺) < ρ² V_{i,a}(ξ) along every admissible signal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.transitions import Transitions
+
+if TYPE_CHECKING:
+    from deadtime.feedback import Context
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a certificate is about: plants, a table, and the signals (immutable).
+
+    Attributes
+    ----------
+    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
+        The corners of the polytope of plants; one for a plant.
+    delays : (low, high)
+        The plant's delay, seconds; equal for a known one.
+    F : (rows, m, n), G : (rows, taps, m, m)
+        The law's table.
+    context, ages, step
+        As in `Feedback`.
+    dwell_time, maximum_dwell, chatter
+        The admissible signals: seconds, seconds or None for sojourns without end, and N₀; above
+        1, dwell_time is an average dwell time.
+    """
+
+    A: Float[np.ndarray, "vertex mode n n"]
+    B: Float[np.ndarray, "vertex mode n m"]
+    delays: tuple[float, float]
+    F: Float[np.ndarray, "row m n"]
+    G: Float[np.ndarray, "row tap m m"]
+    context: Context
+    ages: int
+    step: float
+    dwell_time: float
+    maximum_dwell: float | None = None
+    chatter: int = 1
+
+    @cached_property
+    def family(self) -> Family:
+        """The steps of the plant."""
+        return Family.of(self.A, self.B, self.delays, self.step)
+
+    @cached_property
+    def transitions(self) -> Transitions:
+        """The graph of the admissible signals."""
+        return Transitions.of(
+            self.A.shape[1],
+            (self.dwell_time, self.maximum_dwell),
+            self.chatter,
+            self.step,
+            self.context,
+            self.ages,
+        )
+
+    @property
+    def states(self) -> int:
+        """n."""
+        return self.A.shape[2]
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return self.B.shape[3]
+
+    @property
+    def held(self) -> int:
+        """W, the past inputs in ξ."""
+        return max(self.family.count, self.G.shape[1])
+
+    @property
+    def order(self) -> int:
+        """d = n + W m."""
+        return self.states + self.held * self.inputs
+
+    @cached_property
+    def rows(self) -> Float[np.ndarray, "row m order"]:
+        """row_c, exact."""
+        count, m, n = self.F.shape
+        result = np.zeros((count, m, self.order))
+        result[:, :, :n] = self.F
+        taps = self.G.shape[1]
+        result[:, :, n : n + taps * m] = self.G.transpose(0, 2, 1, 3).reshape(count, m, taps * m)
+        return result
+
+    @property
+    def rows_differ(self) -> bool:
+        """Whether there is more than one row, so that w_u exists."""
+        return len(self.F) > 1
+
+
+@dataclass(frozen=True, eq=False)
+class Centre:
+    """The system that the loop is written around (immutable); its numbers are choices.
+
+    Attributes
+    ----------
+    E : (n, k)
+        E₀.
+    row : (m, d)
+        row₀.
+    R : (r, d), T : (rows, m, y + r)
+        (row_c − row₀) ξ = T_c (y, r) up to a residual that the check bounds.
+    Psi : (s, d)
+        Ψ.
+    F : (s, v + w)
+        The filter ψ⁺ = F (v, w), up to a residual that the check bounds.
+    """
+
+    E: Float[np.ndarray, "n k"]
+    row: Float[np.ndarray, "m order"]
+    R: Float[np.ndarray, "r order"]
+    T: Float[np.ndarray, "row m yr"]
+    Psi: Float[np.ndarray, "s order"]
+    F: Float[np.ndarray, "s vw"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A certificate's numbers (immutable): the setting, the centre, and P, Π, S, ρ.
+
+    Attributes
+    ----------
+    P : (d, d)
+    Pi : (v + w, v + w)
+    S : (modes, knots, s, s)
+    knots : tuple of int
+        Ages of S, ascending from 0.
+    rho : float
+        ρ, the decay over a period.
+    """
+
+    setting: Setting
+    centre: Centre
+    P: Float[np.ndarray, "order order"]
+    Pi: Float[np.ndarray, "vw vw"]
+    S: Float[np.ndarray, "mode knot s s"]
+    knots: tuple[int, ...]
+    rho: float

@@ -1,0 +1,154 @@
+"""The large inequalities of a proof: K ≻ 0, and that the Lyapunov function is positive.
+
+Two residuals, of the filter (ε = Ψ [M₀ B] − F Y) and of the rows (η_c ξ = (row_c − row₀) ξ −
+T_c (y, r)), are not zero in floats. With (v, w) = Y ζ they take at most c |ζ̂|² from the sum of
+the large and a small inequality, ζ̂ = ζ in units in which diag K is about 1, and
+
+    c = 2 |(Θ Y)_u| |η| + |Θ_uu| |η|² + (2 |S F Y| |ε| + |S| |ε|²)/ρ²,
+
+Frobenius norms in these units, Θ the matrix of the small inequality, _u its rows of w_u, S that
+after the step. K − c I ≻ 0 is what is factorised.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.channels import Channels
+from deadtime.certificates.proof.definite import is_positive_definite, powers_of_two
+from deadtime.certificates.proof.evidence import Evidence
+from deadtime.certificates.proof.small import SmallInequalities
+
+
+class LargeInequalities:
+    """The large inequalities of one piece of evidence, after its small ones."""
+
+    def __init__(self, evidence: Evidence, channels: Channels, small: SmallInequalities) -> None:
+        self.evidence = evidence
+        self.channels = channels
+        self.small = small
+        self.v, self.w = channels.D.shape
+        self.s = small.s
+        self.rho2 = small.rho2
+
+    def positive(self) -> bool:
+        """P + Ψᵀ S Ψ ≻ 0 at one (mode, age): by the inequalities then everywhere.
+
+        V ≻ V(next)/ρ² ⪰ 0 at every step into a place where V ≻ 0, and each can be reached.
+        """
+        evidence, psi = self.evidence, self.evidence.centre.Psi
+        error: np.ndarray | float = 0.0
+        value = evidence.P
+        if self.s:
+            last = evidence.setting.transitions.last
+            Psi = balls.exact(psi)
+            value, error = balls.split(
+                balls.exact(evidence.P) + Psi.transpose() * self.small.S(0, last) * Psi
+            )
+            even = 0.5 * (value + value.T)
+            error = error + np.abs(even - value) + np.spacing(np.abs(even))
+            value = even
+        unit = powers_of_two(np.diag(value))
+        scaled = value * unit * unit[:, None]
+        errors = np.atleast_2d(error * np.ones_like(value)) * unit * unit[:, None]
+        return is_positive_definite(scaled, errors.sum(axis=1) * (1.0 + 1e-12))
+
+    def large(self) -> bool:
+        """K − c I ≻ 0."""
+        middle, error = self._K()
+        unit = powers_of_two(np.diag(middle))
+        scaled = middle * unit * unit[:, None]
+        errors = (error * unit * unit[:, None]).sum(axis=1) * (1.0 + 1e-12)
+        return is_positive_definite(scaled, errors + self._residuals(unit))
+
+    def _K(self) -> tuple[np.ndarray, np.ndarray]:
+        """K as floats and errors, entry by entry.
+
+        [M₀ B] has few full rows; of the others each is a unit vector, so [M₀ B]ᵀ P [M₀ B] is a
+        shifted copy of P and a product of low rank.
+        """
+        from flint import arb
+
+        evidence = self.evidence
+        setting, P = evidence.setting, evidence.P
+        d, m = setting.order, setting.inputs
+        top = setting.states + m
+        keep, full = d - top, d + self.w
+        n = setting.states
+        Z = balls.exact(self.channels.left) * balls.exact(self.channels.right)
+        half = balls.exact(P[:top, :top]) * arb(0.5) * Z
+        across = np.zeros((top, full))
+        across[:, n : n + keep] = P[:top, top:]
+        Y = (half + balls.exact(across)) * (1 / self.rho2)
+        wide = balls.exact(self.channels.wide)
+        low = Z.transpose() * Y
+        shared = low + low.transpose() + wide.transpose() * self.small.Pi * wide
+        base = np.zeros((full, full))
+        base[:d, :d] = P
+        moved = np.zeros((full, full))
+        moved[n : n + keep, n : n + keep] = P[top:, top:]
+        K = balls.exact(base) - balls.exact(moved) * (1 / self.rho2) - shared
+        middle, error = balls.split(K)
+        upper = 0.5 * (middle + middle.T)
+        return upper, error + np.abs(upper - middle) + np.spacing(np.abs(upper))
+
+    def _residuals(self, unit: np.ndarray) -> float:
+        """c, in the units of ζ̂ = ζ/unit."""
+        eta, epsilon = self._row_residual(unit), self._filter_residual(unit)
+        wide, grow = self.channels.wide * unit, 1.0 + 1e-10
+        u, worst = self.v + self.evidence.setting.states, 0.0
+        largest = float(np.linalg.norm(self.evidence.S)) * grow
+        if not self.small.forms:
+            return np.inf
+        for form in self.small.forms.values():
+            c = 0.0
+            if eta:
+                blocks = balls.blocks([[form.wv, form.ww]])
+                centre, error = (x[self.evidence.setting.states :] for x in balls.split(blocks))
+                below = float((np.abs(centre) + error)[:, u:].sum())
+                c += 2.0 * _above((centre, error), wide) * eta + below * eta**2
+            if epsilon:
+                pull = _above(balls.split(form.SF), wide)
+                c += (2.0 * pull * epsilon + largest * epsilon**2) / self.evidence.rho**2
+            if not np.isfinite(c):
+                return np.inf
+            worst = max(worst, c)
+        return worst * grow
+
+    def _row_residual(self, unit: np.ndarray) -> float:
+        """The largest |η_c|."""
+        setting, centre = self.evidence.setting, self.evidence.centre
+        if not setting.rows_differ:
+            return 0.0
+        columns, largest = unit[: setting.order], 0.0
+        seen, row0 = self.v - self.s, balls.exact(centre.row)
+        if np.any(centre.T @ self.channels.D[:seen]):
+            return np.inf  # w_u must not stand on both sides
+        R = balls.exact(self.channels.C[:seen])
+        for row, T in zip(setting.rows, centre.T, strict=True):
+            rest = balls.exact(row) - row0 - balls.exact(T) * R
+            found = balls.frobenius(rest, columns)
+            largest = found if not found < largest else largest
+        return largest
+
+    def _filter_residual(self, unit: np.ndarray) -> float:
+        """|ε|."""
+        if not self.s:
+            return 0.0
+        setting, Psi = self.evidence.setting, self.evidence.centre.Psi
+        top, n = setting.states + setting.inputs, setting.states
+        Z = balls.exact(self.channels.left) * balls.exact(self.channels.right)
+        moved = np.zeros((self.s, setting.order + self.w))
+        moved[:, n : n + setting.order - top] = Psi[:, top:]
+        residual = balls.exact(Psi[:, :top]) * Z + balls.exact(moved)
+        return balls.frobenius(residual - self.small.F * balls.exact(self.channels.wide), unit)
+
+
+def _above(left: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> float:
+    """A bound of |left right| in the Frobenius norm, left as (centre, error)."""
+    centre, error = left
+    # What floats give, their round-off, and the error of the centre.
+    round_off = 1e-13 * balls.norm_above(np.abs(centre) @ np.abs(right))
+    rest = balls.norm_above(error @ np.abs(right)) * (1.0 + 1e-10)
+    return balls.norm_above(np.abs(centre @ right)) * (1.0 + 1e-10) + round_off + rest

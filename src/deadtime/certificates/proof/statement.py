@@ -1,0 +1,76 @@
+"""What a proof says, in words: made from the numbers that were checked and from nothing else."""
+
+from __future__ import annotations
+
+import math
+
+from deadtime.certificates.proof.evidence import Evidence, Setting
+
+
+def decay_rate(evidence: Evidence) -> float:
+    """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate not known."""
+    if evidence.rho >= 1.0:
+        return 0.0
+    return (-math.log(evidence.rho) / evidence.setting.step) * (1.0 - 1e-12)
+
+
+def rounded_down(rate: float, digits: int = 4) -> str:
+    """A positive rate with so many significant digits, never more than it is."""
+    unit = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
+    return f"{math.floor(rate / unit) * unit:.{digits}g}"
+
+
+def signals_in_words(setting: Setting) -> str:
+    """The admissible signals."""
+    dwell = f"{setting.dwell_time!r} s"
+    if setting.A.shape[1] == 1:
+        return "with the plant's one mode"
+    if setting.chatter > 1:
+        return (
+            f"for every switching signal with an average dwell time of {dwell} (at most "
+            f"{setting.chatter} + T/{dwell} switches in any T, at most one per period)"
+        )
+    if setting.maximum_dwell is not None:
+        return (
+            f"for every switching signal whose sojourns last between {dwell} and "
+            f"{setting.maximum_dwell!r} s"
+        )
+    return f"for every switching signal with a dwell time of {dwell}"
+
+
+def statement(evidence: Evidence, cells: int) -> tuple[str, ...]:
+    """Sentences: what holds, for which numbers, and how it was shown."""
+    setting, rho = evidence.setting, evidence.rho
+    words = signals_in_words(setting)
+    low, high = setting.delays
+    delay = f"{low!r} s" if low == high else f"any constant value in [{low!r}, {high!r}] s"
+    plants = (
+        "any plant in the polytope of the given ones (constant within each period)"
+        if len(setting.A) > 1
+        else "the plant"
+    )
+    rate = decay_rate(evidence)
+    pace = f" decays at least like exp(−{rounded_down(rate, 6)} t)" if rate else " decays to zero"
+    rows = {
+        "none": "nothing (one row)",
+        "mode": "the sampled mode",
+        "mode_age": f"the sampled mode and its age in samples, {setting.ages} ages",
+    }[setting.context]
+    kind = "Lyapunov function of mode and age" if evidence.S.size else "common Lyapunov function"
+    how = (
+        f"Proved by machine: a {kind} of order {setting.order}, one factorisation with a rigorous "
+        f"error bound, and {cells} small inequalities in ball arithmetic of 128 bits that cover "
+        "every instant of a switch within a period."
+    )
+    return (
+        f"{words[0].upper()}{words[1:]}, switching at any instant, and for every "
+        f"initial state and past input, the digital loop of {plants} with this table{pace}; "
+        f"over a period the Lyapunov function falls by the factor ρ² = {rho**2!r} or more.",
+        f"Period {setting.step!r} s; input delay {delay}. A ratio of a delay to the period within "
+        "1e-9 of an integer counts as that integer, as in the loop that runs.",
+        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}. "
+        "Plant entries, delay and period are all reals within half a unit in the last place of the "
+        "stored ones: the decimals that were written and the binary64 numbers alike. Dwell times "
+        "are the decimals. Arithmetic of the running loop is taken as exact.",
+        how,
+    )

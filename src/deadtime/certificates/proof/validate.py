@@ -1,0 +1,157 @@
+"""What evidence must look like before anything is computed with it.
+
+A certificate's file may say anything. Shapes, kinds and magnitudes are settled here, so that the
+arithmetic of the check neither overflows nor reads a row that the loop would not.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
+
+SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
+MOST_AGES = 100_000
+
+
+def malformed(evidence: Evidence) -> str:
+    """What is wrong with the evidence, if anything is; in the order in which parts depend."""
+    setting = evidence.setting
+    return (
+        _numbers(setting)
+        or _plants_and_table(setting)
+        or _context(setting)
+        or _times(setting)
+        or _evidence(evidence)
+    )
+
+
+def _numbers(setting: Setting) -> str:
+    """Times and counts are finite numbers of their kind."""
+    times: dict[str, Any] = {
+        "delays[0]": setting.delays[0],
+        "delays[1]": setting.delays[1],
+        "step": setting.step,
+        "dwell_time": setting.dwell_time,
+    }
+    if setting.maximum_dwell is not None:
+        times["maximum_dwell"] = setting.maximum_dwell
+    for name, value in times.items():
+        if not (isinstance(value, float) and math.isfinite(value) and value > 0.0):
+            return f"{name} is not a positive number"
+    for name in ("ages", "chatter"):
+        value = getattr(setting, name)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            return f"{name} is not a whole number of at least 1"
+    return ""
+
+
+def _plants_and_table(setting: Setting) -> str:
+    """A, B, F, G fit each other and are finite."""
+    A, B, F, G = setting.A, setting.B, setting.F, setting.G
+    if (A.ndim, B.ndim, F.ndim, G.ndim) != (4, 4, 3, 4) or not (A.size and B.size and F.size):
+        return "A, B, F or G lacks an axis"
+    corners, modes, n, _ = A.shape
+    m, rows, taps = B.shape[3], F.shape[0], G.shape[1]
+    expected = {
+        "A": (A, (corners, modes, n, n)),
+        "B": (B, (corners, modes, n, m)),
+        "F": (F, (rows, m, n)),
+        "G": (G, (rows, taps, m, m)),
+    }
+    return _misshapen(expected) or ("G has no taps" if taps < 1 else "")
+
+
+def _context(setting: Setting) -> str:
+    """The table has the rows that its context selects from."""
+    modes = setting.A.shape[1]
+    rows = {"none": 1, "mode": modes, "mode_age": modes * setting.ages}.get(setting.context)
+    if rows is None:
+        return "context is none of none, mode, mode_age"
+    if setting.context != "mode_age" and setting.ages != 1:
+        return "ages is not 1, though the rows do not depend on the age"
+    return "" if len(setting.F) == rows else f"the table has {len(setting.F)} rows, not {rows}"
+
+
+def _times(setting: Setting) -> str:
+    """Delays within one period; a class of signals that the graph describes."""
+    low, high = setting.delays
+    if low > high:
+        return "delays do not ascend"
+    if high / setting.step > MOST_AGES or setting.dwell_time / setting.step > MOST_AGES:
+        return "the period is too short for these times"
+    if setting.maximum_dwell is not None:
+        if setting.maximum_dwell < setting.dwell_time:
+            return "maximum_dwell is below dwell_time"
+        if setting.chatter > 1:
+            return "chatter and maximum_dwell exclude each other"
+        if setting.maximum_dwell / setting.step > MOST_AGES:
+            return "the period is too short for these times"
+    if setting.chatter * setting.dwell_time / setting.step > MOST_AGES:
+        return "the period is too short for these times"
+    try:
+        family = setting.family
+    except ValueError as error:
+        return str(error)
+    if not 0.0 <= family.phases[0] <= family.phases[1] <= setting.step:
+        return "the delays lie in no period"
+    if setting.transitions.first < 0:
+        return "the dwell time is below one period"
+    return ""
+
+
+def _evidence(evidence: Evidence) -> str:
+    """The centre and P, Π, S, knots, ρ."""
+    setting, centre, knots = evidence.setting, evidence.centre, evidence.knots
+    sizes = _misshapen(_expected(evidence, setting, centre))
+    if sizes:
+        return sizes
+    for name in ("P", "Pi", "S"):
+        array = getattr(evidence, name)
+        if not np.array_equal(array, np.swapaxes(array, -1, -2)):
+            return f"{name} is not symmetric"
+    if not all(isinstance(knot, int) for knot in knots):
+        return "knots are not whole numbers"
+    if not knots or knots[0] != 0 or any(b <= a for a, b in pairwise(knots)):
+        return "knots do not ascend from 0"
+    if not setting.rows_differ and not np.array_equal(centre.row, setting.rows[0]):
+        return "row is not the table's row"
+    if not (isinstance(evidence.rho, float) and 0.01 <= evidence.rho <= 1.0):
+        return "rho is not in [0.01, 1]"
+    return ""
+
+
+def _expected(
+    evidence: Evidence, setting: Setting, centre: Centre
+) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
+    d, rows = setting.order, len(setting.F)
+    n, m = setting.states, setting.inputs
+    y = n + m * len(setting.family.taps)
+    r, s = centre.R.shape[0], centre.Psi.shape[0]
+    size = y + r + s + n + m * setting.rows_differ
+    return {
+        "E": (centre.E, (n, y)),
+        "row": (centre.row, (m, d)),
+        "R": (centre.R, (r, d)),
+        "T": (centre.T, (rows, m, y + r)),
+        "Psi": (centre.Psi, (s, d)),
+        "filter": (centre.F, (s, size)),
+        "P": (evidence.P, (d, d)),
+        "Pi": (evidence.Pi, (size, size)),
+        "S": (evidence.S, (setting.A.shape[1], len(evidence.knots), s, s)),
+    }
+
+
+def _misshapen(expected: dict[str, tuple[np.ndarray, tuple[int, ...]]]) -> str:
+    """The first array of another shape, or with a number out of range."""
+    for name, (array, shape) in expected.items():
+        if array.shape != shape:
+            return f"{name} has the shape {array.shape}, not {shape}"
+        size = np.abs(array[array != 0.0])
+        if not np.all((size >= SMALLEST) & (size <= LARGEST)):
+            return f"{name} holds a number that is not finite, or beyond 1e±100"
+    return ""

@@ -1,0 +1,384 @@
+"""A second method for certificates that shares no code with the package.
+
+Times are exact fractions of the decimals; a loop's matrix comes from SciPy's exponential, or from
+mpmath's with 50 digits; inequalities are judged by the pivots of elimination, or by eigenvalues.
+Which step may follow which is worked out from the instants of the switches.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from fractions import Fraction
+from functools import cache
+
+import mpmath
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq, minimize
+
+DIGITS = 50
+
+
+def decimal(value) -> Fraction:
+    """The decimal that prints as a float."""
+    return value if isinstance(value, Fraction) else Fraction(repr(float(value)))
+
+
+def precise(value):
+    """A float or a fraction as an mpmath number."""
+    if isinstance(value, Fraction):
+        return mpmath.mpf(value.numerator) / value.denominator
+    return mpmath.mpf(value)
+
+
+def many_digits(array) -> np.ndarray:
+    """Floats as an array of mpmath numbers."""
+    array = np.asarray(array)
+    return np.array([precise(v) for v in array.ravel()], object).reshape(array.shape)
+
+
+def exponential(X: np.ndarray) -> np.ndarray:
+    """e^X, in the arithmetic of X."""
+    if X.dtype != object:
+        return expm(X)
+    return np.array(mpmath.expm(mpmath.matrix(X.tolist())).tolist(), object).reshape(X.shape)
+
+
+def is_positive(X: np.ndarray) -> bool:
+    """Whether a symmetric matrix of fractions or mpmath numbers is ≻ 0, by its pivots."""
+    X = X.copy()
+    for k in range(len(X)):
+        if not X[k, k] > 0:
+            return False
+        rest = X[k + 1 :, k]
+        X[k + 1 :, k + 1 :] -= np.outer(rest, rest) / X[k, k]
+    return True
+
+
+def least_eigenvalue(X: np.ndarray) -> float:
+    """Of a symmetric matrix of floats, scaled to a diagonal of 1; −1 if that has a sign wrong."""
+    if (np.diag(X) <= 0.0).any():
+        return -1.0
+    unit = np.sqrt(np.diag(X))
+    return float(np.linalg.eigvalsh(0.5 * (X + X.T) / unit / unit[:, None])[0])
+
+
+# -- the loop that runs --------------------------------------------------------------------
+
+
+class Plant:
+    """A plant's period: x⁺ = E (x, u_{k−N}, u_{k−N+1}), in floats or with 50 digits."""
+
+    def __init__(self, A, B, delay, step, digits=False) -> None:
+        self.A, self.B = (many_digits(X) if digits else np.asarray(X) for X in (A, B))
+        self.h, self.digits = decimal(step), digits
+        self.count = max(1, math.ceil(decimal(delay) / self.h))
+        self.phase = decimal(delay) - (self.count - 1) * self.h
+        self.modes, self.n, self.m = self.B.shape
+        self.rows = cache(self._rows)
+
+    def _rows(self, mode: int, after: int | None = None, s=1) -> np.ndarray:
+        """E of a period in `mode`, and from the fraction `s` of it on in `after`."""
+        n, m, s = self.n, self.m, Fraction(s) * self.h
+        E = np.eye(n, n + 2 * m).astype(self.A.dtype)
+        for a, b in itertools.pairwise(sorted({Fraction(0), self.phase, s, self.h})):
+            i = mode if a < s or after is None else after
+            tau = precise(b - a) if self.digits else float(b - a)
+            block = np.zeros((n + m, n + m)).astype(E.dtype)
+            block[:n, :n], block[:n, n:] = self.A[i] * tau, self.B[i] * tau
+            whole = exponential(block)[:n]
+            E = whole[:, :n] @ E
+            at = n if a < self.phase else n + m
+            E[:, at : at + m] += whole[:, n:]
+        return E
+
+
+def at_point(A, B, delays, step, cell_order, u, f, weights, reading=None) -> np.ndarray:
+    """E with 50 digits at a point of a cell: switch, delay, and place in a polytope of plants.
+
+    A and B (corners, modes, …) are read as binary numbers, or as decimals.
+    """
+    if reading == "decimal":
+        A, B = (np.vectorize(decimal, otypes=[object])(X) for X in (A, B))
+    mixed = (np.tensordot(many_digits(weights), many_digits(X), 1) for X in (A, B))
+    low, high = (decimal(d) for d in delays)
+    plant = Plant(*mixed, low + (high - low) * Fraction(f), step, digits=True)
+    h, phase, u = plant.h, plant.phase, Fraction(u)
+    s = u * phase if cell_order[0].share != "all" else phase + u * (h - phase)
+    return plant.rows(cell_order[0].mode, cell_order[-1].mode, s / h)
+
+
+class Loop:
+    """The lifted loop ξ⁺ = M ξ, ξ = (x_k, u_{k−1}, …, u_{k−W}), of a plant under a table."""
+
+    def __init__(self, A, B, delay, table, digits=False) -> None:
+        self.plant, self.table = Plant(A, B, delay, table.step, digits), table
+        self.held = max(self.plant.count, table.taps)
+        self.order = self.plant.n + self.held * self.plant.m
+
+    def row(self, mode: int, age: int) -> int:
+        """The table's row."""
+        ages = self.table.ages
+        places = {"none": 0, "mode": mode, "mode_age": mode * ages + min(age, ages - 1)}
+        return places[self.table.context]
+
+    def inputs(self, row: int) -> np.ndarray:
+        """u_k, u_{k−1}, …, u_{k−W} as functions of ξ."""
+        n, m = self.plant.n, self.plant.m
+        u = np.zeros((self.held + 1, m, self.order))
+        for j in range(1, self.held + 1):
+            u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
+        u[0, :, :n] = self.table.state_gain[row]
+        for j, G in enumerate(self.table.input_gain[row]):
+            u[0, :, n + j * m : n + (j + 1) * m] = G
+        return many_digits(u) if self.plant.digits else u
+
+    def step(self, mode: int, age: int, after: int | None = None, s=1) -> np.ndarray:
+        """M of a period that begins in `mode` at an age; a switch at the fraction `s` of it."""
+        u, N = self.inputs(self.row(mode, age)), self.plant.count
+        state = np.eye(self.plant.n, self.order).astype(u.dtype)
+        x = self.plant.rows(mode, after, s) @ np.concatenate((state, u[N], u[N - 1]))
+        return np.concatenate((x, *u[: self.held]))
+
+
+def decreases(before, after, M, rho) -> bool:
+    """before ≻ 0 and before − Mᵀ after M/ρ² ≻ 0; beyond doubt where M has 50 digits."""
+    if M.dtype == object:
+        before, after = many_digits(before), many_digits(after)
+        return is_positive(before) and is_positive(before - M.T @ after @ M / precise(rho) ** 2)
+    return least_eigenvalue(before) > 0 and least_eigenvalue(before - M.T @ after @ M / rho**2) > 0
+
+
+# -- admissible signals --------------------------------------------------------------------
+
+
+def may_leave(age: int, dwell_time, step) -> bool:
+    """Whether a mode that was seen `age` times before may be left in the coming period.
+
+    It began less than a period before it was first seen, and lasts to the end of this one at most.
+    """
+    return (age + 2) * decimal(step) > decimal(dwell_time)
+
+
+def may_stay(age: int, maximum, step) -> bool:
+    """Whether it may last for the coming period: it began when it was first seen, at the latest."""
+    return maximum is None or (age + 1) * decimal(step) < decimal(maximum)
+
+
+def steps(modes: int, dwell_time, step, last: int, maximum=None):
+    """All (mode, age, after, next age) with ages up to `last`, where they stop counting."""
+    for i, a in itertools.product(range(modes), range(last + 1)):
+        if may_stay(a, maximum, step):
+            yield i, a, i, min(a + 1, last)
+        if may_leave(a, dwell_time, step):
+            yield from ((i, a, j, 0) for j in range(modes) if j != i)
+
+
+def random_signal(rng, modes: int, dwell_time: float, end: float, longest: float):
+    """Times and modes of a signal with sojourns between `dwell_time` and `longest`, many short."""
+    times, sequence = [0.0], [int(rng.integers(modes))]
+    while times[-1] < end:
+        stay = dwell_time + (longest - dwell_time) * max(0.0, rng.uniform(-0.3, 1.0)) ** 3
+        times.append(times[-1] + stay * (1.0 + 1e-12))
+        sequence.append(int((sequence[-1] + rng.integers(1, modes)) % modes))
+    return times, sequence
+
+
+def bursts(rng, modes: int, average: float, chatter: int, end: float, step: float):
+    """Times and modes with at most `chatter` + T/average switches in any T, one in a period."""
+    times, sequence = [0.0], [0]
+    while times[-1] < end:
+        switches = times[1:]
+        j = len(switches)
+        soonest = [t + (j - i + 1 - chatter) * average for i, t in enumerate(switches)]
+        soonest.append((math.floor(times[-1] / step) + 1.01) * step if j else 0.01 * step)
+        wait = rng.choice([0.0, 0.3 * step, average, 4.0 * average]) * rng.random()
+        times.append(max(soonest) + wait + 1e-9 * step)
+        sequence.append(int((sequence[-1] + rng.integers(1, modes)) % modes))
+    return times, sequence
+
+
+def ages(sampled) -> list[int]:
+    """How often each sampled mode has been seen before without a break."""
+    result = [0]
+    for before, now in itertools.pairwise(sampled):
+        result.append(result[-1] + 1 if now == before else 0)
+    return result
+
+
+def period(loop: Loop, sojourns: list[Fraction]) -> tuple[np.ndarray, int]:
+    """The loop over a signal that repeats sojourns of modes 0, 1, …, in periods of the sampling.
+
+    Their sum is whole. Returns the product of the steps and how many there are; the second cycle
+    is taken, when the ages of the modes have settled.
+    """
+    modes, total = len(sojourns), sum(sojourns)
+    starts = [sum(sojourns[:i], Fraction(0)) for i in range(modes)]
+    times = [t + r * total for r in range(2) for t in starts]
+
+    def mode(t):
+        return (sum(time <= t for time in times) - 1) % modes
+
+    sampled = [mode(k) for k in range(2 * int(total) + 1)]
+    age, product = ages(sampled), np.eye(loop.order)
+    for k in range(int(total), 2 * int(total)):
+        inside = [t - k for t in times if k < t < k + 1]
+        after = mode(k + inside[0]) if inside else sampled[k + 1]
+        s = inside[0] if inside else 1
+        product = loop.step(sampled[k], age[k], after, s) @ product
+    return product, int(total)
+
+
+# -- loops that are products of exponentials -----------------------------------------------
+
+
+def ellipses(k: float, a: float) -> np.ndarray:
+    """Two modes that turn along ellipses with axes 1 : √k, one upright and one lying."""
+    return np.array([[[-a, 1.0], [-k, -a]], [[-a, k], [-1.0, -a]]])
+
+
+def commuting(rng) -> np.ndarray:
+    """Modes with the same eigenvectors."""
+    T = rng.normal(size=(3, 3))
+    return np.stack([T @ np.diag(rng.uniform(-2, 0, 3)) @ np.linalg.inv(T) for _ in range(3)])
+
+
+def triangular(rng) -> np.ndarray:
+    """Modes that are upper triangular."""
+    A = np.triu(rng.normal(size=(2, 3, 3)), 1)
+    A[:, range(3), range(3)] = rng.uniform(-2, 0, (2, 3))
+    return A
+
+
+def normal(rng) -> np.ndarray:
+    """Modes whose exponentials have their spectral radius as norm."""
+    A = []
+    for a, w, b in rng.uniform((-2, 1, -2), (0, 3, 0), (2, 3)):
+        Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        A.append(Q @ np.array([[a, w, 0], [-w, a, 0], [0, 0, b]]) @ Q.T)
+    return np.stack(A)
+
+
+def multiplier(A, cycle) -> float:
+    """The spectral radius of e^{A_i t} … over a cycle of (mode, time)."""
+    product = np.eye(A.shape[1])
+    for mode, time in cycle:
+        product = expm(A[mode] * time) @ product
+    return float(np.abs(np.linalg.eigvals(product)).max())
+
+
+def worst_multiplier(A, low, high) -> float:
+    """The largest spectral radius over cycles of modes 0 and 1, sojourns in [low, high]."""
+    grids = [np.linspace(a, b, 60) for a, b in zip(low, high, strict=True)]
+    first, second = (expm(M * t[:, None, None]) for M, t in zip(A, grids, strict=True))
+    sizes = np.abs(np.linalg.eigvals(second[None] @ first[:, None])).max(axis=2)
+    i, j = np.unravel_index(sizes.argmax(), sizes.shape)
+    found = minimize(
+        lambda t: -multiplier(A, [(0, t[0]), (1, t[1])]),
+        [grids[0][i], grids[1][j]],
+        method="Nelder-Mead",
+        bounds=list(zip(low, high, strict=True)),
+    )
+    return max(float(sizes.max()), -float(found.fun))
+
+
+def critical(growth, stable: float, unstable: float) -> float:
+    """Where the multiplier `growth` of a parameter passes 1."""
+    return float(brentq(lambda p: math.log(growth(p)), stable, unstable, xtol=1e-6))
+
+
+# -- the loop written around its centre ----------------------------------------------------
+
+
+class Inequalities:
+    """K and the small inequalities of a piece of evidence, from their definitions, in floats."""
+
+    def __init__(self, evidence, loop: Loop) -> None:
+        self.evidence, self.loop, centre = evidence, loop, evidence.centre
+        plant, held, d = loop.plant, loop.held, loop.order
+        n, m = plant.n, plant.m
+        self.w = n + m * (len(loop.table.state_gain) > 1)
+        u = np.zeros((held + 1, m, d + self.w))  # of (ξ, w)
+        u[0, :, :d], u[0, :, d + n :] = centre.row, np.eye(m)[:, : self.w - n]
+        for j in range(1, held + 1):
+            u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
+        everything = np.eye(d + self.w)
+        taps = [u[plant.count], u[plant.count - 1]][: 1 + (plant.phase < plant.h)]
+        y = np.concatenate([everything[:n], *taps])
+        self.moved = np.concatenate([centre.E @ y + everything[d : d + n], *u[:held]])
+        functionals = np.concatenate((centre.R, centre.Psi)) @ everything[:d]
+        self.wide, self.y = np.concatenate((y, functionals, everything[d:])), len(y)
+
+    def large(self) -> float:
+        """The least eigenvalue of K, scaled to a diagonal of 1."""
+        P, d = self.evidence.P, self.loop.order
+        K = -self.moved.T @ P @ self.moved / self.evidence.rho**2
+        K -= self.wide.T @ self.evidence.Pi @ self.wide
+        K[:d, :d] += P
+        return least_eigenvalue(K)
+
+    def residual(self) -> float:
+        """How far the filter ψ⁺ = F (v, w) and the rows row₀ + T R are off, relative."""
+        centre, loop = self.evidence.centre, self.loop
+        moved = centre.Psi @ self.moved
+        error = np.abs(moved - centre.F @ self.wide).max(initial=0.0)
+        rows = np.stack([loop.inputs(c)[0] for c in range(len(loop.table.state_gain))])
+        seen = self.wide[: self.y + len(centre.R), : loop.order]
+        off = np.abs(rows - centre.row - centre.T @ seen).max() / np.abs(rows).max()
+        return max(off, error / np.abs(moved).max(initial=1e-300))
+
+    def S(self, mode: int, age: int) -> np.ndarray:
+        """S, linear between the knots."""
+        knots, S = self.evidence.knots, self.evidence.S[mode]
+        flat = [np.interp(age, knots, entry) for entry in S.reshape(len(knots), -1).T]
+        return np.array(flat).reshape(S.shape[1:])
+
+    def small(self, mode, age, after, next_age, s=1) -> float:
+        """The least eigenvalue of the small inequality of a step, scaled to a diagonal of 1."""
+        e, n, v = self.evidence, self.loop.plant.n, len(self.wide) - self.w
+        E, centre = self.loop.plant.rows(mode, after, s)[:, : self.y], e.centre
+        Delta = np.zeros((self.w, v))
+        Delta[:n, : self.y] = E - centre.E
+        if self.w > n:
+            Delta[n:, : self.y + len(centre.R)] = centre.T[self.loop.row(mode, age)]
+        Theta = e.Pi - centre.F.T @ self.S(after, next_age) @ centre.F / e.rho**2
+        at = slice(v - len(centre.Psi), v)
+        Theta[at, at] += self.S(mode, age)
+        tall = np.concatenate((np.eye(v), Delta))
+        return least_eigenvalue(tall.T @ Theta @ tall)
+
+    def least(self, instants) -> float:
+        """The least of all: of K, and of every step with switches at these fractions."""
+        setting = self.evidence.setting
+        last = max(self.evidence.knots[-1], self.loop.table.ages - 1)
+        last = max(last, math.floor(decimal(setting.dwell_time) / self.loop.plant.h))
+        maximum, h = setting.maximum_dwell, self.loop.plant.h
+        return min(
+            self.large(),
+            *(
+                self.small(*step, s)
+                for step in steps(self.loop.plant.modes, setting.dwell_time, h, last, maximum)
+                for s in (instants if step[0] != step[2] else [1])
+            ),
+        )
+
+
+# -- files ---------------------------------------------------------------------------------
+
+
+def rewritten(path, change=None, data: bytes | None = None):
+    """Change a certificate's files as an attacker who makes the digests fit again."""
+    content = json.loads(path.read_text())
+    if change:
+        change(content)
+    if data is not None:
+        path.with_suffix(".bin").write_bytes(data)
+        content["sidecar"]["sha256"] = hashlib.sha256(data).hexdigest()
+    content.pop("sha256")
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
+    path.write_text(json.dumps(content))
+    return path

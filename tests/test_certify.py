@@ -1,0 +1,396 @@
+"""Certificates: put back into their inequalities, true of runs, and as tight as claimed."""
+
+import itertools
+import math
+import re
+from fractions import Fraction
+from functools import cache
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import certificate_reference as reference
+import deadtime as dt
+import plants
+from certificate_reference import Loop, ellipses, steps
+from deadtime.errors import ArgumentError
+
+PAPER = dt.problems.paper().plant
+THREE = dt.problems.three_mode().plant
+
+
+def with_delay(plant, delay):
+    return dt.SwitchedSystem(plant.A, plant.B, delay)
+
+
+def designed(plant, poles=(-1.0, -2.0)):
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, poles))
+
+
+GENERIC = plants.generic().apart(0.05)  # three modes, three states, two inputs, N = 3
+PAIR = with_delay(PAPER.apart(0.3), 0.234)  # with a step of 0.1, N = 3 and φ = 0.034
+ALONE = dt.SwitchedSystem(PAIR.A[:1], PAIR.B[:1], 0.234)
+MILD = dt.SwitchedSystem(PAPER.apart(0.5).A - 2.0 * np.eye(2), PAPER.apart(0.5).B, 0.234)
+WEAK = np.tile([[-0.5, -0.5]], (2, 1, 1))  # gains for which the delay of MILD hardly matters
+LAW = dt.AveragedPredictor(PAIR, plants.gains(PAIR))
+
+
+def mild(delay, law=dt.AveragedPredictor):
+    """A law of MILD on a plant with another delay and other matrices."""
+    return dt.SwitchedSystem(1.02 * MILD.A, 0.97 * MILD.B, delay), law(MILD, WEAK)
+
+
+def of(law, plant=PAIR):
+    return plant, plants.LAWS[law](plant)
+
+
+# name: (plant and law, dwell time, step)
+CASES = {
+    "generic, averaged": (lambda: of("averaged", GENERIC), 0.25, 0.1),
+    "generic, mean with gains": (lambda: of("mean with gains", GENERIC), 0.1, 0.1),
+    "weighted": (lambda: of("weighted"), 0.3, 0.1),
+    "single": (lambda: of("single"), 0.3, 0.1),
+    "mean": (lambda: of("mean"), 0.17, 0.1),
+    "averaged, dwell-aware": (lambda: of("averaged, dwell-aware"), 0.1634, 0.1),
+    "mean, dwell-aware": (lambda: of("mean, dwell-aware"), 0.31, 0.1),
+    "expected": (lambda: of("expected"), 0.3, 0.1),
+    "delayed": (lambda: (MILD, dt.DelayedStateFeedback(MILD, WEAK)), 0.3, 0.1),
+    "input within its period": (lambda: designed(with_delay(PAIR, 0.034)), 0.2, 0.1),
+    "by mode within its period": (lambda: mild(0.034, dt.DelayedStateFeedback), 0.2, 0.1),
+    "plant later by two periods": (lambda: mild(0.434), 0.3, 0.1),
+    "plant sooner by two periods": (lambda: mild(0.034), 0.3, 0.1),
+    "one mode": (lambda: designed(ALONE), 0.3, 0.1),
+    "paper": (lambda: designed(PAPER.apart(0.6)), 0.2, 0.1),
+    "paper, 0.65": (lambda: designed(PAPER.apart(0.65)), 0.2, 0.1),
+    "paper, 0.638, N = 100": (lambda: designed(PAPER.apart(0.638)), 0.2, 0.01),
+    "three modes, 0.79, N = 100": (lambda: designed(THREE.apart(0.79), (-2.0, -3.0)), 0.9, 0.01),
+}
+SMALL = [name for name in CASES if "N = 100" not in name]
+
+
+def proved(*arguments, **options):
+    certificate = dt.certify(*arguments, **options)
+    assert certificate.stable is True, certificate.message
+    assert certificate.proven
+    assert certificate.message.startswith("Stable for every admissible signal, proved")
+    return certificate
+
+
+@cache
+def certified(name):
+    loop, dwell_time, step = CASES[name]
+    plant, law = loop()
+    return plant, law, proved(plant, law, dwell_time, step)
+
+
+def assert_steps_decrease(certificate, loop, instants, maximum=None, most=None):
+    """P_{i,a} ≻ 0 and P_{i,a} − Mᵀ P_{j,b} M/ρ² ≻ 0 along all steps, or `most` of them."""
+    rng, evidence = np.random.default_rng(1), certificate.evidence
+    setting = evidence.setting
+    last = max(evidence.knots[-1], setting.ages, math.ceil(setting.dwell_time / setting.step)) + 2
+    everything = list(steps(loop.plant.modes, setting.dwell_time, setting.step, last, maximum))
+    if most:
+        everything = [everything[k] for k in rng.permutation(len(everything))[:most]]
+    for i, a, j, b in everything:
+        before, after = certificate.lyapunov(i, a), certificate.lyapunov(j, b)
+        for s in (*rng.random(instants).tolist(), 1e-6, 1) if j != i else (1,):
+            M = loop.step(i, a, j, s)
+            assert reference.decreases(before, after, M, evidence.rho), (i, a, j, s)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_every_step_decreases_the_lyapunov_function_in_fifty_digits(name):
+    plant, law, certificate = certified(name)
+    with mpmath.workdps(reference.DIGITS):
+        table = law.digital(CASES[name][2])
+        loop = Loop(plant.A, plant.B, plant.delay, table, digits=True)
+        assert_steps_decrease(certificate, loop, 1)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_step_decreases_it_wherever_the_switch_falls(name):
+    plant, law, certificate = certified(name)
+    loop = Loop(plant.A, plant.B, plant.delay, law.digital(CASES[name][2]))
+    assert_steps_decrease(certificate, loop, 8, most=30 if loop.order > 50 else None)
+
+
+def assert_runs_decrease(certificate, plant, law, signal, samples, ages=reference.ages):
+    """V falls at every sample of a run from random states and inputs; `ages` of sampled modes."""
+    rng, setting = np.random.default_rng(2), certificate.evidence.setting
+    x0, u0 = rng.normal(size=plant.states), rng.normal(size=(plant.inputs, setting.held))
+    run = dt.simulate(plant, law, signal, x0, samples * setting.step, setting.step, u0)
+    inputs = np.concatenate((u0, run.inputs), axis=1).T
+    sampled = signal(np.arange(samples + 1) * setting.step + 1e-12)
+    values = []
+    for k, age in enumerate(ages(sampled.tolist())):
+        past = inputs[k : k + setting.held][::-1]
+        xi = np.concatenate((run.states[:, k], past.ravel()))
+        values.append(xi @ certificate.lyapunov(int(sampled[k]), age) @ xi)
+    assert (np.array(values) > 0.0).all()
+    assert (np.array(values[1:]) / values[:-1] < certificate.evidence.rho**2).all()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_lyapunov_function_falls_at_every_sample_of_runs(name):
+    plant, law, certificate = certified(name)
+    _, dwell_time, step = CASES[name]
+    samples = 60 if name in SMALL else 150
+    for seed in range(3):
+        signal = dt.SwitchingSignal.constant(0)
+        if plant.modes > 1:
+            rng, longest = np.random.default_rng(seed), dwell_time + 5.0 * step
+            signal = dt.SwitchingSignal(
+                *reference.random_signal(rng, plant.modes, dwell_time, samples * step, longest)
+            )
+        assert_runs_decrease(certificate, plant, law, signal, samples)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_rate_is_that_of_rho_and_no_mode_decays_more_slowly(name):
+    plant, law, certificate = certified(name)
+    rate, step = certificate.decay_rate, CASES[name][2]
+    assert rate == pytest.approx(-math.log(certificate.evidence.rho) / step, rel=1e-9)
+    loop = Loop(plant.A, plant.B, plant.delay, law.digital(step))
+    radii = [np.abs(np.linalg.eigvals(loop.step(i, 10**6))).max() for i in range(plant.modes)]
+    assert 0.0 < rate < -math.log(max(radii)) / step
+
+
+@pytest.mark.parametrize(
+    ("loop", "dwell_time", "step"),
+    [
+        (designed(PAPER.apart(0.66)), 0.2, 0.1),
+        (designed(PAPER.apart(0.6395)), 0.2, 0.01),
+        (designed(THREE.apart(0.806), (-2.0, -3.0)), 0.9, 0.01),
+        (designed(PAPER), 0.2, 0.1),
+    ],
+)
+def test_loops_beyond_their_limit_are_refuted_by_a_signal_that_grows(loop, dwell_time, step):
+    plant, law = loop
+    certificate = dt.certify(plant, law, dwell_time, step)
+    assert (certificate.stable, certificate.proven) == (False, False)
+    witness = certificate.witness
+    assert witness.growth_rate > 0.0
+    assert witness.signal.dwell_time >= dwell_time
+    # The reference agrees that the mode that lasts for ever grows at that rate.
+    M = Loop(plant.A, plant.B, plant.delay, law.digital(step)).step(witness.modes[0], 10**6)
+    rate = math.log(np.abs(np.linalg.eigvals(M)).max()) / step
+    assert witness.growth_rate == pytest.approx(rate, rel=1e-3)
+    with pytest.raises(ArgumentError, match="has no Lyapunov function: Not stable"):
+        certificate.lyapunov()
+    with pytest.raises(ArgumentError, match="has no proof to save"):
+        certificate.save("nowhere.json")
+
+
+# -- loops whose growth is known -----------------------------------------------------------
+
+
+def free(A, step=0.1):
+    """A plant without feedback: its loop is the products of the modes' exponentials."""
+    plant = dt.SwitchedSystem(A, np.ones((*A.shape[:2], 1)), step)
+    none = np.zeros((len(A), 1, A.shape[1]))
+    return plant, dt.DelayedStateFeedback(plant, none, allow_unstable=True)
+
+
+@pytest.mark.parametrize("family", ["commuting", "triangular", "normal"])
+def test_where_the_joint_spectral_radius_is_that_of_a_mode_certificates_come_close_to_it(family):
+    A = getattr(reference, family)(np.random.default_rng(5))
+    A = A - np.linalg.eigvals(A).real.max() * np.eye(3)  # now the joint spectral radius is 1
+    for shift in (0.02, 0.3):
+        loop = free(A - shift * np.eye(3))
+        certificate = proved(*loop, 0.1, 0.1, decay_rate=0.95 * shift)
+        assert certificate.decay_rate == pytest.approx(0.95 * shift, rel=1e-9)
+        too_much = dt.certify(*loop, 0.1, 0.1, decay_rate=1.001 * shift)
+        assert too_much.stable is None
+        assert "is more than a constant mode has" in too_much.message
+    assert dt.certify(*free(A + 0.001 * np.eye(3)), 0.1, 0.1).stable is False
+
+
+@pytest.mark.parametrize(("k", "a", "slack"), [(4.0, 0.8, 1.45), (2.0, 0.1, 1.45), (4.0, 0.5, 2.6)])
+def test_the_critical_dwell_time_of_two_planar_modes_is_approached_and_not_passed(k, a, slack):
+    A, turn = ellipses(k, a), 2.0 * np.pi / math.sqrt(k)
+
+    def growth(tau):
+        return reference.worst_multiplier(A, [tau] * 2, [tau + turn] * 2)
+
+    last = max(tau for tau in np.arange(0.2, 5.0, 0.05) if growth(tau) >= 1.0)
+    limit, loop = reference.critical(growth, last + 0.05, last), free(A, 0.05)
+    for ratio in (0.3, 0.8, 0.99):
+        assert dt.certify(*loop, ratio * limit, 0.05, search_signals=False).stable is None
+    refuted = dt.certify(*loop, 0.95 * limit, 0.05)
+    assert refuted.stable is False
+    cycle = list(zip(refuted.witness.modes, refuted.witness.sojourns, strict=True))
+    assert reference.multiplier(A, cycle) > 1.0
+    proved(*loop, slack * limit, 0.05)
+
+
+def a_problem(rng):
+    """A plant, a law for another delay, a dwell time and a period; about half are stable."""
+    A, B = rng.normal(size=(2, 2)), rng.normal(size=(2, 1))
+    A = A + rng.uniform(0.0, 0.5) * rng.normal(size=(2, 2, 2))
+    A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.0, 0.6)) * np.eye(2)
+    model = dt.SwitchedSystem(A, np.stack([B, B]), rng.uniform(0.05, 0.3))
+    law = (dt.AveragedPredictor, dt.DelayedStateFeedback)[rng.integers(2)]
+    law = law(model, 0.5 * rng.normal(size=(2, 1, 2)), allow_unstable=True)
+    return with_delay(model, rng.uniform(0.05, 0.3)), law, 0.1 * rng.uniform(1.0, 4.0), 0.1
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_no_loop_is_certified_to_decay_faster_than_along_some_periodic_signal(seed):
+    rng = np.random.default_rng(seed)
+    plant, law, dwell_time, step = a_problem(rng)
+    certificate = dt.certify(plant, law, dwell_time, step, search_signals=False)
+    loop = Loop(plant.A, plant.B, plant.delay, law.digital(step))
+    found = [(loop.step(mode, 10**6), 1) for mode in range(2)]
+    for waits in rng.exponential(3.0, (6, 2)):
+        first, second = (Fraction(float(dwell_time / step + wait)) for wait in waits)
+        found.append(reference.period(loop, [first, second + (-first - second) % 1]))
+    growth = max(np.abs(np.linalg.eigvals(M)).max() ** (1.0 / count) for M, count in found)
+    assert certificate.stable is not False
+    assert growth < (certificate.evidence.rho if certificate.stable else math.inf)
+
+
+# -- other signals, delays and plants ------------------------------------------------------
+
+
+def test_an_unstable_mode_that_must_be_left_is_certified_and_not_beyond_the_true_limit():
+    A = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])
+    limit = reference.critical(
+        lambda longest: reference.worst_multiplier(A, [1.0, 1.0], [longest] * 2), 3.0, 6.0
+    )
+    assert limit == pytest.approx(5.0, rel=1e-4)  # by hand: 0.1 · 5 = 0.5 · 1
+    plant, law = free(A)
+    certificate = proved(plant, law, 1.0, 0.1, maximum_dwell=1.8)
+    assert "sojourns last between 1 s and 1.8 s" in certificate.statement[0]
+    loop = Loop(plant.A, plant.B, plant.delay, law.digital(0.1))
+    assert_steps_decrease(certificate, loop, 3, maximum=1.8)
+    for longest in (1.02 * limit, None):
+        assert dt.certify(plant, law, 1.0, 0.1, maximum_dwell=longest).stable is False
+    plant, law = designed(PAPER.apart(0.65))
+    signal = reference.random_signal(np.random.default_rng(6), 2, 0.2, 12.0, 0.7)
+    certificate = proved(plant, law, 0.2, 0.1, maximum_dwell=0.7)
+    assert_runs_decrease(certificate, plant, law, dt.SwitchingSignal(*signal), 110)
+
+
+def test_with_an_average_dwell_time_the_function_falls_along_bursts_of_switches():
+    (plant, law), average, chatter = free(ellipses(4.0, 0.8)), 4.0, 2
+    certificate = proved(plant, law, average, 0.1, chatter=chatter)
+    assert "average dwell time of 4 s (at most 2 + T/4 s switches" in certificate.statement[0]
+
+    def level(sampled):
+        """What is left of the switches that a window may hold, in samples."""
+        levels = [80]
+        for before, now in itertools.pairwise(sampled):
+            levels.append(min(80, levels[-1] + 1 - 40 * (before != now)))
+        return levels
+
+    signal = reference.bursts(np.random.default_rng(7), 2, average, chatter, 60.0, 0.1)
+    assert_runs_decrease(certificate, plant, law, dt.SwitchingSignal(*signal), 590, level)
+    # No sojourns of 1 s or more make this loop grow, unequal ones of 1 s on average do.
+    A = ellipses(9.0, 1.0)
+    assert reference.worst_multiplier(A, [1.0, 1.0], [6.0, 6.0]) < 0.5
+    assert max(reference.multiplier(A, [(0, t), (1, 2.0 - t)]) for t in np.arange(0.2, 1, 0.05)) > 1
+    assert dt.certify(*free(A), 1.0, 0.1, chatter=2, search_signals=False).stable is None
+
+
+def test_a_range_of_delays_is_certified_at_every_delay_in_it():
+    law, low, high = dt.DelayedStateFeedback(MILD, WEAK), 0.2, 0.29  # from φ = 0 to φ = 0.09
+    certificate = proved(MILD, law, 0.3, 0.1, delays=(low, high))
+    assert f"any constant value in [{low}, {high}] s" in certificate.statement[1]
+    for delay in (low + 1e-9, high, *np.random.default_rng(8).uniform(low, high, 6)):
+        loop = Loop(MILD.A, MILD.B, float(delay), law.digital(0.1))
+        assert loop.plant.count == 3
+        assert_steps_decrease(certificate, loop, 2)
+
+
+def test_a_polytope_of_plants_is_certified_at_every_point_of_it():
+    factors = ((1.0, 1.0), (1.1, 1.0), (1.0, 0.9))
+    corners = [dt.SwitchedSystem(a * MILD.A, b * MILD.B, MILD.delay) for a, b in factors]
+    law = dt.AveragedPredictor(MILD, WEAK)
+    certificate = proved(corners, law, 0.3, 0.1)
+    assert "any plant in the polytope" in certificate.statement[0]
+    for weights in (*np.eye(3), *np.random.default_rng(9).dirichlet(np.ones(3), 6)):
+        a, b = weights @ factors
+        loop = Loop(a * MILD.A, b * MILD.B, MILD.delay, law.digital(0.1))
+        assert_steps_decrease(certificate, loop, 2)
+
+
+# -- what is left open, and what is refused ------------------------------------------------
+
+
+def undecided(*arguments, **options):
+    certificate = dt.certify(*arguments, **options)
+    assert certificate.stable is None
+    assert (certificate.proven, certificate.evidence, certificate.statement) == (False, None, ())
+    return certificate.message
+
+
+def test_loops_out_of_reach_are_left_open_with_the_reason():
+    oracle = dt.ExactPredictor(PAIR, plants.gains(PAIR))
+    assert "foresees the signal" in undecided(PAIR, oracle, 0.3, 0.1)
+    rule = dt.HalfSpace([1.0, 0.0], 0.0)
+    dependent = dt.StateDependentPredictor(PAIR, plants.gains(PAIR), rule)
+    assert "is no table but a nonlinear law" in undecided(PAIR, dependent, 0.3, 0.1)
+    assert "is below one period of 0.1 s" in undecided(PAIR, LAW, 0.09, 0.1)
+    message = undecided(PAPER, designed(PAPER)[1], 0.3, 0.0003)
+    assert re.search(r"has order 3,336: .* take about \d+\.\d GB and \d+ min, and 3,000", message)
+    assert "is more than a constant mode has" in undecided(PAIR, LAW, 0.3, 0.1, decay_rate=2.0)
+    proved(*designed(ALONE), 0.05, 0.1)  # one mode needs no dwell time
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"maximum_dwell": 0.29}, "maximum_dwell must be at least dwell_time = 0.3 s, got 0.29"),
+        ({"chatter": 2, "maximum_dwell": 1.0}, "chatter > 1 and maximum_dwell exclude each other"),
+        ({"chatter": 0}, "chatter must be"),
+        ({"decay_rate": -0.1}, "decay_rate must be ≥ 0"),
+        ({"delays": (0.25, 0.21)}, "delays must ascend"),
+        ({"delays": (0.19, 0.21)}, "delays must lie within one period"),
+        ({"delays": (0.0, 0.1)}, "delays must be"),
+        ({"dwell_time": 0.0}, "dwell_time must be"),
+        ({"step": -0.1}, "step must be"),
+        ({"plant": GENERIC}, "law must be made for a plant with 3 modes, got a law for 2"),
+        ({"plant": [PAIR, with_delay(PAIR, 0.2)]}, "one delay at all corners"),
+        ({"plant": []}, "plant must be a SwitchedSystem or a sequence of them, got none"),
+    ],
+)
+def test_malformed_requests_are_refused_by_name(options, message):
+    arguments = {"plant": PAIR, "law": LAW, "dwell_time": 0.3, "step": 0.1} | options
+    with pytest.raises(ArgumentError, match=re.escape(message)):
+        dt.certify(**arguments)
+
+
+class PanicError(BaseException):
+    """What compiled code raises when it panics: no Exception."""
+
+
+class Panics:
+    """A solver that panics."""
+
+    def __init__(self, *_):
+        raise PanicError("index out of bounds")
+
+
+class SaysNaN:
+    """A solver whose answer is not a number."""
+
+    def __init__(self, P, q, *_):
+        self.x, self.status = [math.nan] * len(q), "Solved"
+
+    def solve(self):
+        return self
+
+
+@pytest.mark.parametrize("solver", [Panics, SaysNaN])
+def test_a_solver_that_fails_leaves_the_question_open(monkeypatch, solver):
+    monkeypatch.setattr("clarabel.DefaultSolver", solver)
+    message = undecided(PAIR, LAW, 0.3, 0.1)
+    assert message.startswith("Inconclusive: no Lyapunov function of the kinds tried was found")
+    # Signals are sought at the delays in question, not at the plant's own, where the loop grows.
+    far = with_delay(PAIR, 0.8)
+    assert dt.growth_rate(far, LAW, 0, 0.1) > 0.1
+    undecided(far, LAW, 0.3, 0.1, delays=(0.23, 0.24))
