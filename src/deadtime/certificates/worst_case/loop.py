@@ -1,0 +1,207 @@
+"""The growth of the sampled loop over a cycle: the spectral radius of one large operator.
+
+The operator takes the lifted state ζ = (x_k, u_{k−W}, …, u_{k−1}) over a cycle. It is applied by
+running the loop, O(K W m²) for K periods, never formed, and its largest eigenvalue is found by
+Arnoldi's method on a power of it that spans several delays, where the eigenvalues lie far apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.feedback import Feedback
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.record import PhaseTable
+from deadtime.spectrum import aged_row
+from deadtime.steps import Cuts, Window, modes_at
+
+WINDOWS = 3  # of the delay in one application
+TOLERANCE = 1e-9
+MOST_VECTORS = 90
+DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's method fails
+
+
+class Table(NamedTuple):
+    """What happens in each period of a cycle: the plant's transitions and the law's rows."""
+
+    phases: PhaseTable
+    rows: np.ndarray
+
+    @property
+    def periods(self) -> int:
+        """The length of the cycle."""
+        return self.rows.size
+
+
+class Growth(NamedTuple):
+    """The growth rate of a cycle in 1/s, and the eigenvector: ζ at its start (complex)."""
+
+    rate: float
+    vector: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """A plant under a law's table, weighted by e^{−shift·t} (immutable).
+
+    Attributes
+    ----------
+    G : (contexts, m, window), window = taps·m
+        The table's taps, weighted, the oldest input first.
+    shift : float
+        1/s; a rate near those that are sought, so that numbers stay near 1.
+    late : int
+        1 to begin a period right after its sample: cycles on this grid are those whose switches
+        all fall just after a sample, so that the law sees them a period late. Else 0.
+    """
+
+    plant: SwitchedSystem
+    feedback: Feedback
+    window: Window
+    G: Float[np.ndarray, "context m window"]
+    shift: float
+    late: int = 0
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, feedback: Feedback, shift: float) -> SampledLoop:
+        """The loop; without a weight where `shift` is 0."""
+        contexts, taps, m, _ = feedback.input_gain.shape
+        decay = math.exp(-shift * feedback.step) ** np.arange(1, taps + 1)
+        weighted = (feedback.input_gain * decay[:, None, None])[:, ::-1]
+        G = np.ascontiguousarray(weighted.transpose(0, 2, 1, 3).reshape(contexts, m, taps * m))
+        return cls(plant, feedback, Window.of(plant.delay, feedback.step), G, shift)
+
+    @property
+    def weight(self) -> float:
+        """The weight of one period, e^{−shift h}."""
+        return math.exp(-self.shift * self.feedback.step)
+
+    @property
+    def held(self) -> int:
+        """W, the number of past inputs in ζ."""
+        return max(self.window.count + self.late, self.feedback.taps)
+
+    @property
+    def order(self) -> int:
+        """The size of ζ."""
+        return self.plant.states + self.held * self.plant.inputs
+
+    def table(self, cycle: Cycle) -> Table:
+        """The periods of a cycle that has been going on for ever."""
+        step, feedback = self.window.step, self.feedback
+        signal, periods = cycle.signal(step), cycle.periods
+        phases = PhaseTable.of(self.plant, self.window, Cuts.of(signal, self.window), periods)
+        if cycle.constant:
+            return Table(phases, np.full(periods, aged_row(feedback, cycle.modes[0])))
+        seen = modes_at(signal, np.arange(periods) * step, step)
+        return Table(phases, feedback.rows(np.tile(seen, 2))[periods:])
+
+    def run(self, table: Table, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs
+        (W + samples, m), the W past ones first."""
+        from deadtime.certificates.worst_case.kernels import forward
+
+        n, m, W = self.plant.states, self.plant.inputs, self.held
+        samples = repeats * table.periods
+        inputs, states = np.empty((W + samples, m)), np.empty((samples, n))
+        inputs[:W] = z[n:].reshape(W, m)
+        forward(*self._arguments(table), repeats, z[:n].copy(), inputs, states)
+        return states, inputs
+
+    def after(self, table: Table, repeats: int, z: np.ndarray) -> np.ndarray:
+        """ζ (order,) after some cycles, weighted."""
+        states, inputs = self.run(table, repeats, z)
+        return np.concatenate((states[-1], inputs[-self.held :].ravel()))
+
+    def before(self, table: Table, y: np.ndarray) -> np.ndarray:
+        """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
+        from deadtime.certificates.worst_case.kernels import transposed
+
+        n, W = self.plant.states, self.held
+        inputs = np.zeros((W + table.periods, self.plant.inputs))
+        inputs[-W:] = y[n:].reshape(W, -1)
+        p = y[:n].copy()
+        transposed(*self._arguments(table), p, inputs)
+        return np.concatenate((p, inputs[:W].ravel()))
+
+    def _arguments(self, table: Table) -> tuple:
+        phases, F = table.phases, self.feedback.state_gain
+        window = self.window
+        return (
+            phases.index, phases.Phi, phases.Gamma, window.count, self.weight, F, self.G,
+            table.rows, self.late,
+        )  # fmt: skip
+
+    def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:
+        """The growth rate of a cycle and the direction that grows; None where it is not found.
+
+        `tolerance` is relative, of the eigenvalue.
+        """
+        table = self.table(cycle)
+        start = np.random.default_rng(0).normal(size=self.order)
+        spanning = max(1, -(-WINDOWS * self.held // table.periods))
+        found, repeats = None, 1
+        with np.errstate(over="ignore", invalid="ignore"):
+            for repeats in (spanning, 3 * spanning, 1):
+                found = _largest(partial(self.after, table, repeats), start, tolerance)
+                if found is not None:
+                    break
+        if found is None:
+            found, repeats = self._dense(table), 1
+        if found is None:
+            return None
+        value, vector = found
+        time = repeats * table.periods * self.window.step
+        rate = math.log(abs(value)) / time if value else -math.inf
+        n, m, W = self.plant.states, self.plant.inputs, self.held
+        back = self.weight ** np.arange(W, 0, -1)  # ũ_{−j} = w^{−j} u_{−j}
+        vector = np.append(vector[:n], vector[n:] * np.repeat(back, m))
+        return Growth(self.shift + rate, vector)
+
+    def _dense(self, table: Table) -> tuple[complex, np.ndarray] | None:
+        """The largest eigenvalue over one cycle and its vector, by computing all of them."""
+        if self.order > DENSE:
+            return None
+        operator = np.array([self.after(table, 1, z) for z in np.eye(self.order)]).T
+        if not np.isfinite(operator).all():
+            return None
+        values, vectors = np.linalg.eig(operator)
+        largest = int(np.argmax(np.abs(values)))
+        return complex(values[largest]), vectors[:, largest]
+
+
+def _largest(
+    apply: Callable[[np.ndarray], np.ndarray], start: np.ndarray, tolerance: float
+) -> tuple[complex, np.ndarray] | None:
+    """The eigenvalue of largest modulus and its eigenvector, by Arnoldi's method."""
+    order = start.size
+    most = min(order, MOST_VECTORS)
+    basis, H = np.zeros((most + 1, order)), np.zeros((most + 1, most))
+    basis[0] = start / np.linalg.norm(start)
+    for j in range(most):
+        image = apply(basis[j])
+        if not np.isfinite(image).all():
+            return None
+        for _ in range(2):
+            part = basis[: j + 1] @ image
+            image = image - part @ basis[: j + 1]
+            H[: j + 1, j] += part
+        H[j + 1, j] = size = float(np.linalg.norm(image))
+        if not np.isfinite(H[: j + 2, j]).all():
+            return None
+        closed = size <= 1e-14 * np.abs(H[: j + 1, : j + 1]).max() or j + 1 == order
+        if closed or j % 4 == 3:
+            values, vectors = np.linalg.eig(H[: j + 1, : j + 1])
+            i = int(np.argmax(np.abs(values)))
+            if closed or size * abs(vectors[-1, i]) <= tolerance * abs(values[i]):
+                return complex(values[i]), vectors[:, i] @ basis[: j + 1]
+        basis[j + 1] = image / size
+    return None

@@ -1,0 +1,257 @@
+"""Branch and bound over words of sojourns, on the compressed loop.
+
+A word is a sequence of (mode, length); words are grown by a sojourn at a time. With A_w the
+product of a word's matrices, T_w its length and |·| a norm,
+
+    β(w) = min over prefixes p of w of ln|A_p| / T_p
+
+bounds the rate of every signal that can be cut into words without children: Gripenberg's bound
+("Computing the joint spectral radius", Linear Algebra Appl. 234, 1996), with products weighed by
+their length. A word with β(w) at most the best rate found, plus a tolerance, has no children.
+Where too many words are left the ones of largest bound go on and the rest is given up, so that
+the bound is lost (the modified Gripenberg algorithm; Mejstrik, ACM Trans. Math. Softw. 46, 2020).
+The norm is Euclidean in coordinates in which the mean over sojourns of |A z|² is |z|² nearly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.certificates.worst_case.products import Sojourns
+
+LETTERS = 40  # sojourns a word may be grown by, about
+WIDTH = 100  # words that go on
+LONGEST = 10  # sojourns in a word
+LIKELY = 200  # cycles of each number of sojourns that are evaluated
+KEPT = 5  # cycles of each number of sojourns that are improved,
+ALIKE = 3  # and of them with the same modes in turn
+BEGINNING = 3
+SQUARINGS = 5
+NEAR = 20  # part of the range of lengths within which cycles count as the same
+MOST_CLIMBED = 600  # cycles looked at to improve one
+
+
+@dataclass(frozen=True, eq=False)
+class Word:
+    """A cycle on the grid: modes, indices of their lengths, and its growth per sample."""
+
+    modes: Int[np.ndarray, " sojourn"]
+    index: Int[np.ndarray, " sojourn"]
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search leaves behind.
+
+    Attributes
+    ----------
+    words : list of Word
+        The best cycles of each number of sojourns, the best first.
+    bound : float or None
+        No signal of these letters grows faster, per sample; None where words were given up.
+    evaluated : int
+        How many words were looked at.
+    """
+
+    words: list[Word]
+    bound: float | None
+    evaluated: int
+
+
+@dataclass(eq=False)
+class _Level:
+    """All words of one number of sojourns that have children."""
+
+    modes: Int[np.ndarray, "word sojourn"]
+    index: Int[np.ndarray, "word sojourn"]
+    product: Float[np.ndarray, "word rank rank"]
+    log: Float[np.ndarray, " word"]
+    time: Float[np.ndarray, " word"]
+    bound: Float[np.ndarray, " word"]
+
+    def only(self, keep: np.ndarray) -> _Level:
+        """Some of the words."""
+        return _Level(*(part[keep] for part in vars(self).values()))
+
+
+@dataclass(eq=False)
+class _Search:
+    sojourns: Sojourns
+    letters: Int[np.ndarray, " letter"]
+    tolerance: float
+    best: float
+    cycles: dict[int, list[Word]] = field(default_factory=dict)
+
+    def first(self) -> _Level:
+        """The words of one sojourn."""
+        S, letters = self.sojourns, self.letters
+        modes = np.repeat(np.arange(S.modes), letters.size)[:, None]
+        index = np.tile(letters, S.modes)[:, None]
+        product, log = S.matrix[modes[:, 0], index[:, 0]], S.log[modes[:, 0], index[:, 0]]
+        time = S.length[index[:, 0]].astype(float)
+        return _Level(modes, index, product, log, time, (log + _excess(product)) / time)
+
+    def grown(self, level: _Level) -> _Level:
+        """All words with one more sojourn."""
+        S, parts = self.sojourns, []
+        for mode in range(S.modes):
+            parents = np.flatnonzero(level.modes[:, -1] != mode)
+            count, letters = parents.size, self.letters.size
+            product = S.matrix[mode, self.letters][None] @ level.product[parents][:, None]
+            product, size = _scaled(product)
+            log = size + level.log[parents][:, None] + S.log[mode, self.letters]
+            time = level.time[parents][:, None] + S.length[self.letters]
+            bound = np.minimum(level.bound[parents][:, None], (log + _excess(product)) / time)
+            modes = np.full((count * letters, 1), mode)
+            index = np.tile(self.letters, count)[:, None]
+            parts.append((
+                np.hstack((np.repeat(level.modes[parents], letters, axis=0), modes)),
+                np.hstack((np.repeat(level.index[parents], letters, axis=0), index)),
+                product.reshape(count * letters, *product.shape[2:]),
+                log.ravel(), time.ravel(), bound.ravel(),
+            ))  # fmt: skip
+        return _Level(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def close(self, level: _Level) -> None:
+        """Note the growth of the words that are cycles."""
+        cyclic = level.modes[:, 0] != level.modes[:, -1]
+        level = level.only(cyclic & (level.bound > self.best - self.tolerance))
+        if not level.time.size:
+            return
+        power, log = level.product, level.log.copy()
+        for squaring in range(SQUARINGS):
+            power, size = _scaled(power @ power)
+            log += size / 2.0 ** (squaring + 1)
+        likely = np.argsort(-log / level.time, kind="stable")[:LIKELY]
+        radius = np.abs(np.linalg.eigvals(level.product[likely])).max(axis=1)
+        with np.errstate(divide="ignore"):
+            rates = (np.log(radius) + level.log[likely]) / level.time[likely]
+        words = [
+            Word(level.modes[w], level.index[w], float(rate))
+            for w, rate in zip(likely, rates, strict=True)
+        ]
+        self.cycles[level.modes.shape[1]] = words
+        self.best = max(self.best, float(rates.max()))
+
+
+def branch_and_bound(
+    sojourns: Sojourns,
+    letters: Int[np.ndarray, " letter"],
+    floor: float,
+    tolerance: float,
+    budget: int,
+) -> Found:
+    """Words of sojourns with `letters` for the indices of their lengths.
+
+    `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
+    looked at.
+    """
+    search = _Search(_adapted(sojourns, letters, floor), letters, tolerance, floor)
+    level, evaluated, complete = search.first(), 0, True
+    while level.modes.shape[1] < LONGEST:
+        level = search.grown(level)
+        evaluated += level.time.size
+        search.close(level)
+        level = level.only(level.bound > search.best + tolerance)
+        if not level.time.size or evaluated >= budget:
+            break
+        if level.time.size > WIDTH:
+            complete = False
+            level = level.only(_promising(level))
+    complete = complete and not level.time.size
+    near = sojourns.length.size // NEAR
+    words = [word for some in search.cycles.values() for word in _distinct(some, near)]
+    words.sort(key=lambda word: -word.rate)
+    return Found(words, search.best + tolerance if complete else None, evaluated)
+
+
+def _promising(level: _Level) -> np.ndarray:
+    """The words of largest bound, as many from each beginning of modes as there are."""
+    order = np.argsort(-level.bound, kind="stable")
+    _, group = np.unique(level.modes[order, :BEGINNING], axis=0, return_inverse=True)
+    group = group.ravel()
+    place = np.empty(order.size, np.int64)
+    for one in range(int(group.max()) + 1):
+        inside = np.flatnonzero(group == one)
+        place[inside] = np.arange(inside.size)
+    return np.sort(order[np.argsort(place, kind="stable")[:WIDTH]])
+
+
+def _distinct(words: list[Word], near: int) -> list[Word]:
+    """The best few of these, no two of which are rotations of nearly the same."""
+    kept: list[Word] = []
+    for word in sorted(words, key=lambda word: -word.rate):
+        if not math.isfinite(word.rate):
+            continue
+        alike = [
+            np.abs(np.roll(word.index, turn) - other.index).max() <= near
+            for turn in range(word.modes.size)
+            for other in kept
+            if np.array_equal(np.roll(word.modes, turn), other.modes)
+        ]
+        if len(alike) < ALIKE and not any(alike):
+            kept.append(word)
+        if len(kept) == KEPT:
+            break
+    return kept
+
+
+def _adapted(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
+    """The same sojourns in the coordinates of the adapted norm."""
+    rank = sojourns.matrix.shape[2]
+    time = sojourns.length[letters]
+    rate = floor if math.isfinite(floor) else float((sojourns.log[:, letters] / time).max())
+    weight = np.exp(np.clip(sojourns.log[:, letters] - rate * time, -60.0, 60.0))
+    A = (sojourns.matrix[:, letters] * weight[:, :, None, None]).reshape(-1, rank, rank)
+    P = np.eye(rank)
+    for _ in range(50):
+        P = np.einsum("aji,jk,akl->il", A, P, A, optimize=True)
+        P /= np.trace(P)
+        P += 1e-9 * np.eye(rank)
+    L = np.linalg.cholesky(P).T
+    matrix, size = _scaled(L @ sojourns.matrix @ np.linalg.inv(L))
+    return Sojourns(sojourns.length, matrix, sojourns.log + size)
+
+
+def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stacked matrices divided by their Frobenius norms, and the logarithms of these."""
+    size = np.sqrt((matrix**2).sum(axis=(-2, -1)))
+    with np.errstate(divide="ignore"):
+        return matrix / np.maximum(size, 1e-300)[..., None, None], np.log(size)
+
+
+def _excess(matrix: np.ndarray) -> np.ndarray:
+    """The logarithms of bounds on the spectral norms of such matrices: (tr (AᵀA)⁸)^(1/16)."""
+    power = np.swapaxes(matrix, -1, -2) @ matrix
+    for _ in range(2):
+        power = power @ power
+    with np.errstate(divide="ignore"):
+        return np.log((power**2).sum(axis=(-2, -1))) / 16.0
+
+
+def climbed(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
+    """The cycle improved by longer and shorter sojourns, and how many were looked at.
+
+    One sojourn is changed, two neighbours against each other, or all together.
+    """
+    count, top = word.index.size, sojourns.length.size - 1
+    one = np.eye(count, dtype=np.int64)
+    moves = np.vstack((one, one - np.roll(one, 1, axis=1), np.ones((1, count), np.int64)))
+    moves = np.unique(np.vstack((moves, -moves)), axis=0)
+    index, rate, evaluated = word.index, word.rate, 0
+    reach = max(1, sojourns.length.size // 8)
+    while reach and evaluated < MOST_CLIMBED:
+        trials = np.clip(index + reach * moves, 0, top)
+        rates = sojourns.rates(word.modes, trials)
+        evaluated += len(trials)
+        best = int(np.argmax(rates))
+        if rates[best] > rate + 1e-12:
+            index, rate = trials[best], float(rates[best])
+        else:
+            reach //= 2
+    return Word(word.modes, index, rate), evaluated

@@ -1,0 +1,177 @@
+"""`WorstCase`: a switching signal, how fast the loop grows along it, and a run that shows it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.checks import count
+from deadtime.laws.base import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation import Trajectory, simulate
+from deadtime.switching import SwitchingSignal
+
+DELAYS = 20  # the signal is at least this long
+CYCLES = 10
+SLACK = 1e-9  # of a period: round-off in a sojourn
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WorstCase:
+    """The worst admissible switching signal found, and the loop's growth along it (immutable).
+
+    Attributes
+    ----------
+    signal : SwitchingSignal
+        From time 0, several cycles long; constant, without end, where one mode for ever is worst.
+    growth_rate : float
+        1/s, of the loop along the signal repeated for ever; positive for a loop that is unstable.
+    modes : tuple of int, sojourns : tuple of float
+        The cycle: the modes in turn and how long each lasts, seconds; one mode and inf if constant.
+    x0 : (n,), u0 : (m, W)
+        State at time 0 and inputs before it, held samples, the oldest first, along the direction
+        that grows; as `simulate` takes them. Where that direction turns, x0 and u0 are its real
+        part, and |x| waxes and wanes about the growth.
+    message : str
+        What was found, in a sentence.
+    evaluated : int
+        How many cycles were looked at, most of them on a compressed loop.
+    upper_estimate : float or None
+        1/s, where the branch and bound came to an end: no signal whose sojourns are from its
+        coarse grid grows faster, on the compressed loop. No proof (`certify` proves). None where
+        it did not, as is common.
+    """
+
+    signal: SwitchingSignal
+    growth_rate: float
+    modes: tuple[int, ...]
+    sojourns: tuple[float, ...]
+    x0: Float[np.ndarray, " n"]
+    u0: Float[np.ndarray, "m W"]
+    message: str
+    evaluated: int
+    upper_estimate: float | None
+    plant: SwitchedSystem = field(repr=False)
+    law: Law = field(repr=False)
+    dwell_time: float = field(repr=False)
+    step: float = field(repr=False)
+    cycle: Cycle = field(repr=False)
+
+    @property
+    def length(self) -> float:
+        """The length of the cycle, seconds; of a constant signal, about the delay."""
+        return self.cycle.periods * self.step
+
+    def simulate(self, cycles: int = CYCLES) -> Trajectory:
+        """Run the loop along some cycles of the signal, from x0 and u0."""
+        horizon = count("cycles", cycles) * self.cycle.periods * self.step
+        signal = self.signal
+        if not self.cycle.constant:
+            signal = repeated(self.cycle, cycles, self.dwell_time, self.step)
+        return simulate(self.plant, self.law, signal, self.x0, horizon, self.step, self.u0)
+
+    def __repr__(self) -> str:
+        return (
+            f"WorstCase(growth_rate={self.growth_rate:.4g}, modes={self.modes}, "
+            f"sojourns={tuple(round(s, 6) for s in self.sojourns)})"
+        )
+
+
+def worst_case(
+    loop: SampledLoop,
+    law: Law,
+    dwell_time: float,
+    cycle: Cycle,
+    growth: Growth,
+    evaluated: int,
+    upper_estimate: float | None,
+) -> WorstCase:
+    """The result for the worst cycle."""
+    plant, feedback, step = loop.plant, loop.feedback, loop.window.step
+    x0, u0 = _direction(growth.vector, plant.states, plant.inputs)
+    if cycle.constant:
+        aged = feedback.ages * step if feedback.context == "mode_age" else 0.0
+        signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
+        sojourns = (math.inf,)
+    else:
+        times = max(CYCLES, math.ceil(DELAYS * plant.delay / (cycle.periods * step)))
+        signal = repeated(cycle, times, dwell_time, step)
+        sojourns = tuple(max(gap * step, dwell_time) for gap in cycle.gaps)
+    modes, sojourns = _pattern(cycle.modes, sojourns)
+    message = _message(growth.rate, modes, sojourns)
+    return WorstCase(
+        signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate,
+        plant, law, dwell_time, step, cycle,
+    )  # fmt: skip
+
+
+def _pattern(
+    modes: tuple[int, ...], sojourns: tuple[float, ...]
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """What a cycle repeats, were it no whole number of periods.
+
+    Examples
+    --------
+    >>> _pattern((0, 1, 0, 1), (0.25, 0.3, 0.25, 0.3))
+    ((0, 1), (0.25, 0.3))
+    """
+    count = len(modes)
+    for size in range(1, count):
+        times = count // size
+        if times * size != count or modes[:size] * times != modes:
+            continue
+        if np.allclose(sojourns[:size] * times, sojourns, rtol=1e-9, atol=0.0):
+            return modes[:size], sojourns[:size]
+    return modes, sojourns
+
+
+def repeated(cycle: Cycle, cycles: int, dwell_time: float, step: float) -> SwitchingSignal:
+    """The cycle over and over, no sojourn shorter than `dwell_time` by round-off."""
+    starts = cycle.periods * np.arange(cycles)[:, None]
+    times = ((starts + cycle.instants()) * step).ravel()
+    modes, age = np.tile(cycle.modes, cycles), 0.0
+    if cycle.offset > 0.0:
+        times, modes = np.append(0.0, times), np.append(cycle.modes[-1], modes)
+        age = (cycle.gaps[-1] - cycle.offset) * step
+        while 0.0 < dwell_time - (times[1] + age) < SLACK * step:
+            age = float(np.nextafter(age + 1e-16 * dwell_time, np.inf))
+    for i in range(1 if age == 0.0 else 2, times.size):
+        if 0.0 < dwell_time - (times[i] - times[i - 1]) < SLACK * step:
+            times[i] = times[i - 1] + dwell_time
+            while times[i] - times[i - 1] < dwell_time:
+                times[i] = np.nextafter(times[i], np.inf)
+    return SwitchingSignal(times, modes, cycles * cycle.periods * step, initial_age=age)
+
+
+def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """x0 and u0 from a complex eigenvector, turned so that x0 is largest, |x0| = 1."""
+    x = vector[:n]
+    square = (x**2).sum()
+    turned = (vector * np.exp(-0.5j * np.angle(square))).real
+    size = float(np.linalg.norm(turned[:n]))
+    if size <= 1e-9 * np.abs(turned).max():
+        size = float(np.abs(turned).max()) or 1.0
+    turned = turned / size
+    x0, u0 = turned[:n].copy(), turned[n:].reshape(-1, m).T.copy()
+    x0.flags.writeable = u0.flags.writeable = False
+    return x0, u0
+
+
+def _message(rate: float, modes: tuple[int, ...], sojourns: tuple[float, ...]) -> str:
+    if len(modes) == 1:
+        how = f"mode {modes[0]} lasts for ever"
+    else:
+        parts = [f"mode {i} for {s:.4g} s" for i, s in zip(modes, sojourns, strict=True)]
+        how = ", ".join(parts[:-1]) + f" and {parts[-1]} "
+        how += "alternate" if len(modes) == 2 else "follow each other"
+    if rate > 0.0:
+        return f"The loop grows at +{rate:.3g} /s when {how}."
+    if rate == 0.0:
+        return f"No admissible signal was found that grows; the loop keeps its size when {how}."
+    none = "No admissible signal was found that grows"
+    return f"{none}; the worst decays at {-rate:.3g} /s, when {how}."
