@@ -8,8 +8,14 @@ right-continuous; arrays index (mode, …), (signal, time).
 
 from deadtime import problems
 from deadtime.certificates import theorem_bound
+from deadtime.certificates.certificate import Certificate, Verification, verify
+from deadtime.certificates.certify import certify
+from deadtime.certificates.margins import stability_margin
+from deadtime.certificates.margins.delay import delay_margin
+from deadtime.certificates.worst_case import WorstCase, falsify
 from deadtime.errors import (
     ArgumentError,
+    CertificateFileError,
     ChatteringError,
     DeadtimeError,
     InfeasibleError,
@@ -33,7 +39,7 @@ from deadtime.lyapunov import common_lyapunov
 from deadtime.monte_carlo import monte_carlo
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
-from deadtime.spectrum import growth_rate
+from deadtime.spectrum import characteristic_roots, growth_rate
 from deadtime.stabilization import stabilize
 from deadtime.switching import (
     FunctionRule,
@@ -48,6 +54,8 @@ from deadtime.version import __version__
 __all__ = [
     "ArgumentError",
     "AveragedPredictor",
+    "Certificate",
+    "CertificateFileError",
     "ChatteringError",
     "DeadtimeError",
     "DelayedStateFeedback",
@@ -71,14 +79,22 @@ __all__ = [
     "SwitchedSystem",
     "SwitchingSignal",
     "Trajectory",
+    "Verification",
+    "WorstCase",
     "__version__",
+    "certify",
+    "characteristic_roots",
     "common_lyapunov",
+    "delay_margin",
+    "falsify",
     "growth_rate",
     "lqr",
     "monte_carlo",
     "place",
     "problems",
     "simulate",
+    "stability_margin",
     "stabilize",
     "theorem_bound",
+    "verify",
 ]

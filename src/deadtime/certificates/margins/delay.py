@@ -1,0 +1,141 @@
+"""The delay margin: how wrong the delay may be, for constant modes or for every signal.
+
+For every admissible signal the true delays around the nominal one are covered by pieces, each
+certified at once for all delays in it (`certify` with `delays`), since the loop's order changes
+where the delay passes a multiple of the period. What fails is halved, down to a small part of the
+interval that constant modes allow, the most that any certificate can reach.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from deadtime.certificates.certificate import Certificate
+from deadtime.certificates.certify import certify
+from deadtime.checks import positive
+from deadtime.errors import ArgumentError
+from deadtime.laws.base import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
+from deadtime.steps import snap
+
+FINEST = 0.04  # of the interval of constant modes
+MOST_PIECES = 24  # certificates tried on each side
+
+
+def delay_margin(
+    plant: SwitchedSystem,
+    law: Law,
+    step: float | None = 0.01,
+    dwell_time: float | None = None,
+) -> DelayMargin:
+    """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth at its nominal delay; the law has a model of its own.
+    law : Law
+        A law that is a table.
+    step : float or None
+        Sampling period h, in seconds; None for the ideal loop (constant modes only).
+    dwell_time : float, optional
+        Without it, every mode lasts for ever: exact, from the spectrum. With it, proved for every
+        switching signal with this dwell time and every constant delay between `lower` and
+        `upper`, in seconds.
+
+    Returns
+    -------
+    DelayMargin
+        `lower` and `upper` in seconds; None where there is no margin, and `message` says which
+        mode grows, or what could not be certified.
+
+    Raises
+    ------
+    ArgumentError
+        As by `growth_rate` and `certify`.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.problems.paper().plant.apart(0.5)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
+    >>> alone = delay_margin(plant, law, step=0.1)
+    >>> certified = delay_margin(plant, law, step=0.1, dwell_time=0.2)
+    >>> alone.lower <= certified.lower < 1.0 < certified.upper <= alone.upper
+    True
+    """
+    constant = constant_delay_margin(plant, law, step)
+    if dwell_time is None:
+        return constant
+    if step is None:
+        raise ArgumentError(
+            "step must be given with dwell_time: certificates are of the digital loop."
+        )
+    dwell_time = positive("dwell_time", dwell_time)
+    if constant.lower is None or constant.upper is None:
+        return constant
+    nominal = certify(plant, law, dwell_time, step, decay_rate=0.0)
+    if not nominal.stable:
+        return replace(
+            constant,
+            lower=None,
+            upper=None,
+            message=f"There is no certified margin: {nominal.message}",
+        )
+
+    def holds(low: float, high: float) -> bool:
+        return _certified(plant, law, dwell_time, step, (low, high))
+
+    lower = plant.delay - _reach(plant.delay, constant.lower, step, holds)
+    upper = plant.delay + _reach(plant.delay, constant.upper, step, holds)
+    message = (
+        f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for every constant "
+        f"true delay between {lower:.6g} s and {upper:.6g} s ({lower / plant.delay - 1.0:+.2%}, "
+        f"{upper / plant.delay - 1.0:+.2%}). {constant.message}"
+    )
+    return replace(constant, lower=lower, upper=upper, certified=True, message=message)
+
+
+def _certified(
+    plant: SwitchedSystem, law: Law, dwell_time: float, step: float, delays: tuple[float, float]
+) -> bool:
+    certificate: Certificate = certify(
+        plant, law, dwell_time, step, delays=delays, decay_rate=0.0, search_signals=False
+    )
+    return bool(certificate.stable)
+
+
+def _reach(nominal: float, limit: float, step: float, holds) -> float:
+    """How far from the nominal delay towards a limit the pieces hold, in seconds."""
+    sign = 1.0 if limit > nominal else -1.0
+    farthest = min(abs(limit - nominal), MOST_PIECES * step)
+    finest = FINEST * farthest
+    at, length = 0.0, 0.5 * farthest
+    for _ in range(MOST_PIECES):
+        here = nominal + sign * at
+        room = _to_the_next_multiple(here, step, sign)
+        piece = min(length, room, farthest - at)
+        if piece <= max(finest * 0.5, 1e-9 * step):
+            break
+        there = here + sign * piece
+        if room == piece:
+            there = step * round(there / step)
+        if there <= 0.0:
+            there = 1e-3 * step
+        low, high = min(here, there), max(here, there)
+        if holds(low, high):
+            at = abs(there - nominal)
+        elif piece <= finest:
+            break
+        else:
+            length = 0.5 * piece
+    return at
+
+
+def _to_the_next_multiple(delay: float, step: float, sign: float) -> float:
+    """How far a delay is from the next multiple of the period in a direction."""
+    ratio = snap(delay / step)
+    nearest = math.floor(ratio) + 1 if sign > 0.0 else math.ceil(ratio) - 1
+    return abs(nearest * step - delay)
