@@ -25,12 +25,27 @@ def test_python_of_the_readme_runs_and_draws(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
+def test_python_of_the_page_on_certificates_runs(tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "certificates.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", page, re.S):
+        exec(compile(code, "certificates.md", "exec"), names)
+    for cell in re.findall(r"^\| [^`|]*\| `(lambda .*?)` \|$", page, re.M):
+        value = 1.0 if cell.startswith(("lambda a", "lambda D")) else 0.1
+        plant, law = eval(cell, names)(value)
+        assert law.plant.modes == plant.modes == 2
+    assert names["certificate"].proven
+    assert names["worst"].growth_rate > 0.0
+    assert (tmp_path / "chart.png").stat().st_size > 10_000
+
+
 def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     from deadtime.cli import main
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 6
+    assert len(commands) == 9
     dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
     (study,) = (command.split()[1] for command in commands if command.startswith("study"))
     load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones

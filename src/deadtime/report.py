@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 
 from deadtime import plotting
 from deadtime.audit import STEPS, audit
+from deadtime.certificate_table import delay_sentence
+from deadtime.certificates_section import certificates_section, steps_of_section
 from deadtime.comparison import Comparison, Progress, compare
 from deadtime.constants_table import bound_rows, bound_sentence, bounds_of
 from deadtime.errors import ArgumentError, InfeasibleError
@@ -67,7 +69,11 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
 
 
 def write_report(
-    problem: Problem, folder: str | Path, progress: Progress = lambda _: None, command: str = ""
+    problem: Problem,
+    folder: str | Path,
+    progress: Progress = lambda _: None,
+    command: str = "",
+    certificates: bool = True,
 ) -> Report:
     """Run every law of a problem and write the report into a folder.
 
@@ -81,9 +87,11 @@ def write_report(
     folder : path
         Made if it does not exist.
     progress : callable
-        Called with a few words before each piece of work, `steps_of(problem)` times in all.
+        Called with a few words before each piece of work, `steps_of(problem, certificates)` times.
     command : str
         How to make the report again, for its last line.
+    certificates : bool
+        Whether to ask, for every law, if it stabilises every signal: the slowest part.
 
     Raises
     ------
@@ -94,7 +102,7 @@ def write_report(
     try:
         for part in ("figures", "data"):
             (folder / part).mkdir(parents=True, exist_ok=True)
-        return _write(problem, folder, progress, command)
+        return _write(problem, folder, progress, command, certificates)
     except OSError as error:
         raise ArgumentError(
             f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
@@ -112,16 +120,19 @@ def _is_shown(problem: Problem, law: str) -> bool:
     return len(problem.laws) == 1 or not isinstance(problem.laws[law], DelayedStateFeedback)
 
 
-def steps_of(problem: Problem) -> int:
+def steps_of(problem: Problem, certificates: bool = True) -> int:
     """How often `write_report` reports progress."""
     shown = sum(_is_shown(problem, name) for name in problem.laws)
     audited = STEPS + 3 if problem.constants else 0
-    return len(problem.laws) + problem.plant.modes + shown + 7 + audited
+    drawn = len(problem.laws) + problem.plant.modes + shown
+    return drawn + 7 + audited + (steps_of_section(problem) if certificates else 0)
 
 
-def _write(problem: Problem, folder: Path, progress: Progress, command: str) -> Report:
+def _write(
+    problem: Problem, folder: Path, progress: Progress, command: str, certificates: bool
+) -> Report:
     result = compare(problem, progress)
-    sentences = verdict(result)
+    sentences = [*verdict(result), *delay_sentence(problem)]
     progress("drawing: verdict")
     caption = "The same law with and without switching."
     picture = save_figure(plotting.plot_verdict(result), folder, "verdict", caption)
@@ -132,11 +143,12 @@ def _write(problem: Problem, folder: Path, progress: Progress, command: str) -> 
     audited = _audit(problem, folder, progress)
     progress("computing: constants")
     constants = _constants(result)
+    certified = _certified(result, folder, progress) if certificates else None
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
     path = folder / "index.html"
-    page = _page(result, sentences, picture, images, command, audited, constants)
+    page = _page(result, sentences, picture, images, command, audited, constants, certified)
     path.write_text(page, encoding="utf-8")
     return Report(path, sentences, result)
 
@@ -180,6 +192,15 @@ def _constants(result: Comparison) -> dict[str, Any]:
         "published": bool(problem.constants),
         "dwell_time": dwell_time,
     }
+
+
+def _certified(result: Comparison, folder: Path, progress: Progress) -> dict[str, Any]:
+    """The section on certificates, its figures saved."""
+    section = certificates_section(result, progress)
+    figures = [
+        save_figure(figure, folder, name, caption) for name, caption, figure in section.figures
+    ]
+    return {**vars(section), "figures": figures}
 
 
 def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
@@ -237,6 +258,7 @@ def _page(
     command: str,
     audited: dict[str, Any] | None,
     constants: dict[str, Any],
+    certified: dict[str, Any] | None,
 ) -> str:
     from jinja2 import Environment, PackageLoader
 
@@ -255,6 +277,7 @@ def _page(
         figures=images,
         audited=audited,
         constants=constants,
+        certified=certified,
         published=[
             (row.name, _matrix(row.printed), _matrix(row.computed)) for row in problem.published
         ],

@@ -1,0 +1,115 @@
+"""The report's section “Stable for every signal?”: certificates, witnesses, what was gained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from deadtime.certificate_table import (
+    HEADINGS,
+    Judged,
+    asked_of,
+    judge,
+    judged_rows,
+    judged_sentences,
+)
+from deadtime.comparison import Comparison, Progress
+from deadtime.errors import ArgumentError
+from deadtime.laws import DelayedStateFeedback
+from deadtime.problems import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """What the section says (immutable).
+
+    Attributes
+    ----------
+    dwell_time, step : float
+        What the certificates are about, seconds.
+    headings, rows, sentences
+        The table of verdicts, and a sentence or two per law.
+    statement : tuple of str
+        What is proved, and about which numbers: of the first certificate that is a proof.
+    figures : list of (name, caption, Figure)
+    """
+
+    dwell_time: float
+    step: float
+    headings: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    sentences: list[str]
+    statement: tuple[str, ...]
+    figures: list[tuple[str, str, Figure]]
+
+
+def steps_of_section(problem: Problem) -> int:
+    """How often `certificates_section` reports progress."""
+    return len(problem.laws) + 3
+
+
+def certificates_section(result: Comparison, progress: Progress = lambda _: None) -> Section:
+    """Certify every law of a comparison for the dwell time of its signal.
+
+    A signal that never switches is held to the horizon. The loop is the sampled one, at the
+    problem's period, or at 0.01 s where the problem's loop is ideal.
+    """
+    problem = result.problem
+    dwell, step = asked_of(problem, result.signal)
+    judged = judge(problem, dwell, step, progress=progress)
+    sentences = judged_sentences(judged)
+    figures = []
+    reach = _tightness_figure(problem, dwell, step, progress)
+    if reach is not None:
+        sentences.append(reach[0])
+        figures.append(reach[1])
+    progress("drawing: worst signals")
+    figures = [*_witness_figures(problem, judged), *figures]
+    proofs = [one.certificate for one in judged if one.certificate and one.certificate.proven]
+    statement = proofs[0].statement if proofs else ()
+    rows = judged_rows(judged)
+    return Section(dwell, step, HEADINGS, rows, sentences, statement, figures)
+
+
+def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
+    """A run of the worst signal of each law that is refuted, but of a baseline."""
+    from deadtime.witness_plot import plot_witness
+
+    figures = []
+    for one in judged:
+        baseline = isinstance(problem.laws[one.law], DelayedStateFeedback)
+        if one.stable is not False or one.worst is None or baseline:
+            continue
+        word = "".join(c if c.isalnum() else "-" for c in one.law.lower())
+        figures.append((
+            f"witness-{word}",
+            f"A signal with the dwell time that the law “{one.law}” does not stabilise.",
+            plot_witness(one.worst, f"Law: {one.law}", problem.modes),
+        ))  # fmt: skip
+    return figures
+
+
+def _tightness_figure(
+    problem: Problem, dwell: float, step: float, progress: Progress
+) -> tuple[str, tuple[str, str, Figure]] | None:
+    from deadtime.margin_plots import plot_tightness
+    from deadtime.tightness import tightness
+
+    try:
+        found = tightness(
+            problem, dwell, step, progress=lambda what: progress(f"certificates: {what}")
+        )
+    except ArgumentError:  # modes that do not differ
+        progress("certificates: the theorem's reach")
+        progress("certificates: between proof and witness")
+        return None
+    caption = (
+        "How far apart modes and gains may be, as the modes are moved along their own difference, "
+        "for the averaged law: what each certificate allows, and where a signal grows. The ε* of "
+        "the theorem depends on the plant: here the modes are so close, not as far as they are."
+    )
+    figure = ("certificates-reach", caption, plot_tightness(found))
+    return (found.message, figure) if len(found.reaches) > 1 else None

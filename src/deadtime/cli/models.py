@@ -1,0 +1,106 @@
+"""`deadtime fit` and `study`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from deadtime.cli.entry import AsJson, Folder, app
+from deadtime.cli.printing import print_answers, print_table, progress_bar, save_figure
+from deadtime.errors import ArgumentError
+
+
+@app.command
+def fit(
+    *logs: Path,
+    family: str = "auto",
+    first: Literal["whole", "drop"] = "whole",
+    labels: dict[str, int] | None = None,
+    out: Folder = Path("fit.png"),
+    json_output: AsJson = False,
+) -> None:
+    """Fit a model of the switching to logs, and print it as a section for a problem file.
+
+    Examples: `deadtime fit log.csv`, `deadtime fit week-*.csv --first drop`,
+    `deadtime fit log.csv --labels.throttle 0 --labels.brake 1`.
+
+    Parameters
+    ----------
+    logs
+        CSV files with the columns time (seconds) and mode.
+    family
+        Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
+        lognormal, fixed; auto takes the best.
+    first
+        drop, if the logs begin in the middle of a sojourn.
+    labels
+        Mode of each text in the logs.
+    out
+        The figure, PNG, SVG or PDF.
+    json_output
+        Print the fit as JSON instead of text.
+    """
+    from deadtime import fit_report
+    from deadtime.fit_plots import plot_fit
+    from deadtime.switching import SemiMarkov, SwitchingSignal
+
+    if not logs:
+        raise ArgumentError("logs must be given: the CSV files to fit a model to.")
+    signals = [SwitchingSignal.from_csv(log, labels=labels) for log in logs]
+    model = SemiMarkov.fit(signals, family=family, first=first)
+    texts = {mode: text for text, mode in (labels or {}).items()}
+    names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
+    save_figure(plot_fit(model, signals, names, first=first), out)
+    if json_output:
+        print(json.dumps(fit_report.fit_record(model, names), indent=2, ensure_ascii=False))
+        return
+    print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
+    print(f"\n{fit_report.fit_sentence(model, names)}\n\n{fit_report.switching_section(model)}")
+    print(f"\nFigure: {out}")
+
+
+@app.command
+def study(
+    file: Path,
+    *,
+    out: Folder = Path("study-report"),
+    scenarios: int | None = None,
+    workers: int | None = None,
+    json_output: AsJson = False,
+) -> None:
+    """Run laws over a grid of plants and switching, and write a report with maps and answers.
+
+    Examples: `deadtime study studies/paper.toml`,
+    `deadtime study studies/paper.toml --scenarios 20 --out quick-look`.
+
+    Parameters
+    ----------
+    file
+        A study file; studies/paper.toml is a commented one.
+    out
+        Folder for the report.
+    scenarios
+        Signals per cell of the grid, instead of the file's.
+    workers
+        Processes; as many as there are processors by default. The result is the same.
+    json_output
+        Print the findings as JSON instead of text.
+    """
+    from dataclasses import replace
+
+    from deadtime.checks import count
+    from deadtime.study import load_study
+    from deadtime.study.report import write_study
+
+    chosen, command = load_study(file), f"deadtime study {file}"
+    if scenarios is not None:
+        chosen = replace(chosen, scenarios=count("scenarios", scenarios))
+        command += f" --scenarios {scenarios}"
+    with progress_bar(chosen.size + 1, quiet=json_output) as advance:
+        report = write_study(chosen, out, workers, advance, command)
+    if json_output:
+        print((out / "metrics.json").read_text(encoding="utf-8"), end="")
+        return
+    print_answers(chosen.title, report.answers)
+    print(f"Report: {report.path}")

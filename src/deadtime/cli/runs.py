@@ -1,0 +1,112 @@
+"""`deadtime reproduce` and `simulate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deadtime.cli.entry import AsJson, File, Folder, app
+from deadtime.cli.printing import print_result, progress_bar, save_figure
+from deadtime.cli.problems import problem_of
+
+if TYPE_CHECKING:
+    from deadtime.comparison import Comparison
+    from deadtime.problems import Problem
+
+
+@app.command
+def reproduce(
+    problem: str = "paper",
+    *,
+    out: Folder = Path("report"),
+    certificates: bool = True,
+    json_output: AsJson = False,
+) -> None:
+    """Run a problem under every law and write a report: the paper's comparison by default.
+
+    Examples: `deadtime reproduce`, `deadtime reproduce follower`,
+    `deadtime reproduce problem.toml --out report`.
+
+    Parameters
+    ----------
+    problem
+        paper, three-mode, follower, or a problem file.
+    out
+        Folder for the report.
+    certificates
+        Ask for every law if it stabilises every signal, which takes about half a minute.
+    json_output
+        Print the metrics as JSON instead of text.
+    """
+    from deadtime.report import steps_of, write_report
+
+    chosen = problem_of(problem)
+    command = f"deadtime reproduce {problem}" + ("" if certificates else " --no-certificates")
+    with progress_bar(steps_of(chosen, certificates), quiet=json_output) as advance:
+        report = write_report(chosen, out, advance, command, certificates)
+    if json_output:
+        print((out / "metrics.json").read_text(encoding="utf-8"), end="")
+        return
+    print_result(chosen, report.sentences, report.comparison)
+    print(f"\nReport: {report.path}")
+
+
+@app.command
+def simulate(
+    problem: str,
+    *,
+    out: File = None,
+    json_output: AsJson = False,
+) -> None:
+    """Simulate a problem file: a verdict, metrics and a figure.
+
+    Examples: `deadtime simulate problem.toml`, `deadtime simulate problem.toml --out run.png`.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    out
+        The figure, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+        With several laws a second figure compares them.
+    json_output
+        Print the metrics as JSON instead of text.
+    """
+    from deadtime.certificate_table import delay_sentence
+    from deadtime.comparison import compare
+    from deadtime.report import metrics_of
+    from deadtime.verdict import verdict
+
+    chosen = problem_of(problem)
+    steps = len(chosen.laws) + chosen.plant.modes
+    with progress_bar(steps, quiet=json_output) as advance:
+        result = compare(chosen, advance)
+    saved = _save_figures(result, _picture(chosen, out))
+    if json_output:
+        print(json.dumps(metrics_of(result), indent=2, ensure_ascii=False))
+        return
+    print_result(chosen, [*verdict(result), *delay_sentence(chosen)], result)
+    print("\nFigure: " + ", ".join(map(str, saved)))
+
+
+def _picture(problem: Problem, out: Path | None) -> Path:
+    """Where the figure goes; PNG unless the name says otherwise."""
+    path = Path(f"{problem.name}.png") if out is None else out
+    return path if path.suffix else path.with_suffix(".png")
+
+
+def _save_figures(result: Comparison, path: Path) -> list[Path]:
+    """The first law's run, and all laws on one axis when there are several."""
+    from deadtime import plotting
+
+    problem = result.problem
+    run = result.runs[result.lead]
+    title = f"Law: {result.lead}"
+    figures = [(path, plotting.plot_run(run, title, problem.states, problem.modes))]
+    if len(result.runs) > 1:
+        second = path.with_stem(path.stem + "-all-laws")
+        figures.append((second, plotting.plot_norms(result.runs)))
+    for target, figure in figures:
+        save_figure(figure, target)
+    return [target for target, _ in figures]

@@ -1,0 +1,43 @@
+"""`deadtime bound`."""
+
+from __future__ import annotations
+
+import json
+
+from deadtime.cli.entry import AsJson, app
+from deadtime.cli.printing import print_table
+from deadtime.cli.problems import problem_of
+
+
+@app.command
+def bound(
+    problem: str,
+    *,
+    dwell_time: float | None = None,
+    json_output: AsJson = False,
+) -> None:
+    """What the paper's stability theorem says about a plant: its constants in three forms.
+
+    Examples: `deadtime bound problem.toml`, `deadtime bound paper --dwell-time 0.2`.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    dwell_time
+        Dwell time in seconds; that of the problem's signal by default.
+    json_output
+        Print the constants as JSON instead of a table.
+    """
+    from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
+
+    chosen = problem_of(problem)
+    dwell = chosen.given_signal.dwell_time if dwell_time is None else dwell_time
+    bounds = bounds_of(chosen, min(dwell, 1e6 * chosen.horizon))
+    if json_output:
+        print(json.dumps(bounds_record(bounds), indent=2, ensure_ascii=False))
+        return
+    headings = ("constant", "as printed", "corrected", "sharp")
+    rows = bound_rows(bounds, chosen.constants)
+    print_table((*headings, "figure in the text") if chosen.constants else headings, rows)
+    print("\n" + bound_sentence(bounds))

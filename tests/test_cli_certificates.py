@@ -1,0 +1,146 @@
+"""`deadtime certify` and `verify`, on answers that are made up and on real ones."""
+
+import json
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.cli import main
+
+WITNESS = SimpleNamespace(
+    growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), signal=None
+)
+CALM = SimpleNamespace(growth_rate=-0.4, message="decays.", modes=(0, 1), sojourns=(0.2, 0.3))
+ANSWERS = {
+    "averaged": (False, None, "Not stable for every signal: mode 1 for ever grows.", WITNESS),
+    "mean": (True, 0.25, "Proved.", None),
+    "oracle": (None, None, "The oracle knows the future: no certificate.", None),
+}
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    captured = capsys.readouterr()
+    return stopped.value.code, captured.out, captured.err
+
+
+@pytest.fixture
+def made_up(monkeypatch, tmp_path):
+    """Answers by the law's label; a law that is not in the list is refused."""
+    monkeypatch.chdir(tmp_path)
+    asked = []
+
+    def certify(plant, law, dwell_time, step, decay_rate):
+        asked.append((law.label, dwell_time, step, decay_rate))
+        if law.label not in ANSWERS:
+            raise dt.ArgumentError("this law cannot be asked about.")
+        stable, rate, message, witness = ANSWERS[law.label]
+        return SimpleNamespace(
+            stable=stable,
+            decay_rate=rate,
+            proven=stable is True,
+            message=message,
+            statement=("The loop is the sampled one.",),
+            witness=witness,
+            save=lambda path: path.write_text(law.label) and path,
+        )
+
+    margin = SimpleNamespace(lower=0.99, upper=1.012, message="between 0.99 s and 1.012 s")
+    for place, function in {
+        "certificates.certify.certify": certify,
+        "certificates.worst_case.falsify": lambda plant, law, dwell_time, step: CALM,
+        "spectrum.margin.constant_delay_margin": lambda plant, law, step: margin,
+    }.items():
+        module, _, name = f"deadtime.{place}".rpartition(".")
+        monkeypatch.setattr(import_module(module), name, function)
+    return asked
+
+
+def test_certify_tabulates_every_law_and_says_why_one_has_no_answer(capsys, made_up):
+    code, out, err = run(capsys, "certify", "paper")
+    assert (code, err) == (0, "")
+    text = " ".join(out.split())
+    assert "averaged no – witness +0.28 0.99 to 1.012" in text
+    assert "mean yes 0.25 yes −0.40 0.99 to 1.012" in text
+    assert "oracle no answer – – –" in text
+    assert "mode 0 only no answer – – – –" in text
+    assert "• mode 0 only: this law cannot be asked about." in text
+    assert "at least 0.2 s" in text
+    assert {(dwell, step) for _, dwell, step, _ in made_up} == {(0.2, 0.01)}
+
+
+def test_certify_of_one_law_tells_what_is_proved_and_saves_it(capsys, made_up, tmp_path):
+    numbers = ("--dwell-time", "0.5", "--step", "0.05", "--decay-rate", "0.1")
+    arguments = ("--law", "mean", *numbers, "--out", "cert.json")
+    code, out, err = run(capsys, "certify", "paper", *arguments)
+    assert (code, err) == (0, "")
+    assert made_up == [("mean", 0.5, 0.05, 0.1)]
+    assert "– The loop is the sampled one." in out
+    assert "• Delay: between 0.99 s and 1.012 s." in out
+    assert out.rstrip().endswith("Certificates: cert.json")
+    assert (tmp_path / "cert.json").read_text() == "mean"
+
+
+def test_certify_of_all_laws_saves_each_into_a_file_of_its_own(capsys, made_up, tmp_path):
+    code, out, _ = run(capsys, "certify", "paper", "--out", "cert.json")
+    assert code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["cert-mean.json"]
+    assert "Certificates: cert-mean.json" in out
+    code, out, _ = run(capsys, "certify", "paper", "--law", "averaged", "--out", "cert.json")
+    assert "Certificates: none to save" in out
+
+
+def test_certify_json_holds_everything_and_no_infinity(capsys, made_up):
+    code, out, _ = run(capsys, "certify", "paper", "--json")
+    record = json.loads(out)
+    assert code == 0
+    assert record["step"] == 0.01
+    assert record["laws"]["averaged"]["worst_signal"] == {
+        "growth_rate": 0.282,
+        "modes": [1],
+        "sojourns": [None],
+        "message": "grows.",
+    }
+    assert record["laws"]["mean"]["delay_margin"]["upper"] == 1.012
+    assert record["laws"]["mean"]["statement"] == ["The loop is the sampled one."]
+    assert record["laws"]["delay ignored"]["message"] == "this law cannot be asked about."
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["certify", "none.toml"], "none.toml cannot be read"),
+        (["certify", "paper", "--law", "avg"], "law must be one of averaged, mode 0 only"),
+        (["certify", "paper", "--dwell-time", "0"], "dwell_time must be positive"),
+        (["certify", "paper", "--step", "-1"], "step must be positive"),
+        (["certify"], "requires an argument"),
+        (["verify"], "requires an argument"),
+    ],
+)
+def test_bad_requests_get_one_line_and_code_2(capsys, made_up, arguments, message):
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert err.startswith("deadtime: error: ")
+    assert err.count("\n") == 1
+    assert message in err
+
+
+@pytest.mark.parametrize(("proven", "word"), [(True, "proven"), (False, "not proven")])
+def test_verify_tells_by_its_exit_code(capsys, monkeypatch, proven, word):
+    def verify(path):
+        statement = ("About this loop.", "And its numbers.")
+        return SimpleNamespace(
+            proven=proven, message="Proved: About this loop.", statement=statement, seconds=0.25
+        )
+
+    monkeypatch.setattr(import_module("deadtime.certificates.certificate"), "verify", verify)
+    code, out, err = run(capsys, "verify", "cert.json")
+    assert (code, err) == (0 if proven else 1, "")
+    assert out == f"Proved: About this loop.\n• And its numbers.\n({word} in 0.25 s)\n"
+    code, out, _ = run(capsys, "verify", "cert.json", "--json")
+    assert code == (0 if proven else 1)
+    assert json.loads(out)["proven"] is proven
