@@ -97,10 +97,7 @@ class Plant:
 
 
 def at_point(A, B, delays, step, cell_order, u, f, weights, reading=None) -> np.ndarray:
-    """E with 50 digits at a point of a cell: switch, delay, and place in a polytope of plants.
-
-    A and B (corners, modes, …) are read as binary numbers, or as decimals.
-    """
+    """E at a point of a polytope, with A and B read as binary numbers or as decimals."""
     if reading == "decimal":
         A, B = (np.vectorize(decimal, otypes=[object])(X) for X in (A, B))
     mixed = (np.tensordot(many_digits(weights), many_digits(X), 1) for X in (A, B))
@@ -156,15 +153,13 @@ def decreases(before, after, M, rho) -> bool:
 
 
 def may_leave(age: int, dwell_time, step) -> bool:
-    """Whether a mode that was seen `age` times before may be left in the coming period.
-
-    It began less than a period before it was first seen, and lasts to the end of this one at most.
-    """
+    """Whether a mode seen `age` times before may be left in the coming period: it began less than
+    a period before it was first seen, and lasts to the end of the coming one at most."""
     return (age + 2) * decimal(step) > decimal(dwell_time)
 
 
 def may_stay(age: int, maximum, step) -> bool:
-    """Whether it may last for the coming period: it began when it was first seen, at the latest."""
+    """Whether it may last for the coming period."""
     return maximum is None or (age + 1) * decimal(step) < decimal(maximum)
 
 
@@ -199,6 +194,38 @@ def bursts(rng, modes: int, average: float, chatter: int, end: float, step: floa
         times.append(max(soonest) + wait + 1e-9 * step)
         sequence.append(int((sequence[-1] + rng.integers(1, modes)) % modes))
     return times, sequence
+
+
+def room(times, average: float, chatter: int) -> float:
+    """How many more switches the fullest window allows; below 0 the signal is not admissible."""
+    switches, number = np.array(times[1:]), np.arange(len(times) - 1)
+    left = chatter + (switches - switches[:, None]) / average - (number - number[:, None] + 1)
+    return float(left[np.triu_indices(len(switches), 1)].min())
+
+
+def by_age(transitions) -> dict:
+    """Age to next age of all transitions with the same modes and row."""
+    found: dict = {}
+    for t in transitions:
+        found.setdefault((t.mode, t.row, t.after), {})[t.age] = t.next_age
+    return found
+
+
+def covered(transitions, knots, step, interpolation) -> bool:
+    """Whether a step is among them, or between two that imply it, S being linear there."""
+    i, a, row, j, b = step
+    found = transitions[i, row, j]
+    if a in found:
+        return found[a] == b
+    low, high = max(x for x in found if x < a), min(x for x in found if x > a)
+    part = Fraction(high - a, high - low)
+
+    def at(age):
+        weights = dict(interpolation(knots, age))
+        return np.array([weights.get(k, Fraction(0)) for k in range(len(knots))])
+
+    ends = (low, high, a), (found[low], found[high], b)
+    return all((part * at(x) + (1 - part) * at(y) == at(z)).all() for x, y, z in ends)
 
 
 def ages(sampled) -> list[int]:
@@ -320,16 +347,6 @@ class Inequalities:
         K[:d, :d] += P
         return least_eigenvalue(K)
 
-    def residual(self) -> float:
-        """How far the filter ψ⁺ = F (v, w) and the rows row₀ + T R are off, relative."""
-        centre, loop = self.evidence.centre, self.loop
-        moved = centre.Psi @ self.moved
-        error = np.abs(moved - centre.F @ self.wide).max(initial=0.0)
-        rows = np.stack([loop.inputs(c)[0] for c in range(len(loop.table.state_gain))])
-        seen = self.wide[: self.y + len(centre.R), : loop.order]
-        off = np.abs(rows - centre.row - centre.T @ seen).max() / np.abs(rows).max()
-        return max(off, error / np.abs(moved).max(initial=1e-300))
-
     def S(self, mode: int, age: int) -> np.ndarray:
         """S, linear between the knots."""
         knots, S = self.evidence.knots, self.evidence.S[mode]
@@ -369,11 +386,10 @@ class Inequalities:
 # -- files ---------------------------------------------------------------------------------
 
 
-def rewritten(path, change=None, data: bytes | None = None):
-    """Change a certificate's files as an attacker who makes the digests fit again."""
+def rewritten(path, part: str = "", values=(), data: bytes | None = None):
+    """Change entries of a certificate's files as an attacker who makes the digests fit again."""
     content = json.loads(path.read_text())
-    if change:
-        change(content)
+    (content[part] if part else content).update(values)
     if data is not None:
         path.with_suffix(".bin").write_bytes(data)
         content["sidecar"]["sha256"] = hashlib.sha256(data).hexdigest()
@@ -381,4 +397,3 @@ def rewritten(path, change=None, data: bytes | None = None):
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
     path.write_text(json.dumps(content))
-    return path

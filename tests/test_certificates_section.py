@@ -133,9 +133,7 @@ def test_modes_that_are_the_same_have_no_figure_of_distances(made_up):
 
 def test_the_delay_margin_of_the_first_law_is_put_in_a_sentence(made_up):
     problem = dt.problems.paper()
-    assert delay_sentence(problem) == [
-        "If the true delay is not the one that the law “averaged” believes in: none, mode 1 grows."
-    ]
+    assert delay_sentence(problem) == ["Under the law “averaged” none, mode 1 grows."]
     oracle = Problem(
         "oracle", "", "", problem.plant, problem.gains, {"oracle": problem.laws["oracle"]},
         problem.signal, problem.x0, 3.0,

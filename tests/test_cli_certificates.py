@@ -144,3 +144,56 @@ def test_verify_tells_by_its_exit_code(capsys, monkeypatch, proven, word):
     code, out, _ = run(capsys, "verify", "cert.json", "--json")
     assert code == (0 if proven else 1)
     assert json.loads(out)["proven"] is proven
+
+
+# -- the real answers ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A certificate of the follower's averaged law, sampled slowly."""
+    path = tmp_path_factory.mktemp("certificates") / "cert.json"
+    arguments = ["certify", "follower", "--law", "averaged", "--step", "0.1", "--out", str(path)]
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 0
+    return path
+
+
+def test_what_certify_saves_verify_proves(capsys, saved):
+    code, out, err = run(capsys, "verify", str(saved))
+    assert (code, err) == (0, "")
+    assert out.startswith("Proved: For every switching signal with a dwell time of 1")
+    assert "\n(proven in " in out
+
+
+def test_a_file_that_cannot_be_read_is_a_bad_request(capsys, saved, tmp_path):
+    code, _, err = run(capsys, "verify", str(tmp_path / "none.json"))
+    assert code == 2
+    assert err.count("\n") == 1
+    altered = tmp_path / "cert.json"
+    altered.write_text(saved.read_text().replace("0.2", "0.3", 1))
+    altered.with_suffix(".bin").write_bytes(saved.with_suffix(".bin").read_bytes())
+    code, _, err = run(capsys, "verify", str(altered))
+    assert code == 2
+    assert "altered" in err
+
+
+def test_certify_shows_the_signal_that_the_paper_s_law_does_not_stabilise(capsys):
+    code, out, err = run(capsys, "certify", "paper", "--law", "averaged", "--step", "0.1", "--json")
+    record = json.loads(out)["laws"]["averaged"]
+    assert (code, err) == (0, "")
+    assert record["stable"] is False
+    assert record["worst_signal"]["modes"] == [1]
+    assert record["worst_signal"]["sojourns"] == [None]
+    assert record["worst_signal"]["growth_rate"] > 0.2
+    assert record["delay_margin"]["lower"] is None
+
+
+@pytest.mark.parametrize("law", ["averaged", "delay ignored"])
+def test_a_law_with_no_certificate_is_reported_not_raised(capsys, law):
+    arguments = ("--law", law, "--dwell-time", "0.004")
+    code, out, err = run(capsys, "certify", "paper", *arguments)
+    assert (code, err) == (0, "")
+    assert "no answer" in out
+    assert "below one period" in " ".join(out.split())

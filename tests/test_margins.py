@@ -253,3 +253,29 @@ def test_a_chart_holds_a_margin_per_law_and_dwell_time_or_the_reason(made_up):
     assert "low = 0 must be certified stable" in chart.reasons["worse", 0.2]
     with pytest.raises(dt.ArgumentError, match="at least one entry"):
         stability_chart({}, (0.0, 1.0), [0.2])
+
+
+# -- the real answers ----------------------------------------------------------------------------
+
+
+def apart(alpha):
+    plant = dt.problems.paper().plant.apart(alpha)
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
+
+
+def test_the_paper_s_modes_may_be_between_0_65_and_0_66_as_far_apart_at_a_step_of_0_1():
+    margin = dt.stability_margin(apart, (0.1, 1.0), dwell_time=0.2, step=0.1)
+    assert 0.65 <= margin.certified < margin.refuted <= 0.66
+    assert margin.ratio <= 1.01
+    assert margin.proven
+    assert margin.certificate.stable
+    assert margin.witness.growth_rate > 0.0
+    assert dt.growth_rate(*apart(margin.refuted), margin.witness.modes[0], 0.1) > 0.0
+
+
+def test_a_law_with_a_margin_of_its_own_is_refused_where_it_is_unstable():
+    with pytest.raises(dt.ArgumentError, match="must be certified stable, and is not: Not stable"):
+        dt.stability_margin(apart, (0.7, 1.0), dwell_time=0.2, step=0.1)
+    oracle = dt.problems.paper().laws["oracle"]
+    with pytest.raises(dt.ArgumentError, match="foresees the signal"):
+        dt.stability_margin(lambda a: (oracle.plant, oracle), (0.1, 1.0), 0.2, step=0.1)

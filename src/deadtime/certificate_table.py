@@ -33,9 +33,9 @@ STEP = 0.01  # for problems whose loop is ideal, seconds
 def asked_of(problem: Problem, signal: SwitchingSignal) -> tuple[float, float]:
     """The dwell time and the sampling period that certificates of a problem are about, seconds.
 
-    The dwell time of the signal, down to whole periods: what holds for every signal with the
-    shorter one holds for those with the longer one. A signal that never switches is taken to dwell
-    for the problem's horizon.
+    The problem's dwell time; where it states none, that of the signal, down to whole periods: what
+    holds for every signal with the shorter one holds for those with the longer one. A signal that
+    never switches is taken to dwell for the problem's horizon.
 
     Examples
     --------
@@ -45,6 +45,8 @@ def asked_of(problem: Problem, signal: SwitchingSignal) -> tuple[float, float]:
     (0.202, (0.2, 0.01))
     """
     step = problem.step or STEP
+    if problem.dwell_time is not None:
+        return problem.dwell_time, step
     dwell = signal.dwell_time if math.isfinite(signal.dwell_time) else problem.horizon
     periods = math.floor(dwell / step * (1.0 + 1e-9))
     return (round(periods * step, 12) if periods else dwell), step
@@ -227,9 +229,7 @@ def delay_sentence(problem: Problem) -> list[str]:
         margin = constant_delay_margin(problem.plant, law, problem.step)
     except ArgumentError:
         return []
-    return [
-        f"If the true delay is not the one that the law “{name}” believes in: {margin.message}."
-    ]
+    return [f"Under the law “{name}” {margin.message}."]
 
 
 def _decay(certificate: Certificate | None) -> str:

@@ -73,6 +73,9 @@ class Problem:
         Printed numbers that the report checks.
     constants : mapping
         Printed values of the theorem's constants, by the names of `constants_table`.
+    dwell_time : float or None
+        The dwell time that every signal is promised to have, seconds, which certificates ask for;
+        None: the shortest sojourn of `signal`.
     """
 
     name: str
@@ -91,6 +94,7 @@ class Problem:
     notes: tuple[str, ...] = ()
     published: tuple[Published, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
+    dwell_time: float | None = None
 
     def __post_init__(self) -> None:
         if not self.states:
@@ -194,6 +198,7 @@ def paper() -> Problem:
         signal=signal,
         x0=np.array([-1.0, 1.0]),
         horizon=15.0,
+        dwell_time=0.2,
         notes=(note, "The paper's modes 1 and 2 are modes 0 and 1 here."),
         published=(
             Published("K of mode 0", np.array([-12.0, -6.0]), gains[0, 0]),
@@ -235,6 +240,7 @@ def three_mode() -> Problem:
         signal=signal,
         x0=np.array([-1.0, 1.0]),
         horizon=15.0,
+        dwell_time=0.9,
         notes=(
             note,
             "Initial state and horizon are ours. The mean law uses the published gain "
@@ -284,6 +290,7 @@ def follower() -> Problem:
         signal=signal,
         x0=np.array([1.0, -0.5, 0.0]),
         horizon=10.0,
+        dwell_time=1.0,
         states=("spacing error (m)", "relative speed (m/s)", "acceleration (m/s²)"),
         modes=("throttle", "brake"),
         notes=(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SHOWN = 3  # cycles of the signal in the strip
 GROWTH = 1e3  # by which |x| should grow in the picture
 MOST_SAMPLES = 200_000
-MANY = 40  # waves of |x| of which only the peaks are drawn
+MANY = 60  # waves of |x| of which only the peaks are drawn
 
 
 def plot_witness(worst: WorstCase, title: str | None = None, modes: Sequence[str] = ()) -> Figure:

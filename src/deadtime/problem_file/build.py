@@ -75,6 +75,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         u0=u0,
         states=states,
         modes=modes,
+        dwell_time=getattr(file.signal, "dwell_time", None),
     )
 
 

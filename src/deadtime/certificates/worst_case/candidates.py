@@ -1,8 +1,7 @@
 """Cycles worth evaluating: from branch and bound and from random cycles, all of them climbed.
 
 Switches fall on samples; for a law that knows the mode also all of them right after samples,
-where it sees them a period late: for such a law that is often worse, and never far from the
-worst.
+where it sees them a period late, which is often worse.
 """
 
 from __future__ import annotations
@@ -19,7 +18,8 @@ from jaxtyping import Int
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.products import Sojourns, compressed
-from deadtime.certificates.worst_case.search import LETTERS, Word, branch_and_bound, climbed
+from deadtime.certificates.worst_case.search import LETTERS, branch_and_bound
+from deadtime.certificates.worst_case.words import Word, climbed
 from deadtime.errors import ArgumentError
 
 LENGTHS = 200  # of sojourns that the compressed loop knows
@@ -29,6 +29,7 @@ MOST_SOJOURNS = 6  # in a random cycle
 TOLERANCE = 1e-2  # of the branch and bound: growth over a delay
 LATE = 2.0**-10  # of a period: right after a sample
 SLOWEST = 2000.0  # samples; slower motions do not make sojourns any longer
+TIGHT = 6  # cycles that are tried over the shortest length, too
 TURNS = 40  # cycles without a grid: how many sojourns at most
 WORDS = 30  # of modes, there
 
@@ -75,7 +76,7 @@ def candidates(
         evaluated += searched.evaluated + climbing
     best = sorted(found, key=lambda cycle: -found[cycle])
     upper = None if None in bounds else loop.shift + max(bounds) / step
-    return Candidates([*best, *_tight(best, dwell)], upper, evaluated)
+    return Candidates([*_tight(best[:TIGHT], dwell), *best], upper, evaluated)
 
 
 def _lengths(
@@ -106,7 +107,7 @@ def _period(loop: SampledLoop, cycle: Cycle, growth: Growth) -> float:
     """How many samples the leading direction of a mode takes to turn, or to change by e^{2π}."""
     plain = SampledLoop.of(loop.plant, loop.feedback, 0.0)
     table, z = plain.table(Cycle(cycle.modes, (1.0,))), growth.vector
-    after = plain.after(table, 1, z.real.copy()) + 1j * plain.after(table, 1, z.imag.copy())
+    after = plain.after(table, 1, np.real(z).copy()) + 1j * plain.after(table, 1, np.imag(z).copy())
     multiplier = np.vdot(z, after) / np.vdot(z, z).real
     turn = abs(cmath.log(multiplier)) if multiplier else math.inf
     return 2.0 * math.pi / max(turn, 1e-12)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+
+import numpy as np
 
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
-from deadtime.certificates.worst_case.instants import COARSE, polished, refined
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.selection import Rated, improved, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
 from deadtime.checks import count, instance, positive
 from deadtime.errors import ArgumentError
@@ -18,16 +19,6 @@ from deadtime.laws.base import TableLaw, require_match
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop, aged_row
 from deadtime.switching import SwitchingSignal
-
-TRIED = 12  # cycles evaluated on the loop itself
-POLISHED = 3  # of them, cycles whose switches leave the grid
-SHORT = 20  # periods: in so short a cycle the offset matters much
-OFFSETS = (0.25, 0.5, 0.75)
-MOVES = 80  # cycles looked at to improve one, per sojourn
-LONGER = 1.25
-BETTER = 1e-6  # per period: by how much a cycle must beat a constant signal
-
-Rated = tuple[Cycle, Growth]
 
 
 def falsify(
@@ -98,10 +89,10 @@ def falsify(
     if plant.modes > 1:
         tried = candidates(loop, constants, dwell, budget)
         floor = -math.inf if bounded else max(growth.rate for _, growth in constants)
-        improved, looked = _improved(loop, dwell, tried.cycles, floor)
+        better, looked = improved(loop, dwell, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
-        found = [*found, *improved]
-    cycle, growth = _worst(found, loop)
+        found = [*found, *better]
+    cycle, growth = worst_of(found, loop)
     return worst_case(loop, law, dwell_time, cycle, growth, evaluated, upper)
 
 
@@ -151,56 +142,3 @@ def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], 
         vector = np.ones(loop.order, complex) if growth is None else growth.vector
         found.append((cycle, Growth(rate, vector)))
     return found, loop
-
-
-def _improved(
-    loop: SampledLoop, dwell: Dwell, cycles: list[Cycle], floor: float
-) -> tuple[list[Rated], int]:
-    """The cycles with their growth, the best of them improved off the grid.
-
-    `floor` is a growth rate, 1/s, that is known; little is spent on cycles below it.
-    """
-    rated, evaluated = [], 0
-    for cycle in cycles[:TRIED]:
-        growth = loop.growth(cycle, COARSE)
-        evaluated += 1
-        if growth is not None:
-            rated.append((cycle, growth))
-    rated.sort(key=lambda pair: -pair[1].rate)
-    starts = rated[:POLISHED]
-    for cycle, _ in rated[:POLISHED]:
-        if cycle.periods <= SHORT:
-            turned = [replace(cycle, offset=offset) for offset in OFFSETS]
-            starts += [(c, g) for c in turned if (g := loop.growth(c, COARSE)) is not None]
-            evaluated += len(OFFSETS)
-    for cycle, growth in starts:
-        most, longest = MOVES * len(cycle.modes), math.inf
-        if growth.rate < floor:  # it would grow longer and longer, towards the constant signal
-            most, longest = most // 4, LONGER * cycle.periods
-        better, faster, looked = polished(loop, dwell, cycle, growth, most, longest)
-        rated.append((better, faster))
-        evaluated += looked
-    rated.sort(key=lambda pair: -pair[1].rate)
-    if rated:
-        most = MOVES * len(rated[0][0].modes)
-        better, growth, looked = refined(loop, dwell, *rated[0], most)
-        rated.insert(0, (better, growth))
-        evaluated += looked
-    return rated, evaluated
-
-
-def _worst(found: list[Rated], loop: SampledLoop) -> Rated:
-    """The fastest growth; a constant signal where a cycle is hardly faster."""
-    constant = [pair for pair in found if pair[0].constant]
-    best = max(constant, key=lambda pair: pair[1].rate, default=None)
-    margin = BETTER / loop.window.step if best is not None else 0.0
-    cycles = sorted((pair for pair in found if not pair[0].constant), key=lambda p: -p[1].rate)
-    for cycle, growth in cycles:
-        if best is not None and growth.rate <= best[1].rate + margin:
-            break
-        exact = loop.growth(cycle)
-        if exact is not None and (best is None or exact.rate > best[1].rate + margin):
-            best, margin = (cycle, exact), 0.0
-    if best is None:
-        raise ArgumentError("law gives a loop whose growth over cycles cannot be computed.")
-    return best

@@ -76,6 +76,19 @@ def forward(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, x, inpu
 
 
 @njit(cache=True)
+def after(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, held, z):
+    """The lifted state z = (x, the `held` last inputs, the oldest first) after some cycles."""
+    n, m, samples = F.shape[2], F.shape[1], repeats * rows.size
+    x, result = z[:n].copy(), np.empty(z.size)
+    inputs, states = np.empty((held + samples, m)), np.empty((samples, n))
+    inputs[:held] = z[n:].copy().reshape(held, m)
+    forward(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, x, inputs, states)
+    result[:n] = x
+    result[n:] = inputs[samples:].reshape(-1)
+    return result
+
+
+@njit(cache=True)
 def _felt(F, G, p, pipe, now):
     """`_control`, transposed."""
     m, window = G.shape

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -113,13 +113,14 @@ class SampledLoop:
         samples = repeats * table.periods
         inputs, states = np.empty((W + samples, m)), np.empty((samples, n))
         inputs[:W] = z[n:].reshape(W, m)
-        forward(*self._arguments(table), repeats, z[:n].copy(), inputs, states)
+        forward(*[*self._arguments(table), repeats, z[:n].copy(), inputs, states])
         return states, inputs
 
     def after(self, table: Table, repeats: int, z: np.ndarray) -> np.ndarray:
         """ζ (order,) after some cycles, weighted."""
-        states, inputs = self.run(table, repeats, z)
-        return np.concatenate((states[-1], inputs[-self.held :].ravel()))
+        from deadtime.certificates.worst_case.kernels import after
+
+        return after(*[*self._arguments(table), repeats, self.held, z])
 
     def before(self, table: Table, y: np.ndarray) -> np.ndarray:
         """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
@@ -129,10 +130,10 @@ class SampledLoop:
         inputs = np.zeros((W + table.periods, self.plant.inputs))
         inputs[-W:] = y[n:].reshape(W, -1)
         p = y[:n].copy()
-        transposed(*self._arguments(table), p, inputs)
+        transposed(*[*self._arguments(table), p, inputs])
         return np.concatenate((p, inputs[:W].ravel()))
 
-    def _arguments(self, table: Table) -> tuple:
+    def _arguments(self, table: Table) -> tuple[Any, ...]:
         phases, F = table.phases, self.feedback.state_gain
         window = self.window
         return (
@@ -145,13 +146,17 @@ class SampledLoop:
 
         `tolerance` is relative, of the eigenvalue.
         """
+        from deadtime.certificates.worst_case.kernels import after
+
         table = self.table(cycle)
         start = np.random.default_rng(0).normal(size=self.order)
         spanning = max(1, -(-WINDOWS * self.held // table.periods))
         found, repeats = None, 1
+        arguments, held = self._arguments(table), self.held
         with np.errstate(over="ignore", invalid="ignore"):
             for repeats in (spanning, 3 * spanning, 1):
-                found = _largest(partial(self.after, table, repeats), start, tolerance)
+                apply = partial(after, *arguments, repeats, held)
+                found = _largest(apply, start, tolerance)
                 if found is not None:
                     break
         if found is None:

@@ -7,8 +7,9 @@ set Y, too. With Yᵀ X = P S Qᵀ (singular values) the oblique projection
     V = X Q S^{−1/2},    U = S^{−1/2} Pᵀ Yᵀ,    U V = I,
 
 keeps what is both reached and felt (an empirical form of balanced truncation; Moore, IEEE TAC
-26, 1981). The sojourn of k samples in mode i becomes U M_i(k) V. On the paper's example 16
-dimensions give growth rates to about 1e-4 1/s at any N. They rank cycles; none is trusted.
+26, 1981). The sojourn of k samples in mode i becomes U M_i(k) V. On the paper's example,
+N = 20 to 1,000, 16 dimensions give growth rates to about 1e-4 1/s, 5e-3 at worst. They rank
+cycles; none is trusted.
 """
 
 from __future__ import annotations

@@ -22,26 +22,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.certificates.worst_case.products import Sojourns
+from deadtime.certificates.worst_case.words import Word, distinct
 
 LETTERS = 40  # sojourns a word may be grown by, about
 WIDTH = 100  # words that go on
 LONGEST = 10  # sojourns in a word
 LIKELY = 200  # cycles of each number of sojourns that are evaluated
-KEPT = 5  # cycles of each number of sojourns that are improved,
-ALIKE = 3  # and of them with the same modes in turn
 BEGINNING = 3
 SQUARINGS = 5
-NEAR = 20  # part of the range of lengths within which cycles count as the same
-MOST_CLIMBED = 600  # cycles looked at to improve one
-
-
-@dataclass(frozen=True, eq=False)
-class Word:
-    """A cycle on the grid: modes, indices of their lengths, and its growth per sample."""
-
-    modes: Int[np.ndarray, " sojourn"]
-    index: Int[np.ndarray, " sojourn"]
-    rate: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +152,7 @@ def branch_and_bound(
             complete = False
             level = level.only(_promising(level))
     complete = complete and not level.time.size
-    near = sojourns.length.size // NEAR
-    words = [word for some in search.cycles.values() for word in _distinct(some, near)]
+    words = [word for some in search.cycles.values() for word in distinct(some, sojourns)]
     words.sort(key=lambda word: -word.rate)
     return Found(words, search.best + tolerance if complete else None, evaluated)
 
@@ -180,25 +167,6 @@ def _promising(level: _Level) -> np.ndarray:
         inside = np.flatnonzero(group == one)
         place[inside] = np.arange(inside.size)
     return np.sort(order[np.argsort(place, kind="stable")[:WIDTH]])
-
-
-def _distinct(words: list[Word], near: int) -> list[Word]:
-    """The best few of these, no two of which are rotations of nearly the same."""
-    kept: list[Word] = []
-    for word in sorted(words, key=lambda word: -word.rate):
-        if not math.isfinite(word.rate):
-            continue
-        alike = [
-            np.abs(np.roll(word.index, turn) - other.index).max() <= near
-            for turn in range(word.modes.size)
-            for other in kept
-            if np.array_equal(np.roll(word.modes, turn), other.modes)
-        ]
-        if len(alike) < ALIKE and not any(alike):
-            kept.append(word)
-        if len(kept) == KEPT:
-            break
-    return kept
 
 
 def _adapted(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
@@ -232,26 +200,3 @@ def _excess(matrix: np.ndarray) -> np.ndarray:
         power = power @ power
     with np.errstate(divide="ignore"):
         return np.log((power**2).sum(axis=(-2, -1))) / 16.0
-
-
-def climbed(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
-    """The cycle improved by longer and shorter sojourns, and how many were looked at.
-
-    One sojourn is changed, two neighbours against each other, or all together.
-    """
-    count, top = word.index.size, sojourns.length.size - 1
-    one = np.eye(count, dtype=np.int64)
-    moves = np.vstack((one, one - np.roll(one, 1, axis=1), np.ones((1, count), np.int64)))
-    moves = np.unique(np.vstack((moves, -moves)), axis=0)
-    index, rate, evaluated = word.index, word.rate, 0
-    reach = max(1, sojourns.length.size // 8)
-    while reach and evaluated < MOST_CLIMBED:
-        trials = np.clip(index + reach * moves, 0, top)
-        rates = sojourns.rates(word.modes, trials)
-        evaluated += len(trials)
-        best = int(np.argmax(rates))
-        if rates[best] > rate + 1e-12:
-            index, rate = trials[best], float(rates[best])
-        else:
-            reach //= 2
-    return Word(word.modes, index, rate), evaluated

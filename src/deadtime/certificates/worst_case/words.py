@@ -1,0 +1,68 @@
+"""Cycles on the grid, seen by the compressed loop: which to keep, and how to improve them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+
+from deadtime.certificates.worst_case.products import Sojourns
+
+KEPT = 5  # cycles of each number of sojourns that are improved,
+ALIKE = 3  # and of them with the same modes in turn
+NEAR = 20  # part of the range of lengths within which cycles count as the same
+MOST_CLIMBED = 600  # cycles looked at to improve one
+
+
+@dataclass(frozen=True, eq=False)
+class Word:
+    """A cycle on the grid: modes, indices of their lengths, and its growth per sample."""
+
+    modes: Int[np.ndarray, " sojourn"]
+    index: Int[np.ndarray, " sojourn"]
+    rate: float
+
+
+def distinct(words: list[Word], sojourns: Sojourns) -> list[Word]:
+    """The best few of these, no two of which are rotations of nearly the same."""
+    kept: list[Word] = []
+    near = sojourns.length.size // NEAR
+    for word in sorted(words, key=lambda word: -word.rate):
+        if not math.isfinite(word.rate):
+            continue
+        turns = [(np.roll(word.modes, i), np.roll(word.index, i)) for i in range(word.modes.size)]
+        alike = [
+            min(np.abs(index - other.index).max() for index in same)
+            for other in kept
+            if (same := [index for modes, index in turns if np.array_equal(modes, other.modes)])
+        ]
+        if len(alike) < ALIKE and min(alike, default=np.inf) > near:
+            kept.append(word)
+        if len(kept) == KEPT:
+            break
+    return kept
+
+
+def climbed(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
+    """The cycle improved by longer and shorter sojourns, and how many were looked at.
+
+    One sojourn is changed, two neighbours against each other, or all together.
+    """
+    count, top = word.index.size, sojourns.length.size - 1
+    one = np.eye(count, dtype=np.int64)
+    moves = np.vstack((one, one - np.roll(one, 1, axis=1), np.ones((1, count), np.int64)))
+    moves = np.unique(np.vstack((moves, -moves)), axis=0)
+    index, rate, evaluated = word.index, word.rate, 0
+    reach = max(1, sojourns.length.size // 8)
+    while reach and evaluated < MOST_CLIMBED:
+        trials = np.clip(index + reach * moves, 0, top)
+        rates = sojourns.rates(word.modes, trials)
+        evaluated += len(trials)
+        best = int(np.argmax(rates))
+        if rates[best] > rate + 1e-12:
+            index, rate = trials[best], float(rates[best])
+        else:
+            reach //= 2
+    return Word(word.modes, index, rate), evaluated
