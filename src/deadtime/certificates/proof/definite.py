@@ -55,8 +55,6 @@ def is_positive_definite(middle: np.ndarray, error: np.ndarray) -> bool:
 
 def congruence(middle: np.ndarray) -> np.ndarray | None:
     """W, lower triangular in floats, with W X Wᵀ close to I; None if X is not near ≻ 0."""
-    from scipy.linalg import solve_triangular
-
     if not np.isfinite(middle).all() or (np.diag(middle) <= 0.0).any():
         return None
     unit = 1.0 / np.sqrt(np.diag(middle))
@@ -64,8 +62,8 @@ def congruence(middle: np.ndarray) -> np.ndarray | None:
         factor = np.linalg.cholesky(middle * unit * unit[:, None])
     except np.linalg.LinAlgError:
         return None
-    W = solve_triangular(factor, np.diag(unit), lower=True)
-    W = np.tril(np.asarray(W))
+    # By numpy.linalg.inv: SciPy's triangular solver waits for threads, even at this size.
+    W = np.tril(np.linalg.inv(factor)) * unit
     return W if np.isfinite(W).all() and (np.diag(W) != 0.0).all() else None
 
 
