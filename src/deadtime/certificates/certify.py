@@ -26,7 +26,7 @@ from deadtime.spectrum import growth_rate
 
 LEVELS = (Level(0), Level(2), Level(4))
 AGE_LEVELS = (Level(0), Level(2, 3))  # where the rows change with the age, S must, too
-LARGE = 400  # order from which the last levels cost more than they bring
+LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 LARGEST = 3000  # order that memory allows
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of the slowest mode's decay, tried as the certified one
 GROWS = 1e-7  # 1/s: growth that round-off does not explain
@@ -180,7 +180,8 @@ def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Ch
     """The first level that proves stability, at the best decay that it reaches."""
     outcome = Check(False, "no Lyapunov function of the kinds tried was found")
     for level in AGE_LEVELS if setting.context == "mode_age" else LEVELS:
-        if setting.order > LARGE and level.eigenvectors > 2:
+        wide = setting.order > LARGE or setting.family.ranges
+        if wide and level.eigenvectors > 2:
             break
         search = Search(setting, level)
         if search.propose(math.exp(-rates[-1] * setting.step)) is None:

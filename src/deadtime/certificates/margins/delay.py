@@ -21,7 +21,7 @@ from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
 from deadtime.steps import snap
 
 FINEST = 0.04  # of the interval of constant modes
-MOST_PIECES = 24  # certificates tried on each side
+MOST_PIECES = 16  # certificates tried on each side
 
 
 def delay_margin(
@@ -112,7 +112,7 @@ def _reach(nominal: float, limit: float, step: float, holds) -> float:
     sign = 1.0 if limit > nominal else -1.0
     farthest = min(abs(limit - nominal), MOST_PIECES * step)
     finest = FINEST * farthest
-    at, length = 0.0, 0.5 * farthest
+    at, length = 0.0, 0.25 * farthest
     for _ in range(MOST_PIECES):
         here = nominal + sign * at
         room = _to_the_next_multiple(here, step, sign)

@@ -25,7 +25,7 @@ from deadtime.certificates.proof.evidence import Evidence
 from deadtime.certificates.proof.transitions import Transition, interpolation
 
 DEEPEST = 20  # bisections of a cell
-MOST_CELLS = 5000  # of one transition
+MOST_CELLS = 1500  # of one transition
 
 
 @dataclass(frozen=True, eq=False)
