@@ -139,9 +139,9 @@ def _decide(
     search_signals: bool,
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
-    slowest = -math.inf
+    slowest, delays = -math.inf, sorted(set(setting.delays))
+    corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in delays]
     if setting.maximum_dwell is None:
-        corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in setting.delays]
         rates = [
             (growth_rate(corner, law, mode, setting.step), mode, corner)
             for corner in corners
@@ -164,7 +164,7 @@ def _decide(
     if not search_signals:
         return Certificate(None, f"Inconclusive: {outcome.reason}.")
     searched = []
-    for corner in plants:
+    for corner in corners:
         searched.append(_refuted(corner, law, setting, ""))
         if searched[-1].stable is False:
             return searched[-1]

@@ -23,6 +23,8 @@ from deadtime.certificates.dwell.centre import Model
 from deadtime.certificates.dwell.response import Response
 from deadtime.certificates.proof.transitions import Transition, interpolation
 
+LEAST_UNIT = 1e-6  # of v, as part of the largest
+
 
 @dataclass(frozen=True, eq=False)
 class Sample:
@@ -50,8 +52,9 @@ class Units:
             size = np.linalg.norm(deltas[:, part], axis=(1, 2)).max() if w[part].size else 0.0
             w[part] = max(size, 1e-9)
         v = np.sqrt((np.abs(found.V * w) ** 2).sum(axis=2)).max(axis=0)
+        v = np.maximum(v, max(LEAST_UNIT * v.max(), 1e-300))  # an input that no w drives has v = 0
         q = np.linalg.norm(found.Q * w * w[:, None], axis=(1, 2)).max()
-        return cls(np.maximum(v, 1e-300), w, max(float(q), 1e-300))
+        return cls(v, w, max(float(q), 1e-300))
 
     def of_signals(self, found: Response) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Y, weight, rest) of the frequencies, in these units; δ in the last one of w."""

@@ -70,7 +70,7 @@ def load_evidence(path: Path) -> tuple[Evidence, dict[str, Any]]:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise CertificateFileError(
             f"path {str(path)!r} must be a certificate's JSON file: {error}."
         ) from None

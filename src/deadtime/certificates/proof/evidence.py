@@ -10,7 +10,7 @@ The centre E₀, row₀ makes of it one linear system with a small feedback Δ a
     ξ⁺ = M₀ ξ + B w,    v = C ξ + D w,    v = (y, r, ψ),  r = R ξ,  ψ = Ψ ξ,
     w = (w_x, w_u),    w_x = (E − E₀) y,    w_u = (row_c − row₀) ξ = T_c (y, r):    w = Δ v,
 
-(no w_u if there is one row; y reads w_u if u_k itself reaches the plant within the period).
+(no w_u if all rows are one; y reads w_u if u_k itself reaches the plant within the period).
 
 The Lyapunov function is V_{i,a}(ξ) = ξᵀ(P + Ψᵀ S_{i,a} Ψ) ξ, S linear in the age a between
 knots. If ψ⁺ = F (v, w) and
@@ -115,10 +115,10 @@ class Setting:
         result[:, :, n : n + taps * m] = self.G.transpose(0, 2, 1, 3).reshape(count, m, taps * m)
         return result
 
-    @property
+    @cached_property
     def rows_differ(self) -> bool:
-        """Whether there is more than one row, so that w_u exists."""
-        return len(self.F) > 1
+        """Whether the rows are not all one, so that w_u exists."""
+        return bool(np.any(self.rows != self.rows[0]))
 
 
 @dataclass(frozen=True, eq=False)
