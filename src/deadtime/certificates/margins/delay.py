@@ -9,6 +9,7 @@ interval that constant modes allow, the most that any certificate can reach.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from deadtime.certificates.certificate import Certificate
@@ -22,6 +23,7 @@ from deadtime.steps import snap
 
 FINEST = 0.04  # of the interval of constant modes
 MOST_PIECES = 16  # certificates tried on each side
+LEAST_DELAY = 1e-3  # of a period: the shortest delay that is asked about
 
 
 def delay_margin(
@@ -59,11 +61,11 @@ def delay_margin(
     Examples
     --------
     >>> import deadtime as dt
-    >>> plant = dt.problems.paper().plant.apart(0.5)
-    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
+    >>> plant = dt.SwitchedSystem([[[0.5]], [[0.6]]], [[[1.0]], [[1.0]]], delay=0.5)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
     >>> alone = delay_margin(plant, law, step=0.1)
     >>> certified = delay_margin(plant, law, step=0.1, dwell_time=0.2)
-    >>> alone.lower <= certified.lower < 1.0 < certified.upper <= alone.upper
+    >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
     True
     """
     constant = constant_delay_margin(plant, law, step)
@@ -88,12 +90,12 @@ def delay_margin(
     def holds(low: float, high: float) -> bool:
         return _certified(plant, law, dwell_time, step, (low, high))
 
-    lower = plant.delay - _reach(plant.delay, constant.lower, step, holds)
-    upper = plant.delay + _reach(plant.delay, constant.upper, step, holds)
+    lower = _reach(plant.delay, constant.lower, step, holds)
+    upper = _reach(plant.delay, constant.upper, step, holds)
     message = (
         f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for every constant "
         f"true delay between {lower:.6g} s and {upper:.6g} s ({lower / plant.delay - 1.0:+.2%}, "
-        f"{upper / plant.delay - 1.0:+.2%}). {constant.message}"
+        f"{upper / plant.delay - 1.0:+.2%}). Without switches: {constant.message}"
     )
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
 
@@ -107,35 +109,30 @@ def _certified(
     return bool(certificate.stable)
 
 
-def _reach(nominal: float, limit: float, step: float, holds) -> float:
-    """How far from the nominal delay towards a limit the pieces hold, in seconds."""
+def _reach(nominal: float, limit: float, step: float, holds: Callable[..., bool]) -> float:
+    """The delay up to which, from the nominal one towards a limit, all pieces hold, in seconds."""
     sign = 1.0 if limit > nominal else -1.0
     farthest = min(abs(limit - nominal), MOST_PIECES * step)
-    finest = FINEST * farthest
-    at, length = 0.0, 0.25 * farthest
+    end = max(nominal + sign * farthest, LEAST_DELAY * step)
+    finest, length = FINEST * farthest, 0.25 * farthest
+    here = nominal
     for _ in range(MOST_PIECES):
-        here = nominal + sign * at
-        room = _to_the_next_multiple(here, step, sign)
-        piece = min(length, room, farthest - at)
-        if piece <= max(finest * 0.5, 1e-9 * step):
+        multiple = _next_multiple(here, step, sign)
+        nearest = min(end, multiple, key=lambda delay: abs(delay - here))
+        piece = min(length, abs(nearest - here))
+        if piece <= max(0.5 * finest, 1e-9 * step):
             break
-        there = here + sign * piece
-        if room == piece:
-            there = step * round(there / step)
-        if there <= 0.0:
-            there = 1e-3 * step
-        low, high = min(here, there), max(here, there)
-        if holds(low, high):
-            at = abs(there - nominal)
+        there = nearest if piece < length else here + sign * piece
+        if holds(min(here, there), max(here, there)):
+            here = there
         elif piece <= finest:
             break
         else:
             length = 0.5 * piece
-    return at
+    return here
 
 
-def _to_the_next_multiple(delay: float, step: float, sign: float) -> float:
-    """How far a delay is from the next multiple of the period in a direction."""
+def _next_multiple(delay: float, step: float, sign: float) -> float:
+    """The next multiple of the period in a direction."""
     ratio = snap(delay / step)
-    nearest = math.floor(ratio) + 1 if sign > 0.0 else math.ceil(ratio) - 1
-    return abs(nearest * step - delay)
+    return step * (math.floor(ratio) + 1 if sign > 0.0 else math.ceil(ratio) - 1)
