@@ -1,5 +1,6 @@
 """The delay margin for every signal: which delays are asked about, and what the answer is worth."""
 
+import itertools
 import math
 
 import numpy as np
@@ -63,7 +64,7 @@ def test_pieces_cover_the_delays_that_hold_and_no_others(monkeypatch, low, high)
     found = dt.delay_margin(PLANT, LAW, STEP, DWELL_TIME)
     held = sorted(piece for piece in asked if low <= piece[0] and piece[1] <= high)
     assert (found.lower, found.upper) == (held[0][0], held[-1][1])
-    for (_, end), (start, _) in zip(held, held[1:], strict=False):
+    for (_, end), (start, _) in itertools.pairwise(held):
         assert start == pytest.approx(end, abs=1e-12)
     down, up = max(low, alone.lower), min(high, alone.upper)
     assert down <= found.lower <= down + 0.06 * (0.234 - alone.lower)

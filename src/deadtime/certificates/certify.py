@@ -184,10 +184,12 @@ def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Ch
         if wide and level.eigenvectors > 2:
             break
         search = Search(setting, level)
-        if search.propose(math.exp(-rates[-1] * setting.step)) is None:
+        slowest = search.propose(math.exp(-rates[-1] * setting.step))
+        if slowest is None:
             continue
         for rate in rates:
-            proposal = search.propose(math.exp(-rate * setting.step))
+            last = rate == rates[-1]
+            proposal = slowest if last else search.propose(math.exp(-rate * setting.step))
             if proposal is None:
                 continue
             evidence, outcome = search.prove(proposal)

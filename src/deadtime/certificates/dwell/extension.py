@@ -17,7 +17,10 @@ from deadtime.certificates.dwell.centre import Model
 from deadtime.certificates.proof.evidence import Evidence
 
 ALL = 10**6
-SMALLEST = 1e-10  # singular values of Y below this part of the largest count as 0
+# (v, w) that no ξ, or hardly any, gives rise to: singular values of Y as parts of the largest,
+# and the weights, as parts of the largest entry of Π, which stand for the partial minimum there.
+NONE, HARDLY = 1e-13, 1e-6
+WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
 
 
 def extended(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | None:
@@ -35,9 +38,12 @@ def extended(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | 
     form = form * inside * inside[:, None]
     wide = full.channels.wide * inside
     units = 1.0 / np.linalg.norm(wide, axis=1)
-    left, values, right = np.linalg.svd(wide * units[:, None], full_matrices=False)
-    keep = values > SMALLEST * values[0]
-    left, values, right = left[:, keep], values[keep], right[keep]
+    left, sizes, right = np.linalg.svd(wide * units[:, None])
+    values = np.zeros(len(left))
+    values[: len(sizes)] = sizes
+    keep, none = values > HARDLY * values[0], left[:, values <= NONE * values[0]]
+    hardly = left[:, ~keep & (values > NONE * values[0])]
+    left, values, right = left[:, keep], values[keep], right[: len(sizes)][keep[: len(sizes)]]
     rest = null_space(right)
     across = rest.T @ form @ right.T
     try:
@@ -47,8 +53,9 @@ def extended(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | 
     best = right @ form @ right.T - across.T @ cho_solve(inner, across)
     back = left / values
     Pi = back @ best @ back.T
-    outside = np.eye(len(left)) - left @ left.T
-    Pi = (Pi + np.abs(Pi).max() * (outside @ outside.T)) * units * units[:, None]
+    outside = WEIGHT_NONE * (none @ none.T) + WEIGHT_HARDLY * (hardly @ hardly.T)
+    Pi = Pi + np.abs(Pi).max() * outside
+    Pi = Pi * units * units[:, None]
     return Evidence(
         setting,
         full.centre,
