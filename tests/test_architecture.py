@@ -70,7 +70,7 @@ def test_import_loads_numpy_and_little_else():
     code = (
         "import sys, deadtime; "
         "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pandas', 'pydantic', 'rich', "
-        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'jax'}; "
+        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'jax'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -6,13 +6,9 @@ Design a law, simulate it exactly, compare laws. The sign of gains is u = +K x; 
 right-continuous; arrays index (mode, …), (signal, time).
 """
 
+from typing import TYPE_CHECKING, Any
+
 from deadtime import problems
-from deadtime.certificates import theorem_bound
-from deadtime.certificates.certificate import Certificate, Verification, verify
-from deadtime.certificates.certify import certify
-from deadtime.certificates.margins import stability_margin
-from deadtime.certificates.margins.delay import delay_margin
-from deadtime.certificates.worst_case import WorstCase, falsify
 from deadtime.errors import (
     ArgumentError,
     CertificateFileError,
@@ -50,6 +46,20 @@ from deadtime.switching import (
     SwitchingSignal,
 )
 from deadtime.version import __version__
+
+if TYPE_CHECKING:
+    from deadtime.certificates import (
+        Certificate,
+        Verification,
+        WorstCase,
+        certify,
+        delay_margin,
+        falsify,
+        stability_chart,
+        stability_margin,
+        theorem_bound,
+        verify,
+    )
 
 __all__ = [
     "ArgumentError",
@@ -93,8 +103,22 @@ __all__ = [
     "place",
     "problems",
     "simulate",
+    "stability_chart",
     "stability_margin",
     "stabilize",
     "theorem_bound",
     "verify",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Certificates are half of the package and are imported where they are asked for."""
+    if name in __all__:
+        from deadtime import certificates
+
+        return getattr(certificates, name)
+    raise AttributeError(f"module 'deadtime' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

@@ -15,8 +15,7 @@ from deadtime.switching import SwitchingSignal
 from deadtime.wording import signed
 
 if TYPE_CHECKING:
-    from deadtime.certificates.certificate import Certificate
-    from deadtime.certificates.worst_case import WorstCase
+    from deadtime.certificates import Certificate, WorstCase
     from deadtime.spectrum.margin import DelayMargin
 
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")

@@ -16,7 +16,7 @@ from deadtime.tightness import Reach, Tightness
 from deadtime.wording import amount
 
 if TYPE_CHECKING:
-    from deadtime.certificates.margins import StabilityChart
+    from deadtime.certificates import StabilityChart
 
 GOOD, BAD, GAP = "#9ccbe8", "#f3c3a3", "#ffffff"
 CHART_STYLE = {**STYLE, "hatch.linewidth": 0.6, "axes.grid": False}

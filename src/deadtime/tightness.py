@@ -14,8 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from deadtime.certificates import StabilityMargin, stability_margin
 from deadtime.certificates.constants import distance
-from deadtime.certificates.margins import StabilityMargin, stability_margin
 from deadtime.certificates.theorem import FORMS, theorem_bound
 from deadtime.errors import ArgumentError, InfeasibleError
 from deadtime.gains import place

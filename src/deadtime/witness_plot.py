@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from deadtime.plotting import COLOURS, STYLE, WIDTH, plain, visible
 
 if TYPE_CHECKING:
-    from deadtime.certificates.worst_case import WorstCase
+    from deadtime.certificates import WorstCase
     from deadtime.simulation import Trajectory
 
 SHOWN = 3  # cycles of the signal in the strip

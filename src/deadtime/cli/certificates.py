@@ -87,7 +87,7 @@ def verify(certificate: Path, *, json_output: AsJson = False) -> int:
     json_output
         Print the result as JSON instead of text.
     """
-    from deadtime.certificates.certificate import verify as check
+    from deadtime.certificates import verify as check
 
     result = check(certificate)
     if json_output:
