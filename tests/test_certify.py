@@ -49,6 +49,13 @@ def of(law, plant=PAIR):
     return plant, plants.LAWS[law](plant)
 
 
+def of_pair(alpha):
+    """A law that relies on a dwell time, for two modes of the three-mode plant."""
+    far = THREE.apart(alpha)
+    plant = dt.SwitchedSystem(far.A[:2], far.B[:2], far.delay)
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, (-2.0, -3.0)), None, 0.8)
+
+
 # name: (plant and law, dwell time, step)
 CASES = {
     "generic, averaged": (lambda: of("averaged", GENERIC), 0.25, 0.1),
@@ -64,6 +71,7 @@ CASES = {
     "by mode within its period": (lambda: mild(0.034, dt.DelayedStateFeedback), 0.2, 0.1),
     "plant later by two periods": (lambda: mild(0.434), 0.3, 0.1),
     "plant sooner by two periods": (lambda: mild(0.034), 0.3, 0.1),
+    "a Lyapunov function for every age": (lambda: of_pair(0.5), 0.8, 0.2),
     "one mode": (lambda: designed(ALONE), 0.3, 0.1),
     "paper": (lambda: designed(PAPER.apart(0.6)), 0.2, 0.1),
     "paper, 0.65": (lambda: designed(PAPER.apart(0.65)), 0.2, 0.1),

@@ -26,6 +26,7 @@ from deadtime.spectrum import growth_rate
 
 LEVELS = (Level(0), Level(2), Level(4))
 AGE_LEVELS = (Level(0), Level(2, 3))  # where the rows change with the age, S must, too
+FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 LARGEST = 3000  # order that memory allows
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of the slowest mode's decay, tried as the certified one
@@ -179,7 +180,7 @@ def _decide(
 def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Check]:
     """The first level that proves stability, at the best decay that it reaches."""
     outcome = Check(False, "no Lyapunov function of the kinds tried was found")
-    for level in AGE_LEVELS if setting.context == "mode_age" else LEVELS:
+    for level in _levels(setting):
         wide = setting.order > LARGE or setting.family.ranges
         if wide and level.eigenvectors > 2:
             break
@@ -196,6 +197,15 @@ def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Ch
             if outcome.proven:
                 return evidence, outcome
     return None, outcome
+
+
+def _levels(setting: Setting) -> tuple[Level, ...]:
+    """What to try, quickest first."""
+    if setting.context != "mode_age":
+        return LEVELS
+    last = setting.transitions.last
+    every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
+    return AGE_LEVELS + every
 
 
 def _rates(wanted: float | None, fastest: float) -> list[float]:

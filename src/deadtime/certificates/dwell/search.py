@@ -26,7 +26,6 @@ ROUNDS = 10  # of adding frequencies
 REPAIRS = 4  # of adding steps where a proof failed
 FREQUENCIES = 40
 INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-RANK = 4  # directions of the rows that the search tells apart
 MOST_AGES = 40  # of a (mode, age) table that the search looks at
 
 
@@ -44,10 +43,14 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """How much freedom the search has: left eigenvectors per mode, and knots of S in age."""
+    """How much freedom the search has.
+
+    Left eigenvectors per mode, pieces of S in age, and directions of the rows told apart.
+    """
 
     eigenvectors: int
     segments: int = 1
+    rank: int = 4
 
 
 class Search:
@@ -56,7 +59,7 @@ class Search:
     def __init__(self, setting: Setting, level: Level) -> None:
         self.setting = setting
         modes = setting.A.shape[1]
-        self.model = Model.of(setting, (level.eigenvectors,) * modes, RANK)
+        self.model = Model.of(setting, (level.eigenvectors,) * modes, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
         self.knots = tuple(sorted({int(mark) for mark in marks})) if level.eigenvectors else (0,)
