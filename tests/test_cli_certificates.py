@@ -51,8 +51,8 @@ def made_up(monkeypatch, tmp_path):
 
     margin = SimpleNamespace(lower=0.99, upper=1.012, message="between 0.99 s and 1.012 s")
     for place, function in {
-        "certificates.certify.certify": certify,
-        "certificates.worst_case.falsify": lambda plant, law, dwell_time, step: CALM,
+        "certificates.certify": certify,
+        "certificates.falsify": lambda plant, law, dwell_time, step: CALM,
         "spectrum.margin.constant_delay_margin": lambda plant, law, step: margin,
     }.items():
         module, _, name = f"deadtime.{place}".rpartition(".")
@@ -137,7 +137,7 @@ def test_verify_tells_by_its_exit_code(capsys, monkeypatch, proven, word):
             proven=proven, message="Proved: About this loop.", statement=statement, seconds=0.25
         )
 
-    monkeypatch.setattr(import_module("deadtime.certificates.certificate"), "verify", verify)
+    monkeypatch.setattr(import_module("deadtime.certificates"), "verify", verify)
     code, out, err = run(capsys, "verify", "cert.json")
     assert (code, err) == (0 if proven else 1, "")
     assert out == f"Proved: About this loop.\n• And its numbers.\n({word} in 0.25 s)\n"

@@ -122,8 +122,7 @@ def judge(
 
 
 def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]) -> Judged:
-    from deadtime.certificates.certify import certify
-    from deadtime.certificates.worst_case import falsify
+    from deadtime.certificates import certify, falsify
     from deadtime.spectrum.margin import constant_delay_margin
 
     plant, law = problem.plant, problem.laws[name]
