@@ -17,7 +17,7 @@ RINGS = (
     ("plant", "switching", "steps", "exponential", "feedback", "forecast"),
     ("gains", "laws", "spectrum", "lmi", "lyapunov", "stabilization"),
     ("simulation",),
-    ("certificates", "backstepping"),
+    ("certificates", "backstepping", "controller"),
     ("monte_carlo",),
     ("problems",),
     ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),

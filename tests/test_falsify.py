@@ -154,6 +154,19 @@ def test_switches_off_the_grid_are_found_where_they_are_worse(dwell):
     assert measured(worst) == pytest.approx(worst.growth_rate, abs=1e-7)
 
 
+def test_the_signal_can_be_built_again_from_modes_sojourns_and_phase():
+    worst = dt.falsify(*free(TURNING, delay=0.3), 0.62, 0.5, budget=QUICK)
+    assert 0.0 < worst.phase < 0.5
+    assert f"beginning {worst.phase:.3g} s after a sample" in worst.message
+    count = len(worst.signal.modes) // len(worst.modes)
+    begins = worst.phase + np.concatenate(([0.0], np.cumsum(worst.sojourns * count)))[:-1]
+    times, modes = np.append(0.0, begins), np.append(worst.modes[-1], worst.modes * count)
+    again = dt.SwitchingSignal(times, modes)
+    run = worst.simulate(cycles=4)
+    other = dt.simulate(worst.plant, worst.law, again, worst.x0, run.time[-1], worst.step, worst.u0)
+    np.testing.assert_allclose(other.states, run.states, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_cycle_of_up_to_four_sojourns_on_the_grid_is_worse(seed):
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ right-continuous; arrays index (mode, …), (signal, time).
 from typing import TYPE_CHECKING, Any
 
 from deadtime import problems
+from deadtime.controller import Controller
 from deadtime.errors import (
     ArgumentError,
     CertificateFileError,
@@ -67,6 +68,7 @@ __all__ = [
     "Certificate",
     "CertificateFileError",
     "ChatteringError",
+    "Controller",
     "DeadtimeError",
     "DelayedStateFeedback",
     "ExactPredictor",

@@ -255,6 +255,7 @@ def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:
         "growth_rate": _finite(worst.growth_rate),
         "modes": list(worst.modes),
         "sojourns": [_finite(sojourn) for sojourn in worst.sojourns],
+        "phase": worst.phase,
         "message": worst.message,
     }
 

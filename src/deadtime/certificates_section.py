@@ -108,8 +108,8 @@ def _tightness_figure(
         return None
     caption = (
         "How far apart modes and gains may be, as the modes are moved along their own difference, "
-        "for the averaged law: what each certificate allows, and where a signal grows. The ε* of "
-        "the theorem depends on the plant: here the modes are so close, not as far as they are."
+        "for the averaged law: what each certificate allows, and where a signal grows, if one was "
+        "found. The theorem's ε* depends on the plant; it is that of modes as close as it allows."
     )
     figure = ("certificates-reach", caption, plot_tightness(found))
     return (found.message, figure) if len(found.reaches) > 1 else None

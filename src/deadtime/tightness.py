@@ -139,7 +139,13 @@ def tightness(
     except ArgumentError as error:
         missing.append(f"There is no bracket between proof and witness: {error}")
     if margin is not None:
-        name = "lifted loop, proved" if margin.proven else "lifted loop, numerical"
+        name = "lifted loop, proved"
+        if margin.refuted is None:
+            name += " (at least)"
+            missing.append(
+                f"No signal that grows was found up to {MOST:g} times the distance of the modes, "
+                "where the search ended."
+            )
         reaches.append(_at(problem, name, margin.certified))
         if margin.refuted is not None:
             reaches.append(_at(problem, "a signal that grows", margin.refuted, stable=False))

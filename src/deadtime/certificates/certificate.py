@@ -56,7 +56,7 @@ class Certificate:
         """A certificate of stability from evidence that passed the check."""
         rate = decay_rate(evidence)
         pace = f"decays at least like exp(−{rounded_down(rate)} t)" if rate else "decays"
-        message = f"Stable for every admissible signal, proved: the loop {pace}."
+        message = f"Stable for every admissible signal{_also(evidence)}, proved: the loop {pace}."
         return cls(True, message, rate, True, statement(evidence, cells), None, evidence)
 
     def lyapunov(self, mode: int = 0, age: int = 0) -> Float[np.ndarray, "order order"]:
@@ -110,6 +110,13 @@ class Certificate:
     def __repr__(self) -> str:
         proof = ", proven" if self.proven else ""
         return f"Certificate(stable={self.stable}{proof}: {self.message})"
+
+
+def _also(evidence: Evidence) -> str:
+    """For what else than every signal a certificate holds."""
+    low, high = evidence.setting.delays
+    delays = f" and every constant delay from {low:.6g} s to {high:.6g} s" if low < high else ""
+    return delays + " and every plant in the polytope" * (len(evidence.setting.A) > 1)
 
 
 @dataclass(frozen=True)

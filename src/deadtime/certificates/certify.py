@@ -30,6 +30,7 @@ FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 LARGEST = 3000  # order that memory allows
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of the slowest mode's decay, tried as the certified one
+SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 GROWS = 1e-7  # 1/s: growth that round-off does not explain
 
 
@@ -159,7 +160,8 @@ def _decide(
             f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays at "
             f"{-slowest:.4g} 1/s.",
         )
-    evidence, outcome = _evidence(setting, _rates(wanted, -slowest))
+    fastest = -slowest if math.isfinite(slowest) else 1.0 / plants[0].delay
+    evidence, outcome = _evidence(setting, _rates(wanted, fastest))
     if evidence is not None:
         return Certificate.of(evidence, outcome.cells)
     if not search_signals:
@@ -185,12 +187,12 @@ def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Ch
         if wide and level.eigenvectors > 2:
             break
         search = Search(setting, level)
-        slowest = search.propose(math.exp(-rates[-1] * setting.step))
+        rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS) for rate in rates]
+        slowest = search.propose(rhos[-1])
         if slowest is None:
             continue
-        for rate in rates:
-            last = rate == rates[-1]
-            proposal = slowest if last else search.propose(math.exp(-rate * setting.step))
+        for rho in rhos:
+            proposal = slowest if rho == rhos[-1] else search.propose(rho)
             if proposal is None:
                 continue
             evidence, outcome = search.prove(proposal)
@@ -209,11 +211,9 @@ def _levels(setting: Setting) -> tuple[Level, ...]:
 
 
 def _rates(wanted: float | None, fastest: float) -> list[float]:
-    """Decay rates to try, best first."""
+    """Decay rates to try, best first; `fastest` is what the modes alone allow."""
     if wanted is not None:
         return [wanted]
-    if not math.isfinite(fastest):
-        return [0.0]
     return [part * fastest for part in PARTS] + [0.0]
 
 

@@ -27,11 +27,12 @@ def certify(
     decay_rate: float | None = None,
     out: File = None,
     json_output: AsJson = False,
-) -> None:
+) -> int:
     """Is the loop stable for every switching signal with the dwell time? With a proof, or a signal.
 
     Examples: `deadtime certify problem.toml`, `deadtime certify paper --law averaged`,
-    `deadtime certify problem.toml --dwell-time 0.5 --out cert.json`.
+    `deadtime certify problem.toml --dwell-time 0.5 --out cert.json`. With `--law` the exit code
+    is 1 unless that law is proved stable.
 
     Parameters
     ----------
@@ -68,10 +69,11 @@ def certify(
         record = {"problem": chosen.name, "dwell_time": dwell, "step": period}
         record["laws"] = judged_record(judged)
         print(json.dumps(record, indent=2, ensure_ascii=False))
-        return
-    _print_judged(chosen, judged, dwell, period, law is not None)
-    if out is not None:
-        print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
+    else:
+        _print_judged(chosen, judged, dwell, period, law is not None)
+        if out is not None:
+            print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
+    return 0 if law is None or judged[0].stable else 1
 
 
 @app.command

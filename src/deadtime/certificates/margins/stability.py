@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from deadtime.certificates.margins.bracket import GROWS, Bracket, Questions, bracket
 from deadtime.checks import number, positive
-from deadtime.errors import ArgumentError
+from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
@@ -132,14 +132,25 @@ def _questions(problem: Callable[[float], Loop], dwell_time: float, step: float)
     from deadtime.certificates.certify import certify
     from deadtime.certificates.worst_case import falsify
 
+    def loop(value: float) -> Loop:
+        try:
+            found = problem(value)
+        except DeadtimeError as error:
+            raise ArgumentError(f"problem has no answer at {value:g}: {error}") from error
+        if not (isinstance(found, tuple) and len(found) == 2):
+            raise ArgumentError(
+                f"problem must return (plant, law), got {type(found).__name__} at {value:g}."
+            )
+        return found
+
     def grows(value: float) -> bool:
-        plant, law = problem(value)
+        plant, law = loop(value)
         return any(growth_rate(plant, law, mode, step) > GROWS for mode in range(plant.modes))
 
     return Questions(
         grows,
-        lambda value: certify(*problem(value), dwell_time, step, decay_rate=0.0),
-        lambda value: falsify(*problem(value), dwell_time, step),
+        lambda value: certify(*loop(value), dwell_time, step, decay_rate=0.0),
+        lambda value: falsify(*loop(value), dwell_time, step),
     )
 
 

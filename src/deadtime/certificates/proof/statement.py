@@ -50,6 +50,7 @@ def statement(evidence: Evidence, cells: int) -> tuple[str, ...]:
         else "the plant"
     )
     rate = decay_rate(evidence)
+    falls = f"by the factor ρ² = {rho**2!r} or more" if rate else "strictly"
     pace = f" decays at least like exp(−{rounded_down(rate, 6)} t)" if rate else " decays to zero"
     rows = {
         "none": "nothing (one row)",
@@ -65,7 +66,7 @@ def statement(evidence: Evidence, cells: int) -> tuple[str, ...]:
     return (
         f"{words[0].upper()}{words[1:]}, switching at any instant, and for every "
         f"initial state and past input, the digital loop of {plants} with this table{pace}; "
-        f"over a period the Lyapunov function falls by the factor ρ² = {rho**2!r} or more.",
+        f"over a period the Lyapunov function falls {falls}.",
         f"Period {setting.step!r} s; input delay {delay}. A ratio of a delay to the period within "
         "1e-9 of an integer counts as that integer, as in the loop that runs.",
         f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}. "

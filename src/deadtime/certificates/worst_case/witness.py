@@ -63,6 +63,11 @@ class WorstCase:
     cycle: Cycle = field(repr=False)
 
     @property
+    def phase(self) -> float:
+        """How long after a sample the first mode of the cycle begins, seconds; 0 if constant."""
+        return 0.0 if self.cycle.constant else self.cycle.offset * self.step
+
+    @property
     def length(self) -> float:
         """The length of the cycle, seconds; of a constant signal, about the delay."""
         return self.cycle.periods * self.step
@@ -103,7 +108,7 @@ def worst_case(
         signal = repeated(cycle, times, dwell_time, step)
         sojourns = tuple(max(gap * step, dwell_time) for gap in cycle.gaps)
     modes, sojourns = _pattern(cycle.modes, sojourns)
-    message = _message(growth.rate, modes, sojourns)
+    message = _message(growth.rate, modes, sojourns, cycle.offset * step)
     return WorstCase(
         signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate,
         plant, law, dwell_time, step, cycle,
@@ -162,13 +167,15 @@ def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarr
     return x0, u0
 
 
-def _message(rate: float, modes: tuple[int, ...], sojourns: tuple[float, ...]) -> str:
+def _message(rate: float, modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float) -> str:
     if len(modes) == 1:
         how = f"mode {modes[0]} lasts for ever"
     else:
         parts = [f"mode {i} for {s:.4g} s" for i, s in zip(modes, sojourns, strict=True)]
         how = ", ".join(parts[:-1]) + f" and {parts[-1]} "
         how += "alternate" if len(modes) == 2 else "follow each other"
+        after = f"{phase:.3g} s after a sample" if phase > 0.0 else "at a sample"
+        how += f", mode {modes[0]} beginning {after}"
     if rate > 0.0:
         return f"The loop grows at +{rate:.3g} /s when {how}."
     if rate == 0.0:

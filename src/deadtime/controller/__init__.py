@@ -1,0 +1,5 @@
+"""The law in a loop that runs: one period per call."""
+
+from deadtime.controller.controller import Controller, Status
+
+__all__ = ["Controller", "Status"]

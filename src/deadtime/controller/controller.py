@@ -1,0 +1,267 @@
+"""`Controller`: a table law in a loop that runs, one period per call."""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.checks import count, instance, positive, real_array, shaped
+from deadtime.controller.past_inputs import past_inputs
+from deadtime.errors import ArgumentError
+from deadtime.laws import ExactPredictor
+from deadtime.laws.base import Law, TableLaw
+from deadtime.simulation.initial_input import InitialInput, held_samples
+
+
+class Status(enum.IntEnum):
+    """What became of the last period."""
+
+    OK = 0
+    SATURATED = 1  # the law asked for more than the limits allow
+    BAD_STATE = 2  # x is not finite: the last input is held
+    BAD_MODE = 3  # the mode is none of the plant's: the last input is held
+    BAD_APPLIED = 4  # the applied input is not finite: the last input is held
+    OVERFLOW = 5  # the law's answer is not finite: the last input is held
+
+
+class Controller:
+    """A law that runs: call `update` once a period.
+
+    The controller remembers the past inputs and the modes, and predicts with the inputs *as
+    applied*: saturated by its own limits, or as reported by `applied`, so that an actuator that
+    does something else, or an operator who takes over, does not mislead it. A factorised table
+    costs the same whatever the delay.
+
+    Parameters
+    ----------
+    law : Law
+        A law that is a table, and not one that must know the future.
+    step : float
+        Sampling period h, in seconds.
+    limits : (low, high), optional
+        Saturation of the input, scalars or shape (m,).
+    u0 : optional
+        Inputs before the first call, as `simulate` takes them: None for 0.
+    mode_age : int
+        Age of the first mode in samples, for laws that read it.
+
+    Attributes
+    ----------
+    status : Status
+        What became of the last period.
+    refused : int
+        How many periods held the last input because what came in was unusable.
+    samples : int
+        How many periods have run.
+
+    Raises
+    ------
+    ArgumentError
+        If the law is no table or must know the future, or limits are out of order.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
+    >>> controller = Controller(law, step=0.01, limits=(-25.0, 25.0))
+    >>> controller.update([-1.0, 1.0]).round(3), controller.status.name
+    (array([20.058]), 'OK')
+    >>> controller.update([float("nan"), 1.0]).round(3), controller.status.name
+    (array([20.058]), 'BAD_STATE')
+    """
+
+    def __init__(
+        self,
+        law: Law,
+        step: float,
+        *,
+        limits: tuple[ArrayLike, ArrayLike] | None = None,
+        u0: InitialInput = None,
+        mode_age: int = 0,
+    ) -> None:
+        instance("law", law, Law)
+        if not isinstance(law, TableLaw) or isinstance(law, ExactPredictor):
+            why = "foresees the signal" if isinstance(law, TableLaw) else "is no table"
+            raise ArgumentError(
+                f"law must be a table that a controller can run; {type(law).__name__} {why}."
+            )
+        self.law, self.step = law, positive("step", step)
+        self.table = law.digital(self.step)
+        self.low, self.high = _limits(limits, law.plant.inputs)
+        self._past = past_inputs(self.table)
+        self._reads_mode = self.table.context != "none"
+        self._u = np.zeros(law.plant.inputs)
+        self._asked = np.zeros(law.plant.inputs)
+        self.reset(u0, mode_age)
+
+    def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
+        """Start anew, after the inputs u0 (as `simulate` takes them)."""
+        m, taps = self.law.plant.inputs, self.table.taps
+        history = held_samples(u0, m, taps, self.step, self.law.plant.delay)
+        self._age, self._mode = count("mode_age", mode_age, 0), -1
+        self._past.clear()
+        for u in history[:-1]:
+            self._past.push(u)
+        self._u[:] = history[-1]
+        self.status, self.refused, self.samples = Status.OK, 0, 0
+
+    def update(
+        self,
+        x: ArrayLike,
+        mode: int | None = None,
+        applied: ArrayLike | None = None,
+        out: Float[np.ndarray, " m"] | None = None,
+    ) -> Float[np.ndarray, " m"]:
+        """The input of this period, u_k.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,)
+            The state at t_k.
+        mode : int, optional
+            The mode at t_k; laws whose rows depend on it need it.
+        applied : array_like, shape (m,), optional
+            What the actuator was given in the period that ends, if it was not what `update`
+            returned.
+        out : (m,) float array, optional
+            Where to write the input; without it a new array is made.
+
+        Returns
+        -------
+        (m,) array
+            Unusable values (x or `applied` not finite, a mode that is none) are refused: the
+            last input is held, `status` says why and `refused` counts.
+
+        Raises
+        ------
+        ArgumentError
+            If a shape is wrong, or the mode is missing where the law reads it.
+        """
+        x = _vector("x", x, self.law.plant.states)
+        status = self._remember(applied)
+        status = self._see(mode) or status
+        if not status and not np.isfinite(x).all():
+            status = Status.BAD_STATE
+        if not status:
+            status = self._compute(x)
+        self.status = status
+        self.refused += status > Status.SATURATED
+        self.samples += 1
+        if out is None:
+            return self._u.copy()
+        out[:] = self._u
+        return out
+
+    def _remember(self, applied: ArrayLike | None) -> Status:
+        """The input of the period that ends becomes the latest of the past ones."""
+        u = self._u if applied is None else _vector("applied", applied, self._u.size)
+        if np.isfinite(u).all():
+            self._past.push(u)
+            return Status.OK
+        self._past.push(self._u)
+        return Status.BAD_APPLIED
+
+    def _see(self, mode: int | None) -> Status:
+        """Follow the sampled mode and its age."""
+        if not self._reads_mode:
+            return Status.OK
+        if mode is None:
+            raise ArgumentError("mode must be given: the rows of this law depend on it.")
+        known = isinstance(mode, (int, np.integer)) and 0 <= mode < self.law.plant.modes
+        if not known or mode == self._mode:
+            self._age = min(self._age + 1, self.table.ages)
+        elif self._mode >= 0:
+            self._age = 0
+        if not known:
+            return Status.BAD_MODE
+        self._mode = int(mode)
+        return Status.OK
+
+    def _compute(self, x: np.ndarray) -> Status:
+        """u_k within the limits, or the last one where it is not finite."""
+        row = 0
+        if self._reads_mode:
+            row = self._mode * self.table.ages + min(self._age, self.table.ages - 1)
+        self._past.row(row, x, self._asked)
+        if not np.isfinite(self._asked).all():
+            return Status.OVERFLOW
+        np.clip(self._asked, self.low, self.high, out=self._u)
+        return Status.OK if (self._u == self._asked).all() else Status.SATURATED
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Everything that the next periods depend on, to `restore` it: copies."""
+        return {
+            "law": self.law.label,
+            "step": self.step,
+            "taps": self.table.taps,
+            "mode": self._mode,
+            "age": self._age,
+            "samples": self.samples,
+            "refused": self.refused,
+            "input": self._u.copy(),
+            **self._past.saved(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where `state` was taken: the inputs that follow are the same to the last bit.
+
+        Raises `ArgumentError` for a state of another law or step.
+        """
+        own = self.state
+        for name in ("law", "step", "taps"):
+            if state.get(name) != own[name]:
+                raise ArgumentError(
+                    f"state must come from a controller of the same {name} = {own[name]}, got "
+                    f"{state.get(name)}."
+                )
+        for name, value in own.items():
+            if name not in state or np.shape(state[name]) != np.shape(value):
+                raise ArgumentError(
+                    f"state[{name!r}] must have shape {np.shape(value)}: pass what "
+                    "`Controller.state` gave."
+                )
+        self._past.load(state)
+        self._mode, self._age = int(state["mode"]), int(state["age"])
+        self.samples, self.refused = int(state["samples"]), int(state["refused"])
+        self._u[:] = state["input"]
+        self.status = Status.OK
+
+    def __repr__(self) -> str:
+        return f"Controller({self.law.label}; step={self.step:g}, {self.table!r})"
+
+
+def _limits(
+    limits: tuple[ArrayLike, ArrayLike] | None, m: int
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    if limits is None:
+        return np.full(m, -math.inf), np.full(m, math.inf)
+    try:
+        low, high = limits
+    except (TypeError, ValueError):
+        raise ArgumentError(f"limits must be (low, high), got {limits!r}.") from None
+    low, high = (_bound(name, value, m) for name, value in (("low", low), ("high", high)))
+    if (low >= high).any():
+        raise ArgumentError(f"limits must have low < high, got {low.tolist()} and {high.tolist()}.")
+    return low, high
+
+
+def _bound(name: str, value: ArrayLike, m: int) -> np.ndarray:
+    given = np.asarray(value, dtype=float)
+    whole = np.broadcast_to(given, (m,)) if given.ndim == 0 else given
+    array = real_array(f"limits, {name}", whole, "(m,)", 1)
+    return shaped(f"limits, {name}", array, (m,), "(m,)")
+
+
+def _vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    """A float vector of the right size; its entries need not be finite."""
+    array = np.asarray(value, dtype=float)
+    if array.shape != (size,):
+        raise ArgumentError(f"{name} must have shape ({size},), got {array.shape}.")
+    return array

@@ -1,0 +1,107 @@
+"""Compiled sums over the past inputs: a period costs the same whatever N, and nothing drifts.
+
+A factorised row reads q = Σ_{j=1..M} S^{j−1} Γ u_{k−j}, M = N − 1. Moving the window by taking
+the oldest term away would multiply its round-off by e^{A t} for ever. Instead the inputs are cut
+into blocks of L = ⌈M/2⌉: the newest block has b < L inputs, the middle one is whole, and of the
+old one the f = M − L − b latest still count,
+
+    q = S^b (S^L Q_f + T) + B,    B, T, Q_f: Σ_{i≥1} S^{i−1} Γ w_i over the newest, the middle, and
+                                  the f latest inputs of the old block, the latest first.
+
+Q_1, …, Q_L of a block are computed one a period while it is in the middle, so that no period
+does more than another, and every sum is made afresh once a block.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _add_product(M, v, result):
+    """result += M v."""
+    for i in range(M.shape[0]):
+        total = 0.0
+        for j in range(M.shape[1]):
+            total += M[i, j] * v[j]
+        result[i] += total
+
+
+@njit(cache=True)
+def push(u, place, ring):
+    """u becomes the latest input; from place[0] on `ring` (2N, m) holds the last N in a row."""
+    count = ring.shape[0] // 2
+    at = place[0]
+    ring[at] = u
+    ring[at + count] = u
+    place[0] = (at + 1) % count
+
+
+@njit(cache=True)
+def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
+    """Let the block sums follow the `push` of u.
+
+    place : (position in the ring, b, which half of `partial` is the old block's)
+    steps : (L, q, m) S^i Γ;  power : (q, q) S^b;  sums : (2, q) B and T
+    partial : (2, L + 1, q) Q of the old and of the middle block;  spare : (q, q)
+    """
+    count, L, size = ring.shape[0] // 2, steps.shape[0], S.shape[0]
+    spare[0] = sums[0]
+    sums[0] = 0.0
+    _add_product(S, spare[0], sums[0])
+    _add_product(steps[0], u, sums[0])
+    b = place[1] + 1
+    filling = partial[1 - place[2]]
+    filling[b] = filling[b - 1]
+    # The middle block's input b is 2b − 1 inputs before the latest.
+    latest = place[0] + count - 1
+    _add_product(steps[b - 1], ring[(latest - 2 * b + 1) % count], filling[b])
+    if b < L:
+        for i in range(size):
+            for j in range(size):
+                spare[i, j] = 0.0
+                for k in range(size):
+                    spare[i, j] += S[i, k] * power[k, j]
+        power[:] = spare
+        place[1] = b
+        return
+    place[1], place[2] = 0, 1 - place[2]
+    sums[1] = sums[0]
+    sums[0] = 0.0
+    power[:] = 0.0
+    for i in range(size):
+        power[i, i] = 1.0
+
+
+@njit(cache=True)
+def window_sum(window, place, whole, power, sums, partial, spare, q):
+    """q of the module; `window` is M and `whole` S^L."""
+    L = partial.shape[1] - 1
+    spare[0] = sums[1]
+    _add_product(whole, partial[place[2], window - L - place[1]], spare[0])
+    q[:] = sums[0]
+    _add_product(power, spare[0], q)
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def dense_row(F, G, x, place, ring, u):
+    """u = F x + G (the past inputs), G (m, N m) with the oldest first."""
+    m = ring.shape[1]
+    count = ring.shape[0] // 2
+    past = ring.reshape(-1)[place[0] * m : (place[0] + count) * m]
+    for i in range(m):
+        total = 0.0
+        for j in range(past.size):
+            total += G[i, j] * past[j]
+        for j in range(x.size):
+            total += F[i, j] * x[j]
+        u[i] = total
+
+
+@njit(cache=True)
+def factored_row(F, H, last, x, q, place, ring, u):
+    """u = F x + H q + (last tap) u_{k−N}."""
+    u[:] = 0.0
+    _add_product(F, x, u)
+    _add_product(H, q, u)
+    _add_product(last, ring[place[0]], u)

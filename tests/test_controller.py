@@ -1,0 +1,232 @@
+"""`Controller`: the same law as `simulate` runs, period by period, whatever comes in."""
+
+import math
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+from deadtime.controller import Status
+
+STEP = 0.1
+GENERIC = plants.generic()
+RUNNING = [name for name in plants.LAWS if name != "exact"]
+
+
+def expected_inputs(table, x, modes, applied, history=None):
+    """u_k from rows of the table, and Σ|terms|; `applied` (K, m) are the inputs that acted."""
+    taps, m = table.input_gain.shape[1:3]
+    past = np.zeros((taps, m)) if history is None else history
+    past = np.concatenate((past, applied))[: taps + len(x) - 1]
+    windows = np.lib.stride_tricks.sliding_window_view(past, taps, axis=0)[..., ::-1]
+    rows = table.rows(modes)
+    u, scale = np.empty((len(x), m)), np.empty((len(x), m))
+    for row in np.unique(rows):
+        at = rows == row
+        F, G = table.state_gain[row], table.input_gain[row].transpose(1, 2, 0).reshape(m, -1)
+        seen = windows[at].reshape(at.sum(), -1)
+        u[at] = x[at] @ F.T + seen @ G.T
+        scale[at] = np.abs(x[at]) @ np.abs(F).T + np.abs(seen) @ np.abs(G).T
+    return u, scale
+
+
+def recorded(plant, count, seed=0):
+    """Bounded states, modes that last a few samples, and inputs that acted."""
+    rng = np.random.default_rng(seed)
+    modes = np.repeat(rng.integers(0, plant.modes, count), rng.integers(1, 9, count))[:count]
+    return rng.normal(size=(count, plant.states)), modes, rng.normal(size=(count, plant.inputs))
+
+
+def run(controller, x, modes, applied=None):
+    """All inputs of a controller; `applied[k]` is reported at the call after."""
+    return np.array(
+        [
+            controller.update(
+                x[k], int(modes[k]), applied[k - 1] if applied is not None and k else None
+            )
+            for k in range(len(x))
+        ]
+    )
+
+
+@pytest.mark.parametrize("step", [STEP, 0.003], ids=["3 taps", "78 taps"])
+@pytest.mark.parametrize("name", RUNNING)
+def test_every_law_gives_what_its_table_says_whatever_was_applied(name, step):
+    law = plants.LAWS[name](GENERIC)
+    table = law.digital(step)
+    x, modes, applied = recorded(GENERIC, 3000)
+    u, scale = expected_inputs(table, x, modes, applied)
+    assert (np.abs(run(dt.Controller(law, step), x, modes, applied) - u) <= 1e-14 * scale).all()
+
+
+@pytest.mark.parametrize("name", ["averaged", "single", "mean with gains"])
+def test_a_long_delay_loses_no_digits_over_many_windows(name):
+    law = plants.LAWS[name](GENERIC)
+    table = law.digital(0.234 / 1000)
+    assert table.factor is not None
+    x, modes, applied = recorded(GENERIC, 12_000)
+    u, scale = expected_inputs(table, x, modes, applied)
+    found = run(dt.Controller(law, 0.234 / 1000), x, modes, applied)
+    assert (np.abs(found - u) <= 1e-12 * scale).all()
+
+
+@pytest.mark.parametrize("taps", [*range(33, 40), 64])
+def test_block_sums_hold_at_every_length_of_the_window(taps):
+    plant = dt.SwitchedSystem(GENERIC.A, GENERIC.B, taps * 0.004)
+    law = plants.LAWS["averaged"](plant)
+    x, modes, applied = recorded(plant, 300, taps)
+    u, scale = expected_inputs(law.digital(0.004), x, modes, applied)
+    assert (np.abs(run(dt.Controller(law, 0.004), x, modes, applied) - u) <= 1e-14 * scale).all()
+
+
+@pytest.mark.parametrize("name", RUNNING)
+def test_in_the_loop_it_gives_the_inputs_of_simulate(name):
+    """On a plant that is not the law's model."""
+    plant = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, 0.251)
+    law, signal = plants.LAWS[name](GENERIC), plants.off_grid()
+    u0 = np.random.default_rng(3).normal(size=(2, 26))
+    loop = dt.simulate(plant, law, signal, [1.0, -1.0, 0.5], 2.0, 0.01, u0)
+    controller = dt.Controller(law, 0.01, u0=u0[:, -24:])
+    found = run(controller, loop.states.T, loop.mode)
+    _, scale = expected_inputs(
+        law.digital(0.01), loop.states.T, loop.mode, loop.inputs.T, u0[:, -24:].T
+    )
+    # Its own inputs come back to it: an error may grow, though not far in two seconds.
+    assert (np.abs(found - loop.inputs.T) <= 1e-12 * np.maximum.accumulate(scale)).all()
+
+
+@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware", "expected"])
+def test_a_warm_restart_changes_no_bit(name):
+    law = plants.LAWS[name](GENERIC)
+    x, modes, applied = recorded(GENERIC, 500)
+    whole = run(dt.Controller(law, 0.003), x, modes, applied)
+    first, second = dt.Controller(law, 0.003), dt.Controller(law, 0.003)
+    run(first, x[:237], modes[:237], applied[:237])
+    second.restore(first.state)
+    assert (second.samples, repr(second)) == (237, repr(first))
+    later = [
+        second.update(x[k], int(modes[k]), applied[k - 1]).tolist() for k in range(237, len(x))
+    ]
+    assert later == whole[237:].tolist()
+    second.reset()
+    again = run(second, x, modes, applied)
+    assert again.tolist() == whole.tolist()
+
+
+def test_a_state_of_another_controller_is_refused():
+    state = dt.Controller(plants.LAWS["averaged"](GENERIC), 0.003).state
+    for law, step, message in (
+        ("mean", 0.003, "of the same law = mean"),
+        ("averaged", 0.004, "of the same step"),
+    ):
+        with pytest.raises(dt.ArgumentError, match=message):
+            dt.Controller(plants.LAWS[law](GENERIC), step).restore(state)
+    with pytest.raises(dt.ArgumentError, match=r"state\['ring'\] must have shape"):
+        dt.Controller(plants.LAWS["averaged"](GENERIC), 0.003).restore(state | {"ring": 0.0})
+
+
+def test_saturated_inputs_are_what_it_predicts_with():
+    law, low, high = plants.LAWS["averaged"](GENERIC), np.array([-0.5, -2.0]), 0.7
+    x, modes, _ = recorded(GENERIC, 400)
+    controller = dt.Controller(law, 0.003, limits=(low, high))
+    found, status = np.empty((400, 2)), []
+    for k in range(400):
+        found[k] = controller.update(x[k])
+        status.append(controller.status)
+    asked, scale = expected_inputs(law.digital(0.003), x, modes, found)
+    assert (np.abs(np.clip(asked, low, high) - found) <= 1e-13 * scale).all()
+    beyond = ((asked < low) | (asked > high)).any(axis=1)
+    assert 0 < beyond.sum() < 400
+    assert [one == Status.SATURATED for one in status] == beyond.tolist()
+    assert controller.refused == 0
+
+
+@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
+def test_what_is_unusable_is_refused_held_and_counted(name):
+    law = plants.LAWS[name](GENERIC)
+    x, modes, _ = recorded(GENERIC, 300)
+    modes = np.repeat(modes[:60], 5)
+    bad = {40: "x", 41: "x", 90: "applied", 150: "huge"}
+    if name != "averaged":
+        bad |= {200: "mode", 201: "mode"}
+    controller, found = dt.Controller(law, 0.003), np.empty((300, 2))
+    statuses = {
+        "x": Status.BAD_STATE,
+        "applied": Status.BAD_APPLIED,
+        "huge": Status.OVERFLOW,
+        "mode": Status.BAD_MODE,
+    }
+    for k in range(300):
+        kind = bad.get(k)
+        state = x[k] * {"x": math.nan, "huge": 1e308}.get(kind, 1.0)
+        mode = 7 if kind == "mode" else int(modes[k])
+        applied = [math.inf, 0.0] if kind == "applied" else None
+        found[k] = controller.update(state, mode, applied)
+        assert controller.status == statuses.get(kind, Status.OK)
+        if kind:
+            assert (found[k] == found[k - 1]).all()
+    assert controller.refused == len(bad)
+    assert np.isfinite(found).all()
+    # All other periods are as if the held inputs had been meant.
+    u, scale = expected_inputs(law.digital(0.003), x, modes, found)
+    good = [k for k in range(300) if k not in bad]
+    assert (np.abs(found - u)[good] <= 1e-13 * scale[good]).all()
+
+
+def test_a_refused_period_counts_for_the_age_of_the_mode():
+    law = plants.LAWS["averaged, dwell-aware"](GENERIC)
+    table = law.digital(0.05)
+    controller = dt.Controller(law, 0.05, mode_age=1)
+    modes = [1, 1, 9, 1, 1, 1, 2, 2]
+    x = np.eye(3)[0]
+    found = [controller.update(x, mode, np.zeros(2)) for mode in modes]
+    ages = [1, 2, None, 4, 5, 6, 0, 1]
+    for mode, age, u in zip(modes, ages, found, strict=True):
+        if age is not None:
+            row = mode * table.ages + min(age, table.ages - 1)
+            plants.close(u, table.state_gain[row] @ x, 1e-14)
+
+
+def test_out_is_written_in_place_and_answers_are_not_shared():
+    controller = dt.Controller(plants.LAWS["averaged"](GENERIC), STEP)
+    out = np.zeros(2)
+    assert controller.update([1.0, 2.0, 3.0], out=out) is out
+    kept = controller.update([1.0, 2.0, 3.0])
+    before = kept.copy()
+    controller.update([3.0, 2.0, 1.0])
+    assert (kept == before).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: dt.Controller(plants.LAWS["exact"](GENERIC), STEP), "ExactPredictor foresees"),
+        (
+            lambda: dt.Controller(
+                dt.StateDependentPredictor(
+                    GENERIC, plants.gains(GENERIC), lambda x: int(x[0] > 0.0)
+                ),
+                STEP,
+            ),
+            "StateDependentPredictor is no table",
+        ),
+        (lambda: limited((1.0, 1.0)), "limits must have low < high"),
+        (lambda: limited((0.0, [1.0, -1.0])), "limits must have low < high"),
+        (lambda: limited((0.0, [1.0, 1.0, 1.0])), r"limits, high must have shape \(m,\) = \(2,\)"),
+        (lambda: limited((math.nan, 1.0)), "limits, low"),
+        (lambda: limited(None).update([1.0, 2.0]), r"x must have shape \(3,\), got \(2,\)"),
+        (lambda: limited(None).update(np.ones(3), 0, [1.0]), r"applied must have shape \(2,\)"),
+        (
+            lambda: dt.Controller(plants.LAWS["expected"](GENERIC), STEP).update(np.ones(3)),
+            "mode must be given: the rows of this law depend on it",
+        ),
+    ],
+)
+def test_misuse_is_refused_by_name(make, message):
+    with pytest.raises(dt.ArgumentError, match=message):
+        make()
+
+
+def limited(limits):
+    return dt.Controller(plants.LAWS["averaged"](GENERIC), STEP, limits=limits)
