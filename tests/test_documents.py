@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import deadtime as dt
+from deadtime.controller import Status
 from deadtime.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -38,6 +39,16 @@ def test_python_of_the_page_on_certificates_runs(tmp_path, monkeypatch):
     assert names["certificate"].proven
     assert names["worst"].growth_rate > 0.0
     assert (tmp_path / "chart.png").stat().st_size > 10_000
+
+
+def test_python_of_the_page_on_the_controller_runs(capsys):
+    page = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", page, re.S):
+        exec(compile(code, "controller.md", "exec"), names)
+    assert capsys.readouterr().out.splitlines()[-1] == "True"
+    for status in Status:
+        assert f"| {status.value} `{status.name}` |" in page
 
 
 def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
