@@ -117,6 +117,7 @@ def test_a_proof_is_stated_and_needs_no_figure_of_a_witness(made_up):
     assert [name for name, _, _ in section.figures] == ["certificates-reach"]
     assert section.rows == [("averaged", "yes", "0.3", "yes", "−0.40", "none")]
     assert section.statement == ("For every signal.",)
+    assert section.statement_of in {row[0] for row in section.rows if row[3] == "yes"}
 
 
 def test_an_ideal_problem_is_asked_about_a_sampled_loop(made_up):

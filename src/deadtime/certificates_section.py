@@ -32,8 +32,8 @@ class Section:
         What the certificates are about, seconds.
     headings, rows, sentences
         The table of verdicts, and a sentence or two per law.
-    statement : tuple of str
-        What is proved, and about which numbers: of the first certificate that is a proof.
+    statement, statement_of : tuple of str, str
+        What is proved, and about which numbers: of the first certificate that is a proof; its law.
     figures : list of (name, caption, Figure)
     """
 
@@ -43,6 +43,7 @@ class Section:
     rows: list[tuple[str, ...]]
     sentences: list[str]
     statement: tuple[str, ...]
+    statement_of: str
     figures: list[tuple[str, str, Figure]]
 
 
@@ -68,10 +69,14 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
         figures.append(reach[1])
     progress("drawing: worst signals")
     figures = [*_witness_figures(problem, judged), *figures]
-    proofs = [one.certificate for one in judged if one.certificate and one.certificate.proven]
-    statement = proofs[0].statement if proofs else ()
+    proofs = [
+        (one.certificate.statement, one.law)
+        for one in judged
+        if one.certificate and one.certificate.proven
+    ]
+    statement, law = proofs[0] if proofs else ((), "")
     rows = judged_rows(judged)
-    return Section(dwell, step, HEADINGS, rows, sentences, statement, figures)
+    return Section(dwell, step, HEADINGS, rows, sentences, statement, law, figures)
 
 
 def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:
