@@ -107,7 +107,7 @@ def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
     assert ("oracle", "no answer", "–", "–", "–", "–") in section.rows
     assert section.sentences[0] == "averaged: Not stable: mode 1 for ever."
     assert section.sentences[-1].startswith(
-        "Distances allowed, each as a multiple of the one before: sharp 10^10.2"
+        "Distances allowed, each as a multiple of the one before: sharp × 10^10.2"
     )
     assert section.statement == ()
 

@@ -181,13 +181,18 @@ def _at(problem: Problem, name: str, alpha: float, stable: bool = True) -> Reach
     return Reach(name, math.log10(distance(*moved(problem, alpha))), alpha, stable)
 
 
+def _times(log10: float) -> str:
+    """A factor in a sentence."""
+    return f"× {10.0**log10:.3g}" if log10 < 3.0 else f"× 10^{log10:.1f}"
+
+
 def _gained(reaches: list[Reach]) -> list[str]:
     """What the steps gain, in a sentence."""
     good = [reach for reach in reaches if reach.stable]
     if len(good) < 2:
         return []
     gains = "; ".join(
-        f"{after.name} 10^{after.log10_distance - before.log10_distance:.1f}"
+        f"{after.name} {_times(after.log10_distance - before.log10_distance)}"
         for before, after in pairwise(good)
         if after.log10_distance - before.log10_distance >= 0.05
     )

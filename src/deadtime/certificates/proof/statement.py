@@ -50,7 +50,7 @@ def statement(evidence: Evidence, cells: int) -> tuple[str, ...]:
         else "the plant"
     )
     rate = decay_rate(evidence)
-    falls = f"by the factor ρ² = {rho**2!r} or more" if rate else "strictly"
+    falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
     pace = f" decays at least like exp(−{rounded_down(rate, 6)} t)" if rate else " decays to zero"
     rows = {
         "none": "nothing (one row)",
