@@ -111,3 +111,20 @@ def close(value, reference, tolerance, scale=None):
     scale = np.abs(reference).max() if scale is None else scale
     error = np.abs(value - reference).max()
     assert error <= tolerance * scale, f"relative error {error / scale:.1e} > {tolerance:.0e}"
+
+
+def expected_inputs(table, x, modes, applied, history=None):
+    """u_k from rows of the table, and Σ|terms|; `applied` (K, m) are the inputs that acted."""
+    taps, m = table.input_gain.shape[1:3]
+    past = np.zeros((taps, m)) if history is None else history
+    past = np.concatenate((past, applied))[: taps + len(x) - 1]
+    windows = np.lib.stride_tricks.sliding_window_view(past, taps, axis=0)[..., ::-1]
+    rows = table.rows(modes)
+    u, scale = np.empty((len(x), m)), np.empty((len(x), m))
+    for row in np.unique(rows):
+        at = rows == row
+        F, G = table.state_gain[row], table.input_gain[row].transpose(1, 2, 0).reshape(m, -1)
+        seen = windows[at].reshape(at.sum(), -1)
+        u[at] = x[at] @ F.T + seen @ G.T
+        scale[at] = np.abs(x[at]) @ np.abs(F).T + np.abs(seen) @ np.abs(G).T
+    return u, scale

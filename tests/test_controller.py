@@ -14,23 +14,6 @@ GENERIC = plants.generic()
 RUNNING = [name for name in plants.LAWS if name != "exact"]
 
 
-def expected_inputs(table, x, modes, applied, history=None):
-    """u_k from rows of the table, and Σ|terms|; `applied` (K, m) are the inputs that acted."""
-    taps, m = table.input_gain.shape[1:3]
-    past = np.zeros((taps, m)) if history is None else history
-    past = np.concatenate((past, applied))[: taps + len(x) - 1]
-    windows = np.lib.stride_tricks.sliding_window_view(past, taps, axis=0)[..., ::-1]
-    rows = table.rows(modes)
-    u, scale = np.empty((len(x), m)), np.empty((len(x), m))
-    for row in np.unique(rows):
-        at = rows == row
-        F, G = table.state_gain[row], table.input_gain[row].transpose(1, 2, 0).reshape(m, -1)
-        seen = windows[at].reshape(at.sum(), -1)
-        u[at] = x[at] @ F.T + seen @ G.T
-        scale[at] = np.abs(x[at]) @ np.abs(F).T + np.abs(seen) @ np.abs(G).T
-    return u, scale
-
-
 def recorded(plant, count, seed=0):
     """Bounded states, modes that last a few samples, and inputs that acted."""
     rng = np.random.default_rng(seed)
@@ -56,7 +39,7 @@ def test_every_law_gives_what_its_table_says_whatever_was_applied(name, step):
     law = plants.LAWS[name](GENERIC)
     table = law.digital(step)
     x, modes, applied = recorded(GENERIC, 3000)
-    u, scale = expected_inputs(table, x, modes, applied)
+    u, scale = plants.expected_inputs(table, x, modes, applied)
     assert (np.abs(run(dt.Controller(law, step), x, modes, applied) - u) <= 1e-14 * scale).all()
 
 
@@ -66,7 +49,7 @@ def test_a_long_delay_loses_no_digits_over_many_windows(name):
     table = law.digital(0.234 / 1000)
     assert table.factor is not None
     x, modes, applied = recorded(GENERIC, 12_000)
-    u, scale = expected_inputs(table, x, modes, applied)
+    u, scale = plants.expected_inputs(table, x, modes, applied)
     found = run(dt.Controller(law, 0.234 / 1000), x, modes, applied)
     assert (np.abs(found - u) <= 1e-12 * scale).all()
 
@@ -76,7 +59,7 @@ def test_block_sums_hold_at_every_length_of_the_window(taps):
     plant = dt.SwitchedSystem(GENERIC.A, GENERIC.B, taps * 0.004)
     law = plants.LAWS["averaged"](plant)
     x, modes, applied = recorded(plant, 300, taps)
-    u, scale = expected_inputs(law.digital(0.004), x, modes, applied)
+    u, scale = plants.expected_inputs(law.digital(0.004), x, modes, applied)
     assert (np.abs(run(dt.Controller(law, 0.004), x, modes, applied) - u) <= 1e-14 * scale).all()
 
 
@@ -89,7 +72,7 @@ def test_in_the_loop_it_gives_the_inputs_of_simulate(name):
     loop = dt.simulate(plant, law, signal, [1.0, -1.0, 0.5], 2.0, 0.01, u0)
     controller = dt.Controller(law, 0.01, u0=u0[:, -24:])
     found = run(controller, loop.states.T, loop.mode)
-    _, scale = expected_inputs(
+    _, scale = plants.expected_inputs(
         law.digital(0.01), loop.states.T, loop.mode, loop.inputs.T, u0[:, -24:].T
     )
     # Its own inputs come back to it: an error may grow, though not far in two seconds.
@@ -134,7 +117,7 @@ def test_saturated_inputs_are_what_it_predicts_with():
     for k in range(400):
         found[k] = controller.update(x[k])
         status.append(controller.status)
-    asked, scale = expected_inputs(law.digital(0.003), x, modes, found)
+    asked, scale = plants.expected_inputs(law.digital(0.003), x, modes, found)
     assert (np.abs(np.clip(asked, low, high) - found) <= 1e-13 * scale).all()
     beyond = ((asked < low) | (asked > high)).any(axis=1)
     assert 0 < beyond.sum() < 400
@@ -169,7 +152,7 @@ def test_what_is_unusable_is_refused_held_and_counted(name):
     assert controller.refused == len(bad)
     assert np.isfinite(found).all()
     # All other periods are as if the held inputs had been meant.
-    u, scale = expected_inputs(law.digital(0.003), x, modes, found)
+    u, scale = plants.expected_inputs(law.digital(0.003), x, modes, found)
     good = [k for k in range(300) if k not in bad]
     assert (np.abs(found - u)[good] <= 1e-13 * scale[good]).all()
 

@@ -9,6 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.controller import Status
+from deadtime.imperfections import ActuatorImperfection, SensorImperfection
 from deadtime.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -27,11 +28,8 @@ def test_python_of_the_readme_runs_and_draws(tmp_path, monkeypatch, capsys):
 
 
 def test_python_of_the_page_on_certificates_runs(tmp_path, monkeypatch):
-    page = (ROOT / "docs" / "certificates.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    names = {}
-    for code in re.findall(r"```python\n(.*?)```", page, re.S):
-        exec(compile(code, "certificates.md", "exec"), names)
+    page, names = run_page("certificates.md")
     for cell in re.findall(r"^\| [^`|]*\| `(lambda .*?)` \|$", page, re.M):
         value = 1.0 if cell.startswith(("lambda a", "lambda D")) else 0.1
         plant, law = eval(cell, names)(value)
@@ -41,14 +39,27 @@ def test_python_of_the_page_on_certificates_runs(tmp_path, monkeypatch):
     assert (tmp_path / "chart.png").stat().st_size > 10_000
 
 
-def test_python_of_the_page_on_the_controller_runs(capsys):
-    page = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
-    names = {}
+def run_page(name):
+    """What the Python of a page leaves behind."""
+    page, names = (ROOT / "docs" / name).read_text(encoding="utf-8"), {}
     for code in re.findall(r"```python\n(.*?)```", page, re.S):
-        exec(compile(code, "controller.md", "exec"), names)
+        exec(compile(code, name, "exec"), names)
+    return page, names
+
+
+def test_python_of_the_page_on_the_controller_runs(capsys):
+    page, _ = run_page("controller.md")
     assert capsys.readouterr().out.splitlines()[-1] == "True"
     for status in Status:
         assert f"| {status.value} `{status.name}` |" in page
+
+
+def test_python_of_the_page_on_imperfections_runs_and_names_them_all():
+    page, names = run_page("imperfections.md")
+    assert not names["run"].diverged
+    kinds = [SensorImperfection, ActuatorImperfection]
+    for kind in (one for base in kinds for one in base.__subclasses__()):
+        assert f"| `{kind.__name__}(" in page
 
 
 def test_commands_of_the_readme_exist(tmp_path, monkeypatch):

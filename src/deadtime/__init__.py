@@ -8,7 +8,7 @@ right-continuous; arrays index (mode, …), (signal, time).
 
 from typing import TYPE_CHECKING, Any
 
-from deadtime import problems
+from deadtime import imperfections, problems
 from deadtime.controller import Controller
 from deadtime.errors import (
     ArgumentError,
@@ -100,6 +100,7 @@ __all__ = [
     "delay_margin",
     "falsify",
     "growth_rate",
+    "imperfections",
     "lqr",
     "monte_carlo",
     "place",

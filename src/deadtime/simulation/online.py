@@ -148,8 +148,9 @@ def run_online(
     x0: np.ndarray,
     horizon: float,
     grid: Grid,
+    update: Update | None = None,
 ) -> Outcome:
-    """Run a law along a signal or under a rule, period by period."""
+    """Run a law along a signal or under a rule, period by period; `update` in its place."""
     window = grid.window
     if isinstance(switching, SwitchingSignal):
         age = initial_age(switching, window.step)
@@ -157,7 +158,7 @@ def run_online(
     else:
         age = 0
         truth = RuleTruth(plant, switching, window, x0)
-    update = law.online(window.step)
+    update = law.online(window.step) if update is None else update
     with np.errstate(over="ignore", invalid="ignore"):
         kept, states, at_phase, stop = _run(truth, update, age, x0, horizon, grid)
     total = kept + window.count - 1

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.imperfections import Imperfection
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Grid, Outcome, run_table
 from deadtime.simulation.ideal import run_ideal
+from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
@@ -31,6 +34,9 @@ def simulate(
     step: float | None = 0.01,
     u0: InitialInput = None,
     times: ArrayLike | None = None,
+    imperfections: Sequence[Imperfection] = (),
+    seed: int = 0,
+    predict: str = "applied",
 ) -> Trajectory:
     """Simulate a plant under a law.
 
@@ -63,6 +69,14 @@ def simulate(
     times : array_like, shape (T,), optional
         Instants in [0, horizon] to report, instead of the samples. A run that ends early drops
         those past its end.
+    imperfections : sequence of Imperfection
+        What sensors and actuators do (`deadtime.imperfections`), in this order; digital loop only.
+        Then `run.inputs` are the inputs applied, `run.commanded` those asked for and
+        `run.measured` what the law was told of x.
+    seed : int
+        Of all that is random in them.
+    predict : "applied" or "commanded"
+        Which past inputs the law is told of, where the actuator changes them.
 
     Returns
     -------
@@ -95,12 +109,20 @@ def simulate(
         switching = as_rule("signal", signal).require(plant)
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
+    imperfect = None
+    if imperfections:
+        if step is None:
+            raise ArgumentError(
+                "imperfections act at samples: give a step, the ideal loop has no samples."
+            )
+        imperfect = ImperfectLaw(plant, law, positive("step", step), imperfections, seed, predict)
     if step is None:
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
-        outcome = _digital(plant, law, switching, x0, horizon, positive("step", step), u0)
+        step = positive("step", step)
+        outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect)
     end = horizon if outcome.end is None else outcome.end
-    return trajectory_of(
+    run = trajectory_of(
         outcome.record,
         plant,
         outcome.signal,
@@ -110,6 +132,14 @@ def simulate(
         asked,
         outcome.diverged,
         _message(outcome, end, horizon),
+    )
+    if imperfect is None:
+        return run
+    kept = len(outcome.record.states_at(outcome.record.grid(end)))
+    return replace(
+        run,
+        measured=np.array(imperfect.measured[:kept]).T,
+        commanded=np.array(imperfect.commanded[:kept]).T,
     )
 
 
@@ -149,6 +179,7 @@ def _digital(
     horizon: float,
     step: float,
     u0: InitialInput,
+    imperfect: ImperfectLaw | None,
 ) -> Outcome:
     """The digital run: at once for a table law on a known signal, otherwise period by period."""
     if max(horizon, plant.delay, law.plant.delay) / step > _MOST_SAMPLES:
@@ -157,9 +188,9 @@ def _digital(
             f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."
         )
     grid = Grid.of(plant, law, horizon, step, u0)
-    if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal):
+    if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal) and not imperfect:
         return run_table(plant, law, switching, x0, grid)
-    return run_online(plant, law, switching, x0, horizon, grid)
+    return run_online(plant, law, switching, x0, horizon, grid, imperfect)
 
 
 def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:

@@ -45,6 +45,10 @@ class Trajectory:
     message : str
         What is worth knowing: when and why the run diverged or was chattering, that its signal was
         continued. Often empty.
+    measured : (n, samples) or None
+        What the law was told of x, NaN where nothing arrived; of runs with imperfections.
+    commanded : (m, samples) or None
+        What the law asked for, `inputs` being what was applied; of runs with imperfections.
     """
 
     time: Float[np.ndarray, " T"]
@@ -58,6 +62,8 @@ class Trajectory:
     signal: SwitchingSignal = field(repr=False)
     record: DigitalRecord | IdealRecord = field(repr=False)
     end: float = field(repr=False)
+    measured: Float[np.ndarray, "n samples"] | None = field(default=None, repr=False)
+    commanded: Float[np.ndarray, "m samples"] | None = field(default=None, repr=False)
 
     @property
     def history(self) -> Float[np.ndarray, "m N"] | InputHistory:

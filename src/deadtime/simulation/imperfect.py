@@ -1,0 +1,93 @@
+"""A law between sensors and actuators that are not perfect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deadtime.checks import count
+from deadtime.errors import ArgumentError
+from deadtime.imperfections import (
+    ActuatorImperfection,
+    Imperfection,
+    Seen,
+    SensorImperfection,
+    Sizes,
+    streams,
+)
+from deadtime.laws.base import Law, Update
+from deadtime.plant import SwitchedSystem
+
+
+class ImperfectLaw:
+    """An `Update` that senses and acts through imperfections.
+
+    Where nothing usable arrives the last input is asked for again. The law's past inputs are
+    those applied, or with predict = "commanded" those asked for.
+
+    Attributes
+    ----------
+    measured : (samples, n)
+        What the law was told of x, NaN where nothing arrived.
+    commanded : (samples, m)
+        What it asked for.
+    """
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        law: Law,
+        step: float,
+        imperfections: Sequence[Imperfection],
+        seed: int,
+        predict: str,
+    ) -> None:
+        if predict not in ("applied", "commanded"):
+            raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
+        sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
+        generators = streams(imperfections, count("seed", seed, 0))
+        pairs = list(zip(imperfections, generators, strict=True))
+        self._sensors = [
+            one.sensor(sizes, rng) for one, rng in pairs if isinstance(one, SensorImperfection)
+        ]
+        self._actuators = [
+            one.actuator(sizes) for one, _ in pairs if isinstance(one, ActuatorImperfection)
+        ]
+        self._update: Update = law.online(step)
+        self._tells_commands = predict == "commanded"
+        self._pipe: np.ndarray | None = None
+        self._mode, self._age = -1, 0
+        self.measured: list[np.ndarray] = []
+        self.commanded: list[np.ndarray] = []
+
+    def __call__(self, x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        seen = Seen(x, mode)
+        for sense in self._sensors:
+            seen = sense(seen)
+        self._follow(seen.mode, age)
+        if self._pipe is None:
+            self._pipe = past.copy()
+        asked = self._asked(seen.x, self._pipe if self._tells_commands else past)
+        self._pipe[:-1] = self._pipe[1:]
+        self._pipe[-1] = asked
+        self.measured.append(seen.x)
+        self.commanded.append(asked)
+        for act in self._actuators:
+            asked = act(asked, past[-1])
+        return asked
+
+    def _follow(self, mode: int, age: int) -> None:
+        """The sampled mode as the law sees it, and its age."""
+        if self._mode < 0:
+            self._age = age
+        elif mode not in (-1, self._mode):
+            self._age = 0
+        else:
+            self._age += 1
+        self._mode = self._mode if mode < 0 else mode
+
+    def _asked(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
+        if self._mode < 0 or not np.isfinite(x).all():
+            return self.commanded[-1] if self.commanded else past[-1].copy()
+        return self._update(x, past, self._mode, self._age)
