@@ -171,6 +171,24 @@ def test_a_law_that_is_told_of_saturation_survives_more_of_it(size, told, untold
         assert found > 1e9 if cost == math.inf else found == pytest.approx(cost, abs=1.0)
 
 
+def test_every_law_of_a_scenario_meets_the_same_imperfections():
+    laws = {name: plants.LAWS[name](MODEL) for name in ("averaged", "mean")}
+    model, kinds = dt.SemiMarkov([0.37, 0.41, 0.33]), [Noise(0.2), Dropout(0.1)]
+    options = {"x0": X0, "horizon": 1.5, "step": 0.05, "seed": 5}
+    few, more = (
+        dt.monte_carlo(PLANT, laws, model, scenarios=n, imperfections=kinds, **options)
+        for n in (2, 4)
+    )
+    assert (more.cost.isel(scenario=slice(2)) == few.cost).all()
+    alone = dt.monte_carlo(
+        PLANT, {"mean": laws["mean"]}, model, scenarios=4, imperfections=kinds, **options
+    )
+    assert (alone.cost.sel(law="mean") == more.cost.sel(law="mean")).all()
+    plain = dt.monte_carlo(PLANT, laws, model, scenarios=4, **options)
+    assert (plain.cost != more.cost).all()
+    assert more.attrs["imperfections"] == [repr(kind) for kind in kinds]
+
+
 def test_a_plant_that_switches_by_its_state_takes_imperfections_too():
     rule = dt.HalfSpace([1.0, 0.0], 0.0)
     plant = dt.problems.paper().plant

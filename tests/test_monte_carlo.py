@@ -69,6 +69,7 @@ def test_dataset_is_labelled_with_names_units_and_its_setting():
         "inputs": 1,
         "delay": 1.0,
         "backend": "numba",
+        "imperfections": [],
         "message": "",
         "version": dt.__version__,
     }

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import positive, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.imperfections import Imperfection
 from deadtime.laws.base import Law
 from deadtime.monte_carlo.signals import SignalAt, SwitchingModel, signals_of
 from deadtime.plant import SwitchedSystem
@@ -53,6 +54,7 @@ def monte_carlo(
     seed: int = 0,
     backend: str = "numba",
     progress: Progress | None = None,
+    imperfections: Sequence[Imperfection] = (),
 ) -> xr.Dataset:
     """Run several laws over many switching signals, every law on the same ones.
 
@@ -84,6 +86,9 @@ def monte_carlo(
         How to compute; "numba" is the only one so far.
     progress : callable, optional
         Called as ``progress(done, total)`` after each scenario.
+    imperfections : sequence of Imperfection
+        What sensors and actuators do, as in `simulate`; scenario i draws the same for every law,
+        whatever the number of scenarios.
 
     Returns
     -------
@@ -119,8 +124,11 @@ def monte_carlo(
     delay = max(plant.delay, *(law.plant.delay for law in named.values()))
     signal_at, scenarios = signals_of(model, scenarios, seed, horizon + delay, plant.modes)
 
-    def run(law: Law, signal: SwitchingSignal):
-        return simulate(plant, law, signal, x0, horizon, step)
+    def run(law: Law, signal: SwitchingSignal, scenario: int):
+        drawn = int(np.random.SeedSequence([seed, scenario]).generate_state(1)[0])
+        return simulate(
+            plant, law, signal, x0, horizon, step, imperfections=imperfections, seed=drawn
+        )
 
     values, diverged, continued = _loop(named, signal_at, scenarios, horizon, run, progress)
     attributes = {
@@ -132,6 +140,7 @@ def monte_carlo(
         "inputs": plant.inputs,
         "delay": plant.delay,
         "backend": backend,
+        "imperfections": [repr(one) for one in imperfections],
         "message": _message(continued, scenarios),
     }
     return _dataset(list(named), values, diverged, attributes)
@@ -142,7 +151,7 @@ def _loop(
     signal_at: SignalAt,
     scenarios: int,
     horizon: float,
-    run: Callable[[Law, SwitchingSignal], Any],
+    run: Callable[[Law, SwitchingSignal, int], Any],
     progress: Progress | None,
 ) -> tuple[dict[str, np.ndarray], np.ndarray, int]:
     """Metrics and divergence of every law on every signal; how many signals ended early."""
@@ -153,7 +162,7 @@ def _loop(
         signal = signal_at(i)
         continued += signal.end < horizon
         for row, law in enumerate(laws.values()):
-            trajectory = run(law, signal)
+            trajectory = run(law, signal, i)
             diverged[row, i] = trajectory.diverged
             for name, value in trajectory.metrics().items():
                 values[name][row, i] = value
