@@ -29,7 +29,7 @@ AGE_LEVELS = (Level(0), Level(2, 3))  # where the rows change with the age, S mu
 FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 LARGEST = 3000  # order that memory allows
-PARTS = (0.9, 0.6, 0.3, 0.1)  # of the slowest mode's decay, tried as the certified one
+PARTS = (0.9, 0.6, 0.3, 0.1)  # of what the modes alone allow, tried as the certified decay
 SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 GROWS = 1e-7  # 1/s: growth that round-off does not explain
 
@@ -71,7 +71,8 @@ def certify(
         A range of the plant's true delay, in seconds, within which it is constant; by default the
         plant's delay. The law's table stays what it is.
     decay_rate : float, optional
-        The rate to certify, 1/s; by default one close to the slowest mode's.
+        The rate to certify, 1/s; by default one close to the slowest mode's, or with
+        `maximum_dwell` the best tried.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
 
@@ -141,26 +142,28 @@ def _decide(
     search_signals: bool,
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
-    slowest, delays = -math.inf, sorted(set(setting.delays))
+    delays = sorted(set(setting.delays))
     corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in delays]
+    rates = [
+        (growth_rate(corner, law, mode, setting.step), mode, corner)
+        for corner in corners
+        for mode in range(corner.modes)
+    ]
+    slowest, mode, corner = max(rates, key=lambda item: item[0])
     if setting.maximum_dwell is None:
-        rates = [
-            (growth_rate(corner, law, mode, setting.step), mode, corner)
-            for corner in corners
-            for mode in range(corner.modes)
-        ]
-        slowest, mode, corner = max(rates, key=lambda item: item[0])
         if slowest > GROWS and not search_signals:
             return Certificate(None, f"Held in mode {mode} it grows at {slowest:+.4g} 1/s.")
         if slowest > GROWS:
             return _refuted(corner, law, setting, f"held in mode {mode} for ever it grows")
-    if wanted is not None and slowest > -wanted:
-        return Certificate(
-            None,
-            f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays at "
-            f"{-slowest:.4g} 1/s.",
-        )
-    fastest = -slowest if math.isfinite(slowest) else 1.0 / plants[0].delay
+        if wanted is not None and slowest > -wanted:
+            return Certificate(
+                None,
+                f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays "
+                f"at {-slowest:.4g} 1/s.",
+            )
+        fastest = max(0.0, -slowest)
+    else:  # no mode lasts: at best the loop decays as in the fastest one
+        fastest = max(0.0, *(-rate for rate, _, _ in rates))
     evidence, outcome = _evidence(setting, _rates(wanted, fastest))
     if evidence is not None:
         return Certificate.of(evidence, outcome.cells)
@@ -187,7 +190,7 @@ def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Ch
         if wide and level.eigenvectors > 2:
             break
         search = Search(setting, level)
-        rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS) for rate in rates]
+        rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
         slowest = search.propose(rhos[-1])
         if slowest is None:
             continue
@@ -214,7 +217,7 @@ def _rates(wanted: float | None, fastest: float) -> list[float]:
     """Decay rates to try, best first; `fastest` is what the modes alone allow."""
     if wanted is not None:
         return [wanted]
-    return [part * fastest for part in PARTS] + [0.0]
+    return [part * fastest for part in PARTS if fastest > 0.0] + [0.0]
 
 
 def _refuted(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:
