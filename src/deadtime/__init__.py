@@ -34,6 +34,8 @@ from deadtime.laws import (
 )
 from deadtime.lyapunov import common_lyapunov
 from deadtime.monte_carlo import monte_carlo
+from deadtime.observers import Observer, kalman, luenberger
+from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.spectrum import characteristic_roots, growth_rate
@@ -46,6 +48,7 @@ from deadtime.switching import (
     SemiMarkov,
     SwitchingSignal,
 )
+from deadtime.tracking import Servo
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
@@ -81,10 +84,13 @@ __all__ = [
     "Law",
     "Markov",
     "MeanPredictor",
+    "Observer",
     "OptimalPredictor",
+    "OutputFeedback",
     "Polyhedra",
     "ProblemFileError",
     "SemiMarkov",
+    "Servo",
     "SingleModePredictor",
     "StateDependentPredictor",
     "StudyFileError",
@@ -101,7 +107,9 @@ __all__ = [
     "falsify",
     "growth_rate",
     "imperfections",
+    "kalman",
     "lqr",
+    "luenberger",
     "monte_carlo",
     "place",
     "problems",

@@ -1,27 +1,37 @@
 """Gains for every mode, in the paper's sign: u = +K x.
 
 python-control's and SciPy's own functions give u = −K x; here A_i + B_i K_i has the poles.
+
+With a step the gains are designed for the loop that runs at that period. A predictor law holds
+u_k = K P_k, P_k = x(t_k + D); over [t_k + D, t_{k+1} + D) the plant sees that u_k and no other,
+whatever the delay, so
+
+    P_{k+1} = (Φ + Γ K) P_k,    Φ = e^{Ah},  Γ = ∫₀^h e^{As} ds B:
+
+no delay is left in it. Its poles are e^{ph}, and its cost from time D on is a sum over periods.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import real_array
+from deadtime.checks import positive, real_array
 from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
+from deadtime.pole_placement import place_pair, pole_lists, reachable, require_controllable
+from deadtime.sampled import gramian, held_pair, quotient, quotient_poles
 
 
 def place(
-    plant: SwitchedSystem, poles: ArrayLike | Sequence[ArrayLike]
+    plant: SwitchedSystem,
+    poles: ArrayLike | Sequence[ArrayLike],
+    step: float | None = None,
 ) -> Float[np.ndarray, "mode m n"]:
-    """Gains that place the poles of A_i + B_i K_i.
+    """Gains that place the poles of A_i + B_i K_i, or of the loop run at a period.
 
     Parameters
     ----------
@@ -29,6 +39,10 @@ def place(
         The plant; every mode must be controllable.
     poles : array_like, shape (n,) or (modes, n)
         Poles for all modes, or one list per mode, in 1/s; complex ones with their conjugates.
+    step : float, optional
+        Sampling period h, in seconds: Φ_i + Γ_i K_i then has the poles e^{ph} (see the module),
+        and the exact predictor of a mode, run at this period, decays as the poles say. Such
+        gains need not make A_i + B_i K_i Hurwitz where h is long.
 
     Returns
     -------
@@ -39,8 +53,9 @@ def place(
     Raises
     ------
     ArgumentError
-        If a mode is not controllable, a pole is repeated more often than the rank of B, a
-        complex pole lacks its conjugate, or the placement fails its own check.
+        If a mode is not controllable, or not when sampled; a pole is repeated more often than the
+        rank of B, lacks its conjugate or oscillates faster than the samples; or the placement
+        fails its own check.
 
     Examples
     --------
@@ -49,144 +64,35 @@ def place(
     array([[[-12.    ,  -6.    ]],
     <BLANKLINE>
            [[-12.6961,  -6.3725]]])
+    >>> plant = dt.problems.paper().plant
+    >>> law = dt.SingleModePredictor(plant, dt.place(plant, [-1, -2], step=0.2), mode=0)
+    >>> round(dt.growth_rate(plant, law, mode=0, step=0.2), 6)
+    -1.0
     """
-    wanted = _pole_lists(poles, plant.modes, plant.states)
-    return np.stack([_place_mode(plant, i, wanted[i]) for i in range(plant.modes)])
+    wanted = pole_lists(poles, plant.modes, plant.states)
+    step = None if step is None else positive("step", step)
+    return np.stack([_place_mode(plant, i, wanted[i], step) for i in range(plant.modes)])
 
 
-def _pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
-    """One list of n poles per mode, (modes, n) complex, each closed under conjugation."""
-    try:
-        given = np.asarray(poles, dtype=np.complex128)
-    except (TypeError, ValueError):
-        raise ArgumentError(
-            f"poles must be {n} numbers, or one list of {n} per mode, got {poles!r}."
-        ) from None
-    if given.shape == (n,):
-        given = np.tile(given, (modes, 1))
-    if given.shape != (modes, n):
-        raise ArgumentError(
-            f"poles must have shape (n,) = ({n},) or (modes, n) = ({modes}, {n}), "
-            f"got {given.shape}."
-        )
-    if not np.isfinite(given).all():
-        raise ArgumentError("poles must be finite, got NaN or infinity.")
-    for i, row in enumerate(given):
-        for pole in row[row.imag != 0.0]:
-            if np.sum(row == pole) != np.sum(row == pole.conjugate()):
-                raise ArgumentError(
-                    f"poles of mode {i} must come in conjugate pairs, but {pole:g} lacks "
-                    f"{pole.conjugate():g}."
-                )
-    return given
-
-
-def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray) -> np.ndarray:
-    from scipy.signal import place_poles
-
+def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | None) -> np.ndarray:
     A, B = plant.A[i], plant.B[i]
     require_controllable(A, B, i)
-    rank = int(np.linalg.matrix_rank(B))
-    for pole in np.unique(poles):
-        times = int(np.sum(poles == pole))
-        if times > rank:
-            raise ArgumentError(
-                f"poles of mode {i}: {pole:g} is repeated {times} times, but only rank B = "
-                f"{rank} equal poles can be placed: move them apart a little."
-            )
-    try:
-        with warnings.catch_warnings():
-            # It warns when its search for robust gains stops early; the answer is checked below.
-            warnings.simplefilter("ignore", UserWarning)
-            balanced, inputs, t, c = _balanced(A, B)
-            wanted = poles if np.iscomplex(poles).any() else np.real(poles)
-            result: Any = place_poles(balanced, inputs, wanted)
-    except ValueError as error:
+    if step is None:
+        return place_pair(A, B, poles, i)
+    asked = quotient_poles(poles, step, i)
+    A, B = quotient(A, B, step)
+    if reachable(A, B) < len(A):
         raise ArgumentError(
-            f"poles of mode {i} could not be placed ({error}): move them apart or closer to "
-            "those of the plant."
-        ) from None
-    K = -np.real(result.gain_matrix)
-    if K.shape[0] == 1:
-        K = _refined(balanced, inputs, K, poles)
-    _require_poles(balanced + inputs @ K, poles, i)
-    return c[:, None] * K / t
-
-
-def _refined(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """K corrected for one input, where the characteristic polynomial is affine in K."""
-    unit = float(np.abs(poles).max()) or 1.0
-
-    def coefficients(gain: np.ndarray) -> np.ndarray:
-        return np.poly(np.linalg.eigvals(A + B @ gain) / unit)[1:].real
-
-    asked, here = np.poly(poles / unit)[1:].real, coefficients(K)
-    size = max(1.0, float(np.abs(K).max()))
-    slopes = [coefficients(K + size * row) - here for row in np.eye(A.shape[0])[:, None, :]]
-    try:
-        change = np.linalg.solve(np.stack(slopes, axis=1), asked - here) * size
-    except np.linalg.LinAlgError:
-        return K
-    better = K + change
-    return better if np.abs(coefficients(better) - asked).max() < np.abs(here - asked).max() else K
-
-
-def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
-    """Put the answer back: the closed loop has the characteristic polynomial that was asked for.
-
-    Its coefficients are compared, in units in which the largest pole is 1: unlike the
-    eigenvalues themselves they are well conditioned when poles nearly coincide.
-    """
-    unit = max(float(np.abs(poles).max()), np.finfo(float).tiny)
-    asked = np.poly(poles / unit)
-    error = np.abs(np.poly(np.linalg.eigvals(closed) / unit) - asked).max() / np.abs(asked).max()
-    if not error <= 1e-6:
-        raise ArgumentError(
-            f"poles of mode {i} could not be placed accurately (error {error:.1e} in the "
-            "characteristic polynomial): move them apart or closer to those of the plant."
+            f"mode {i} is not controllable when sampled every {step:g} s: eigenvalues whose "
+            f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s look "
+            "alike; change the step a little."
         )
+    return place_pair(A, B, asked, i, given=poles)
 
 
-def require_controllable(A: np.ndarray, B: np.ndarray, i: int) -> None:
-    """Refuse a mode whose controllability matrix [B, AB, …] lacks rank.
-
-    The rank is that of a staircase: an orthonormal basis of range B, extended by A times its
-    newest directions until nothing new comes. States are balanced and inputs normalised first,
-    so that the answer does not depend on units.
-    """
-    n = A.shape[0]
-    balanced, fresh, _, _ = _balanced(A, B)
-    size = max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
-    basis = np.zeros((n, 0))
-    while fresh.size and basis.shape[1] < n:
-        for _ in range(2):
-            fresh = fresh - basis @ (basis.T @ fresh)
-        U, values, _ = np.linalg.svd(fresh, full_matrices=False)
-        new = U[:, values > 1e-12]
-        basis = np.hstack((basis, new))
-        fresh = balanced @ new / size
-    if basis.shape[1] < n:
-        powers = " ".join(["B", "AB", *(f"A^{k}B" for k in range(2, n))][:n])
-        raise ArgumentError(
-            f"mode {i} is not controllable: rank [{powers}] = {basis.shape[1]} < {n}: "
-            "no gain can move all its poles."
-        )
-
-
-def _balanced(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A and B in units in which A is balanced and B's columns have length 1, and those units.
-
-    With units t of the states and c of the inputs, A/t·t and B·c/t are returned.
-    """
-    from scipy.linalg import matrix_balance
-
-    balanced, (t, _) = matrix_balance(A, permute=False, separate=True)
-    fresh = B / t[:, None]
-    c = 1.0 / np.maximum(np.linalg.norm(fresh, axis=0), np.finfo(float).tiny)
-    return balanced, fresh * c, t, c
-
-
-def lqr(plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike) -> Float[np.ndarray, "mode m n"]:
+def lqr(
+    plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike, step: float | None = None
+) -> Float[np.ndarray, "mode m n"]:
     """Gains that minimise ∫ xᵀQx + uᵀRu in each mode, its delay and switching aside.
 
     Parameters
@@ -197,6 +103,10 @@ def lqr(plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike) -> Float[np.ndarray, 
         State weight, symmetric, positive semidefinite.
     R : array_like, shape (m, m)
         Input weight, symmetric, positive definite.
+    step : float, optional
+        Sampling period h, in seconds: the same integral is minimised over inputs that are held,
+        exactly, between samples too (C. Van Loan 1978). Of an exact predictor it is the cost from
+        time D on. Such gains need not make A_i + B_i K_i Hurwitz where h is long.
 
     Returns
     -------
@@ -214,10 +124,15 @@ def lqr(plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike) -> Float[np.ndarray, 
     >>> plant = dt.SwitchedSystem([[[0.0]], [[1.0]]], [[[1.0]], [[1.0]]], delay=1.0)
     >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]]).ravel().round(4)      # −1 and −(1 + √2)
     array([-1.    , -2.4142])
+    >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]], step=0.1).ravel().round(4)
+    array([-0.952 , -2.2544])
     """
     Q = weight_matrix("Q", Q, plant.states, "n", strict=False)
     R = weight_matrix("R", R, plant.inputs, "m", strict=True)
-    return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])
+    if step is None:
+        return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])
+    step = positive("step", step)
+    return np.stack([_sampled_lqr_mode(plant, i, Q, R, step) for i in range(plant.modes)])
 
 
 def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
@@ -249,8 +164,49 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
     size = np.linalg.norm(Q) + 2.0 * np.linalg.norm(A) * np.linalg.norm(X)
     stable = np.isfinite(K).all() and np.linalg.eigvals(A + B @ K).real.max() < 0.0
     if not stable or residual > 1e-8 * size:
-        raise ArgumentError(
-            f"mode {i} has no stabilising LQR gain: it must be stabilisable, and Q must weigh "
-            "its unstable and undamped states."
-        )
+        raise _no_gain(i)
     return K
+
+
+def held_cost(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, step: float
+) -> Float[np.ndarray, "z z"]:
+    """M with ∫₀^h xᵀQx + uᵀRu dt = zᵀ M z, z = (x(0), u), the input held: dz/dt = Z z."""
+    n, m = B.shape
+    Z, weight = np.zeros((2, n + m, n + m))
+    Z[:n, :n], Z[:n, n:] = A, B
+    weight[:n, :n], weight[n:, n:] = Q, R
+    return gramian(Z.T, weight, step)
+
+
+def _sampled_lqr_mode(
+    plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray, step: float
+) -> np.ndarray:
+    """The discrete Riccati equation with a cross term, put back."""
+    from scipy.linalg import solve_discrete_are
+
+    A, B = plant.A[i], plant.B[i]
+    n = A.shape[0]
+    Phi, Gamma = held_pair(A, B, step)
+    M = held_cost(A, B, Q, R, step)
+    try:
+        X = solve_discrete_are(Phi, Gamma, M[:n, :n], M[n:, n:], s=M[:n, n:])
+    except ValueError:  # LinAlgError among them
+        X = np.full_like(A, np.nan)
+    L = np.hstack((Phi, Gamma))
+    W = M + L.T @ X @ L
+    if not np.isfinite(W).all():
+        raise _no_gain(i)
+    K = -np.linalg.solve(W[n:, n:], W[n:, :n])
+    residual = np.linalg.norm(W[:n, :n] + W[:n, n:] @ K - X)
+    stable = np.abs(np.linalg.eigvals(Phi + Gamma @ K)).max() < 1.0
+    if not stable or residual > 1e-8 * np.linalg.norm(W[:n, :n]):
+        raise _no_gain(i)
+    return K
+
+
+def _no_gain(i: int) -> ArgumentError:
+    return ArgumentError(
+        f"mode {i} has no stabilising LQR gain: it must be stabilisable, and Q must weigh "
+        "its unstable and undamped states."
+    )

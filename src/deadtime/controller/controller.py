@@ -11,10 +11,12 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import count, instance, positive, real_array, shaped
+from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.errors import ArgumentError
 from deadtime.laws import ExactPredictor
 from deadtime.laws.base import Law, TableLaw
+from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 
@@ -23,10 +25,11 @@ class Status(enum.IntEnum):
 
     OK = 0
     SATURATED = 1  # the law asked for more than the limits allow
-    BAD_STATE = 2  # x is not finite: the last input is held
+    BAD_STATE = 2  # x is not finite: the last input is held; y: nothing is corrected
     BAD_MODE = 3  # the mode is none of the plant's: the last input is held
     BAD_APPLIED = 4  # the applied input is not finite: the last input is held
     OVERFLOW = 5  # the law's answer is not finite: the last input is held
+    BAD_REFERENCE = 6  # the reference is not finite: the last one goes on
 
 
 class Controller:
@@ -40,7 +43,8 @@ class Controller:
     Parameters
     ----------
     law : Law
-        A law that is a table, and not one that must know the future.
+        A law that is a table, and not one that must know the future; or an `OutputFeedback` of
+        such a law, at its observer's period.
     step : float
         Sampling period h, in seconds.
     limits : (low, high), optional
@@ -55,7 +59,7 @@ class Controller:
     status : Status
         What became of the last period.
     refused : int
-        How many periods held the last input because what came in was unusable.
+        How many periods went by in which something that came in was unusable.
     samples : int
         How many periods have run.
 
@@ -86,18 +90,23 @@ class Controller:
         mode_age: int = 0,
     ) -> None:
         instance("law", law, Law)
-        if not isinstance(law, TableLaw) or isinstance(law, ExactPredictor):
-            why = "foresees the signal" if isinstance(law, TableLaw) else "is no table"
+        inner = law.law if isinstance(law, OutputFeedback) else law
+        if not isinstance(inner, TableLaw) or isinstance(inner, ExactPredictor):
+            why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
             raise ArgumentError(
-                f"law must be a table that a controller can run; {type(law).__name__} {why}."
+                f"law must be a table that a controller can run; {type(inner).__name__} {why}."
             )
         self.law, self.step = law, positive("step", step)
-        self.table = law.digital(self.step)
+        self.table = inner.digital(self.step)
+        self._observing = None
+        if isinstance(law, OutputFeedback):
+            self._observing = Observing(law, self.step)
         self.low, self.high = _limits(limits, law.plant.inputs)
         self._past = past_inputs(self.table)
-        self._reads_mode = self.table.context != "none"
-        self._u = np.zeros(law.plant.inputs)
-        self._asked = np.zeros(law.plant.inputs)
+        self._reads_row = self.table.context != "none"
+        self._reads_mode = self._reads_row or (self._observing is not None and law.plant.modes > 1)
+        self._measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
+        self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
         self.reset(u0, mode_age)
 
     def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
@@ -109,6 +118,8 @@ class Controller:
         for u in history[:-1]:
             self._past.push(u)
         self._u[:] = history[-1]
+        if self._observing:
+            self._observing.begin(history)
         self.status, self.refused, self.samples = Status.OK, 0, 0
 
     def update(
@@ -117,13 +128,14 @@ class Controller:
         mode: int | None = None,
         applied: ArrayLike | None = None,
         out: Float[np.ndarray, " m"] | None = None,
+        reference: ArrayLike | None = None,
     ) -> Float[np.ndarray, " m"]:
         """The input of this period, u_k.
 
         Parameters
         ----------
-        x : array_like, shape (n,)
-            The state at t_k.
+        x : array_like, shape (n,) or (p,)
+            The state at t_k; of a law that measures outputs, y.
         mode : int, optional
             The mode at t_k; laws whose rows depend on it need it.
         applied : array_like, shape (m,), optional
@@ -131,25 +143,33 @@ class Controller:
             returned.
         out : (m,) float array, optional
             Where to write the input; without it a new array is made.
+        reference : array_like, shape (tracked,), optional
+            r at t_k, of a law with a servo; without it the law's own.
 
         Returns
         -------
         (m,) array
             Unusable values (x or `applied` not finite, a mode that is none) are refused: the
-            last input is held, `status` says why and `refused` counts.
+            last input is held, `status` says why and `refused` counts. A law that measures outputs
+            goes on without a y that is not finite: its observer predicts.
 
         Raises
         ------
         ArgumentError
             If a shape is wrong, or the mode is missing where the law reads it.
         """
-        x = _vector("x", x, self.law.plant.states)
+        x = _vector("x", x, self._measured)
         status = self._remember(applied)
         status = self._see(mode) or status
-        if not status and not np.isfinite(x).all():
-            status = Status.BAD_STATE
-        if not status:
-            status = self._compute(x)
+        if self._observing:
+            status = self._observe(x, reference, status)
+        elif reference is not None:
+            raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
+        else:
+            if not status and not np.isfinite(x).all():
+                status = Status.BAD_STATE
+            if not status:
+                status = self._compute(x)
         self.status = status
         self.refused += status > Status.SATURATED
         self.samples += 1
@@ -161,11 +181,10 @@ class Controller:
     def _remember(self, applied: ArrayLike | None) -> Status:
         """The input of the period that ends becomes the latest of the past ones."""
         u = self._u if applied is None else _vector("applied", applied, self._u.size)
-        if np.isfinite(u).all():
-            self._past.push(u)
-            return Status.OK
-        self._past.push(self._u)
-        return Status.BAD_APPLIED
+        finite = bool(np.isfinite(u).all())
+        self._latest[:] = u if finite else self._u
+        self._past.push(self._latest)
+        return Status.OK if finite else Status.BAD_APPLIED
 
     def _see(self, mode: int | None) -> Status:
         """Follow the sampled mode and its age."""
@@ -183,10 +202,25 @@ class Controller:
         self._mode = int(mode)
         return Status.OK
 
+    def _observe(self, y: np.ndarray, reference: ArrayLike | None, status: Status) -> Status:
+        """Let the observer follow; then u_k from what it estimates, unless something is unknown."""
+        observing = self._observing
+        assert observing is not None
+        known = -1 if status == Status.BAD_MODE else self._mode
+        z, lost, astray = observing.see(self._latest, y, known, reference, self.samples)
+        if not status:
+            status = self._compute(z)
+            if status != Status.OVERFLOW:
+                status = Status.BAD_STATE if lost else Status.BAD_REFERENCE if astray else status
+                observing.note(self._asked)
+                return status
+        observing.note(self._u)
+        return status
+
     def _compute(self, x: np.ndarray) -> Status:
         """u_k within the limits, or the last one where it is not finite."""
         row = 0
-        if self._reads_mode:
+        if self._reads_row:
             row = self._mode * self.table.ages + min(self._age, self.table.ages - 1)
         self._past.row(row, x, self._asked)
         if not np.isfinite(self._asked).all():
@@ -207,6 +241,7 @@ class Controller:
             "refused": self.refused,
             "input": self._u.copy(),
             **self._past.saved(),
+            **(self._observing.saved() if self._observing else {}),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -228,6 +263,8 @@ class Controller:
                     "`Controller.state` gave."
                 )
         self._past.load(state)
+        if self._observing:
+            self._observing.load(state)
         self._mode, self._age = int(state["mode"]), int(state["age"])
         self.samples, self.refused = int(state["samples"]), int(state["refused"])
         self._u[:] = state["input"]

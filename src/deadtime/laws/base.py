@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import wraps
 
 import numpy as np
@@ -24,6 +24,22 @@ MOST_BYTES = 1e9  # of a table
 Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 
+class Remembering(ABC):
+    """An `Update` with a memory: it takes what is measured, NaN included, and estimates the rest.
+
+    Attributes
+    ----------
+    estimates : list of arrays
+        What it took the state of its law's model to be, once a call.
+    """
+
+    estimates: list[np.ndarray]
+
+    @abstractmethod
+    def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        """u_k; a mode below 0 is not known."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Law(ABC):
     """A predictor-feedback law.
@@ -34,10 +50,13 @@ class Law(ABC):
         The law's *model* of the plant, delay included.
     gains : (modes, m, n) array or None
         K_i of u = +K_i x, used for the mismatch; None where the law has no gain per mode.
+    outputs : (modes, p, n) array or None
+        C_i, of a law that measures y = C_σ x; None for the whole state.
     """
 
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"] | None
+    outputs: Float[np.ndarray, "mode p n"] | None = field(default=None, kw_only=True)
 
     @property
     @abstractmethod
@@ -67,8 +86,10 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def online(self, step: float) -> Update:
+    def online(self, step: float) -> Update | Remembering:
         """The law as a function to be called once a period, for loops that must go step by step.
+
+        Of a law that measures outputs it is a `Remembering`, to be called with y in place of x.
 
         Raises `ArgumentError` for a law that must know the future.
         """
@@ -173,5 +194,5 @@ def require_hurwitz(
         raise ArgumentError(
             f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
             f"{rightmost:+.4g} 1/s): the sign is u = +K x, and gains belong to one plant; "
-            "allow_unstable = True accepts it."
+            "allow_unstable = True accepts it, as gains designed for a long step may need."
         )

@@ -16,20 +16,21 @@ from deadtime.imperfections import (
     Sizes,
     streams,
 )
-from deadtime.laws.base import Law, Update
+from deadtime.laws.base import Law, Remembering, Update
 from deadtime.plant import SwitchedSystem
 
 
 class ImperfectLaw:
     """An `Update` that senses and acts through imperfections.
 
-    Where nothing usable arrives the last input is asked for again. The law's past inputs are
-    those applied, or with predict = "commanded" those asked for.
+    Where nothing usable arrives the last input is asked for again, except of a law with a memory,
+    which goes on without. The law's past inputs are those applied, or with predict = "commanded"
+    those asked for.
 
     Attributes
     ----------
-    measured : (samples, n)
-        What the law was told of x, NaN where nothing arrived.
+    measured : (samples, n) or (samples, p)
+        What the law was told of x, or of its outputs y = C_σ x; NaN where nothing arrived.
     commanded : (samples, m)
         What it asked for.
     """
@@ -45,7 +46,9 @@ class ImperfectLaw:
     ) -> None:
         if predict not in ("applied", "commanded"):
             raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
-        sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
+        self._outputs = law.outputs
+        measured = plant.states if law.outputs is None else law.outputs.shape[1]
+        sizes = Sizes(plant.modes, measured, plant.inputs, step)
         generators = streams(imperfections, count("seed", seed, 0))
         pairs = list(zip(imperfections, generators, strict=True))
         self._sensors = [
@@ -54,7 +57,7 @@ class ImperfectLaw:
         self._actuators = [
             one.actuator(sizes) for one, _ in pairs if isinstance(one, ActuatorImperfection)
         ]
-        self._update: Update = law.online(step)
+        self._update: Update | Remembering = law.online(step)
         self._tells_commands = predict == "commanded"
         self._pipe: np.ndarray | None = None
         self._mode, self._age = -1, 0
@@ -62,7 +65,7 @@ class ImperfectLaw:
         self.commanded: list[np.ndarray] = []
 
     def __call__(self, x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
-        seen = Seen(x, mode)
+        seen = Seen(x if self._outputs is None else self._outputs[mode] @ x, mode)
         for sense in self._sensors:
             seen = sense(seen)
         self._follow(seen.mode, age)
@@ -87,7 +90,14 @@ class ImperfectLaw:
             self._age += 1
         self._mode = self._mode if mode < 0 else mode
 
+    @property
+    def estimates(self) -> list[np.ndarray] | None:
+        """What a law with a memory took the state to be, once a sample."""
+        return self._update.estimates if isinstance(self._update, Remembering) else None
+
     def _asked(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
+        if isinstance(self._update, Remembering):
+            return self._update(x, past, self._mode, self._age)
         if self._mode < 0 or not np.isfinite(x).all():
             return self.commanded[-1] if self.commanded else past[-1].copy()
         return self._update(x, past, self._mode, self._age)

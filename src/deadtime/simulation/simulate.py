@@ -72,7 +72,8 @@ def simulate(
     imperfections : sequence of Imperfection
         What sensors and actuators do (`deadtime.imperfections`), in this order; digital loop only.
         Then `run.inputs` are the inputs applied, `run.commanded` those asked for and
-        `run.measured` what the law was told of x.
+        `run.measured` what the law was told of x. A law that measures outputs is told of these,
+        with or without imperfections, and `run.estimates` is what it makes of them.
     seed : int
         Of all that is random in them.
     predict : "applied" or "commanded"
@@ -110,11 +111,11 @@ def simulate(
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
     imperfect = None
-    if imperfections:
-        if step is None:
-            raise ArgumentError(
-                "imperfections act at samples: give a step, the ideal loop has no samples."
-            )
+    if imperfections and step is None:
+        raise ArgumentError(
+            "imperfections act at samples: give a step, the ideal loop has no samples."
+        )
+    if step is not None and (imperfections or law.outputs is not None):
         imperfect = ImperfectLaw(plant, law, positive("step", step), imperfections, seed, predict)
     if step is None:
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
@@ -135,11 +136,13 @@ def simulate(
     )
     if imperfect is None:
         return run
+    estimates = imperfect.estimates
     kept = len(outcome.record.states_at(outcome.record.grid(end)))
     return replace(
         run,
         measured=np.array(imperfect.measured[:kept]).T,
         commanded=np.array(imperfect.commanded[:kept]).T,
+        estimates=None if estimates is None else np.array(estimates[:kept]).T,
     )
 
 

@@ -45,10 +45,13 @@ class Trajectory:
     message : str
         What is worth knowing: when and why the run diverged or was chattering, that its signal was
         continued. Often empty.
-    measured : (n, samples) or None
-        What the law was told of x, NaN where nothing arrived; of runs with imperfections.
+    measured : (n, samples) or (p, samples) or None
+        What the law was told of x, or of its outputs, NaN where nothing arrived; of runs with
+        imperfections and of laws that measure outputs.
     commanded : (m, samples) or None
-        What the law asked for, `inputs` being what was applied; of runs with imperfections.
+        What the law asked for, `inputs` being what was applied; of the same runs.
+    estimates : (states of the law's model, samples) or None
+        What a law that measures outputs took the state of its model to be.
     """
 
     time: Float[np.ndarray, " T"]
@@ -62,8 +65,9 @@ class Trajectory:
     signal: SwitchingSignal = field(repr=False)
     record: DigitalRecord | IdealRecord = field(repr=False)
     end: float = field(repr=False)
-    measured: Float[np.ndarray, "n samples"] | None = field(default=None, repr=False)
+    measured: Float[np.ndarray, "y samples"] | None = field(default=None, repr=False)
     commanded: Float[np.ndarray, "m samples"] | None = field(default=None, repr=False)
+    estimates: Float[np.ndarray, "z samples"] | None = field(default=None, repr=False)
 
     @property
     def history(self) -> Float[np.ndarray, "m N"] | InputHistory:

@@ -1,0 +1,74 @@
+"""The observer of a controller whose law measures outputs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.errors import ArgumentError
+from deadtime.output_feedback import OutputFeedback
+
+
+class Observing:
+    """An observer that runs, and the reference that goes with it."""
+
+    def __init__(self, law: OutputFeedback, step: float) -> None:
+        self._estimator, self._reference, self._step = law.estimator(step), law.reference, step
+        self._r = np.zeros(law.reference.size if law.reference else 0)
+
+    def begin(self, history: Float[np.ndarray, "N m"]) -> None:
+        """Start anew after these inputs, the oldest first."""
+        self._estimator.begin(history)
+        if self._reference:
+            self._r[:] = self._reference(0.0)
+
+    def see(
+        self,
+        latest: Float[np.ndarray, " m"],
+        y: Float[np.ndarray, " p"],
+        mode: int,
+        reference: ArrayLike | None,
+        samples: int,
+    ) -> tuple[Float[np.ndarray, " z"], bool, bool]:
+        """What the law is given; whether y was lost, and whether the reference was unusable.
+
+        A mode below 0 is not known: then y corrects nothing, for neither is C.
+        """
+        lost = not np.isfinite(y).all()
+        astray = self._follow(reference, samples)
+        z = self._estimator.update(latest, None if lost or mode < 0 else y, mode, self._r)
+        return z, lost, astray
+
+    def _follow(self, reference: ArrayLike | None, samples: int) -> bool:
+        if self._reference is None:
+            if reference is not None:
+                raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
+            return False
+        if reference is None:
+            self._r[:] = self._reference(samples * self._step)
+            return False
+        r = np.asarray(reference, dtype=float)
+        if r.shape != self._r.shape:
+            raise ArgumentError(f"reference must have shape {self._r.shape}, got {r.shape}.")
+        if not np.isfinite(r).all():
+            return True
+        self._r[:] = r
+        return False
+
+    def note(self, asked: Float[np.ndarray, " m"]) -> None:
+        """What the law asked for, to be compared with what is applied."""
+        self._estimator.asked[:] = asked
+
+    def saved(self) -> dict[str, Any]:
+        """Copies of everything that changes."""
+        own = {f"observer_{name}": value for name, value in self._estimator.saved().items()}
+        return {**own, "reference": self._r.copy()}
+
+    def load(self, saved: dict[str, Any]) -> None:
+        """The opposite of `saved`."""
+        own = {name: saved[f"observer_{name}"] for name in self._estimator.arrays}
+        self._estimator.load(own)
+        self._r[:] = saved["reference"]

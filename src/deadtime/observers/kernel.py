@@ -1,0 +1,71 @@
+"""The compiled steps of an observer; nothing is allocated."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def move(Phi, Gamma, x, u, result):
+    """result = Φ x + Γ u."""
+    for i in range(Phi.shape[0]):
+        total = 0.0
+        for j in range(Phi.shape[1]):
+            total += Phi[i, j] * x[j]
+        for j in range(u.size):
+            total += Gamma[i, j] * u[j]
+        result[i] = total
+
+
+@njit(cache=True)
+def correct(C, L, y, x, spare, innovation):
+    """x += L (y − C x), if y and the answer are finite; says whether it did."""
+    for i in range(y.size):
+        total = y[i]
+        for j in range(C.shape[1]):
+            total -= C[i, j] * x[j]
+        innovation[i] = total
+    for i in range(C.shape[1]):
+        total = x[i]
+        for j in range(y.size):
+            total += L[i, j] * innovation[j]
+        spare[i] = total
+        if not np.isfinite(total):
+            return False
+    for i in range(C.shape[1]):
+        x[i] = spare[i]
+    return True
+
+
+@njit(cache=True)
+def seen(C, H, x, y, use, value):
+    """value = H y, or H C x where y is of no use."""
+    for i in range(H.shape[0]):
+        value[i] = 0.0
+        for j in range(H.shape[1]):
+            output = y[j]
+            if not use:
+                output = 0.0
+                for k in range(C.shape[1]):
+                    output += C[j, k] * x[k]
+            value[i] += H[i, j] * output
+
+
+@njit(cache=True)
+def integrate(step, before, now, reference, asked, applied, push, q):
+    """q += h ((before + now)/2 − reference), unless that asks for more of what was refused.
+
+    `push` is the law's answer to q. Where the input applied was not the one asked for, a change
+    of q that drives it further the same way is left out, so that nothing winds up.
+    """
+    further = 0.0
+    for i in range(push.shape[0]):
+        change = 0.0
+        for j in range(q.size):
+            change += push[i, j] * step * (0.5 * (before[j] + now[j]) - reference[j])
+        further += (asked[i] - applied[i]) * change
+    if further > 0.0:
+        return
+    for j in range(q.size):
+        q[j] += step * (0.5 * (before[j] + now[j]) - reference[j])
