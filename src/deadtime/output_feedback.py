@@ -118,9 +118,9 @@ class OutputFeedback(Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         raise ArgumentError(
-            "OutputFeedback has no table: it remembers an estimate. Ask about its .law, which is "
-            "given the state, and its .observer (.rates, .switched_rate): with the right model the "
-            "loop in a constant mode grows at the larger of both rates."
+            "OutputFeedback has no table: it remembers an estimate. `growth_rate` takes it; for the "
+            "rest ask about its .law, which is given the state, and its .observer (.rates, "
+            ".switched_rate), which by separation are the loop, the model being right."
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
@@ -129,13 +129,17 @@ class OutputFeedback(Law):
             f"{self.observer.step:g} s."
         )
 
-    def estimator(self, step: float) -> Estimator:
-        """Its observer, to be run at its period."""
+    def require_step(self, step: float) -> None:
+        """Refuse a period that is not the observer's."""
         if step != self.observer.step:
             raise ArgumentError(
                 f"step must be the observer's, {self.observer.step:g} s, got {step:g}: design the "
                 "observer for the period of the loop."
             )
+
+    def estimator(self, step: float) -> Estimator:
+        """Its observer, to be run at its period."""
+        self.require_step(step)
         if self.servo is None:
             return Estimator(self.observer, self.estimate)
         tracked = Tracked(self.servo.tracked, self._push(step), self.servo.integral)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from deadtime.checks import positive
 from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law
+from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import checked_mode
 from deadtime.spectrum.lifted import LiftedLoop, aged_row
@@ -28,7 +29,8 @@ def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None =
     plant : SwitchedSystem
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
-        A law that is a table; without a step, one that has a closed form in continuous time.
+        A law that is a table, or an `OutputFeedback` of one, whose loop has its observer and its
+        sum of errors in it; without a step, one that has a closed form in continuous time.
     mode : int
         The mode.
     step : float or None
@@ -63,9 +65,15 @@ def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None =
     if step is None:
         return _ideal(plant, law, mode)
     step = positive("step", step)
-    feedback = law.digital(step, SwitchingSignal.constant(mode), 1)
-    loop = LiftedLoop.of(plant, feedback, mode, aged_row(feedback, mode))
-    return loop.growth_rate(step)
+    table = law.law if isinstance(law, OutputFeedback) else law
+    feedback = table.digital(step, SwitchingSignal.constant(mode), 1)
+    row = aged_row(feedback, mode)
+    if isinstance(law, OutputFeedback):
+        from deadtime.spectrum.observed import observed_loop
+
+        law.require_step(step)
+        return observed_loop(plant, law, feedback, mode, row).growth_rate(step)
+    return LiftedLoop.of(plant, feedback, mode, row).growth_rate(step)
 
 
 def _ideal(plant: SwitchedSystem, law: Law, mode: int) -> float:
