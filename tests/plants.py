@@ -128,3 +128,30 @@ def expected_inputs(table, x, modes, applied, history=None):
         u[at] = x[at] @ F.T + seen @ G.T
         scale[at] = np.abs(x[at]) @ np.abs(F).T + np.abs(seen) @ np.abs(G).T
     return u, scale
+
+
+OUTPUTS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
+
+
+def near(delay=0.234):
+    """`generic` with its modes close to each other."""
+    return generic(delay).apart(0.1)
+
+
+def resting(delay=0.234):
+    """Three modes, three states, two inputs; positions 0 and 2 rest anywhere without an input."""
+    A = np.zeros((3, 3, 3))
+    A[:, 0, 1], A[:, 1, 1], A[:, 2, 1] = (1.0, 1.1, 0.9), (-0.5, 0.3, -1.0), (0.2, -0.3, 0.1)
+    B = np.zeros((3, 3, 2))
+    B[:, 1, 0], B[:, 2, 1], B[:, 1, 1] = (1.0, 0.8, 1.2), (1.0, 1.1, 0.9), (0.1, 0.0, -0.2)
+    return dt.SwitchedSystem(A, B, delay)
+
+
+def gramian_by_quadrature(A, W, time):
+    """∫₀^τ e^{As} W e^{Aᵀs} ds by Gauss–Legendre, with no block exponential."""
+    points, weights = np.polynomial.legendre.leggauss(24)
+    total = np.zeros_like(W, dtype=float)
+    for s, w in zip((points + 1.0) * time / 2.0, weights * time / 2.0, strict=True):
+        E = expm(A * s)
+        total += w * E @ W @ E.T
+    return total

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import control
 import numpy as np
 import pytest
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import expm, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 import deadtime as dt
 import plants
@@ -202,5 +202,103 @@ STUCK3 = dt.SwitchedSystem([np.eye(3)], [np.eye(3)[:, :2]], 1.0)
     ],
 )
 def test_a_request_without_an_answer_is_refused_by_name(call, message):
+    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
+        call()
+
+
+GENERIC = plants.generic()
+
+
+@pytest.mark.parametrize("poles", [[-1, -1.5, -2], [-1 + 2j, -1 - 2j, -2], [-1, -2, -2]])
+@pytest.mark.parametrize("step", [0.01, 0.1, 1.0])
+def test_with_a_step_the_sampled_loop_has_the_poles(step, poles):
+    gains = dt.place(GENERIC, poles, step)
+    for A, B, K in zip(GENERIC.A, GENERIC.B, gains, strict=True):
+        Phi, Gamma = plants.held(A, B, step)
+        found = np.poly(np.linalg.eigvals(Phi + Gamma @ K))
+        plants.close(found, np.poly(np.exp(np.array(poles) * step)), 1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.2, 0.234, 0.05])
+def test_the_spectrum_of_the_loop_is_the_rate_that_was_placed(delay):
+    plant = plants.generic(delay)
+    gains = dt.place(plant, [-1, -1.5, -2], step=0.1)
+    for mode in range(3):
+        law = dt.SingleModePredictor(plant, gains, mode)
+        assert dt.growth_rate(plant, law, mode, step=0.1) == pytest.approx(-1.0, abs=1e-9)
+        continuous = dt.SingleModePredictor(plant, dt.place(plant, [-1, -1.5, -2]), mode)
+        assert abs(dt.growth_rate(plant, continuous, mode, step=0.1) + 1.0) > 1e-3
+
+
+def test_sampled_gains_tend_to_the_continuous_ones_with_order_one():
+    Q, R, steps = np.diag([1.0, 2.0, 3.0]), np.eye(2), np.array([0.02, 0.01, 0.005])
+    for design in (
+        lambda h: dt.place(GENERIC, [-1, -1.5, -2], h),
+        lambda h: dt.lqr(GENERIC, Q, R, h),
+    ):
+        errors = [np.abs(design(h) - design(None)).max() for h in steps]
+        assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_cost_of_a_sampled_loop_is_the_riccati_one_and_no_gain_has_a_lower_one():
+    """∫ over t ≥ D of the exact simulation; with S of the cost-to-go by a Lyapunov sum."""
+    Q, R, h, x0 = np.eye(3), np.eye(2), 0.1, np.array([1.0, -1.0, 0.5])
+    gains = dt.lqr(GENERIC, Q, R, step=h)
+    A, D = GENERIC.A[1], GENERIC.delay
+    before = x0 @ plants.gramian_by_quadrature(A.T, np.eye(3), D) @ x0
+
+    def cost(K):
+        law = dt.SingleModePredictor(GENERIC, K, 1, allow_unstable=True)
+        signal = dt.SwitchingSignal.constant(1)
+        return dt.simulate(GENERIC, law, signal, x0, 30.0, h).metrics()["cost"] - before
+
+    Phi, Gamma = plants.held(A, GENERIC.B[1], h)
+    Z = np.zeros((5, 5))
+    Z[:3] = np.hstack((A, GENERIC.B[1]))
+    weight = np.diag([1.0, 1.0, 1.0, 1.0, 1.0])
+    M = plants.gramian_by_quadrature(Z.T, weight, h)
+    closed, lift = Phi + Gamma @ gains[1], np.vstack((np.eye(3), gains[1]))
+    X = solve_discrete_lyapunov(closed.T, lift.T @ M @ lift)
+    P = expm(A * D) @ x0
+    assert cost(gains) == pytest.approx(P @ X @ P, rel=1e-10)
+    for row, column in ((0, 0), (1, 2)):
+        for change in (0.05, -0.05):
+            other = gains.copy()
+            other[1, row, column] += change
+            assert cost(other) > cost(gains) * (1.0 + 1e-7)
+
+
+LONG = dt.SwitchedSystem([[[0.0, 4.0], [-4.0, 0.1]]], [[[0.0], [1.0]]], 0.3)
+PENDULUM = dt.SwitchedSystem([[[0.0, 1.0], [-1.0, 0.0]]], [[[0.0], [1.0]]], 0.3)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: dt.place(PAPER, [-1, -2], 0.0), "step must be positive"),
+        (lambda: dt.lqr(PAPER, np.eye(2), [[1.0]], -1.0), "step must be positive"),
+        (
+            lambda: dt.place(PAPER, [-1 + 4j, -1 - 4j], 1.0),
+            "poles of mode 0: -1+4j oscillates faster than a period of 1 s shows",
+        ),
+        (
+            lambda: dt.place(PAPER, [-1, -1], 0.1),
+            "-1+0j is repeated 2 times, but only rank B = 1",
+        ),
+        (
+            lambda: dt.place(PENDULUM, [-1, -2], np.pi),
+            "mode 0 is not controllable when sampled every 3.14159 s",
+        ),
+        (
+            lambda: dt.lqr(STUCK, np.eye(2), [[1.0]], 0.1),
+            "mode 0 has no stabilising LQR gain",
+        ),
+        (
+            lambda: dt.AveragedPredictor(LONG, dt.place(LONG, [-0.1, -0.2], 3.0)),
+            "allow_unstable = True accepts it, as gains designed for a long step may need",
+        ),
+    ],
+)
+def test_sampled_designs_refuse_what_they_cannot_do(call, message):
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         call()
