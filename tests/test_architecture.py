@@ -14,7 +14,8 @@ SOURCE = Path(dt.__file__).parent
 # Each ring may import from itself and from the rings before it.
 RINGS = (
     ("errors", "checks", "wording", "version"),
-    ("plant", "switching", "steps", "exponential", "feedback", "forecast", "imperfections"),
+    ("plant", "switching", "steps", "exponential", "covariance", "feedback", "forecast"),
+    ("imperfections",),
     ("gains", "laws", "spectrum", "lmi", "lyapunov", "stabilization"),
     ("simulation",),
     ("certificates", "backstepping", "controller"),

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.imperfections import (
     ActuatorImperfection,
@@ -14,8 +13,9 @@ from deadtime.imperfections import (
     Seen,
     SensorImperfection,
     Sizes,
-    streams,
+    TimingImperfection,
 )
+from deadtime.imperfections.base import Lag
 from deadtime.laws.base import Law, Update
 from deadtime.plant import SwitchedSystem
 
@@ -28,6 +28,8 @@ class ImperfectLaw:
 
     Attributes
     ----------
+    lag : callable or None
+        How long before a sample its state is to be measured, seconds; called once a sample.
     measured : (samples, n)
         What the law was told of x, NaN where nothing arrived.
     commanded : (samples, m)
@@ -39,21 +41,20 @@ class ImperfectLaw:
         plant: SwitchedSystem,
         law: Law,
         step: float,
-        imperfections: Sequence[Imperfection],
-        seed: int,
+        pairs: Sequence[tuple[Imperfection, np.random.Generator]],
         predict: str,
     ) -> None:
         if predict not in ("applied", "commanded"):
             raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
         sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
-        generators = streams(imperfections, count("seed", seed, 0))
-        pairs = list(zip(imperfections, generators, strict=True))
         self._sensors = [
             one.sensor(sizes, rng) for one, rng in pairs if isinstance(one, SensorImperfection)
         ]
         self._actuators = [
             one.actuator(sizes) for one, _ in pairs if isinstance(one, ActuatorImperfection)
         ]
+        lags = [one.lag(sizes, rng) for one, rng in pairs if isinstance(one, TimingImperfection)]
+        self.lag: Lag | None = (lambda: sum(lag() for lag in lags)) if lags else None
         self._update: Update = law.online(step)
         self._tells_commands = predict == "commanded"
         self._pipe: np.ndarray | None = None

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import instance, positive, real_array, shaped
+from deadtime.checks import count, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
-from deadtime.imperfections import Imperfection
+from deadtime.imperfections import Disturbance, Imperfection, streams
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.digital import Grid, Outcome, run_table
+from deadtime.simulation.digital import Drawn, Grid, Outcome, run_table
 from deadtime.simulation.ideal import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
@@ -70,11 +70,12 @@ def simulate(
         Instants in [0, horizon] to report, instead of the samples. A run that ends early drops
         those past its end.
     imperfections : sequence of Imperfection
-        What sensors and actuators do (`deadtime.imperfections`), in this order; digital loop only.
-        Then `run.inputs` are the inputs applied, `run.commanded` those asked for and
-        `run.measured` what the law was told of x.
+        Disturbances of the plant, and what sensors and actuators do, in this order
+        (`deadtime.imperfections`); digital loop only. With sensors or actuators among them,
+        `run.inputs` are the inputs applied, `run.commanded` those asked for and `run.measured`
+        what the law was told of x.
     seed : int
-        Of all that is random in them.
+        At least 0, of all that is random in them.
     predict : "applied" or "commanded"
         Which past inputs the law is told of, where the actuator changes them.
 
@@ -109,18 +110,21 @@ def simulate(
         switching = as_rule("signal", signal).require(plant)
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
+    if imperfections and step is None:
+        raise ArgumentError(
+            "imperfections act at samples: give a step, the ideal loop has no samples."
+        )
+    generators = streams(imperfections, count("seed", seed, 0))
+    pairs = list(zip(imperfections, generators, strict=True))
+    disturbances = [(one, rng) for one, rng in pairs if isinstance(one, Disturbance)]
     imperfect = None
-    if imperfections:
-        if step is None:
-            raise ArgumentError(
-                "imperfections act at samples: give a step, the ideal loop has no samples."
-            )
-        imperfect = ImperfectLaw(plant, law, positive("step", step), imperfections, seed, predict)
+    if step is not None and len(disturbances) < len(pairs):
+        imperfect = ImperfectLaw(plant, law, positive("step", step), pairs, predict)
     if step is None:
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
         step = positive("step", step)
-        outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect)
+        outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect, disturbances)
     end = horizon if outcome.end is None else outcome.end
     run = trajectory_of(
         outcome.record,
@@ -180,6 +184,7 @@ def _digital(
     step: float,
     u0: InitialInput,
     imperfect: ImperfectLaw | None,
+    disturbances: Drawn,
 ) -> Outcome:
     """The digital run: at once for a table law on a known signal, otherwise period by period."""
     if max(horizon, plant.delay, law.plant.delay) / step > _MOST_SAMPLES:
@@ -189,8 +194,8 @@ def _digital(
         )
     grid = Grid.of(plant, law, horizon, step, u0)
     if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal) and not imperfect:
-        return run_table(plant, law, switching, x0, grid)
-    return run_online(plant, law, switching, x0, horizon, grid, imperfect)
+        return run_table(plant, law, switching, x0, grid, disturbances)
+    return run_online(plant, law, switching, x0, horizon, grid, imperfect, disturbances)
 
 
 def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
