@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import deadtime as dt
-from deadtime.controller import Status
 from deadtime import imperfections
+from deadtime.controller import Status
 from deadtime.study import load_study
 
 ROOT = Path(__file__).parents[1]

@@ -16,15 +16,15 @@ from deadtime.imperfections import (
     TimingImperfection,
 )
 from deadtime.imperfections.base import Lag
-from deadtime.laws.base import Law, Update
+from deadtime.laws.base import Update
 from deadtime.plant import SwitchedSystem
 
 
 class ImperfectLaw:
     """An `Update` that senses and acts through imperfections.
 
-    Where nothing usable arrives the last input is asked for again. The law's past inputs are
-    those applied, or with predict = "commanded" those asked for.
+    Where nothing usable arrives and the law has no answer, its last input is asked for again. The
+    law's past inputs are those applied, or with predict = "commanded" those asked for.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class ImperfectLaw:
     def __init__(
         self,
         plant: SwitchedSystem,
-        law: Law,
+        update: Update,
         step: float,
         pairs: Sequence[tuple[Imperfection, np.random.Generator]],
         predict: str,
@@ -55,7 +55,7 @@ class ImperfectLaw:
         ]
         lags = [one.lag(sizes, rng) for one, rng in pairs if isinstance(one, TimingImperfection)]
         self.lag: Lag | None = (lambda: sum(lag() for lag in lags)) if lags else None
-        self._update: Update = law.online(step)
+        self._update = update
         self._tells_commands = predict == "commanded"
         self._pipe: np.ndarray | None = None
         self._mode, self._age = -1, 0
@@ -89,6 +89,7 @@ class ImperfectLaw:
         self._mode = self._mode if mode < 0 else mode
 
     def _asked(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
-        if self._mode < 0 or not np.isfinite(x).all():
-            return self.commanded[-1] if self.commanded else past[-1].copy()
-        return self._update(x, past, self._mode, self._age)
+        asked = self._update(x, past, self._mode, self._age)
+        if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
+            return asked
+        return self.commanded[-1] if self.commanded else past[-1].copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
+from deadtime.steps import snap
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules import as_rule
 
@@ -110,20 +112,21 @@ def simulate(
         switching = as_rule("signal", signal).require(plant)
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
-    if imperfections and step is None:
-        raise ArgumentError(
-            "imperfections act at samples: give a step, the ideal loop has no samples."
-        )
-    generators = streams(imperfections, count("seed", seed, 0))
-    pairs = list(zip(imperfections, generators, strict=True))
-    disturbances = [(one, rng) for one, rng in pairs if isinstance(one, Disturbance)]
+    disturbances, others = _drawn(imperfections, seed)
     imperfect = None
-    if step is not None and len(disturbances) < len(pairs):
-        imperfect = ImperfectLaw(plant, law, positive("step", step), pairs, predict)
     if step is None:
+        if imperfections:
+            raise ArgumentError(
+                "imperfections act at samples: give a step, the ideal loop has no samples."
+            )
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
         step = positive("step", step)
+        if others:
+            known = switching if isinstance(switching, SwitchingSignal) else None
+            steps = None if known is None else math.floor(snap(horizon / step)) + 1
+            update = law.online(step, known, steps)
+            imperfect = ImperfectLaw(plant, update, step, others, predict)
         outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect, disturbances)
     end = horizon if outcome.end is None else outcome.end
     run = trajectory_of(
@@ -145,6 +148,16 @@ def simulate(
         measured=np.array(imperfect.measured[:kept]).T,
         commanded=np.array(imperfect.commanded[:kept]).T,
     )
+
+
+def _drawn(
+    imperfections: Sequence[Imperfection], seed: int
+) -> tuple[Drawn, list[tuple[Imperfection, np.random.Generator]]]:
+    """Disturbances and the other imperfections, each with its stream."""
+    generators = streams(imperfections, count("seed", seed, 0))
+    pairs = list(zip(imperfections, generators, strict=True))
+    forces = [(one, rng) for one, rng in pairs if isinstance(one, Disturbance)]
+    return forces, [(one, rng) for one, rng in pairs if not isinstance(one, Disturbance)]
 
 
 def _ideal(
