@@ -14,19 +14,11 @@ SOURCE = Path(dt.__file__).parent
 # Each ring may import from itself and from the rings before it.
 RINGS = (
     ("errors", "checks", "wording", "version"),
-    ("plant", "switching", "steps", "exponential", "feedback", "forecast", "imperfections"),
+    ("plant", "switching", "steps", "exponential", "covariance", "feedback", "forecast"),
+    ("imperfections",),
     (
-        "gains",
-        "pole_placement",
-        "sampled",
-        "observers",
-        "tracking",
-        "output_feedback",
-        "laws",
-        "spectrum",
-        "lmi",
-        "lyapunov",
-        "stabilization",
+        *("pole_placement", "sampled", "gains", "observers", "tracking", "laws"),
+        *("output_feedback", "spectrum", "lmi", "lyapunov", "stabilization"),
     ),
     ("simulation",),
     ("certificates", "backstepping", "controller"),

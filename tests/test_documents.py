@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import deadtime as dt
+from deadtime import imperfections
 from deadtime.controller import Status
-from deadtime.imperfections import ActuatorImperfection, SensorImperfection
 from deadtime.study import load_study
 
 ROOT = Path(__file__).parents[1]
@@ -57,8 +57,10 @@ def test_python_of_the_page_on_the_controller_runs(capsys):
 def test_python_of_the_page_on_imperfections_runs_and_names_them_all():
     page, names = run_page("imperfections.md")
     assert not names["run"].diverged
-    kinds = [SensorImperfection, ActuatorImperfection]
-    for kind in (one for base in kinds for one in base.__subclasses__()):
+    bases = imperfections.Imperfection.__subclasses__()
+    kinds = [kind for base in bases for kind in base.__subclasses__()]
+    assert len(kinds) == 12
+    for kind in kinds:
         assert f"| `{kind.__name__}(" in page
 
 

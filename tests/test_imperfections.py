@@ -41,7 +41,7 @@ def run(law="averaged", imperfections=(), horizon=3.0, step=STEP, **options):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("law", [name for name in plants.LAWS if name != "exact"])
+@pytest.mark.parametrize("law", plants.LAWS)
 def test_imperfections_of_no_size_change_nothing(law):
     nothing = [Noise(0.0), Dropout(0.0), LateSamples(1, 0.0), WrongMode(0.0), Saturation(-1e9, 1e9)]
     plain, loop = run(law), run(law, nothing)
@@ -65,6 +65,17 @@ def test_the_plant_follows_the_applied_inputs_exactly():
     for k in range(loop.time.size - 1):
         x = reference.run_model(model, mode, times, applied, held, x, k * held, (k + 1) * held)
         assert np.abs(loop.states[:, k + 1] - x).max() <= 1e-12 * np.abs(x).max()
+
+
+def test_the_oracle_keeps_its_place_in_the_future_where_samples_are_lost():
+    loop = run("exact", [Dropout(0.3)], seed=2)
+    table = plants.LAWS["exact"](MODEL).digital(STEP, SIGNAL, loop.time.size)
+    seen = np.isfinite(loop.measured).all(axis=0)
+    u, scale = plants.expected_inputs(
+        table, np.nan_to_num(loop.measured.T), loop.mode, loop.inputs.T
+    )
+    assert (~seen).sum() > 5
+    assert (np.abs(loop.inputs.T - u)[seen] <= 1e-12 * scale[seen]).all()
 
 
 @pytest.mark.parametrize("predict", ["applied", "commanded"])
@@ -138,7 +149,7 @@ def test_wrong_modes_are_other_modes_as_often_as_said(monkeypatch):
         told.append(mode)
         return update(x, past, mode, age)
 
-    monkeypatch.setattr(type(law), "online", lambda self, step: listen)
+    monkeypatch.setattr(type(law), "online", lambda self, step, signal, steps: listen)
     loop = dt.simulate(PLANT, law, SIGNAL, X0, 30.0, 0.01, imperfections=[WrongMode(0.25)])
     wrong = np.array(told) != loop.mode
     assert abs(wrong.mean() - 0.25) < 0.03
@@ -229,5 +240,6 @@ def test_what_goes_with_imperfections_is_checked():
         run(imperfections=ALL, step=None)
     with pytest.raises(dt.ArgumentError, match="seed must be"):
         run(imperfections=ALL, seed=-1)
+    rule = dt.HalfSpace([1.0, 0.0, 0.0], 0.0)
     with pytest.raises(dt.ArgumentError, match="future"):
-        run("exact", ALL)
+        dt.simulate(PLANT, plants.LAWS["exact"](MODEL), rule, X0, 1.0, STEP, imperfections=ALL)

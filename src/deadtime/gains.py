@@ -20,10 +20,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import positive, real_array
+from deadtime.covariance import noise_covariance
 from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.pole_placement import place_pair, pole_lists, reachable, require_controllable
-from deadtime.sampled import gramian, held_pair, quotient, quotient_poles
+from deadtime.sampled import held_pair, quotient, quotient_poles
 
 
 def place(
@@ -176,7 +177,7 @@ def held_cost(
     Z, weight = np.zeros((2, n + m, n + m))
     Z[:n, :n], Z[:n, n:] = A, B
     weight[:n, :n], weight[n:, n:] = Q, R
-    return gramian(Z.T, weight, step)
+    return noise_covariance(Z.T, weight, step)
 
 
 def _sampled_lqr_mode(

@@ -13,7 +13,7 @@ from deadtime.checks import instance, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, Remembering, TableLaw
+from deadtime.laws.base import Law, Remembering, TableLaw, Update
 from deadtime.observers.estimator import Estimator, Tracked
 from deadtime.observers.observer import Observer
 from deadtime.plant import SwitchedSystem
@@ -118,8 +118,8 @@ class OutputFeedback(Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         raise ArgumentError(
-            "OutputFeedback has no table: it remembers an estimate. `growth_rate` takes it; for the "
-            "rest ask about its .law, which is given the state, and its .observer (.rates, "
+            "OutputFeedback has no table: it remembers an estimate. `growth_rate` takes it; for "
+            "the rest ask about its .law, which is given the state, and its .observer (.rates, "
             ".switched_rate), which by separation are the loop, the model being right."
         )
 
@@ -137,32 +137,40 @@ class OutputFeedback(Law):
                 "observer for the period of the loop."
             )
 
-    def estimator(self, step: float) -> Estimator:
-        """Its observer, to be run at its period."""
+    def estimator(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Estimator:
+        """Its observer, to be run at its period; `signal` and `steps` as in `Law.digital`."""
         self.require_step(step)
         if self.servo is None:
             return Estimator(self.observer, self.estimate)
-        tracked = Tracked(self.servo.tracked, self._push(step), self.servo.integral)
+        push = self._push(self.law.digital(step, signal, steps))
+        tracked = Tracked(self.servo.tracked, push, self.servo.integral)
         return Estimator(self.observer, self.estimate, tracked)
 
-    def _push(self, step: float) -> np.ndarray:
+    def _push(self, table: Feedback) -> np.ndarray:
         """How the law's input answers the sum of errors, on average over a mode's rows."""
-        table, n = self.law.digital(step), self.observer.plant.states
+        n, modes = self.observer.plant.states, self.plant.modes
         F = table.state_gain[:, :, n : n + (self.servo.sums if self.servo else 0)]
-        if table.context == "none":
-            return np.tile(F, (self.plant.modes, 1, 1))
-        return F.reshape(self.plant.modes, table.ages, *F.shape[1:]).mean(axis=1)
+        if table.context in ("mode", "mode_age"):
+            return F.reshape(modes, table.ages, *F.shape[1:]).mean(axis=1)
+        return np.tile(F.mean(axis=0), (modes, 1, 1))
 
-    def online(self, step: float) -> OutputUpdate:
-        return OutputUpdate(self, step)
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> OutputUpdate:
+        inner = self.law.online(step, signal, steps)
+        return OutputUpdate(inner, self.estimator(step, signal, steps), self.reference, step)
 
 
 class OutputUpdate(Remembering):
     """An `OutputFeedback` that runs: from y_k, the past inputs, mode and age to u_k."""
 
-    def __init__(self, law: OutputFeedback, step: float) -> None:
-        self._inner, self._estimator = law.law.online(step), law.estimator(step)
-        self._reference, self._step = law.reference, step
+    def __init__(
+        self, inner: Update, estimator: Estimator, reference: Reference | None, step: float
+    ) -> None:
+        self._inner, self._estimator = inner, estimator
+        self._reference, self._step = reference, step
         self.estimates: list[np.ndarray] = []
 
     def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:

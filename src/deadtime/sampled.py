@@ -11,10 +11,7 @@ gives it the eigenvalues (z − 1)/h where Φ + ΓK has the eigenvalues z.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from jaxtyping import Float
 
 from deadtime.errors import ArgumentError
 
@@ -42,42 +39,3 @@ def quotient_poles(poles: np.ndarray, step: float, i: int) -> np.ndarray:
             f"|Im p| must be below π/h = {np.pi / step:.4g} 1/s; shorten the step."
         )
     return np.expm1(poles * step) / step
-
-
-def gramian(
-    A: Float[np.ndarray, "n n"], W: Float[np.ndarray, "n n"], time: float
-) -> Float[np.ndarray, "n n"]:
-    """∫₀^τ e^{As} W e^{Aᵀs} ds over τ = `time`.
-
-    The covariance that white noise of intensity W leaves behind; and, of Aᵀ, the integral of a
-    square along dx/dt = A x. Over a short piece by one exponential,
-
-        exp([[−A, W], [0, Aᵀ]] τ) = [[·, e^{−Aτ} G(τ)], [0, e^{Aᵀτ}]],
-
-    which is then doubled: G(2τ) = G(τ) + Φ(τ) G(τ) Φ(τ)ᵀ, sums of positive terms.
-
-    References
-    ----------
-    C. Van Loan, Computing integrals involving the matrix exponential, IEEE Transactions on
-    Automatic Control 23 (1978) 395–404.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> gramian(np.zeros((1, 1)), np.ones((1, 1)), 0.5)
-    array([[0.5]])
-    """
-    from scipy.linalg import expm
-
-    n = A.shape[0]
-    doublings = max(0, math.ceil(math.log2(max(float(np.linalg.norm(A, 1)) * time, 1e-300) * 2.0)))
-    short = time / 2.0**doublings
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -A, W, A.T
-    whole = expm(block * short)
-    Phi = whole[n:, n:].T
-    G = Phi @ whole[:n, n:]
-    for _ in range(doublings):
-        G = G + Phi @ G @ Phi.T
-        Phi = Phi @ Phi
-    return (G + G.T) / 2.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,7 +21,8 @@ from deadtime.switching import SwitchingSignal
 
 MOST_BYTES = 1e9  # of a table
 
-# From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k.
+# From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k. It is
+# called at every sample: with x = NaN where nothing was measured, to which it may answer NaN.
 Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 
@@ -86,12 +88,14 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def online(self, step: float) -> Update | Remembering:
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Update | Remembering:
         """The law as a function to be called once a period, for loops that must go step by step.
 
         Of a law that measures outputs it is a `Remembering`, to be called with y in place of x.
-
-        Raises `ArgumentError` for a law that must know the future.
+        `signal` and `steps` as in `digital`. Raises `ArgumentError` for a law that must know the
+        future and is not told it.
         """
 
     def __repr__(self) -> str:
@@ -106,15 +110,23 @@ class Law(ABC):
 class TableLaw(Law):
     """A law that is a table of linear functionals: every one but the state-dependent."""
 
-    def online(self, step: float) -> Update:
-        feedback = self.digital(step)
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Update:
+        feedback = self.digital(step, signal, steps)
         ages, taps = feedback.ages, feedback.taps
         contexts, m = feedback.state_gain.shape[:2]
         # The oldest input first, as the past inputs come.
         G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts, m, taps * m)
 
+        sample = itertools.count()
+        row_of = {
+            "none": lambda mode, age: 0,
+            "step": lambda mode, age: next(sample),
+        }.get(feedback.context, lambda mode, age: mode * ages + min(age, ages - 1))
+
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
-            row = 0 if feedback.context == "none" else mode * ages + min(age, ages - 1)
+            row = row_of(mode, age)
             return feedback.state_gain[row] @ x + G[row] @ past[-taps:].ravel()
 
         return control

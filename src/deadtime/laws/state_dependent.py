@@ -101,7 +101,9 @@ class StateDependentPredictor(Law):
             "continuously; a short step comes close."
         )
 
-    def online(self, step: float) -> Update:
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Update:
         window = self.window(step)
         # A switch within 1e-9 h after an instant counts as at it: the last length looks ahead.
         lengths = window.phase, window.step, TOLERANCE * window.step
@@ -109,6 +111,8 @@ class StateDependentPredictor(Law):
         kinds = np.array([0] + [1] * (window.count - 1))
 
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+            if not np.isfinite(x).all():
+                return np.full(past.shape[1], np.nan)
             arrival = motion.follow(kinds, past[-window.count :], x)
             if arrival.chatter is not None:
                 raise ChatteringError(

@@ -9,12 +9,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import instance, positive
+from deadtime.covariance import noise_covariance
 from deadtime.errors import ArgumentError
 from deadtime.gains import weight_matrix
 from deadtime.observers.observer import Observer, output_matrices
 from deadtime.plant import SwitchedSystem
 from deadtime.pole_placement import place_pair, pole_lists, reachable
-from deadtime.sampled import gramian, held_pair, quotient, quotient_poles
+from deadtime.sampled import held_pair, quotient, quotient_poles
 
 
 def luenberger(
@@ -141,7 +142,7 @@ def _filter(
 
     _require_detectable(A, C, i)
     identity = np.eye(len(A))
-    Phi, noise = held_pair(A, identity, step)[0], gramian(A, W, step)
+    Phi, noise = held_pair(A, identity, step)[0], noise_covariance(A, W, step)
     try:
         P = solve_discrete_are(Phi.T, C.T, noise, R)
     except ValueError:  # LinAlgError among them

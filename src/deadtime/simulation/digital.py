@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deadtime.feedback import Feedback
+from deadtime.imperfections import Disturbance
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
+from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal import IdealRecord
 from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.simulation.record import DigitalRecord, PhaseTable
@@ -18,6 +20,7 @@ from deadtime.steps import Cuts, Window, modes_at, snap
 from deadtime.switching import SwitchingSignal
 
 ModeAt = Callable[[np.ndarray], np.ndarray]
+Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,22 +77,31 @@ class Outcome:
 
 
 def run_table(
-    plant: SwitchedSystem, law: Law, signal: SwitchingSignal, x0: np.ndarray, grid: Grid
+    plant: SwitchedSystem,
+    law: Law,
+    signal: SwitchingSignal,
+    x0: np.ndarray,
+    grid: Grid,
+    disturbances: Drawn = (),
 ) -> Outcome:
     """Run a table law along a signal."""
     window, samples, past, inputs = grid.window, grid.samples, grid.past, grid.inputs
     step = window.step
     feedback = law.digital(step, signal, samples)
     cuts = Cuts.of(signal, window)
-    table = PhaseTable.of(plant, window, cuts, samples + window.count - 1)
+    table = PhaseTable.of(plant, window, cuts, samples + window.count)
+    shift, forces = np.zeros((0, 2, plant.states)), None
+    if disturbances:
+        forcing = Forcing(plant, window, samples + window.count, disturbances)
+        shift, forces = forcing.along(table, cuts)
 
     def mode_at(time: np.ndarray) -> np.ndarray:
         return modes_at(signal, time, step)
 
     rows = feedback.rows(mode_at(np.arange(samples) * step), initial_age(signal, step))
-    kept, states, at_phase = _run(table, window, feedback, rows, x0, inputs, past)
+    kept, states, at_phase = _run(table, window, feedback, rows, x0, inputs, past, shift)
     record = DigitalRecord(
-        plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept
+        plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept, forces
     )
     diverged = kept < samples
     return Outcome(record, signal, mode_at, (kept - 1) * step if diverged else None, diverged)
@@ -108,6 +120,7 @@ def _run(
     x0: np.ndarray,
     inputs: np.ndarray,
     past: int,
+    shift: np.ndarray,
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
     from deadtime.simulation.kernel import closed_loop
@@ -125,4 +138,5 @@ def _run(
         x0,
         inputs,
         past,
+        shift,
     )

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.imperfections import (
     ActuatorImperfection,
@@ -14,23 +13,26 @@ from deadtime.imperfections import (
     Seen,
     SensorImperfection,
     Sizes,
-    streams,
+    TimingImperfection,
 )
-from deadtime.laws.base import Law, Remembering, Update
+from deadtime.imperfections.base import Lag
+from deadtime.laws.base import Remembering, Update
 from deadtime.plant import SwitchedSystem
 
 
 class ImperfectLaw:
     """An `Update` that senses and acts through imperfections.
 
-    Where nothing usable arrives the last input is asked for again, except of a law with a memory,
-    which goes on without. The law's past inputs are those applied, or with predict = "commanded"
-    those asked for.
+    Where nothing usable arrives and the law has no answer, its last input is asked for again. The
+    law's past inputs are those applied, or with predict = "commanded" those asked for. A law that
+    measures outputs is told y = C_σ x, `outputs` being the C of every mode.
 
     Attributes
     ----------
+    lag : callable or None
+        How long before a sample its state is to be measured, seconds; called once a sample.
     measured : (samples, n) or (samples, p)
-        What the law was told of x, or of its outputs y = C_σ x; NaN where nothing arrived.
+        What the law was told of x or y, NaN where nothing arrived.
     commanded : (samples, m)
         What it asked for.
     """
@@ -38,26 +40,26 @@ class ImperfectLaw:
     def __init__(
         self,
         plant: SwitchedSystem,
-        law: Law,
+        update: Update,
         step: float,
-        imperfections: Sequence[Imperfection],
-        seed: int,
+        pairs: Sequence[tuple[Imperfection, np.random.Generator]],
         predict: str,
+        outputs: np.ndarray | None = None,
     ) -> None:
         if predict not in ("applied", "commanded"):
             raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
-        self._outputs = law.outputs
-        measured = plant.states if law.outputs is None else law.outputs.shape[1]
+        self._outputs = outputs
+        measured = plant.states if outputs is None else outputs.shape[1]
         sizes = Sizes(plant.modes, measured, plant.inputs, step)
-        generators = streams(imperfections, count("seed", seed, 0))
-        pairs = list(zip(imperfections, generators, strict=True))
         self._sensors = [
             one.sensor(sizes, rng) for one, rng in pairs if isinstance(one, SensorImperfection)
         ]
         self._actuators = [
             one.actuator(sizes) for one, _ in pairs if isinstance(one, ActuatorImperfection)
         ]
-        self._update: Update | Remembering = law.online(step)
+        lags = [one.lag(sizes, rng) for one, rng in pairs if isinstance(one, TimingImperfection)]
+        self.lag: Lag | None = (lambda: sum(lag() for lag in lags)) if lags else None
+        self._update = update
         self._tells_commands = predict == "commanded"
         self._pipe: np.ndarray | None = None
         self._mode, self._age = -1, 0
@@ -96,8 +98,7 @@ class ImperfectLaw:
         return self._update.estimates if isinstance(self._update, Remembering) else None
 
     def _asked(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
-        if isinstance(self._update, Remembering):
-            return self._update(x, past, self._mode, self._age)
-        if self._mode < 0 or not np.isfinite(x).all():
-            return self.commanded[-1] if self.commanded else past[-1].copy()
-        return self._update(x, past, self._mode, self._age)
+        asked = self._update(x, past, self._mode, self._age)
+        if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
+            return asked
+        return self.commanded[-1] if self.commanded else past[-1].copy()

@@ -41,13 +41,14 @@ def _within_limit(x):
 
 
 @njit(cache=True)
-def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past):
+def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past, shift):
     """Run the loop over the samples 0, …, rows.size − 1 and on until the pipe is empty.
 
     `inputs[past + k]` is u_k; its first `past` rows are the history. Row `r` of the law is
-    F[r] and G[r] (m, taps·m), the oldest input first. Returns (samples, states, at_phase):
-    how many samples were kept before |x| left the limit, x(t_k), and x(t_k + φ) for
-    k = 0, …, samples + count − 1 and one less.
+    F[r] and G[r] (m, taps·m), the oldest input first. `shift` (steps, 2, n), or empty, is what
+    disturbances add over the phases. Returns (samples, states, at_phase): how many samples were
+    kept before |x| left the limit, x(t_k), and x(t_k + φ) for k = 0, …, samples + count − 1 and
+    one less.
     """
     m, window = G.shape[1:]
     n = x0.size
@@ -70,18 +71,20 @@ def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past):
                 inputs[past + k, i] = _dot(G[row, i], recent) + _dot(F[row, i], x)
         i = index[k, 0]
         _advance(Phi[i], Gamma[i], x, inputs[past + k - count], at_phase[k])
+        if shift.size:
+            at_phase[k] += shift[k, 0]
         i = index[k, 1]
         u = inputs[past + k - count + 1]
         _advance(Phi[i], Gamma[i], at_phase[k], u, states[k + 1])
+        if shift.size:
+            states[k + 1] += shift[k, 1]
         k += 1
     return samples, states[: samples + count], at_phase[: samples + count - 1]
 
 
 @njit(cache=True)
-def states_at(
-    A, B, phase, count, cut_step, cut_offset, cut_mode, step, offset, states, inputs, past
-):
-    """x at the instants t_k + offset, k = `step`."""
+def states_at(A, B, phase, cut_step, cut_offset, cut_mode, step, offset, states, acting):
+    """x at the instants t_k + offset, k = `step`; acting[k, f] is held over phase f of step k."""
     result = np.empty((step.size, A.shape[1]))
     for i in range(step.size):
         k, o = step[i], offset[i]
@@ -90,10 +93,10 @@ def states_at(
         Phi, Gamma, p, mode = between(
             A, B, cut_mode[p], cut_offset, cut_mode, p, stop, 0.0, min(o, phase)
         )
-        _advance(Phi, Gamma, states[k], inputs[past + k - count], result[i])
+        _advance(Phi, Gamma, states[k], acting[k, 0], result[i])
         if o > phase:
             Phi, Gamma, p, mode = between(A, B, mode, cut_offset, cut_mode, p, stop, phase, o)
-            _advance(Phi, Gamma, result[i].copy(), inputs[past + k - count + 1], result[i])
+            _advance(Phi, Gamma, result[i].copy(), acting[k, 1], result[i])
     return result
 
 
@@ -113,15 +116,15 @@ def phase_gramians(A, B, step, phase, cut_offset, cut_mode, mode, first, stop):
 
 
 @njit(cache=True)
-def square_integral(Q, index, steps, count, states, at_phase, inputs, past):
+def square_integral(Q, index, steps, states, at_phase, acting):
     """∫|x|² over the steps 0, …, steps − 1."""
-    n, m = states.shape[1], inputs.shape[1]
+    n, m = states.shape[1], acting.shape[2]
     total = 0.0
     z = np.empty(n + m)
     for k in range(steps):
         for f in range(2):
             z[:n] = states[k] if f == 0 else at_phase[k]
-            z[n:] = inputs[past + k - count + f]
+            z[n:] = acting[k, f]
             form = Q[index[k, f]]
             for i in range(n + m):
                 total += z[i] * _dot(form[i], z)

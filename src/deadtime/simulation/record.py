@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -56,6 +57,8 @@ class DigitalRecord:
         Held inputs; u_k is inputs[past + k], the first `past` rows are the history.
     samples : int
         Samples 0, …, samples − 1 belong to the run.
+    forces : (steps, 2, n) or None
+        The force that disturbances hold over each phase of each step.
     """
 
     plant: SwitchedSystem
@@ -67,7 +70,24 @@ class DigitalRecord:
     inputs: Float[np.ndarray, "held m"]
     past: int
     samples: int
+    forces: Float[np.ndarray, "step 2 n"] | None = None
     held: ClassVar[bool] = True
+
+    @cached_property
+    def driven(self) -> tuple[np.ndarray, np.ndarray]:
+        """B (modes, n, q) and what acts through it, u and the forces, (steps, 2, q)."""
+        A, B, steps = self.plant.A, self.plant.B, self.at_phase.shape[0]
+        arriving = self.past - self.window.count
+        acting = np.empty((steps + 1, 2, B.shape[2]))
+        # The last phase 0 is that of a run that ends between samples, a delay later.
+        for f, more in ((0, 1), (1, 0)):
+            first = arriving + f
+            acting[: steps + more, f] = self.inputs[first : first + steps + more]
+        acting[steps, 1] = 0.0
+        if self.forces is None:
+            return B, acting
+        unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
+        return np.concatenate((B, unit), axis=2), np.dstack((acting, self.forces[: steps + 1]))
 
     def grid(self, end: float) -> Float[np.ndarray, " T"]:
         """The samples, and the end of the run when that is no sample."""
@@ -108,20 +128,18 @@ class DigitalRecord:
         from deadtime.simulation.kernel import states_at
 
         step, offset = self.locate(times)
-        plant, cuts = self.plant, self.cuts
+        cuts, (B, acting) = self.cuts, self.driven
         return states_at(
-            plant.A,
-            plant.B,
+            self.plant.A,
+            B,
             self.window.phase,
-            self.window.count,
             cuts.step,
             cuts.offset,
             cuts.mode,
             step,
             offset,
             self.states,
-            self.inputs,
-            self.past,
+            acting,
         )
 
     def inputs_at(self, times: np.ndarray) -> Float[np.ndarray, "time m"]:
@@ -144,10 +162,10 @@ class DigitalRecord:
     def _whole_steps(self, steps: int) -> float:
         from deadtime.simulation.kernel import phase_gramians, square_integral
 
-        plant, table, window = self.plant, self.table, self.window
+        table, window, (B, acting) = self.table, self.window, self.driven
         Q = phase_gramians(
-            plant.A,
-            plant.B,
+            self.plant.A,
+            B,
             window.step,
             window.phase,
             self.cuts.offset,
@@ -156,22 +174,13 @@ class DigitalRecord:
             table.first,
             table.stop,
         )
-        return square_integral(
-            Q,
-            table.index,
-            steps,
-            window.count,
-            self.states,
-            self.at_phase,
-            self.inputs,
-            self.past,
-        )
+        return square_integral(Q, table.index, steps, self.states, self.at_phase, acting)
 
     def _within_step(self, k: int, end: float) -> float:
         """∫|x|² over [t_k, t_k + end], end < h."""
         from deadtime.exponential import energy_between
 
-        phase, cuts = self.window.phase, self.cuts
+        phase, cuts, (B, acting) = self.window.phase, self.cuts, self.driven
         stop = int(np.searchsorted(cuts.step, k + 1))
         total = 0.0
         for start, a, b in ((0, 0.0, min(end, phase)), (1, phase, end)):
@@ -181,7 +190,7 @@ class DigitalRecord:
             first += int(np.sum((cuts.step == k) & (cuts.offset <= a)))
             Q = energy_between(
                 self.plant.A,
-                self.plant.B,
+                B,
                 cuts.mode[first],
                 cuts.offset,
                 cuts.mode,
@@ -191,6 +200,6 @@ class DigitalRecord:
                 b,
             )
             x = self.at_phase[k] if start else self.states[k]
-            z = np.concatenate((x, self.inputs[self.past + k - self.window.count + start]))
+            z = np.concatenate((x, acting[k, start]))
             total += float(z @ Q @ z)
         return total

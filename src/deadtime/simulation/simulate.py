@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import instance, positive, real_array, shaped
+from deadtime.checks import count, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
-from deadtime.imperfections import Imperfection
+from deadtime.imperfections import Disturbance, Imperfection, streams
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.digital import Grid, Outcome, run_table
+from deadtime.simulation.digital import Drawn, Grid, Outcome, run_table
 from deadtime.simulation.ideal import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
+from deadtime.steps import snap
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules import as_rule
 
@@ -70,12 +72,13 @@ def simulate(
         Instants in [0, horizon] to report, instead of the samples. A run that ends early drops
         those past its end.
     imperfections : sequence of Imperfection
-        What sensors and actuators do (`deadtime.imperfections`), in this order; digital loop only.
-        Then `run.inputs` are the inputs applied, `run.commanded` those asked for and
-        `run.measured` what the law was told of x. A law that measures outputs is told of these,
-        with or without imperfections, and `run.estimates` is what it makes of them.
+        Disturbances of the plant, and what sensors and actuators do, in this order
+        (`deadtime.imperfections`); digital loop only. With sensors or actuators among them,
+        `run.inputs` are the inputs applied, `run.commanded` those asked for and `run.measured`
+        what the law was told of x. A law that measures outputs is told of these, with or without
+        imperfections, and `run.estimates` is what it makes of them.
     seed : int
-        Of all that is random in them.
+        At least 0, of all that is random in them.
     predict : "applied" or "commanded"
         Which past inputs the law is told of, where the actuator changes them.
 
@@ -110,18 +113,22 @@ def simulate(
         switching = as_rule("signal", signal).require(plant)
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
+    disturbances, others = _drawn(imperfections, seed)
     imperfect = None
-    if imperfections and step is None:
-        raise ArgumentError(
-            "imperfections act at samples: give a step, the ideal loop has no samples."
-        )
-    if step is not None and (imperfections or law.outputs is not None):
-        imperfect = ImperfectLaw(plant, law, positive("step", step), imperfections, seed, predict)
     if step is None:
+        if imperfections:
+            raise ArgumentError(
+                "imperfections act at samples: give a step, the ideal loop has no samples."
+            )
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
         step = positive("step", step)
-        outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect)
+        if others or law.outputs is not None:
+            known = switching if isinstance(switching, SwitchingSignal) else None
+            steps = None if known is None else math.floor(snap(horizon / step)) + 1
+            update = law.online(step, known, steps)
+            imperfect = ImperfectLaw(plant, update, step, others, predict, law.outputs)
+        outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect, disturbances)
     end = horizon if outcome.end is None else outcome.end
     run = trajectory_of(
         outcome.record,
@@ -144,6 +151,16 @@ def simulate(
         commanded=np.array(imperfect.commanded[:kept]).T,
         estimates=None if estimates is None else np.array(estimates[:kept]).T,
     )
+
+
+def _drawn(
+    imperfections: Sequence[Imperfection], seed: int
+) -> tuple[Drawn, list[tuple[Imperfection, np.random.Generator]]]:
+    """Disturbances and the other imperfections, each with its stream."""
+    generators = streams(imperfections, count("seed", seed, 0))
+    pairs = list(zip(imperfections, generators, strict=True))
+    forces = [(one, rng) for one, rng in pairs if isinstance(one, Disturbance)]
+    return forces, [(one, rng) for one, rng in pairs if not isinstance(one, Disturbance)]
 
 
 def _ideal(
@@ -183,6 +200,7 @@ def _digital(
     step: float,
     u0: InitialInput,
     imperfect: ImperfectLaw | None,
+    disturbances: Drawn,
 ) -> Outcome:
     """The digital run: at once for a table law on a known signal, otherwise period by period."""
     if max(horizon, plant.delay, law.plant.delay) / step > _MOST_SAMPLES:
@@ -192,8 +210,8 @@ def _digital(
         )
     grid = Grid.of(plant, law, horizon, step, u0)
     if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal) and not imperfect:
-        return run_table(plant, law, switching, x0, grid)
-    return run_online(plant, law, switching, x0, horizon, grid, imperfect)
+        return run_table(plant, law, switching, x0, grid, disturbances)
+    return run_online(plant, law, switching, x0, horizon, grid, imperfect, disturbances)
 
 
 def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:

@@ -27,12 +27,12 @@ from deadtime.steps import Window
 
 
 class Period(NamedTuple):
-    """x' = Phi x + early u_{k−N} + late u_{k−N+1}, N = `count`."""
+    """x' = Phi x + early u_{k−N} + late u_{k−N+1}, N = `taps`."""
 
     Phi: Float[np.ndarray, "n n"]
     early: Float[np.ndarray, "n m"]
     late: Float[np.ndarray, "n m"]
-    count: int
+    taps: int
 
     @classmethod
     def of(cls, plant: SwitchedSystem, mode: int, step: float) -> Period:
@@ -48,7 +48,7 @@ class Period(NamedTuple):
 
         With w_1 = u_{k−count−1}, …, w_δ = u_{k−count−δ}, δ = N − count > 0.
         """
-        extra, (n, m) = self.count - count, self.early.shape
+        extra, (n, m) = self.taps - count, self.early.shape
         if extra <= 0:
             return self
         Phi, early, late = np.zeros((n + extra * m, n + (extra + 2) * m)), None, None
@@ -71,7 +71,7 @@ def observed_loop(
     """The loop of plant, observer and one row of the table of the law inside, reference 0."""
     h, observer = feedback.step, law.observer
     true, model = Period.of(plant, mode, h), Period.of(observer.plant, mode, h)
-    count = min(true.count, model.count)
+    count = min(true.taps, model.taps)
     assert law.outputs is not None
     C, C_o, L = law.outputs[mode], observer.C[mode], observer.gain[mode]
     H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]

@@ -1,0 +1,56 @@
+"""Actuators: limits of the input and of its rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.errors import ArgumentError
+from deadtime.imperfections.base import Act, ActuatorImperfection, Sizes, per_signal
+
+
+@dataclass(frozen=True)
+class Saturation(ActuatorImperfection):
+    """Inputs are clipped to [low, high].
+
+    Parameters
+    ----------
+    low, high : array_like
+        Scalars or shape (m,), low < high.
+    """
+
+    kind: ClassVar[int] = 6
+    low: ArrayLike
+    high: ArrayLike
+
+    def actuator(self, sizes: Sizes) -> Act:
+        low = per_signal("Saturation.low", self.low, sizes.inputs)
+        high = per_signal("Saturation.high", self.high, sizes.inputs)
+        if (low >= high).any():
+            raise ArgumentError(
+                f"Saturation must have low < high, got {low.tolist()} and {high.tolist()}."
+            )
+        return lambda asked, before: np.clip(asked, low, high)
+
+
+@dataclass(frozen=True)
+class RateLimit(ActuatorImperfection):
+    """Inputs change by at most `rate`·step from one period to the next.
+
+    Parameters
+    ----------
+    rate : array_like
+        Units of the input per second, a scalar or shape (m,).
+    """
+
+    kind: ClassVar[int] = 7
+    rate: ArrayLike
+
+    def actuator(self, sizes: Sizes) -> Act:
+        most = per_signal("RateLimit.rate", self.rate, sizes.inputs) * sizes.step
+        if (most <= 0.0).any():
+            raise ArgumentError(f"RateLimit.rate must be positive, got {self.rate}.")
+        return lambda asked, before: np.clip(asked, before - most, before + most)

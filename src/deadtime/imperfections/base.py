@@ -1,0 +1,104 @@
+"""What an imperfection of a loop is, and what it must know of its loop."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.checks import instance, number, real_array, shaped
+from deadtime.errors import ArgumentError
+
+
+class Sizes(NamedTuple):
+    """What an imperfection must know of its loop; the step in seconds."""
+
+    modes: int
+    states: int
+    inputs: int
+    step: float
+
+
+class Seen(NamedTuple):
+    """What reaches the law at a sample; x is NaN where nothing did."""
+
+    x: np.ndarray
+    mode: int
+
+
+Sense = Callable[[Seen], Seen]
+Lag = Callable[[], float]
+Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from u_k as asked and u_{k−1} as applied
+Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
+
+
+class Imperfection(ABC):
+    """Something between the law and its plant."""
+
+    kind: ClassVar[int]
+
+
+class SensorImperfection(Imperfection):
+    """Changes what the law is told."""
+
+    @abstractmethod
+    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+        """A function to be called once a sample, with a memory of its own."""
+
+
+class TimingImperfection(Imperfection):
+    """Changes when the law's measurement is taken."""
+
+    @abstractmethod
+    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
+        """A function to be called once a sample: how long before it x is measured, seconds."""
+
+
+class ActuatorImperfection(Imperfection):
+    """Changes what the plant is given."""
+
+    @abstractmethod
+    def actuator(self, sizes: Sizes) -> Act:
+        """A function to be called once a sample."""
+
+
+class Disturbance(Imperfection):
+    """A force on the plant: dx/dt = A x + B u(t − D) + w(t), whatever the law does."""
+
+    @abstractmethod
+    def draws(
+        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Numbers (steps, 2, r) that decide w over both phases of every step."""
+
+    @abstractmethod
+    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+        """(n, r): from a phase's numbers to what w adds to x over these pieces of it."""
+
+
+def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.Generator]:
+    """A generator for each, which the presence of the others does not change."""
+    seen: dict[int, int] = {}
+    result = []
+    for one in imperfections:
+        instance("imperfections", one, Imperfection)
+        place = seen.get(one.kind, 0)
+        seen[one.kind] = place + 1
+        result.append(np.random.default_rng(np.random.SeedSequence([seed, one.kind, place])))
+    return result
+
+
+def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    array = np.asarray(value, dtype=float)
+    whole = np.full(size, array) if array.ndim == 0 else array
+    return shaped(name, real_array(name, whole, "(size,)", 1), (size,), "(size,)")
+
+
+def probability_of(name: str, value: float) -> float:
+    p = number(name, value)
+    if not 0.0 <= p <= 1.0:
+        raise ArgumentError(f"{name} must be in [0, 1], got {p:g}.")
+    return p

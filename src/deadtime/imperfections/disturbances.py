@@ -1,0 +1,192 @@
+"""Disturbances of the plant: dx/dt = A_σ x + B_σ u(t − D) + w(t).
+
+Over each phase of a step (up to φ, where the next input arrives, and from there on) what w adds
+to x is drawn with its exact distribution, switches within the phase included. Between the ends of
+phases the constant force that adds as much is held, so that a run can be evaluated anywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.checks import number, real_array, shaped
+from deadtime.covariance import noise_covariance, square_root
+from deadtime.errors import ArgumentError
+from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
+from deadtime.steps import snap
+
+
+@dataclass(frozen=True)
+class WhiteDisturbance(Disturbance):
+    """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s).
+
+    The states at the samples and at the arrivals of inputs have exactly the distribution of the
+    stochastic differential equation. The roughness of a path within a phase is left out: it would
+    add tr(W) h/6 a second to ∫|x|² on average.
+
+    Parameters
+    ----------
+    intensity : array_like
+        W: a number for W = number·I, shape (n,) for a diagonal, or (n, n), positive semidefinite;
+        in units of x² per second.
+    """
+
+    kind: ClassVar[int] = 8
+    intensity: ArrayLike
+
+    def draws(
+        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        self._checked(sizes.states)
+        return rng.standard_normal((steps, 2, sizes.states))
+
+    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+        W = self._checked(sizes.states)
+        return square_root(_accumulated(pieces, lambda A: (A, W), sizes.states))
+
+    def _checked(self, n: int) -> np.ndarray:
+        name = "WhiteDisturbance.intensity"
+        given = np.asarray(self.intensity, dtype=float)
+        if given.ndim < 2:
+            given = np.diag(per_signal(name, given, n))
+        W = shaped(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
+        size = np.abs(W).max()
+        if np.abs(W - W.T).max() > 1e-9 * size or np.linalg.eigvalsh(W)[0] < -1e-9 * size:
+            raise ArgumentError(
+                f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
+            )
+        return W
+
+
+@dataclass(frozen=True)
+class ColouredDisturbance(Disturbance):
+    """Coloured noise w = E c with c' = −c/T + white noise (Ornstein–Uhlenbeck), stationary.
+
+    Parameters
+    ----------
+    std : array_like
+        Stationary standard deviation of c, a number or shape (q,).
+    time_constant : array_like
+        Correlation time T, seconds, a number or shape (q,).
+    force : array_like, shape (n,) or (n, q)
+        E: how each of the q sources acts on dx/dt.
+    """
+
+    kind: ClassVar[int] = 9
+    std: ArrayLike
+    time_constant: ArrayLike
+    force: ArrayLike
+
+    def draws(
+        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        _, std, T = self._checked(sizes.states)
+        q, n = std.size, sizes.states
+        normal = rng.standard_normal((2 * steps + 1, q))
+        c = np.empty((2 * steps + 1, q))
+        c[0] = std * normal[0]
+        tau = np.tile(lengths, steps)[:, None]
+        kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
+        for i in range(2 * steps):
+            c[i + 1] = kept[i] * c[i] + fresh[i] * normal[i + 1]
+        rest = rng.standard_normal((2 * steps, n))
+        return np.hstack((c[:-1], c[1:], rest)).reshape(steps, 2, 2 * q + n)
+
+    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+        """From c at both ends and n normal numbers: the mean given c, and what is left."""
+        from scipy.linalg import expm
+
+        E, std, T = self._checked(sizes.states)
+        n, q = E.shape
+        total = sum(tau for _, tau in pieces)
+        if total == 0.0:
+            return np.zeros((n, 2 * q + n))
+        W = np.zeros((n + q, n + q))
+        W[n:, n:] = np.diag(2.0 * std**2 / T)
+
+        def joint(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return np.block([[A, E], [np.zeros((q, n)), np.diag(-1.0 / T)]]), W
+
+        M = np.eye(n + q)
+        for A, tau in pieces:
+            M = expm(tau * joint(A)[0]) @ M
+        Q = _accumulated(pieces, joint, n + q)
+        kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
+        slope = Q[:n, n:] / np.where(variance > 0.0, variance, 1.0)
+        left = square_root(Q[:n, :n] - slope @ Q[n:, :n])
+        return np.hstack((M[:n, n:] - slope * kept, slope, left))
+
+    def _checked(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        given = np.asarray(self.force, dtype=float)
+        given = given[:, None] if given.ndim == 1 else given
+        E = real_array("ColouredDisturbance.force", given, "(n, q)", 2)
+        shaped("ColouredDisturbance.force", E, (n, E.shape[1]), "(n, q)")
+        std = per_signal("ColouredDisturbance.std", self.std, E.shape[1])
+        T = per_signal("ColouredDisturbance.time_constant", self.time_constant, E.shape[1])
+        if (std < 0.0).any() or (T <= 0.0).any():
+            raise ArgumentError(
+                "ColouredDisturbance must have std ≥ 0 and time_constant > 0, got "
+                f"{std.tolist()} and {T.tolist()}."
+            )
+        return E, std, T
+
+
+@dataclass(frozen=True)
+class StepDisturbance(Disturbance):
+    """A constant force on dx/dt from the first sample at or after `start` up to that of `end`.
+
+    Parameters
+    ----------
+    force : array_like, shape (n,)
+        Units of x per second.
+    start, end : float
+        Seconds, 0 ≤ start < end.
+    """
+
+    kind: ClassVar[int] = 10
+    force: ArrayLike
+    start: float = 0.0
+    end: float = math.inf
+
+    def draws(
+        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        start = number("StepDisturbance.start", self.start)
+        if not 0.0 <= start < self.end:
+            raise ArgumentError(
+                f"StepDisturbance must have 0 ≤ start < end, got {start:g} and {self.end}."
+            )
+        first, stop = (math.ceil(snap(min(t / sizes.step, steps))) for t in (start, self.end))
+        active = np.zeros((steps, 2, 1))
+        active[first:stop] = 1.0
+        return active
+
+    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+        from deadtime.exponential import held
+
+        name = "StepDisturbance.force"
+        force = real_array(name, self.force, "(n,)", 1)
+        shaped(name, force, (sizes.states,), "(n,)")
+        total = np.zeros((sizes.states, 1))
+        for A, tau in pieces:
+            Phi, Gamma = held(np.ascontiguousarray(A), force[:, None].copy(), tau)
+            total = Phi @ total + Gamma
+        return total
+
+
+def _accumulated(pieces: Sequence[Piece], system, order: int) -> np.ndarray:
+    """The covariance over pieces, each under its own (A, W) = system(A of the plant)."""
+    from scipy.linalg import expm
+
+    Q = np.zeros((order, order))
+    for A, tau in pieces:
+        F, W = system(A)
+        Phi = expm(tau * F)
+        Q = Phi @ Q @ Phi.T + noise_covariance(F, W, tau)
+    return Q

@@ -1,0 +1,55 @@
+"""When the state is measured: a measurement delay beside the input delay, and jitter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from deadtime.checks import positive
+from deadtime.errors import ArgumentError
+from deadtime.imperfections.base import Lag, Sizes, TimingImperfection
+
+
+@dataclass(frozen=True)
+class MeasurementDelay(TimingImperfection):
+    """The law is told x(t_k − d) at t_k, nothing before t = d; the mode comes in time.
+
+    A law whose model has the delay D + d makes up for it: its prediction starts d earlier.
+
+    Parameters
+    ----------
+    delay : float
+        d > 0, seconds, any fraction of the step.
+    """
+
+    kind: ClassVar[int] = 11
+    delay: float
+
+    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
+        delay = positive("MeasurementDelay.delay", self.delay)
+        return lambda: delay
+
+
+@dataclass(frozen=True)
+class Jitter(TimingImperfection):
+    """Samples are taken up to `most` seconds early, uniformly, and used as if they were not.
+
+    Parameters
+    ----------
+    most : float
+        0 < most ≤ step, seconds; beyond a period, samples are late: `LateSamples`.
+    """
+
+    kind: ClassVar[int] = 12
+    most: float
+
+    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
+        most = positive("Jitter.most", self.most)
+        if most > sizes.step * (1.0 + 1e-9):
+            raise ArgumentError(
+                f"Jitter.most must be at most one period, {sizes.step:g} s, got {most:g}: samples "
+                "that come later are LateSamples."
+            )
+        return lambda: most * rng.random()
