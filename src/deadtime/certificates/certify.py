@@ -270,7 +270,8 @@ def _delays(delays: tuple[float, float] | None, nominal: float, step: float) -> 
 def _out_of_reach(plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float) -> str:
     """Why there can be no certificate, if so."""
     if not isinstance(law, TableLaw):
-        return f"{type(law).__name__} is no table but a nonlinear law: no certificate of this kind."
+        kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
+        return f"{type(law).__name__} is no table but {kind}: no certificate of this kind."
     from deadtime.laws.exact import ExactPredictor
 
     if isinstance(law, ExactPredictor):

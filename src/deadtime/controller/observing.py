@@ -33,14 +33,14 @@ class Observing:
         reference: ArrayLike | None,
         samples: int,
     ) -> tuple[Float[np.ndarray, " z"], bool, bool]:
-        """What the law is given; whether y was lost, and whether the reference was unusable.
+        """What the law is given; whether y was of no use, and whether the reference was unusable.
 
         A mode below 0 is not known: then y corrects nothing, for neither is C.
         """
-        lost = not np.isfinite(y).all()
         astray = self._follow(reference, samples)
-        z = self._estimator.update(latest, None if lost or mode < 0 else y, mode, self._r)
-        return z, lost, astray
+        unknown = mode < 0 and self._estimator.observer.plant.modes > 1
+        z = self._estimator.update(latest, None if unknown else y, mode, self._r)
+        return z, not self._estimator.corrected, astray
 
     def _follow(self, reference: ArrayLike | None, samples: int) -> bool:
         if self._reference is None:

@@ -42,6 +42,8 @@ class Estimator:
         What the law is given, as of the last update.
     asked : (m,)
         What the law asked for; whoever runs it writes it here.
+    corrected : bool
+        Whether the last update had a measurement that it could use.
     """
 
     arrays = ("z", "ring", "at_phase", "counters", "asked", "before")
@@ -61,6 +63,7 @@ class Estimator:
         n = plant.states
         self.z = np.zeros(n + q + r)
         self._x, self._q, self._r = self.z[:n], self.z[n : n + q], self.z[n + q :]
+        self.corrected = False
         self.ring = np.zeros((window.count, plant.inputs))
         self.at_phase, self._spare = np.zeros(n), np.zeros(n)
         self.counters = np.zeros(3, np.int64)  # samples, place in the ring, mode
@@ -102,6 +105,7 @@ class Estimator:
         y = self._nothing if y is None else y
         gain = self.observer.gain[mode]
         use = correct(C, gain, y, self._x, self._spare, self._innovation)
+        self.corrected = use
         if self.tracked is not None:
             seen(C, self.tracked.H, self._x, y, use, self._now)
             if samples and self._q.size:

@@ -107,7 +107,8 @@ def _checked(
         kind = type(law).__name__
         raise ArgumentError(
             f"law must be a table whose rows do not depend on the future, got {kind}: it "
-            "foresees the signal or decides it by a rule, so no signal can be chosen against it."
+            "foresees the signal, decides it by a rule or remembers an estimate, so no signal can "
+            "be chosen against it."
         )
     step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
     if plant.modes > 1 and Dwell.of(dwell_time, None, step).least < 1.0:
