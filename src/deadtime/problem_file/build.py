@@ -24,6 +24,7 @@ from deadtime.laws import (
 from deadtime.laws.base import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file import schema
+from deadtime.problem_file.observer import observed
 from deadtime.problem_file.switching import Model, build_model, build_rule, build_signal
 from deadtime.problems import Problem, comparison_laws
 from deadtime.switching import Rule
@@ -53,6 +54,8 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
             shaped("u0", u0, (plant.inputs,), "(m,)")
         horizon = positive("horizon", run.horizon)
         step = None if run.step == "ideal" else positive("step", run.step)
+    with _section("observer"):
+        laws = observed(laws, file.observer, step, _numbers)
     with _section("signal"):
         longest = max(plant.delay, *(law.plant.delay for law in laws.values()))
         if rule is None:

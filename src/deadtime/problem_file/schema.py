@@ -259,6 +259,30 @@ class PolyhedraSignal(Section):
     regions: list[Region] = Field(description="Together they must fill the space.")
 
 
+class ObserverSection(Section):
+    """What is measured, y = C_σ x, and an observer to estimate the state; at the run's period."""
+
+    C: Matrix | Matrices = Field(description="p × n, or one such matrix per mode.")
+    estimate: Vector | None = Field(None, description="First estimate of the state; 0 by default.")
+
+
+class LuenbergerObserver(ObserverSection):
+    """An observer by pole placement."""
+
+    kind: Literal["luenberger"]
+    poles: Poles | list[Poles] = Field(
+        description="Poles of the error for all modes, or a list per mode, 1/s."
+    )
+
+
+class KalmanObserver(ObserverSection):
+    """The steady-state Kalman filter of every mode."""
+
+    kind: Literal["kalman"]
+    process: Matrix = Field(description="Intensity of the white process noise, n × n.")
+    measurement: Matrix = Field(description="Covariance of the noise of a sample, p × p.")
+
+
 class RunSection(Section):
     """The simulation."""
 
@@ -284,6 +308,7 @@ Law = Annotated[
 Switching = Annotated[
     MarkovSwitching | SemiMarkovSwitching | FittedSwitching, Field(discriminator="kind")
 ]
+Observer = Annotated[LuenbergerObserver | KalmanObserver, Field(discriminator="kind")]
 Signal = Annotated[
     ConstantSignal
     | PeriodicSignal
@@ -307,6 +332,9 @@ class ProblemFile(Section):
     law: list[Law] = Field([], description="Laws to run, in order; all of the paper's by default.")
     switching: Switching | None = Field(
         None, description="A stochastic model of the switching, for laws and signals that use one."
+    )
+    observer: Observer | None = Field(
+        None, description="Run every law on what an observer makes of measured outputs."
     )
     signal: Signal
     run: RunSection

@@ -1,0 +1,86 @@
+"""The [observer] of a problem file turns its laws into output feedback."""
+
+import re
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.cli import main
+from deadtime.problem_file import load_problem
+
+PLANT = """\
+[plant]
+delay = 0.35
+A = [[[0.5, 1.0], [0.0, -0.2]], [[0.4, 1.0], [0.1, -0.3]]]
+B = [[[0.0], [1.0]], [[0.0], [1.1]]]
+[gains]
+poles = [-1.0, -2.0]
+[[law]]
+kind = "averaged"
+[[law]]
+kind = "delayed"
+model = { delay = 0.3 }
+[signal]
+kind = "constant"
+mode = 0
+"""
+RUN = "[run]\nx0 = [1.0, 0.0]\nhorizon = 4.0\nstep = 0.1\n"
+PLACED = '[observer]\nkind = "luenberger"\nC = [[1.0, 0.0]]\npoles = ["-3+1j", "-3-1j"]\n'
+KALMAN = """\
+[observer]
+kind = "kalman"
+C = [[[1.0, 0.0]], [[1.0, 0.1]]]
+process = [[0.1, 0.0], [0.0, 1.0]]
+measurement = [[0.01]]
+estimate = [0.5, 0.0]
+"""
+
+
+def write(tmp_path, *parts):
+    path = tmp_path / "mine.toml"
+    path.write_text("".join((PLANT, *parts)), encoding="utf-8")
+    return path
+
+
+def test_every_law_runs_on_an_observer_of_its_own_model(tmp_path):
+    problem = load_problem(write(tmp_path, PLACED, RUN))
+    assert list(problem.laws) == ["averaged", "delay ignored"]
+    for law, delay in zip(problem.laws.values(), (0.35, 0.3), strict=True):
+        assert isinstance(law, dt.OutputFeedback)
+        assert law.observer.plant.delay == law.plant.delay == delay
+        same = dt.luenberger(law.law.plant, [[1.0, 0.0]], [-3 + 1j, -3 - 1j], 0.1)
+        assert (law.observer.gain == same.gain).all()
+    run = problem.simulate("averaged")
+    assert run.measured.shape == (1, run.time.size)
+
+
+def test_a_kalman_filter_takes_an_output_per_mode_and_a_first_estimate(tmp_path, capsys):
+    path = write(tmp_path, KALMAN, RUN)
+    law = load_problem(path).laws["averaged"]
+    C = [[[1.0, 0.0]], [[1.0, 0.1]]]
+    same = dt.kalman(law.law.plant, C, np.diag([0.1, 1.0]), [[0.01]], 0.1)
+    assert (law.observer.covariance == same.covariance).all()
+    assert law.estimate.tolist() == [0.5, 0.0]
+    with pytest.raises(SystemExit) as stopped:
+        main(["simulate", str(path), "--out", str(tmp_path / "run.png")])
+    assert stopped.value.code == 0
+    assert "averaged" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ((PLACED.replace("[1.0, 0.0]", "[0.0, 0.0]"), RUN), "mode 0 is not observable"),
+        ((PLACED, RUN.replace("0.1", '"ideal"')), "an observer runs at samples: give [run] a step"),
+        ((PLACED.replace('"-3+1j"', '"fast"'), RUN), "poles must be numbers"),
+        ((KALMAN.replace("[[0.01]]", "[[0.0]]"), RUN), "measurement must be positive definite"),
+        ((KALMAN.replace("[0.5, 0.0]", "[0.5]"), RUN), "estimate must have shape (n,) = (2,)"),
+        ((PLACED.replace("luenberger", "magic"), RUN), "observer"),
+        ((PLACED.replace("poles", "pols"), RUN), "pols"),
+    ],
+)
+def test_a_section_that_does_not_fit_is_refused_in_one_line(tmp_path, parts, message):
+    with pytest.raises(dt.ProblemFileError, match=re.escape(message)) as caught:
+        load_problem(write(tmp_path, *parts))
+    assert "\n" not in str(caught.value)
