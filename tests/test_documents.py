@@ -64,6 +64,13 @@ def test_python_of_the_page_on_imperfections_runs_and_names_them_all():
         assert f"| `{kind.__name__}(" in page
 
 
+def test_python_of_the_page_on_output_feedback_runs(capsys):
+    _, names = run_page("output-feedback.md")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[-1].endswith("BAD_STATE")
+    assert abs(names["run"].measured[0, -1] - 3.0) < 1e-5
+
+
 def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     from deadtime.cli import main
 
