@@ -7,18 +7,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-Vector = list[float]
-Matrix = list[Vector]
-Matrices = list[Matrix]
+from deadtime.problem_file.imperfections import ImperfectionSection
+from deadtime.problem_file.section import Matrices, Matrix, Section, Vector
+
 Poles = list[float | str]
-
-
-class Section(BaseModel):
-    """A table that refuses keys it does not know."""
-
-    model_config = ConfigDict(extra="forbid", strict=False, title=None)
 
 
 class PlantSection(Section):
@@ -57,7 +51,7 @@ class GainsSection(Section):
 
 
 class ModelSection(Section):
-    """The law's own model, where it differs from the plant."""
+    """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
 
     delay: float | None = None
     A: Matrices | None = None
@@ -268,6 +262,10 @@ class RunSection(Section):
         0.01, description='Sampling period, seconds; "ideal" updates the law continuously.'
     )
     u0: float | Vector = Field(0.0, description="Constant input before time 0.")
+    seed: int = Field(0, description="Of all that is random in the imperfections.")
+    predict: Literal["applied", "commanded"] = Field(
+        "applied", description="Which past inputs laws are told of where the actuator changes them."
+    )
 
 
 Law = Annotated[
@@ -310,6 +308,12 @@ class ProblemFile(Section):
     )
     signal: Signal
     run: RunSection
+    truth: ModelSection | None = Field(
+        None, description="The plant that is simulated, where it differs from [plant]."
+    )
+    imperfection: list[ImperfectionSection] = Field(
+        [], description="Disturbances, sensors and actuators, in order."
+    )
 
 
 def json_schema() -> dict[str, Any]:
