@@ -35,8 +35,9 @@ from deadtime.laws import (
 from deadtime.lyapunov import common_lyapunov
 from deadtime.monte_carlo import monte_carlo
 from deadtime.plant import SwitchedSystem
+from deadtime.robustness import Robustness, robustness
 from deadtime.simulation import Trajectory, simulate
-from deadtime.spectrum import characteristic_roots, growth_rate
+from deadtime.spectrum import characteristic_roots, gain_margin, growth_rate
 from deadtime.stabilization import stabilize
 from deadtime.switching import (
     FunctionRule,
@@ -84,6 +85,7 @@ __all__ = [
     "OptimalPredictor",
     "Polyhedra",
     "ProblemFileError",
+    "Robustness",
     "SemiMarkov",
     "SingleModePredictor",
     "StateDependentPredictor",
@@ -99,12 +101,14 @@ __all__ = [
     "common_lyapunov",
     "delay_margin",
     "falsify",
+    "gain_margin",
     "growth_rate",
     "imperfections",
     "lqr",
     "monte_carlo",
     "place",
     "problems",
+    "robustness",
     "simulate",
     "stability_chart",
     "stability_margin",
