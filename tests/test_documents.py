@@ -71,12 +71,23 @@ def test_python_of_the_page_on_output_feedback_runs(capsys):
     assert abs(names["run"].measured[0, -1] - 3.0) < 1e-5
 
 
+def test_python_of_the_page_on_robustness_runs(capsys):
+    page, names = run_page("robustness.md")
+    assert capsys.readouterr().out.splitlines() == list(names["result"].sentences)
+    paper = dt.problems.paper().plant
+    alone = dt.SwitchedSystem(paper.A[:1], paper.B[:1], paper.delay)
+    law = dt.SingleModePredictor(alone, dt.place(alone, [-1.0, -2.0]), 0)
+    margin = dt.gain_margin(alone, law)
+    low, high = (100.0 * (end - 1.0) for end in (margin.lower, margin.upper))
+    assert f"−{-low:.1f} to +{high:.1f} % in the\ngain" in page
+
+
 def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     from deadtime.cli import main
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 9
+    assert len(commands) == 10
     dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
     (study,) = (command.split()[1] for command in commands if command.startswith("study"))
     load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones

@@ -1,6 +1,7 @@
 """The [observer] of a problem file turns its laws into output feedback."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import deadtime as dt
 from deadtime.cli import main
 from deadtime.problem_file import load_problem
+from deadtime.study import load_study
 
 PLANT = """\
 [plant]
@@ -84,3 +86,22 @@ def test_a_section_that_does_not_fit_is_refused_in_one_line(tmp_path, parts, mes
     with pytest.raises(dt.ProblemFileError, match=re.escape(message)) as caught:
         load_problem(write(tmp_path, *parts))
     assert "\n" not in str(caught.value)
+
+
+def test_noise_of_the_file_is_that_of_the_outputs(tmp_path):
+    noise = '[[imperfection]]\nkind = "noise"\nstd = [0.1]\n'
+    push = '[[imperfection]]\nkind = "step-disturbance"\nforce = [0.0, 1.0]\n'
+    problem = load_problem(write(tmp_path, noise, push, PLACED, RUN))
+    run = problem.simulate("averaged")
+    assert 0.05 < (run.measured[0] - run.states[0]).std() < 0.2
+    with pytest.raises(dt.ProblemFileError, match=r"Noise.std must have shape \(size,\) = \(2,\)"):
+        load_problem(write(tmp_path, noise, RUN))
+
+
+def test_a_study_does_not_take_a_problem_with_an_observer(tmp_path):
+    write(tmp_path, PLACED, RUN)
+    study = tmp_path / "study.toml"
+    text = (Path(__file__).parents[1] / "studies" / "paper.toml").read_text(encoding="utf-8")
+    study.write_text(re.sub(r'problem = ".*?"', 'problem = "mine.toml"', text, count=1), "utf-8")
+    with pytest.raises(dt.StudyFileError, match=r"read the state, remove its \[observer\]"):
+        load_study(study)

@@ -37,8 +37,9 @@ from deadtime.monte_carlo import monte_carlo
 from deadtime.observers import Observer, kalman, luenberger
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
+from deadtime.robustness import Robustness, robustness
 from deadtime.simulation import Trajectory, simulate
-from deadtime.spectrum import characteristic_roots, growth_rate
+from deadtime.spectrum import characteristic_roots, gain_margin, growth_rate
 from deadtime.stabilization import stabilize
 from deadtime.switching import (
     FunctionRule,
@@ -89,6 +90,7 @@ __all__ = [
     "OutputFeedback",
     "Polyhedra",
     "ProblemFileError",
+    "Robustness",
     "SemiMarkov",
     "Servo",
     "SingleModePredictor",
@@ -105,6 +107,7 @@ __all__ = [
     "common_lyapunov",
     "delay_margin",
     "falsify",
+    "gain_margin",
     "growth_rate",
     "imperfections",
     "kalman",
@@ -113,6 +116,7 @@ __all__ = [
     "monte_carlo",
     "place",
     "problems",
+    "robustness",
     "simulate",
     "stability_chart",
     "stability_margin",

@@ -180,8 +180,8 @@ def judged_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
             "delay_margin": None
             if one.margin is None
             else {
-                "lower": _finite(one.margin.lower),
-                "upper": _finite(one.margin.upper),
+                "lower": finite(one.margin.lower),
+                "upper": finite(one.margin.upper),
                 "message": one.margin.message,
             },
         }
@@ -252,13 +252,13 @@ def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:
     if worst is None:
         return None
     return {
-        "growth_rate": _finite(worst.growth_rate),
+        "growth_rate": finite(worst.growth_rate),
         "modes": list(worst.modes),
-        "sojourns": [_finite(sojourn) for sojourn in worst.sojourns],
+        "sojourns": [finite(sojourn) for sojourn in worst.sojourns],
         "phase": worst.phase,
         "message": worst.message,
     }
 
 
-def _finite(value: float | None) -> float | None:
+def finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None

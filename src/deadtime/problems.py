@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.errors import ArgumentError
 from deadtime.gains import place
+from deadtime.imperfections import Imperfection
 from deadtime.laws import (
     AveragedPredictor,
     DelayedStateFeedback,
@@ -76,6 +77,10 @@ class Problem:
     dwell_time : float or None
         The dwell time that every signal is promised to have, seconds, which certificates ask for;
         None: the shortest sojourn of `signal`.
+    model : SwitchedSystem or None
+        What gains and laws were made for, where `plant`, the truth, differs from it.
+    imperfections, seed, predict
+        As `simulate` takes them.
     """
 
     name: str
@@ -95,6 +100,10 @@ class Problem:
     published: tuple[Published, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     dwell_time: float | None = None
+    model: SwitchedSystem | None = None
+    imperfections: tuple[Imperfection, ...] = ()
+    seed: int = 0
+    predict: str = "applied"
 
     def __post_init__(self) -> None:
         if not self.states:
@@ -124,13 +133,21 @@ class Problem:
         """
         if law not in self.laws:
             raise ArgumentError(f"law must be one of {sorted(self.laws)}, got {law!r}.")
-        given = self.signal if signal is None else signal
         return simulate(
-            self.plant, self.laws[law], given, self.x0, self.horizon, self.step, self._history()
+            self.plant,
+            self.laws[law],
+            self.signal if signal is None else signal,
+            self.x0,
+            self.horizon,
+            self.step,
+            self._history(),
+            imperfections=self.imperfections,
+            seed=self.seed,
+            predict=self.predict,
         )
 
     def hold(self, mode: int, horizon: float) -> Trajectory:
-        """Run the first law with one mode for ever, on [0, horizon] seconds."""
+        """Run the first law with one mode for ever, nothing else imperfect, on [0, horizon] s."""
         law = next(iter(self.laws.values()))
         signal = SwitchingSignal.constant(mode)
         return simulate(self.plant, law, signal, self.x0, horizon, self.step, self._history())

@@ -16,12 +16,13 @@ from deadtime.laws import (
     MeanPredictor,
     SingleModePredictor,
 )
+from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
 from deadtime.wording import amount, compact, signed
 
 
 def verdict(result: Comparison) -> list[str]:
-    """Up to five plain sentences, each made from measured figures.
+    """Up to six plain sentences, each made from measured figures.
 
     Examples
     --------
@@ -30,7 +31,7 @@ def verdict(result: Comparison) -> list[str]:
     >>> print(verdict(compare(dt.problems.paper()))[2])
     Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
     """
-    sentences = [_headline(result)]
+    sentences = [_headline(result), *_imperfections(result)]
     early = [name for name, run in result.runs.items() if _ended_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
@@ -97,6 +98,24 @@ def _headline(result: Comparison) -> str:
     if start:
         return f"{law} fails {setting}: |x| grows from {origin} to {amount(row['final_norm'])}."
     return f"{law} has not settled {setting}: |x| ends at {amount(row['final_norm'])}."
+
+
+def _imperfections(result: Comparison) -> list[str]:
+    """What the runs have that laws do not know of."""
+    problem, parts = result.problem, []
+    if problem.model is not None:
+        differ = [name for name in ("A", "B") if _differ(problem, name)]
+        parts += [f"{' and '.join(differ)} of the plant differ from the laws' model"] * bool(differ)
+        true, believed = problem.plant.delay, problem.model.delay
+        if true != believed:
+            parts.append(f"the true delay is {true:g} s, the model's {believed:g} s")
+    parts += [repr(one) for one in problem.imperfections]
+    return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
+
+
+def _differ(problem: Problem, name: str) -> bool:
+    mine, its = getattr(problem.plant, name), getattr(problem.model, name)
+    return not np.array_equal(mine, its)
 
 
 def _without_switching(result: Comparison) -> str:

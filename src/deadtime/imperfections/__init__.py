@@ -16,6 +16,7 @@ from deadtime.imperfections.base import (
     SensorImperfection,
     Sizes,
     TimingImperfection,
+    require,
     streams,
 )
 from deadtime.imperfections.disturbances import (
@@ -46,5 +47,6 @@ __all__ = [
     "TimingImperfection",
     "WhiteDisturbance",
     "WrongMode",
+    "require",
     "streams",
 ]

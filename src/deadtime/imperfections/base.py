@@ -91,6 +91,23 @@ def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.
     return result
 
 
+def require(one: Imperfection, sizes: Sizes) -> None:
+    """Refuse an imperfection that does not fit its loop, as a run would."""
+    rng = np.random.default_rng(0)
+    match one:
+        case SensorImperfection():
+            one.sensor(sizes, rng)
+        case TimingImperfection():
+            one.lag(sizes, rng)
+        case ActuatorImperfection():
+            one.actuator(sizes)
+        case Disturbance():
+            one.draws(sizes, (sizes.step, 0.0), 0, rng)
+            one.spread(sizes, [(np.zeros((sizes.states, sizes.states)), sizes.step)])
+        case _:
+            pass
+
+
 def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:
     array = np.asarray(value, dtype=float)
     whole = np.full(size, array) if array.ndim == 0 else array

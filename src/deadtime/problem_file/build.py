@@ -10,6 +10,7 @@ import numpy as np
 from deadtime.checks import positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.gains import lqr, place
+from deadtime.imperfections import Sizes
 from deadtime.laws import (
     AveragedPredictor,
     DelayedStateFeedback,
@@ -24,6 +25,7 @@ from deadtime.laws import (
 from deadtime.laws.base import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file import schema
+from deadtime.problem_file.imperfections import build_imperfections
 from deadtime.problem_file.observer import observed
 from deadtime.problem_file.switching import Model, build_model, build_rule, build_signal
 from deadtime.problems import Problem, comparison_laws
@@ -56,8 +58,20 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         step = None if run.step == "ideal" else positive("step", run.step)
     with _section("observer"):
         laws = observed(laws, file.observer, step, _numbers)
+    with _section("truth"):
+        truth = _changed(plant, file.truth) if file.truth is not None else plant
+    if file.imperfection:
+        with _section("run"):
+            if step is None:
+                raise ArgumentError(
+                    'step = "ideal" has no samples, at which imperfections act: give a period.'
+                )
+    sizes = Sizes(plant.modes, plant.states, plant.inputs, step or 1.0)
+    outputs = next(iter(laws.values())).outputs
+    measured = None if outputs is None else outputs.shape[1]
+    imperfections = build_imperfections(file.imperfection, sizes, measured)
     with _section("signal"):
-        longest = max(plant.delay, *(law.plant.delay for law in laws.values()))
+        longest = max(truth.delay, *(law.plant.delay for law in laws.values()))
         if rule is None:
             end = horizon + longest + (step or 0.0)
             signal = build_signal(file.signal, plant, end, source.parent, model)
@@ -68,7 +82,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         name=source.stem,
         title=file.title or source.stem,
         source=file.source,
-        plant=plant,
+        plant=truth,
         gains=gains,
         laws=laws,
         signal=signal,
@@ -76,6 +90,10 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         horizon=horizon,
         step=step,
         u0=u0,
+        model=plant if file.truth is not None else None,
+        imperfections=imperfections,
+        seed=file.run.seed,
+        predict=file.run.predict,
         states=states,
         modes=modes,
         dwell_time=getattr(file.signal, "dwell_time", None),
@@ -157,11 +175,7 @@ def _all_laws(parts: _Parts) -> dict[str, Law]:
 
 def _law(parts: _Parts, section: schema.LawSection) -> Law:
     file, gains, own = parts.file, parts.gains, section.model
-    plant = SwitchedSystem(
-        parts.plant.A if own.A is None else own.A,
-        parts.plant.B if own.B is None else own.B,
-        parts.plant.delay if own.delay is None else own.delay,
-    )
+    plant = _changed(parts.plant, own)
     allow = file.gains.allow_unstable or own.A is not None or own.B is not None
     match section:
         case schema.AveragedLaw(weights="minimax"):
@@ -204,6 +218,16 @@ def _law(parts: _Parts, section: schema.LawSection) -> Law:
             return StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
         case _:
             return DelayedStateFeedback(plant, gains, allow_unstable=allow)
+
+
+def _changed(plant: SwitchedSystem, own: schema.ModelSection) -> SwitchedSystem:
+    """The plant with what a section says otherwise, of the same sizes."""
+    parts = {}
+    for name, given in (("A", own.A), ("B", own.B)):
+        mine = getattr(plant, name)
+        array = mine if given is None else real_array(name, given, "(modes, n, n or m)", 3)
+        parts[name] = shaped(name, array, mine.shape, "that of [plant]")
+    return SwitchedSystem(**parts, delay=plant.delay if own.delay is None else own.delay)
 
 
 def _period(file: schema.ProblemFile, plant: SwitchedSystem) -> float:

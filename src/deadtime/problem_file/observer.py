@@ -3,18 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from deadtime.errors import ArgumentError
 from deadtime.laws import Law
 from deadtime.observers import Observer, kalman, luenberger
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
-from deadtime.problem_file import schema
+from deadtime.problem_file.section import Matrices, Matrix, Poles, Section, Vector
+
+
+class _Measured(Section):
+    """What is measured, y = C_σ x, and an observer to estimate the state; at the run's period."""
+
+    C: Matrix | Matrices = Field(description="p × n, or one such matrix per mode.")
+    estimate: Vector | None = Field(None, description="First estimate of the state; 0 by default.")
+
+
+class LuenbergerObserver(_Measured):
+    """An observer by pole placement."""
+
+    kind: Literal["luenberger"]
+    poles: Poles | list[Poles] = Field(
+        description="Poles of the error for all modes, or a list per mode, 1/s."
+    )
+
+
+class KalmanObserver(_Measured):
+    """The steady-state Kalman filter of every mode."""
+
+    kind: Literal["kalman"]
+    process: Matrix = Field(description="Intensity of the white process noise, n × n.")
+    measurement: Matrix = Field(description="Covariance of the noise of a sample, p × p.")
+
+
+ObserverSection = Annotated[LuenbergerObserver | KalmanObserver, Field(discriminator="kind")]
 
 
 def observed(
     laws: dict[str, Law],
-    section: schema.LuenbergerObserver | schema.KalmanObserver | None,
+    section: LuenbergerObserver | KalmanObserver | None,
     step: float | None,
     numbers: Callable[[list], list],
 ) -> dict[str, Law]:
@@ -35,10 +65,10 @@ def observed(
 
 def _observer(
     plant: SwitchedSystem,
-    section: schema.LuenbergerObserver | schema.KalmanObserver,
+    section: LuenbergerObserver | KalmanObserver,
     step: float,
     numbers: Callable[[list], list],
 ) -> Observer:
-    if isinstance(section, schema.KalmanObserver):
+    if isinstance(section, KalmanObserver):
         return kalman(plant, section.C, section.process, section.measurement, step)
     return luenberger(plant, section.C, numbers(section.poles), step)

@@ -7,18 +7,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-Vector = list[float]
-Matrix = list[Vector]
-Matrices = list[Matrix]
-Poles = list[float | str]
-
-
-class Section(BaseModel):
-    """A table that refuses keys it does not know."""
-
-    model_config = ConfigDict(extra="forbid", strict=False, title=None)
+from deadtime.problem_file.imperfections import ImperfectionSection
+from deadtime.problem_file.observer import ObserverSection
+from deadtime.problem_file.section import Matrices, Matrix, Poles, Section, Vector
 
 
 class PlantSection(Section):
@@ -57,7 +50,7 @@ class GainsSection(Section):
 
 
 class ModelSection(Section):
-    """The law's own model, where it differs from the plant."""
+    """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
 
     delay: float | None = None
     A: Matrices | None = None
@@ -259,30 +252,6 @@ class PolyhedraSignal(Section):
     regions: list[Region] = Field(description="Together they must fill the space.")
 
 
-class ObserverSection(Section):
-    """What is measured, y = C_σ x, and an observer to estimate the state; at the run's period."""
-
-    C: Matrix | Matrices = Field(description="p × n, or one such matrix per mode.")
-    estimate: Vector | None = Field(None, description="First estimate of the state; 0 by default.")
-
-
-class LuenbergerObserver(ObserverSection):
-    """An observer by pole placement."""
-
-    kind: Literal["luenberger"]
-    poles: Poles | list[Poles] = Field(
-        description="Poles of the error for all modes, or a list per mode, 1/s."
-    )
-
-
-class KalmanObserver(ObserverSection):
-    """The steady-state Kalman filter of every mode."""
-
-    kind: Literal["kalman"]
-    process: Matrix = Field(description="Intensity of the white process noise, n × n.")
-    measurement: Matrix = Field(description="Covariance of the noise of a sample, p × p.")
-
-
 class RunSection(Section):
     """The simulation."""
 
@@ -292,6 +261,10 @@ class RunSection(Section):
         0.01, description='Sampling period, seconds; "ideal" updates the law continuously.'
     )
     u0: float | Vector = Field(0.0, description="Constant input before time 0.")
+    seed: int = Field(0, description="Of all that is random in the imperfections.")
+    predict: Literal["applied", "commanded"] = Field(
+        "applied", description="Which past inputs laws are told of where the actuator changes them."
+    )
 
 
 Law = Annotated[
@@ -308,7 +281,6 @@ Law = Annotated[
 Switching = Annotated[
     MarkovSwitching | SemiMarkovSwitching | FittedSwitching, Field(discriminator="kind")
 ]
-Observer = Annotated[LuenbergerObserver | KalmanObserver, Field(discriminator="kind")]
 Signal = Annotated[
     ConstantSignal
     | PeriodicSignal
@@ -333,11 +305,17 @@ class ProblemFile(Section):
     switching: Switching | None = Field(
         None, description="A stochastic model of the switching, for laws and signals that use one."
     )
-    observer: Observer | None = Field(
+    observer: ObserverSection | None = Field(
         None, description="Run every law on what an observer makes of measured outputs."
     )
     signal: Signal
     run: RunSection
+    truth: ModelSection | None = Field(
+        None, description="The plant that is simulated, where it differs from [plant]."
+    )
+    imperfection: list[ImperfectionSection] = Field(
+        [], description="Disturbances, sensors and actuators, in order."
+    )
 
 
 def json_schema() -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,14 +73,17 @@ def run_cell(study: Study, cell: Cell) -> Outcome:
 def _measured(study: Study, setting: Setting, laws: Mapping[str, Law]) -> xr.Dataset:
     """The metrics of every law on every signal, each different signal run once."""
     signals = signals_of(study, setting)
+    run = partial(monte_carlo, setting.plant, laws, x0=study.x0, horizon=study.horizon)
+    if study.imperfections:
+        # Equal signals do not make equal runs.
+        return run(signals, step=setting.step, seed=study.seed, imperfections=study.imperfections)
     places: dict[tuple[bytes, bytes], int] = {}
     which = [
         places.setdefault((signal.times.tobytes(), signal.modes.tobytes()), len(places))
         for signal in signals
     ]
     distinct = [signals[which.index(place)] for place in range(len(places))]
-    data = monte_carlo(setting.plant, laws, distinct, study.x0, study.horizon, setting.step)
-    return data.isel(scenario=which)
+    return run(distinct, step=setting.step).isel(scenario=which)
 
 
 def setting_of(study: Study, cell: Cell) -> Setting:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from deadtime.errors import ArgumentError, StudyFileError
 from deadtime.gains import place
+from deadtime.imperfections import Sizes
 from deadtime.problem_file import load_problem
+from deadtime.problem_file.imperfections import build_imperfections
 from deadtime.problems import NAMED, Problem
 from deadtime.study.laws import DEFAULT, ORACLE, kinds_of
 from deadtime.study.schema import StudyFile, known
@@ -53,6 +55,10 @@ def _build(file: StudyFile, source: Path, text: str) -> Study:
         seed=file.seed,
         grid=_grid(file, problem),
         text=text,
+        imperfections=(
+            *problem.imperfections,
+            *build_imperfections(file.imperfection, _sizes(problem, file)),
+        ),
     )
 
 
@@ -64,6 +70,12 @@ def _problem(name: str, source: Path) -> Problem:
         raise SectionError(f"problem: {error}", ()) from None
     if problem.plant.modes < 2:
         raise SectionError("problem: its plant has one mode: a study needs two.", ())
+    if problem.model is not None:
+        raise SectionError("problem: a study makes its own plants, remove its [truth].", ())
+    if any(law.outputs is not None for law in problem.laws.values()):
+        raise SectionError(
+            "problem: the laws of a study read the state, remove its [observer].", ()
+        )
     if not problem.x0.any():
         raise SectionError("problem: its x0 is 0, from where every law stays at 0.", ())
     return problem
@@ -103,6 +115,12 @@ def _step(file: StudyFile, problem: Problem) -> float:
     if step is None:
         raise SectionError("step must be given: the problem's loop is ideal.", ())
     return step
+
+
+def _sizes(problem: Problem, file: StudyFile) -> Sizes:
+    """Those of every cell, with the shortest of the periods."""
+    plant, step = problem.plant, min(file.grid.step or [_step(file, problem)])
+    return Sizes(plant.modes, plant.states, plant.inputs, step)
 
 
 def _laws(names: list[str] | None, modes: int) -> tuple[str, ...]:

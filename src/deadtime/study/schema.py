@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from deadtime.problem_file.schema import Section
+from deadtime.problem_file.imperfections import ImperfectionSection
+from deadtime.problem_file.section import Section
 from deadtime.study.sojourns import FAMILIES
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -81,3 +82,6 @@ class StudyFile(Section):
     )
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     grid: GridSection
+    imperfection: list[ImperfectionSection] = Field(
+        [], description="Disturbances, sensors and actuators, after those of the problem."
+    )

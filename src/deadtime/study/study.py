@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.imperfections import Imperfection
 from deadtime.plant import SwitchedSystem
 
 
@@ -87,6 +88,8 @@ class Study:
         From the names of `AXES`, in their order, to values.
     text : str
         The study file.
+    imperfections : tuple of Imperfection
+        Of every run, drawn with the scenario's seed.
     """
 
     title: str
@@ -101,6 +104,7 @@ class Study:
     seed: int
     grid: Mapping[str, tuple[Any, ...]]
     text: str = ""
+    imperfections: tuple[Imperfection, ...] = ()
 
     @property
     def shape(self) -> tuple[int, ...]:

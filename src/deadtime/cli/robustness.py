@@ -1,0 +1,109 @@
+"""`deadtime robustness`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deadtime.checks import positive
+from deadtime.cli.entry import AsJson, File, app
+from deadtime.cli.printing import progress_bar, save_figure
+from deadtime.cli.problems import problem_of
+from deadtime.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from deadtime.robustness import Robustness, Tolerance
+
+
+@app.command
+def robustness(
+    problem: str,
+    *,
+    law: str | None = None,
+    step: float | None = None,
+    scenarios: int = 20,
+    seed: int = 0,
+    out: File = None,
+    json_output: AsJson = False,
+) -> None:
+    """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
+
+    Examples: `deadtime robustness problem.toml`, `deadtime robustness follower --law mean`.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    law
+        One law of the problem, by its name; the first by default.
+    step
+        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
+    scenarios
+        Runs for each value of what is random.
+    seed
+        Of the first of them.
+    out
+        The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+    json_output
+        Print the results as JSON instead of text.
+    """
+    from deadtime.certificate_table import STEP
+    from deadtime.robustness.assess import STEPS
+    from deadtime.robustness.assess import robustness as assess
+    from deadtime.robustness_plots import plot_robustness
+
+    chosen = problem_of(problem)
+    name = next(iter(chosen.laws)) if law is None else law
+    if name not in chosen.laws:
+        raise ArgumentError(f"law must be one of {', '.join(chosen.laws)}, got {name!r}.")
+    period = chosen.step or STEP if step is None else positive("step", step)
+    with progress_bar(len(STEPS), quiet=json_output) as advance:
+        result = assess(
+            chosen.plant,
+            chosen.laws[name],
+            chosen.signal,
+            chosen.x0,
+            chosen.horizon,
+            period,
+            scenarios=scenarios,
+            seed=seed,
+            imperfections=chosen.imperfections,
+            progress=advance,
+        )
+    path = Path(f"{chosen.name}-robustness.png") if out is None else out
+    path = path if path.suffix else path.with_suffix(".png")
+    save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
+    if json_output:
+        record = {"problem": chosen.name, "law": name, "step": period, **_record(result)}
+        print(json.dumps(record, indent=2, ensure_ascii=False))
+        return
+    print(f"{chosen.title}\nLaw “{name}”, sampled every {period:g} s:")
+    for sentence in result.sentences:
+        print(f"• {sentence}")
+    print(f"\nFigure: {path}")
+
+
+def _record(result: Robustness) -> dict[str, Any]:
+    """The figures for JSON, which knows no infinity: null where there is one."""
+    from deadtime.certificate_table import finite
+
+    delay, gain, noise = result.delay, result.gain, result.noise
+    return {
+        "delay_margin": None if delay is None else [*map(finite, (delay.lower, delay.upper))],
+        "gain_margin": None if gain is None else [*map(finite, (gain.lower, gain.upper))],
+        "lost_samples": _tolerance(result.drops),
+        "late_samples": _tolerance(result.late),
+        "detection_lag": None if result.lag is None else _tolerance(result.lag),
+        "noise": {"base": finite(noise.base), "doubling": finite(noise.doubling)},
+        "sentences": list(result.sentences),
+    }
+
+
+def _tolerance(one: Tolerance) -> dict[str, Any]:
+    return {
+        "tolerated": one.tolerated,
+        "failed": one.failed,
+        "values": one.values.tolist(),
+        "lost": one.lost.mean(axis=1).tolist(),
+    }

@@ -1,0 +1,191 @@
+"""`robustness`: what one loop stands, each answer with a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.checks import count, positive, real_array, shaped
+from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay
+from deadtime.laws.base import Law, TableLaw
+from deadtime.plant import SwitchedSystem
+from deadtime.robustness.tolerance import NoisePrice, Setting, Tolerance, noise_price
+from deadtime.robustness.tolerance import sweep as _sweep
+from deadtime.robustness.tolerance import tolerance_of as _tolerance_of
+from deadtime.spectrum.gain import GainMargin, gain_margin
+from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
+from deadtime.switching import Rule, SwitchingSignal
+
+_DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_FINE = 0.1  # of a probability, relative
+STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "noise")
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """What one loop stands (immutable).
+
+    Attributes
+    ----------
+    plant, law, step
+        The loop.
+    delay : DelayMargin or None
+        True delays that keep every constant mode stable, from the spectrum.
+    gain : GainMargin or None
+        Factors of the inputs' effect that do.
+    drops : Tolerance
+        Probability of losing a sample.
+    late : Tolerance
+        Periods by which every sample is late, the law not knowing.
+    lag : Tolerance or None
+        Periods by which the mode is told late; None for a law that does not read the mode.
+    noise : NoisePrice
+        What measurement noise costs.
+    sentences : tuple of str
+        All of it, in words.
+    """
+
+    plant: SwitchedSystem
+    law: Law
+    step: float
+    delay: DelayMargin | None
+    gain: GainMargin | None
+    drops: Tolerance
+    late: Tolerance
+    lag: Tolerance | None
+    noise: NoisePrice
+    sentences: tuple[str, ...]
+
+
+def robustness(
+    plant: SwitchedSystem,
+    law: Law,
+    signal: SwitchingSignal | Rule,
+    x0: ArrayLike,
+    horizon: float,
+    step: float = 0.01,
+    *,
+    scenarios: int = 20,
+    seed: int = 0,
+    imperfections: Sequence[Imperfection] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> Robustness:
+    """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
+
+    Errors of delay and gain are those that leave every constant mode stable, exact from the
+    spectrum. The rest is simulated on the given signal: a run counts as lost when it diverges or
+    ends with |x| above where it started.
+
+    Parameters
+    ----------
+    plant, law, signal, x0, horizon, step
+        As `simulate` takes them; a step is needed.
+    scenarios : int
+        Runs with different random numbers for each value of what is random.
+    seed : int
+        Of the first scenario; the others count on.
+    imperfections : sequence of Imperfection
+        What every run has beside what is tried.
+    progress : callable
+        Called with a few words before each of `len(STEPS)` pieces of work.
+
+    Returns
+    -------
+    Robustness
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, or the law cannot be run with imperfections.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.5]], [[0.2]]], [[[1.0]], [[1.1]]], delay=0.3)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
+    >>> signal = dt.SwitchingSignal.periodic([0.4, 0.6], [0, 1], 6.0)
+    >>> result = robustness(plant, law, signal, [1.0], 5.0, 0.05, scenarios=3)
+    >>> result.late.tolerated, result.lag
+    (12.0, None)
+    """
+    x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
+    step, horizon = positive("step", step), positive("horizon", horizon)
+    setting = Setting(plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections))
+    table = isinstance(law, TableLaw)
+    progress("delay margin")
+    delay = constant_delay_margin(plant, law, step) if table else None
+    progress("gain margin")
+    gain = gain_margin(plant, law, step) if table else None
+    progress("lost samples")
+    drops = _drops(setting)
+    progress("late samples")
+    most = max(1, int(horizon / step) // 4)
+    late = _whole(setting, LateSamples, most, "every sample may be", "late")
+    progress("detection lag")
+    lag = None
+    if not table or law.digital(step, *_future(signal)).context in ("mode", "mode_age"):
+        lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
+    progress("noise")
+    noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
+    parts = (delay, gain, drops, late, lag, noise)
+    sentences = [_sentence(part.message) for part in parts if part is not None]
+    if lag is None:
+        sentences.insert(-1, "The law does not read the mode, so that it may be told late.")
+    return Robustness(plant, law, step, *parts, tuple(sentences))
+
+
+def _future(signal: SwitchingSignal | Rule) -> tuple:
+    return (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+
+
+def _drops(setting: Setting) -> Tolerance:
+    """Lost samples, to a tenth of the probability."""
+
+    def between(good: float, bad: float) -> float | None:
+        return 0.5 * (good + bad) if bad - good > max(_FINE * bad, 1e-3) else None
+
+    def say(tolerated: float, failed: float | None) -> str:
+        runs = f"{setting.scenarios} runs"
+        if failed is None:
+            return (
+                f"with {100 * tolerated:.3g} % of the samples lost none of {runs} loses the plant"
+            )
+        return (
+            f"with up to {100 * tolerated:.3g} % of the samples lost none of {runs} loses the "
+            f"plant; with {100 * failed:.3g} % some do"
+        )
+
+    return _tolerance_of(_sweep(setting, Dropout, _DROPS, between, setting.scenarios), say)
+
+
+def _whole(
+    setting: Setting, kind: Callable[[int], Imperfection], most: int, what: str, how: str
+) -> Tolerance:
+    """Whole periods: doubled until runs are lost, then bisected."""
+    values = [0.0]
+    while values[-1] < most:
+        values.append(min(float(most), max(1.0, 2.0 * values[-1])))
+    scenarios = setting.scenarios if setting.imperfections else 1
+
+    def between(good: float, bad: float) -> float | None:
+        return float((good + bad) // 2) if bad - good > 1.0 else None
+
+    def say(tolerated: float, failed: float | None) -> str:
+        periods = "1 period" if tolerated == 1.0 else f"{tolerated:g} periods"
+        seconds = f"{periods} ({tolerated * setting.step:.3g} s) {how}"
+        if failed is None:
+            return f"{what} {seconds}, and more was not tried"
+        if tolerated == 0.0:
+            return f"{what} no whole period {how}: one, {setting.step:g} s, loses the loop"
+        return f"{what} up to {seconds}; with {failed:g} the loop is lost"
+
+    swept = _sweep(setting, lambda value: kind(int(value)), values, between, scenarios)
+    return _tolerance_of(swept, say)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."

@@ -1,0 +1,186 @@
+"""Tolerances by simulation: how far an imperfection may go before runs are lost.
+
+A run is lost when it diverges, or ends with |x| above where it started (where it started at 0,
+above half its peak). An imperfection is tolerated up to a value if none of the runs with it is lost
+there, or at any smaller value that was tried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.imperfections import Imperfection, Noise
+from deadtime.laws.base import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation import simulate
+from deadtime.switching import Rule, SwitchingSignal
+
+_TRIALS = 10
+Cost = Float[np.ndarray, " scenario"]
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What is run, and how often."""
+
+    plant: SwitchedSystem
+    law: Law
+    signal: SwitchingSignal | Rule
+    x0: Float[np.ndarray, " n"]
+    horizon: float
+    step: float
+    scenarios: int
+    seed: int
+    imperfections: tuple[Imperfection, ...]
+
+    def runs(self, more: Sequence[Imperfection], scenarios: int) -> tuple[Cost, np.ndarray]:
+        """The cost of every scenario with more imperfections, and whether it is lost."""
+        cost, lost = np.empty(scenarios), np.empty(scenarios, bool)
+        for i in range(scenarios):
+            run = simulate(
+                self.plant,
+                self.law,
+                self.signal,
+                self.x0,
+                self.horizon,
+                self.step,
+                imperfections=(*self.imperfections, *more),
+                seed=self.seed + i,
+            )
+            metrics = run.metrics()
+            start = float(np.linalg.norm(self.x0)) or 0.5 * metrics["peak"]
+            cost[i] = metrics["cost"]
+            lost[i] = run.diverged or run.end < self.horizon or metrics["final_norm"] > start
+        return cost, lost
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance:
+    """How the runs fare as one imperfection grows (immutable).
+
+    Attributes
+    ----------
+    values : (k,)
+        What was tried, increasing from 0.
+    cost : (k, scenarios)
+        ∫|x|² + ∫|u|² of each run.
+    lost : (k, scenarios) bool
+    tolerated : float or None
+        The largest value tried at and below which no run was lost; None where one is at 0.
+    failed : float or None
+        The smallest value at which one was; None where none was.
+    message : str
+        The same in a sentence.
+    """
+
+    values: Float[np.ndarray, " k"]
+    cost: Float[np.ndarray, "k scenarios"]
+    lost: Bool[np.ndarray, "k scenarios"]
+    tolerated: float | None
+    failed: float | None
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class NoisePrice:
+    """What measurement noise costs: E cost = `base` + `slope`·std² in a loop that is linear.
+
+    Attributes
+    ----------
+    std : (k,)
+        Standard deviations of the noise that were run, the first 0, in the states' units.
+    cost : (k, scenarios)
+    base, slope : float
+    doubling : float
+        The standard deviation that doubles the cost.
+    message : str
+    """
+
+    std: Float[np.ndarray, " k"]
+    cost: Float[np.ndarray, "k scenarios"]
+    base: float
+    slope: float
+    doubling: float
+    message: str
+
+
+def sweep(
+    setting: Setting,
+    make: Callable[[float], Imperfection],
+    values: Sequence[float],
+    refine: Callable[[float, float], float | None],
+    scenarios: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values until one loses runs, then between it and the one before while `refine` names one."""
+    tried: dict[float, tuple[Cost, np.ndarray]] = {}
+
+    def ask(value: float) -> bool:
+        more = [make(value)] if value > 0.0 else []
+        tried[value] = setting.runs(more, scenarios)
+        return bool(tried[value][1].any())
+
+    good, bad = None, None
+    for value in values:
+        if ask(value):
+            bad = value
+            break
+        good = value
+    while good is not None and bad is not None:
+        middle = refine(good, bad)
+        if middle is None:
+            break
+        good, bad = (good, middle) if ask(middle) else (middle, bad)
+    order = sorted(tried)
+    return (
+        np.array(order),
+        np.array([tried[value][0] for value in order]),
+        np.array([tried[value][1] for value in order]),
+    )
+
+
+def tolerance_of(
+    swept: tuple[np.ndarray, np.ndarray, np.ndarray], say: Callable[[float, float | None], str]
+) -> Tolerance:
+    """What a sweep shows; `say(tolerated, failed)` is its sentence."""
+    values, cost, lost = swept
+    bad = np.flatnonzero(lost.any(axis=1))
+    if bad.size and bad[0] == 0:
+        text = "the loop is lost as it is, with nothing added"
+        return Tolerance(values, cost, lost, None, float(values[0]), text)
+    failed = float(values[bad[0]]) if bad.size else None
+    tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
+    return Tolerance(values, cost, lost, tolerated, failed, say(tolerated, failed))
+
+
+def noise_price(setting: Setting, unit: float) -> NoisePrice:
+    """The price of measurement noise, `unit` being the size of a state."""
+    scenarios = setting.scenarios
+    base_cost, _ = setting.runs([], scenarios)
+    base = float(base_cost.mean())
+    trial, slope = 1e-3 * unit, 0.0
+    # Large enough that what the noise adds stands out of what it happens to do to these runs.
+    for _ in range(_TRIALS):
+        more = float(setting.runs([Noise(trial)], scenarios)[0].mean() - base)
+        slope = more / trial**2
+        if more > 0.3 * base:
+            break
+        trial *= 4.0
+    doubling = math.sqrt(base / slope) if 0.0 < slope < math.inf else math.nan
+    if not 0.0 < doubling < math.inf:
+        text = "the price of measurement noise could not be told: no noise tried costs more"
+        return NoisePrice(np.zeros(1), base_cost[None], base, slope, math.nan, text)
+    std = doubling * np.array([0.0, 0.25, 0.5, 1.0, 2.0])
+    cost = np.array([base_cost, *(setting.runs([Noise(s)], scenarios)[0] for s in std[1:])])
+    slope = float((cost[1:].mean(axis=1) - base) @ std[1:] ** 2 / np.sum(std[1:] ** 4))
+    doubling = math.sqrt(base / slope) if slope > 0.0 else math.nan
+    share = f", {100.0 * doubling / unit:.2g} % of |x(0)|" if setting.x0.any() else ""
+    text = (
+        f"measurement noise with a standard deviation of {doubling:.2g} in every state{share}, "
+        "doubles the cost"
+    )
+    return NoisePrice(std, cost, base, slope, doubling, text)

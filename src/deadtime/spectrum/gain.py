@@ -1,0 +1,198 @@
+"""The gain margin while one mode lasts: inputs that act more or less than the law believes.
+
+With every input's effect k times the plant's, the loop of one mode has a root at the frequency ω if
+I − k L(ω) is singular, L = M⁻¹ r p being the loop's gain at the plant's input
+(`deadtime.spectrum.response`). So a root can only cross the limit of stability at a k = 1/λ with
+a positive real eigenvalue λ of L(ω). These are where the curve of an eigenvalue crosses the
+positive real axis, or ends on it at the highest and the lowest frequency.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.checks import positive
+from deadtime.laws.base import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.arguments import require_constant
+from deadtime.spectrum.digital_response import DigitalResponse
+from deadtime.spectrum.growth import growth_rate
+from deadtime.spectrum.small_matrices import inverses
+from deadtime.switching import SwitchingSignal
+
+_TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
+_LARGEST = 1e6  # factors beyond are as good as infinite
+
+
+@dataclass(frozen=True, eq=False)
+class GainMargin:
+    """Factors of the inputs' effect that leave a loop stable (immutable).
+
+    Attributes
+    ----------
+    lower, upper : float or None
+        The open interval of factors around 1 with every constant mode stable. 0: stable down to
+        no effect at all. ∞: however much more. None: a mode is unstable already.
+    lower_mode, upper_mode : int or None
+        The mode that is lost there; None where none is. Without an interval, the mode that grows
+        fastest.
+    growth : (modes,)
+        The growth rate in each mode at the factor 1, 1/s.
+    message : str
+        The same in a sentence.
+    """
+
+    lower: float | None
+    upper: float | None
+    lower_mode: int | None
+    upper_mode: int | None
+    growth: Float[np.ndarray, " mode"]
+    message: str
+
+
+def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMargin:
+    """How wrong the inputs' effect B may be, by one factor, if any one mode lasts for ever.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth at the factor 1. The law has a model of its own, `law.plant`.
+    law : Law
+        A law that is a table.
+    step : float
+        Sampling period h, in seconds.
+
+    Returns
+    -------
+    GainMargin
+        To about 1e-9 relative.
+
+    Raises
+    ------
+    ArgumentError
+        As by `growth_rate`.
+
+    Notes
+    -----
+    With several modes the loop may be lost earlier, by switching: that needs a certificate
+    (`stability_margin`).
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.2)
+    >>> law = dt.SingleModePredictor(plant, dt.place(plant, [-1.0]), 0)
+    >>> margin = dt.gain_margin(plant, law)
+    >>> round(margin.lower, 4), round(margin.upper, 4)
+    (0.5906, 4.3699)
+    """
+    require_constant(plant, law)
+    step = positive("step", step)
+    growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
+    if growth.max() >= 0.0:
+        worst = int(growth.argmax())
+        rate = f"{growth[worst]:+.3g}".replace("-", "−")
+        text = f"there is no gain margin: held in mode {worst} the loop grows at {rate} /s already"
+        return GainMargin(None, None, worst, worst, growth, text)
+    lower, upper = (0.0, None), (math.inf, None)
+    for mode in range(plant.modes):
+        low, high = _interval(plant, law, mode, step)
+        lower = (low, mode) if low > lower[0] else lower
+        upper = (high, mode) if high < upper[0] else upper
+    return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
+
+
+def _interval(plant: SwitchedSystem, law: Law, mode: int, step: float) -> tuple[float, float]:
+    """The factors next to 1 at which this mode is lost."""
+    table = law.digital(step, SwitchingSignal.constant(mode), 1)
+    factors = _candidates(DigitalResponse.of(plant, table, mode), plant.delay)
+
+    def stable(factor: float) -> bool:
+        changed = SwitchedSystem(plant.A, factor * plant.B, plant.delay)
+        return growth_rate(changed, law, mode, step) < 0.0
+
+    above = np.append(factors[factors > 1.0], _LARGEST)
+    below = np.append(factors[factors < 1.0][::-1], 1.0 / _LARGEST)
+    high = next((a for a, b in itertools.pairwise(above) if not stable(math.sqrt(a * b))), math.inf)
+    low = next((a for a, b in itertools.pairwise(below) if not stable(math.sqrt(a * b))), 0.0)
+    return float(low), float(high)
+
+
+def _candidates(response: DigitalResponse, delay: float) -> Float[np.ndarray, " factor"]:
+    """Every factor at which a root stands at the limit of stability, increasing."""
+    highest = response.highest
+    count = int(8.0 * highest * (response.memory + delay)) + 256
+    # The ends are approached: a plant that integrates has an infinite gain at frequency 0.
+    omega = np.linspace(1e-9, 1.0 - 1e-12, count) * highest
+    gains = _gains(response, omega, delay)
+    while True:
+        gains = _matched(gains)
+        apart = np.abs(np.diff(gains, axis=0))
+        size = np.minimum(np.abs(gains[1:]), np.abs(gains[:-1])) + 1e-3
+        coarse = (apart > _TURN * size).any(axis=1) & (np.diff(omega) > _FINEST * highest)
+        if not coarse.any() or omega.size > 64 * count:
+            break
+        middle = 0.5 * (omega[:-1] + omega[1:])[coarse]
+        order = np.argsort(np.concatenate((omega, middle)))
+        gains = np.concatenate((gains, _gains(response, middle, delay)))[order]
+        omega = np.concatenate((omega, middle))[order]
+    real, imag = np.real(gains), np.imag(gains)
+    crossing = (imag[1:] * imag[:-1] < 0.0) & (real[1:] + real[:-1] > 0.0)
+    ends: list[complex] = gains[[0, -1]].ravel().tolist()
+    found = [z.real for z in ends if abs(z.imag) <= 1e-5 * abs(z)]
+    for i, j in np.argwhere(crossing):
+        found.append(_refined(response, delay, omega[i : i + 2], gains[i : i + 2, j]))
+    values = np.array([value for value in found if value > 1.0 / _LARGEST])
+    return np.unique(1.0 / values)
+
+
+def _gains(response: DigitalResponse, omega: np.ndarray, delay: float) -> np.ndarray:
+    """The eigenvalues of L, (points, m)."""
+    samples = response.samples(omega)
+    p, _, _ = response.pipe(omega, np.full(omega.size, delay))
+    L = inverses(samples.M) @ samples.r @ p
+    return L[:, :, 0] if L.shape[1] == 1 else np.linalg.eigvals(L)
+
+
+def _matched(gains: np.ndarray) -> np.ndarray:
+    """The eigenvalues at each frequency in the order of their neighbours' nearest."""
+    from scipy.optimize import linear_sum_assignment
+
+    if gains.shape[1] > 1:
+        gains = gains.copy()
+        for i in range(1, gains.shape[0]):
+            distance = np.abs(gains[i - 1][:, None] - gains[i])
+            gains[i] = gains[i][linear_sum_assignment(distance)[1]]
+    return gains
+
+
+def _refined(response: DigitalResponse, delay: float, omega: np.ndarray, ends: np.ndarray) -> float:
+    """The real eigenvalue between two frequencies, by bisection and then a secant."""
+    (a, b), (low, high) = omega, ends
+    for _ in range(50):
+        middle = 0.5 * (a + b)
+        values = _gains(response, np.array([middle]), delay)[0]
+        value = values[np.abs(values - 0.5 * (low + high)).argmin()]
+        if value.imag * low.imag > 0.0:
+            a, low = middle, value
+        else:
+            b, high = middle, value
+    part = low.imag / (low.imag - high.imag) if low.imag != high.imag else 0.5
+    return float((low + part * (high - low)).real)
+
+
+def _sentence(lower: tuple[float, int | None], upper: tuple[float, int | None]) -> str:
+    text = "the loop stays stable in every constant mode while the inputs act"
+    (low, low_mode), (high, high_mode) = lower, upper
+    if low_mode is None and high_mode is None:
+        return f"{text} at all, however much"
+    if high_mode is None:
+        return f"{text} more than {low:.4g} times as much as believed"
+    if low_mode is None:
+        return f"{text} less than {high:.4g} times as much as believed"
+    return f"{text} between {low:.4g} and {high:.4g} times as much as believed"

@@ -1,0 +1,127 @@
+"""The gain margin: factors of the inputs' effect that keep every constant mode stable."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+import deadtime as dt
+import plants
+
+# Three modes so near that a law keeps each; N = 3, φ = 0.051 in truth, φ = 0.034 for the law.
+NEAR = plants.generic().apart(0.02)
+MODEL = dt.SwitchedSystem(NEAR.A + 2.5 * np.eye(3), NEAR.B, NEAR.delay)
+PLANT = dt.SwitchedSystem(1.01 * MODEL.A, 0.98 * MODEL.B, 0.251)
+STEP = 0.1
+TABLES = [name for name in plants.LAWS if name != "delayed"]
+
+
+def radius(plant, table, row, mode, factor):
+    """Spectral radius of the lifted loop, from SciPy's exponentials and the definition alone."""
+    h, D = table.step, plant.delay
+    N = int(np.ceil(D / h - 1e-9))
+    phase = D - (N - 1) * h
+    A, B = plant.A[mode], factor * plant.B[mode]
+    n, m = B.shape
+    Phi, late = plants.held(A, B, h)[0], plants.held(A, B, h - phase)[1]
+    early = expm(A * (h - phase)) @ plants.held(A, B, phase)[1]
+    taps = max(table.taps, N)
+    M = np.zeros((n + taps * m, n + taps * m))
+    F, G = table.state_gain[row], table.input_gain[row]
+    M[n : n + m, :n] = F
+    for j in range(table.taps):
+        M[n : n + m, n + j * m : n + (j + 1) * m] = G[j]
+    M[n + m :, n:-m] = np.eye((taps - 1) * m)
+    M[:n, :n] = Phi
+    M[:n, n + (N - 1) * m : n + N * m] += early
+    if N > 1:
+        M[:n, n + (N - 2) * m : n + (N - 1) * m] += late
+    else:
+        M[:n] += late @ M[n : n + m]
+    return np.abs(np.linalg.eigvals(M)).max()
+
+
+@pytest.mark.parametrize("law", TABLES)
+def test_the_gain_margin_ends_where_a_lifted_loop_reaches_the_unit_circle(law):
+    made = plants.LAWS[law](MODEL)
+    margin = dt.gain_margin(PLANT, made, STEP)
+    assert 0.0 < margin.lower < 1.0 < margin.upper
+    table = made.digital(STEP, dt.SwitchingSignal.constant(0), 1)
+    ends = []
+    for mode in range(3):
+        signal = dt.SwitchingSignal.constant(mode)
+        table = made.digital(STEP, signal, 1)
+        row = int(table.rows(np.full(1, mode), table.ages)[0])
+
+        def log_radius(factor, table=table, row=row, mode=mode):
+            return np.log(radius(PLANT, table, row, mode, factor))
+
+        fine = np.linspace(1.0, 1.5 * margin.upper, 400)
+        first = fine[np.argmax([log_radius(k) > 0.0 for k in fine])]
+        upper = brentq(log_radius, 1.0, first) if first > 1.0 else np.inf
+        fine = np.linspace(1.0, 0.5 * margin.lower, 400)
+        first = fine[np.argmax([log_radius(k) > 0.0 for k in fine])]
+        lower = brentq(log_radius, first, 1.0) if first < 1.0 else 0.0
+        ends.append((lower, upper))
+    lower, upper = np.array(ends).T
+    assert margin.lower == pytest.approx(lower.max(), rel=1e-8)
+    assert margin.upper == pytest.approx(upper.min(), rel=1e-8)
+    assert (margin.lower_mode, margin.upper_mode) == (lower.argmax(), upper.argmin())
+    assert f"between {margin.lower:.4g} and {margin.upper:.4g} times" in margin.message
+
+
+def test_a_scalar_loop_has_the_margin_of_its_characteristic_equation():
+    # x' = −x + 0.2 u, u = −x held, no prediction: x_{k+1} = (e^{−h} − 0.2 k (1 − e^{−h})) x_k.
+    plant = plants.scalar(-1.0, 0.2, delay=1e-9)
+    law = dt.DelayedStateFeedback(plant, [[[-1.0]]])
+    h = 0.5
+    margin = dt.gain_margin(plant, law, h)
+    # The input comes a whole period late: z² − e^{−h} z + 0.2 k (1 − e^{−h}) = 0 loses at z² = …
+    coefficient = 0.2 * (1.0 - np.exp(-h))
+    assert margin.lower == 0.0
+    assert margin.lower_mode is None
+    assert margin.upper == pytest.approx((1.0 + np.exp(-h)) / coefficient, rel=1e-6)
+
+
+def test_the_papers_first_mode_bears_three_and_a_half_percent():
+    paper = dt.problems.paper().plant
+    plant = dt.SwitchedSystem(paper.A[:1], paper.B[:1], paper.delay)
+    law = dt.SingleModePredictor(plant, dt.place(plant, [-1.0, -2.0]), 0)
+    margin = dt.gain_margin(plant, law)
+    assert margin.lower == pytest.approx(0.9654, abs=1e-4)
+    assert margin.upper == pytest.approx(1.036, abs=1e-3)
+    for end, outwards in ((margin.lower, -1.0), (margin.upper, 1.0)):
+        rates = [
+            dt.growth_rate(
+                dt.SwitchedSystem(plant.A, end * (1.0 + d) * plant.B, plant.delay), law, 0
+            )
+            for d in (-1e-6, 1e-6)
+        ]
+        assert outwards * rates[0] < 0.0 < outwards * rates[1]
+
+
+def test_a_mode_that_grows_leaves_no_margin():
+    problem = dt.problems.paper()
+    margin = dt.gain_margin(problem.plant, problem.laws["averaged"])
+    assert margin.lower is margin.upper is None
+    assert margin.upper_mode == 1
+    assert margin.message == (
+        "there is no gain margin: held in mode 1 the loop grows at +0.282 /s already"
+    )
+
+
+def test_a_plant_that_is_stable_by_itself_bears_no_effect_at_all():
+    plant = plants.scalar([-1.0, -2.0], 1e-9, delay=0.25)
+    law = dt.DelayedStateFeedback(plant, [[[-1e-9]], [[-1e-9]]])
+    margin = dt.gain_margin(plant, law, 0.1)
+    assert (margin.lower, margin.upper) == (0.0, np.inf)
+    assert margin.message.endswith("at all, however much")
+
+
+def test_laws_that_are_no_table_are_refused_by_name():
+    rule = dt.HalfSpace([1.0, 0.0, 0.0])
+    law = dt.StateDependentPredictor(MODEL, plants.gains(MODEL), rule)
+    with pytest.raises(dt.ArgumentError, match="StateDependentPredictor"):
+        dt.gain_margin(MODEL, law, STEP)
+    with pytest.raises(dt.ArgumentError, match="step must be positive"):
+        dt.gain_margin(PLANT, plants.LAWS["averaged"](MODEL), 0.0)
