@@ -139,7 +139,7 @@ def test_the_steady_covariance_is_the_riccati_one_within_monte_carlo_error():
     kinds = [dt.imperfections.WhiteDisturbance(W), _correlated(R)]
     run = dt.simulate(
         plant, dt.OutputFeedback(law, observer), dt.SwitchingSignal.constant(mode),
-        np.zeros(3), 3000.0, STEP, imperfections=kinds, seed=11,
+        np.zeros(3), 4000.0, STEP, imperfections=kinds, seed=11,
     )  # fmt: skip
     errors = (run.states - run.estimates)[:, 200::every].T
     count = len(errors)

@@ -170,6 +170,24 @@ def test_a_controller_gives_the_inputs_of_simulate(name):
     assert (last == controller.state["input"]).all()
 
 
+def test_a_controller_loses_no_digits_over_thousands_of_periods():
+    law = observed("averaged, dwell-aware", KALMAN)
+    signal = dt.SwitchingSignal.random(3, 151.0, dwell_time=0.3, seed=2)
+    kinds = [Noise(0.05), dt.imperfections.StepDisturbance([0.3, 0.1, 0.2])]
+    loop = run(law, TRUTH, signal, 150.0, None, imperfections=kinds, seed=3)
+    controller, scale = dt.Controller(law, STEP), _terms(law, loop).max()
+    for k in range(loop.time.size):
+        u = controller.update(loop.measured[:, k], int(loop.mode[k]))
+        assert (np.abs(u - loop.inputs[:, k]) <= 1e-12 * scale).all()
+
+
+def test_robustness_takes_it_and_speaks_of_outputs():
+    result = dt.robustness(MODEL, observed(), ON_GRID, X0, 3.0, STEP, scenarios=2)
+    assert result.delay is None
+    assert result.drops.tolerated > 0.1
+    assert "in every output" in result.noise.message
+
+
 def _terms(law, loop):
     """Σ|terms| of every input."""
     table = law.law.digital(STEP)

@@ -186,8 +186,8 @@ def test_references_come_as_constants_schedules_and_functions():
     first, *others = [run(tracking(reference=one), horizon=4.0) for one in same]
     for other in others:
         assert (other.states == first.states).all()
-    constants = [run(tracking(reference=one), horizon=1.0) for one in (0.5, [0.5, 0.5])]
-    assert (constants[0].states == constants[1].states).all()
+    constants = [run(tracking(reference=one), horizon=1.0) for one in (0.5, [0.5, 0.5], (0.5, 0.5))]
+    assert all((one.states == constants[0].states).all() for one in constants[1:])
 
 
 def test_the_sum_stops_where_the_input_is_limited():

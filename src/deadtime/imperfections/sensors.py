@@ -29,7 +29,8 @@ class Noise(SensorImperfection):
     Parameters
     ----------
     std : array_like
-        Standard deviation, a scalar or shape (n,), in the states' units.
+        Standard deviation, a scalar or shape (n,), in the states' units; (p,) for a law that
+        measures outputs.
     """
 
     kind: ClassVar[int] = 1
@@ -45,6 +46,8 @@ class Noise(SensorImperfection):
 @dataclass(frozen=True)
 class Dropout(SensorImperfection):
     """Lost samples: the law learns neither x nor σ, and its last input is held.
+
+    A law that measures outputs goes on instead: its observer predicts.
 
     Parameters
     ----------

@@ -179,8 +179,9 @@ def noise_price(setting: Setting, unit: float) -> NoisePrice:
     slope = float((cost[1:].mean(axis=1) - base) @ std[1:] ** 2 / np.sum(std[1:] ** 4))
     doubling = math.sqrt(base / slope) if slope > 0.0 else math.nan
     share = f", {100.0 * doubling / unit:.2g} % of |x(0)|" if setting.x0.any() else ""
+    signal = "state" if setting.law.outputs is None else "output"
     text = (
-        f"measurement noise with a standard deviation of {doubling:.2g} in every state{share}, "
+        f"measurement noise with a standard deviation of {doubling:.2g} in every {signal}{share}, "
         "doubles the cost"
     )
     return NoisePrice(std, cost, base, slope, doubling, text)
