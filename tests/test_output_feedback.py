@@ -95,6 +95,37 @@ def test_the_joint_growth_rate_is_that_of_runs_on_a_plant_that_is_not_the_model(
     assert slope == pytest.approx(rate, abs=0.02)
 
 
+def alone(mode, observer_poles):
+    """One mode of `generic` with an unstable plant, under its own law."""
+    generic = plants.generic()
+    plant = dt.SwitchedSystem(generic.A[mode : mode + 1], generic.B[mode : mode + 1], 0.234)
+    law = dt.SingleModePredictor(plant, dt.place(plant, [-1, -1.5, -2], STEP), 0)
+    observer = dt.luenberger(plant, C, observer_poles, STEP)
+    return plant, law, dt.OutputFeedback(law, observer)
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+@pytest.mark.parametrize("poles", [[-3, -4, -5], [-1, -8, -9]])
+def test_margins_of_delay_and_gain_are_where_the_joint_loop_neither_grows_nor_decays(mode, poles):
+    plant, law, loop = alone(mode, poles)
+    delay, gain = dt.delay_margin(plant, loop, STEP), dt.gain_margin(plant, loop, STEP)
+
+    def rate(D=plant.delay, k=1.0):
+        return dt.growth_rate(dt.SwitchedSystem(plant.A, k * plant.B, D), loop, 0, STEP)
+
+    limits = [D for D in (delay.lower, delay.upper) if 0.0 < D < 10.0 * plant.delay]
+    assert limits
+    assert max(abs(rate(D)) for D in limits) < 1e-9
+    assert max(abs(rate(k=k)) for k in (gain.lower, gain.upper)) < 1e-9
+    inside = np.linspace(max(delay.lower, 0.01), delay.upper, 14)[1:-1]
+    assert max(rate(D) for D in inside) < 0.0
+    assert max(rate(k=k) for k in np.linspace(gain.lower, gain.upper, 14)[1:-1]) < 0.0
+    assert rate(1.01 * delay.upper) > 0.0
+    assert rate(k=1.01 * gain.upper) > 0.0
+    # An observer changes how much error a loop stands, in either direction.
+    assert abs(delay.upper / dt.delay_margin(plant, law, STEP).upper - 1.0) > 0.01
+
+
 def test_lost_samples_are_predicted_over_and_not_held():
     plain = run(observed(estimate=X0))
     lossy = run(observed(estimate=X0), imperfections=[Dropout(0.4)], seed=2)
@@ -183,7 +214,7 @@ def test_a_controller_loses_no_digits_over_thousands_of_periods():
 
 def test_robustness_takes_it_and_speaks_of_outputs():
     result = dt.robustness(MODEL, observed(), ON_GRID, X0, 3.0, STEP, scenarios=2)
-    assert result.delay is None
+    assert result.delay.relative > 1.0
     assert result.drops.tolerated > 0.1
     assert "in every output" in result.noise.message
 
@@ -323,7 +354,14 @@ SMALL = plants.paper()
             "step must be given for OutputFeedback: its observer runs at samples, every 0.05 s.",
         ),
         (lambda: observed().digital(STEP), "OutputFeedback has no table: it remembers an estimate"),
-        (lambda: dt.delay_margin(MODEL, observed(), STEP), "OutputFeedback has no table"),
+        (
+            lambda: dt.delay_margin(MODEL, observed(), 0.1),
+            "step must be the observer's, 0.05 s, got 0.1",
+        ),
+        (
+            lambda: dt.delay_margin(MODEL, observed(), None),
+            "step must be given for OutputFeedback",
+        ),
         (
             lambda: dt.falsify(MODEL, observed(), 0.3, STEP),
             "got OutputFeedback: it foresees the signal, decides it by a rule or remembers",

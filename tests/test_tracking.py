@@ -100,6 +100,17 @@ def test_the_growth_rate_of_a_tracking_loop_is_that_of_its_runs(disturbance):
         assert np.polyfit(loop.time[200:500], size[200:500], 1)[0] == pytest.approx(rate, abs=0.05)
 
 
+@pytest.mark.parametrize("disturbance", [None, E], ids=["sum", "sum and estimate"])
+def test_margins_of_a_tracking_loop_are_where_it_neither_grows_nor_decays(disturbance):
+    law = tracking(dt.Servo(MODEL, C, disturbance=disturbance))
+    delay, gain = dt.delay_margin(TRUTH, law, STEP), dt.gain_margin(TRUTH, law, STEP)
+    for D, mode in ((delay.lower, delay.lower_mode), (delay.upper, delay.upper_mode)):
+        other = dt.SwitchedSystem(TRUTH.A, TRUTH.B, D)
+        assert dt.growth_rate(other, law, mode, STEP) == pytest.approx(0.0, abs=1e-9)
+    other = dt.SwitchedSystem(TRUTH.A, gain.upper * TRUTH.B, TRUTH.delay)
+    assert dt.growth_rate(other, law, gain.upper_mode, STEP) == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_a_constant_disturbance_leaves_no_offset_whatever_law_and_plant(law):
     """Neither delay, matrices nor the disturbance are those of the model; two of five modes."""

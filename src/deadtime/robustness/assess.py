@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.checks import count, positive, real_array, shaped
 from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay
 from deadtime.laws.base import Law, TableLaw
+from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
 from deadtime.robustness.tolerance import NoisePrice, Setting, Tolerance, noise_price
 from deadtime.robustness.tolerance import sweep as _sweep
@@ -115,7 +116,8 @@ def robustness(
     scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
     step, horizon = positive("step", step), positive("horizon", horizon)
     setting = Setting(plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections))
-    table = isinstance(law, TableLaw)
+    inner = law.law if isinstance(law, OutputFeedback) else law
+    table = isinstance(inner, TableLaw)
     progress("delay margin")
     delay = constant_delay_margin(plant, law, step) if table else None
     progress("gain margin")
@@ -127,7 +129,7 @@ def robustness(
     late = _whole(setting, LateSamples, most, "every sample may be", "late")
     progress("detection lag")
     lag = None
-    if not table or law.digital(step, *_future(signal)).context in ("mode", "mode_age"):
+    if not table or inner.digital(step, *_future(signal)).context in ("mode", "mode_age"):
         lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
     progress("noise")
     noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)

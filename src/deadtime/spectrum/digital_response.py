@@ -22,10 +22,10 @@ class DigitalResponse(Response):
 
     A: Float[np.ndarray, "n n"]
     B: Float[np.ndarray, "n m"]
-    F: Float[np.ndarray, "m n"]
+    F: Float[np.ndarray, "m size"]
     G: Float[np.ndarray, "tap m m"]
     step: float
-    Phi: Float[np.ndarray, "n n"]
+    Phi: Float[np.ndarray, "size size"]
 
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, mode: int) -> DigitalResponse:

@@ -22,8 +22,8 @@ from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.growth import growth_rate
+from deadtime.spectrum.observed_response import digital_response
 from deadtime.spectrum.small_matrices import inverses
-from deadtime.switching import SwitchingSignal
 
 _TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
 _LARGEST = 1e6  # factors beyond are as good as infinite
@@ -63,7 +63,7 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMarg
     plant : SwitchedSystem
         The truth at the factor 1. The law has a model of its own, `law.plant`.
     law : Law
-        A law that is a table.
+        A law that is a table, or an `OutputFeedback` of one.
     step : float
         Sampling period h, in seconds.
 
@@ -109,8 +109,7 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMarg
 
 def _interval(plant: SwitchedSystem, law: Law, mode: int, step: float) -> tuple[float, float]:
     """The factors next to 1 at which this mode is lost."""
-    table = law.digital(step, SwitchingSignal.constant(mode), 1)
-    factors = _candidates(DigitalResponse.of(plant, table, mode), plant.delay)
+    factors = _candidates(digital_response(plant, law, mode, step), plant.delay)
 
     def stable(factor: float) -> bool:
         changed = SwitchedSystem(plant.A, factor * plant.B, plant.delay)

@@ -20,12 +20,11 @@ from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.crossing import first_crossing, relevant
-from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.growth import growth_rate
 from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.ideal_response import IdealResponse
+from deadtime.spectrum.observed_response import digital_response
 from deadtime.spectrum.response import Response
-from deadtime.switching import SwitchingSignal
 
 FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
 
@@ -96,7 +95,8 @@ def constant_delay_margin(
     plant : SwitchedSystem
         The truth, at its nominal delay. The law has a model of its own, `law.plant`.
     law : Law
-        A law that is a table; without a step, one that has a closed form in continuous time.
+        A law that is a table, or an `OutputFeedback` of one; without a step, one that has a closed
+        form in continuous time.
     step : float or None
         Sampling period h, in seconds; None for the ideal loop, updated continuously.
 
@@ -172,7 +172,7 @@ def _response(plant: SwitchedSystem, law: Law, mode: int, step: float | None) ->
 
     if step is None:
         return IdealResponse.of(IdealLoop.of(plant, law, mode))
-    return DigitalResponse.of(plant, law.digital(step, SwitchingSignal.constant(mode), 1), mode)
+    return digital_response(plant, law, mode, step)
 
 
 def _unstable(mode: int, growth: float) -> str:

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.exponential import held
 from deadtime.feedback import Feedback
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
@@ -37,6 +36,8 @@ class Period(NamedTuple):
     @classmethod
     def of(cls, plant: SwitchedSystem, mode: int, step: float) -> Period:
         """One mode over a period."""
+        from deadtime.exponential import held
+
         window = Window.of(plant.delay, step)
         A, B = plant.A[mode], plant.B[mode]
         Phi, early = held(A, B, window.phase)
@@ -65,33 +66,52 @@ class Period(NamedTuple):
         return Period(Phi[:, :square], early, late, count)
 
 
+class Joined(NamedTuple):
+    """X' = Phi X + early u_{k−N} + late u_{k−N+1}, u_k = gain X + …, X = (x, x̄, s).
+
+    The first `true` of X are the plant's.
+    """
+
+    Phi: Float[np.ndarray, "size size"]
+    early: Float[np.ndarray, "size m"]
+    late: Float[np.ndarray, "size m"]
+    gain: Float[np.ndarray, "m size"]
+    true: int
+
+    @classmethod
+    def of(cls, law: OutputFeedback, x: Period, x_bar: Period, F: np.ndarray, mode: int) -> Joined:
+        """Plant and observer side by side, each with its own inputs, under F of the law inside."""
+        h, observer = law.observer.step, law.observer
+        assert law.outputs is not None
+        C, C_o, L = law.outputs[mode], observer.C[mode], observer.gain[mode]
+        H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]
+        n, n_o, q, m = C.shape[1], C_o.shape[1], len(H), x.early.shape[1]
+        a, b = len(x.Phi), len(x_bar.Phi)
+        size = a + b + q
+        estimate, v = np.zeros((n_o, size)), np.zeros((q, size))
+        estimate[:, :n], estimate[:, a : a + n_o] = L @ C, np.eye(n_o) - L @ C_o
+        v[:, :n] = H @ C
+        q_now = h / 2.0 * v
+        q_now[:, a + b :] += np.eye(q)
+        Phi = np.zeros((size, size))
+        Phi[:a, :a] = x.Phi
+        Phi[a : a + b] = x_bar.Phi[:, :n_o] @ estimate
+        Phi[a : a + b, a + n_o : a + b] += x_bar.Phi[:, n_o:]
+        Phi[a + b :] = h * v
+        Phi[a + b :, a + b :] += np.eye(q)
+        early, late = np.zeros((2, size, m))
+        early[: a + b] = np.vstack((x.early, x_bar.early))
+        late[: a + b] = np.vstack((x.late, x_bar.late))
+        return cls(Phi, early, late, F[:, :n_o] @ estimate + F[:, n_o : n_o + q] @ q_now, a)
+
+
 def observed_loop(
     plant: SwitchedSystem, law: OutputFeedback, feedback: Feedback, mode: int, row: int
 ) -> LiftedLoop:
     """The loop of plant, observer and one row of the table of the law inside, reference 0."""
-    h, observer = feedback.step, law.observer
-    true, model = Period.of(plant, mode, h), Period.of(observer.plant, mode, h)
+    h = feedback.step
+    true, model = Period.of(plant, mode, h), Period.of(law.observer.plant, mode, h)
     count = min(true.taps, model.taps)
-    assert law.outputs is not None
-    C, C_o, L = law.outputs[mode], observer.C[mode], observer.gain[mode]
-    H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]
-    n, n_o, q, m = plant.states, observer.plant.states, len(H), plant.inputs
-    x, x_bar = true.reading(count), model.reading(count)
-    a, b = len(x.Phi), len(x_bar.Phi)
-    size = a + b + q
-    estimate, v = np.zeros((n_o, size)), np.zeros((q, size))
-    estimate[:, :n], estimate[:, a : a + n_o] = L @ C, np.eye(n_o) - L @ C_o
-    v[:, :n] = H @ C
-    q_now = h / 2.0 * v
-    q_now[:, a + b :] += np.eye(q)
-    Phi = np.zeros((size, size))
-    Phi[:a, :a] = x.Phi
-    Phi[a : a + b] = x_bar.Phi[:, :n_o] @ estimate
-    Phi[a : a + b, a + n_o : a + b] += x_bar.Phi[:, n_o:]
-    Phi[a + b :] = h * v
-    Phi[a + b :, a + b :] += np.eye(q)
-    none = np.zeros((q, m))
-    early, late = (np.vstack((getattr(x, k), getattr(x_bar, k), none)) for k in ("early", "late"))
     F = feedback.state_gain[row]
-    gain = F[:, :n_o] @ estimate + F[:, n_o : n_o + q] @ q_now
-    return LiftedLoop(Phi, early, late, gain, feedback.input_gain[row], count)
+    X = Joined.of(law, true.reading(count), model.reading(count), F, mode)
+    return LiftedLoop(X.Phi, X.early, X.late, X.gain, feedback.input_gain[row], count)

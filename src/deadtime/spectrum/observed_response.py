@@ -1,0 +1,94 @@
+"""A loop with an observer in it at the limit of stability; see `deadtime.spectrum.observed`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadtime.feedback import Feedback
+from deadtime.laws.base import Law
+from deadtime.output_feedback import OutputFeedback
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.digital_response import DigitalResponse
+from deadtime.spectrum.lifted import aged_row
+from deadtime.spectrum.observed import Joined, Period
+from deadtime.spectrum.response import Samples
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedResponse(DigitalResponse):
+    """A loop with an observer in it: only the plant's own pipe knows the true delay.
+
+    Φ and F are those of X. The observer's pipe p_o is fed by the same inputs, so that in
+    det Δ = det(zI − Φ) det(M − r p) it belongs to the law, M = I − G(z) − r_o p_o.
+
+    Attributes
+    ----------
+    model : Joined
+        Its `early` and `late` below the plant's states are p_o's.
+    taps : int
+        N of the observer's model.
+    """
+
+    model: Joined
+    taps: int
+
+    @classmethod
+    def beside(
+        cls, plant: SwitchedSystem, law: OutputFeedback, feedback: Feedback, mode: int
+    ) -> ObservedResponse:
+        """The loop with one mode for ever."""
+        row, h = aged_row(feedback, mode), feedback.step
+        true, model = Period.of(plant, mode, h), Period.of(law.observer.plant, mode, h)
+        F, G = feedback.state_gain[row], feedback.input_gain[row]
+        X = Joined.of(law, true, model, F, mode)
+        return cls(plant.A[mode], plant.B[mode], X.gain, G, h, X.Phi, X, model.taps)
+
+    def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))
+        return z - self.Phi, 1j * self.step * z
+
+    def _observer_pipe(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """p_o and its slope by ω, (points, size − n, m)."""
+        n, old = self.model.true, np.exp(-1j * omega * self.step * self.taps)[:, None, None]
+        new = old * np.exp(1j * omega * self.step)[:, None, None]
+        early, late = self.model.early[n:], self.model.late[n:]
+        rate = -1j * self.step * self.taps
+        p = old * early + new * late
+        return p, rate * p + 1j * self.step * new * late
+
+    def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
+        whole, n = super().samples(omega, even), self.model.true
+        p, slope = self._observer_pipe(omega)
+        r, r_slope = whole.r[:, :, n:], whole.r_slope[:, :, n:]
+        return whole._replace(
+            M=whole.M - r @ p,
+            M_slope=whole.M_slope - r_slope @ p - r @ slope,
+            r=whole.r[:, :, :n],
+            r_slope=whole.r_slope[:, :, :n],
+        )
+
+    def matrix(
+        self, omega: np.ndarray, delay: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        m, size = self.F.shape
+        n, (p_o, p_o_slope) = self.model.true, self._observer_pipe(omega)
+        p, p_slope, p_speed = self.pipe(omega, delay)
+        Delta, slope, speed = np.zeros((3, omega.size, size + m, size + m), complex)
+        Delta[:, :size, :size], slope[:, :size, :size] = self.free(omega)
+        Delta[:, size:, size:], slope[:, size:, size:] = self.law(omega)
+        Delta[:, size:, :size] = -self.F
+        Delta[:, :n, size:], slope[:, :n, size:], speed[:, :n, size:] = -p, -p_slope, -p_speed
+        Delta[:, n:size, size:], slope[:, n:size, size:] = -p_o, -p_o_slope
+        return Delta, slope, speed
+
+
+def digital_response(plant: SwitchedSystem, law: Law, mode: int, step: float) -> DigitalResponse:
+    """The loop of any linear law with one mode for ever."""
+    signal = SwitchingSignal.constant(mode)
+    if not isinstance(law, OutputFeedback):
+        return DigitalResponse.of(plant, law.digital(step, signal, 1), mode)
+    law.require_step(step)
+    return ObservedResponse.beside(plant, law, law.law.digital(step, signal, 1), mode)
