@@ -1,4 +1,4 @@
-"""What does a loop stand? Three modes, two inputs, and a delay that is no multiple of the period."""
+"""What does a loop stand? Three modes, two inputs, a delay that is no multiple of the period."""
 
 import deadtime as dt
 from deadtime.robustness_plots import plot_robustness

@@ -23,19 +23,24 @@ def noise_covariance(
     array([[8., 6.],
            [6., 6.]])
     """
-    from scipy.linalg import expm
-
     n, size = A.shape[0], float(np.abs(W).max())
     if tau == 0.0 or size == 0.0:
         return np.zeros((n, n))
     doublings = max(0, math.ceil(math.log2(max(2.0 * tau * np.linalg.norm(A, 1), 1.0))))
     short = tau / 2.0**doublings
-    E = expm(short * np.block([[-A, W / size], [np.zeros((n, n)), A.T]]))
+    E = transition(np.block([[-A, W / size], [np.zeros((n, n)), A.T]]), short)
     Phi = E[n:, n:].T
     Q = Phi @ E[:n, n:]
     for _ in range(doublings):
         Q, Phi = Q + Phi @ Q @ Phi.T, Phi @ Phi
     return 0.5 * size * (Q + Q.T)
+
+
+def transition(A: Float[np.ndarray, "n n"], tau: float) -> Float[np.ndarray, "n n"]:
+    """e^{Aτ}."""
+    from deadtime.exponential import held
+
+    return held(np.ascontiguousarray(A), np.zeros((A.shape[0], 1)), tau)[0]
 
 
 def square_root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

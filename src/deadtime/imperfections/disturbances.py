@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import number, real_array, shaped
-from deadtime.covariance import noise_covariance, square_root
+from deadtime.covariance import noise_covariance, square_root, transition
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
 from deadtime.steps import snap
@@ -100,8 +100,6 @@ class ColouredDisturbance(Disturbance):
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
         """From c at both ends and n normal numbers: the mean given c, and what is left."""
-        from scipy.linalg import expm
-
         E, std, T = self._checked(sizes.states)
         n, q = E.shape
         total = sum(tau for _, tau in pieces)
@@ -115,7 +113,7 @@ class ColouredDisturbance(Disturbance):
 
         M = np.eye(n + q)
         for A, tau in pieces:
-            M = expm(tau * joint(A)[0]) @ M
+            M = transition(joint(A)[0], tau) @ M
         Q = _accumulated(pieces, joint, n + q)
         kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
         slope = Q[:n, n:] / np.where(variance > 0.0, variance, 1.0)
@@ -182,11 +180,9 @@ class StepDisturbance(Disturbance):
 
 def _accumulated(pieces: Sequence[Piece], system, order: int) -> np.ndarray:
     """The covariance over pieces, each under its own (A, W) = system(A of the plant)."""
-    from scipy.linalg import expm
-
     Q = np.zeros((order, order))
     for A, tau in pieces:
         F, W = system(A)
-        Phi = expm(tau * F)
+        Phi = transition(F, tau)
         Q = Phi @ Q @ Phi.T + noise_covariance(F, W, tau)
     return Q
