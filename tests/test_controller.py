@@ -213,3 +213,84 @@ def test_misuse_is_refused_by_name(make, message):
 
 def limited(limits):
     return dt.Controller(plants.LAWS["averaged"](GENERIC), STEP, limits=limits)
+
+
+def timed(name="averaged, dwell-aware"):
+    return dt.Controller(plants.LAWS[name](GENERIC), STEP)
+
+
+def test_jitter_below_half_a_period_changes_nothing():
+    rng = np.random.default_rng(1)
+    plain, jittery = timed(), timed()
+    for k in range(40):
+        x, mode = rng.normal(size=3), int(k // 7 % 3)
+        time = 1e5 + (k + 0.49 * rng.uniform(-1.0, 1.0) * (k > 0)) * STEP
+        assert (jittery.update(x, mode, time=time) == plain.update(x, mode)).all()
+        assert jittery.status == Status.OK
+    assert jittery.late == jittery.refused == 0
+    assert jittery.samples == 40
+
+
+def test_a_call_out_of_order_is_refused_and_changes_nothing_else():
+    plain, confused = timed(), timed()
+    x = np.array([1.0, -0.5, 0.2])
+    for k in range(10):
+        u = confused.update(x, k % 2, time=k * STEP)
+        assert (u == plain.update(x, k % 2)).all()
+        for time in (k * STEP, (k - 3) * STEP, (k + 0.4) * STEP, math.nan, math.inf):
+            again = confused.update(100.0 * x, 2, time=time)
+            assert (again == u).all()
+            assert confused.status == Status.OUT_OF_ORDER
+    assert confused.refused == 50
+    assert confused.samples == 10
+
+
+@pytest.mark.parametrize("missed", [1, 2, 5, 40])
+@pytest.mark.parametrize("name", ["averaged, dwell-aware", "mean"])
+def test_periods_without_a_call_count_as_held_inputs(name, missed):
+    regular, late = timed(name), timed(name)
+    rng = np.random.default_rng(2)
+    for k in range(12):
+        x = rng.normal(size=3)
+        assert (late.update(x, 1, time=k * STEP) == regular.update(x, 1)).all()
+    held = regular.update(np.full(3, math.nan), 1)
+    for _ in range(missed - 1):
+        assert (regular.update(np.full(3, math.nan), 1) == held).all()
+    x = rng.normal(size=3)
+    u = late.update(x, 1, time=(11 + missed + 1) * STEP)
+    plants.close(u, regular.update(x, 1), 1e-12)
+    assert late.status == Status.LATE
+    assert late.late == missed
+    assert late.refused == 0
+    # The next call is in time again.
+    late.update(x, 1, time=(13 + missed + 0.2) * STEP)
+    assert late.status == Status.OK
+
+
+def test_an_observer_predicts_over_periods_without_a_call():
+    law = dt.OutputFeedback(
+        plants.LAWS["averaged"](GENERIC),
+        dt.luenberger(GENERIC, np.eye(3)[:2], [-2.0, -3.0, -4.0], STEP),
+    )
+    regular, late = dt.Controller(law, STEP), dt.Controller(law, STEP)
+    for k in range(6):
+        y = np.array([1.0, 0.1 * k])
+        assert (late.update(y, 0, time=k * STEP) == regular.update(y, 0)).all()
+    held = late.update([1.0, 1.0], 0, time=6 * STEP)
+    regular.update([1.0, 1.0], 0)
+    for _ in range(2):  # what the actuator had is the held input, whatever the law would ask for
+        regular.update(np.full(2, math.nan), 0, held)
+    u = late.update([0.5, 0.5], 0, time=9 * STEP)
+    plants.close(u, regular.update([0.5, 0.5], 0, held), 1e-12)
+    assert late.late == 2
+
+
+def test_the_clock_is_part_of_a_warm_restart():
+    first, second = timed("mean"), timed("mean")
+    for k in range(5):
+        first.update(np.ones(3), 0, time=7.0 + k * STEP)
+    second.restore(first.state)
+    for controller in (first, second):
+        controller.update(np.ones(3), 0, time=7.0 + 8 * STEP)
+        assert (controller.status, controller.late, controller.samples) == (Status.LATE, 3, 9)
+    assert (first.update(np.ones(3), 0) == second.update(np.ones(3), 0)).all()

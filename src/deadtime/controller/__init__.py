@@ -1,5 +1,6 @@
 """The law in a loop that runs: one period per call."""
 
-from deadtime.controller.controller import Controller, Status
+from deadtime.controller.controller import Controller
+from deadtime.controller.status import Status
 
 __all__ = ["Controller", "Status"]

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-import enum
-import math
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, instance, positive, real_array, shaped
+from deadtime.checks import count, instance, positive
+from deadtime.controller.arguments import limits_of, vector
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
+from deadtime.controller.status import Clock, Status
 from deadtime.errors import ArgumentError
 from deadtime.laws import ExactPredictor
 from deadtime.laws.base import Law, TableLaw
 from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.initial_input import InitialInput, held_samples
-
-
-class Status(enum.IntEnum):
-    """What became of the last period."""
-
-    OK = 0
-    SATURATED = 1  # the law asked for more than the limits allow
-    BAD_STATE = 2  # x is not finite: the last input is held; y: nothing is corrected
-    BAD_MODE = 3  # the mode is none of the plant's: the last input is held
-    BAD_APPLIED = 4  # the applied input is not finite: the last input is held
-    OVERFLOW = 5  # the law's answer is not finite: the last input is held
-    BAD_REFERENCE = 6  # the reference is not finite: the last one goes on
 
 
 class Controller:
@@ -60,8 +48,10 @@ class Controller:
         What became of the last period.
     refused : int
         How many periods went by in which something that came in was unusable.
+    late : int
+        How many periods went by without a call, as the times of the calls tell.
     samples : int
-        How many periods have run.
+        How many periods have run, those without a call included.
 
     Raises
     ------
@@ -101,11 +91,12 @@ class Controller:
         self._observing = None
         if isinstance(law, OutputFeedback):
             self._observing = Observing(law, self.step)
-        self.low, self.high = _limits(limits, law.plant.inputs)
+        self.low, self.high = limits_of(limits, law.plant.inputs)
         self._past = past_inputs(self.table)
         self._reads_row = self.table.context != "none"
         self._reads_mode = self._reads_row or (self._observing is not None and law.plant.modes > 1)
         self._measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
+        self._clock, self._nothing = Clock(self.step), np.full(self._measured, np.nan)
         self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
         self.reset(u0, mode_age)
 
@@ -120,7 +111,8 @@ class Controller:
         self._u[:] = history[-1]
         if self._observing:
             self._observing.begin(history)
-        self.status, self.refused, self.samples = Status.OK, 0, 0
+        self._clock.reset()
+        self.status, self.refused, self.late, self.samples = Status.OK, 0, 0, 0
 
     def update(
         self,
@@ -129,6 +121,7 @@ class Controller:
         applied: ArrayLike | None = None,
         out: Float[np.ndarray, " m"] | None = None,
         reference: ArrayLike | None = None,
+        time: float | None = None,
     ) -> Float[np.ndarray, " m"]:
         """The input of this period, u_k.
 
@@ -145,6 +138,11 @@ class Controller:
             Where to write the input; without it a new array is made.
         reference : array_like, shape (tracked,), optional
             r at t_k, of a law with a servo; without it the law's own.
+        time : float, optional
+            When this sample was taken, seconds on any clock that goes on; give it always or
+            never. Jitter below half a period is taken for none. A call whose period has been
+            served is refused; periods without a call are made up for: their input is taken to
+            have been held, and `late` counts them.
 
         Returns
         -------
@@ -158,7 +156,13 @@ class Controller:
         ArgumentError
             If a shape is wrong, or the mode is missing where the law reads it.
         """
-        x = _vector("x", x, self._measured)
+        x = vector("x", x, self._measured)
+        periods = self._clock.periods(time)
+        if not periods:
+            self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
+            return self._answer(out)
+        for _ in range(min(periods - 1, self.table.taps)):
+            self._pass(applied)
         status = self._remember(applied)
         status = self._see(mode) or status
         if self._observing:
@@ -170,17 +174,30 @@ class Controller:
                 status = Status.BAD_STATE
             if not status:
                 status = self._compute(x)
-        self.status = status
         self.refused += status > Status.SATURATED
+        self.late += periods - 1
         self.samples += 1
+        self.status = Status.LATE if periods > 1 and status <= Status.SATURATED else status
+        return self._answer(out)
+
+    def _answer(self, out: Float[np.ndarray, " m"] | None) -> Float[np.ndarray, " m"]:
         if out is None:
             return self._u.copy()
         out[:] = self._u
         return out
 
+    def _pass(self, applied: ArrayLike | None) -> None:
+        """A period without a call."""
+        self._remember(applied)
+        self._age = min(self._age + 1, self.table.ages)
+        if self._observing:
+            self._observing.see(self._latest, self._nothing, self._mode, None, self.samples)
+            self._observing.note(self._u)
+        self.samples += 1
+
     def _remember(self, applied: ArrayLike | None) -> Status:
         """The input of the period that ends becomes the latest of the past ones."""
-        u = self._u if applied is None else _vector("applied", applied, self._u.size)
+        u = self._u if applied is None else vector("applied", applied, self._u.size)
         finite = bool(np.isfinite(u).all())
         self._latest[:] = u if finite else self._u
         self._past.push(self._latest)
@@ -239,6 +256,8 @@ class Controller:
             "age": self._age,
             "samples": self.samples,
             "refused": self.refused,
+            "late": self.late,
+            "clock": self._clock.state.copy(),
             "input": self._u.copy(),
             **self._past.saved(),
             **(self._observing.saved() if self._observing else {}),
@@ -267,38 +286,9 @@ class Controller:
             self._observing.load(state)
         self._mode, self._age = int(state["mode"]), int(state["age"])
         self.samples, self.refused = int(state["samples"]), int(state["refused"])
+        self.late, self._clock.state[:] = int(state["late"]), state["clock"]
         self._u[:] = state["input"]
         self.status = Status.OK
 
     def __repr__(self) -> str:
         return f"Controller({self.law.label}; step={self.step:g}, {self.table!r})"
-
-
-def _limits(
-    limits: tuple[ArrayLike, ArrayLike] | None, m: int
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    if limits is None:
-        return np.full(m, -math.inf), np.full(m, math.inf)
-    try:
-        low, high = limits
-    except (TypeError, ValueError):
-        raise ArgumentError(f"limits must be (low, high), got {limits!r}.") from None
-    low, high = (_bound(name, value, m) for name, value in (("low", low), ("high", high)))
-    if (low >= high).any():
-        raise ArgumentError(f"limits must have low < high, got {low.tolist()} and {high.tolist()}.")
-    return low, high
-
-
-def _bound(name: str, value: ArrayLike, m: int) -> np.ndarray:
-    given = np.asarray(value, dtype=float)
-    whole = np.broadcast_to(given, (m,)) if given.ndim == 0 else given
-    array = real_array(f"limits, {name}", whole, "(m,)", 1)
-    return shaped(f"limits, {name}", array, (m,), "(m,)")
-
-
-def _vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
-    """A float vector of the right size; its entries need not be finite."""
-    array = np.asarray(value, dtype=float)
-    if array.shape != (size,):
-        raise ArgumentError(f"{name} must have shape ({size},), got {array.shape}.")
-    return array

@@ -1,0 +1,54 @@
+"""What becomes of a period, and which period a call belongs to."""
+
+from __future__ import annotations
+
+import enum
+import math
+
+import numpy as np
+
+
+class Status(enum.IntEnum):
+    """What became of the last period."""
+
+    OK = 0
+    SATURATED = 1  # the law asked for more than the limits allow
+    BAD_STATE = 2  # x is not finite: the last input is held; y: nothing is corrected
+    BAD_MODE = 3  # the mode is none of the plant's: the last input is held
+    BAD_APPLIED = 4  # the applied input is not finite: the last input is held
+    OVERFLOW = 5  # the law's answer is not finite: the last input is held
+    BAD_REFERENCE = 6  # the reference is not finite: the last one goes on
+    LATE = 7  # whole periods went by without a call: their input counts as held
+    OUT_OF_ORDER = 8  # the period of this call has been served: nothing is done
+
+
+class Clock:
+    """Counts the periods between calls, by the time of day that they bring with them.
+
+    A call belongs to the period nearest to its time: t_k + j with |j| < h/2 is sample k.
+
+    Attributes
+    ----------
+    state : (2,)
+        The time of sample 0 (NaN before a call brought a time), and the last sample served.
+    """
+
+    def __init__(self, step: float) -> None:
+        self._step = step
+        self.state = np.array([math.nan, 0.0])
+
+    def reset(self) -> None:
+        """Begin anew at the next call."""
+        self.state[:] = math.nan, 0.0
+
+    def periods(self, time: float | None) -> int:
+        """How many periods have begun since the last call; 0: none, the call is out of order."""
+        origin, last = self.state
+        if time is None or math.isnan(origin):
+            if time is not None and math.isfinite(time):
+                self.state[:] = time, 0.0
+            return 1 if time is None or math.isfinite(time) else 0
+        now = round((time - origin) / self._step) if math.isfinite(time) else last
+        periods = max(0, int(now - last))
+        self.state[1] += periods
+        return periods
