@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime import imperfections, problems
 from deadtime.controller import Controller
+from deadtime.design import DelayLimit, Design, delay_limit, design
 from deadtime.errors import (
     ArgumentError,
     CertificateFileError,
@@ -71,7 +72,9 @@ __all__ = [
     "ChatteringError",
     "Controller",
     "DeadtimeError",
+    "DelayLimit",
     "DelayedStateFeedback",
+    "Design",
     "ExactPredictor",
     "ExpectedPredictor",
     "Factor",
@@ -99,7 +102,9 @@ __all__ = [
     "certify",
     "characteristic_roots",
     "common_lyapunov",
+    "delay_limit",
     "delay_margin",
+    "design",
     "falsify",
     "growth_rate",
     "imperfections",
