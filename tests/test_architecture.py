@@ -22,7 +22,7 @@ RINGS = (
     ("problems",),
     ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
     ("fit_plots", "fit_report", "toml_file", "certificate_table", "tightness"),
-    ("margin_plots", "witness_plot", "design_plots"),
+    ("margin_plots", "witness_plot", "design_plots", "design_table"),
     ("certificates_section",),
     ("report", "problem_file"),
     ("study",),

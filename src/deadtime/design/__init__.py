@@ -1,4 +1,4 @@
-"""Design for margin: gains and a law with a requested delay margin, and what could be had at all."""
+"""Design for margin: laws with a requested delay margin, and what could be had at all."""
 
 from deadtime.design.design import design
 from deadtime.design.limits import DelayLimit, delay_limit

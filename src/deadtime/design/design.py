@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import count, instance, number, positive
-from deadtime.design.families import Family, Poles, Weights
+from deadtime.design.exact import Exact
 from deadtime.design.limits import delay_limit
 from deadtime.design.message import sentences
 from deadtime.design.result import Design, TradeOff
 from deadtime.design.search import MakeLaw, Search, Tried, assessed
+from deadtime.design.strategy import pairs_of, spend
 from deadtime.errors import ArgumentError
 from deadtime.gains import lqr, require_controllable
 from deadtime.laws.averaged import AveragedPredictor
-from deadtime.laws.base import TableLaw, checked_gains, require_match
+from deadtime.laws.base import Law, TableLaw, checked_gains, require_match
 from deadtime.laws.exact import ExactPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.growth import growth_rate
-from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
+from deadtime.spectrum.margin import constant_delay_margin
 
 DEAREST = 100.0
-_LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: what is tried where longer ones are allowed
-_CHECKED = 10  # exact margins computed in search of one that reaches
-_POINTS = 10  # of the trade-off
 
 
 def design(
@@ -39,7 +34,7 @@ def design(
     filtered: bool | None = None,
     longest_step: float | None = None,
     cost: str = "mean",
-    budget: int = 1500,
+    budget: int = 1200,
     dearest: float = DEAREST,
     seed: int = 0,
 ) -> Design:
@@ -106,42 +101,56 @@ def design(
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
     start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
-    plain_law = _required_table(plant, make, start)
-    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
+    plain = _plain(plant, _required_table(plant, make, start), step, cost == "worst")
     search = Search(plant, make, cost == "worst", budget, dearest)
-    kinds = [False, True] if filtered is None else [filtered]
-    families = [(Poles if plant.inputs == 1 else Weights)(plant, one) for one in kinds]
-    steps = [step] if longest_step is None else [k * step for k in _LONGER if k * step <= longest_step]
-    _run(search, families, steps, start, asked, np.random.default_rng(seed))
-    exact = _Exact(plant)
-    chosen = exact.choose(search, asked)
-    plain_margin = constant_delay_margin(plant, plain_law, step)
-    _, plain_cost, _ = assessed(plant, plain_law, step, search.worst)
-    plain = TradeOff(plain_law, step, plain_margin.relative or 0.0, plain_cost)
+    pairs = pairs_of(search, filtered, step, longest_step)
+    spend(search, pairs, start, asked, np.random.default_rng(seed))
+    exact = Exact(plant, search)
+    return _result(plant, exact, exact.choose(asked), asked, plain, start)
+
+
+def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
+    """The design to compare with."""
+    margin = constant_delay_margin(plant, law, step)
+    return TradeOff(law, step, margin.relative or 0.0, assessed(plant, law, step, worst)[1])
+
+
+def _result(
+    plant: SwitchedSystem,
+    exact: Exact,
+    chosen: Tried | None,
+    asked: float,
+    plain: TradeOff,
+    gains: np.ndarray,
+) -> Design:
+    """What was chosen, or the plain design where nothing is stable."""
+    law, step, cost = plain.law, plain.step, plain.cost
     if chosen is None:
-        chosen_law, chosen_step, margin, price = plain_law, step, plain_margin, plain_cost
+        margin = constant_delay_margin(plant, law, step)
     else:
-        chosen_law, chosen_step, price = chosen.law, chosen.step, chosen.cost
-        margin = exact.margin(chosen)
-    growth = _ends(plant, chosen_law, chosen_step, asked)
+        margin, gains = exact.margin(chosen), chosen.choice.gains
+        law, step = chosen.law, chosen.step
+        cost = assessed(plant, law, step, exact.search.worst)[1]
+    growth = _ends(plant, law, step, asked)
     reached = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
-    found = None if chosen is None else TradeOff(chosen_law, chosen_step, margin.relative or 0.0, price)
-    result = TradeOff(chosen_law, chosen_step, margin.relative or 0.0, price)
+    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
+    found = TradeOff(law, step, margin.relative or 0.0, cost)
+    tried = exact.search.spent
     return Design(
-        law=chosen_law,
-        gains=start if chosen is None else chosen.choice.gains,
-        time_constant=result.time_constant,
-        step=chosen_step,
+        law=law,
+        gains=gains,
+        time_constant=found.time_constant,
+        step=step,
         margin=margin,
         asked=asked,
         reached=reached,
         growth=growth,
-        cost=price,
+        cost=cost,
         plain=plain,
         limits=limits,
-        points=exact.front(search, found),
-        evaluated=search.spent,
-        message=sentences(asked, reached, found, plain, limits, search.spent),
+        points=exact.trade_off(chosen),
+        evaluated=tried,
+        message=sentences(asked, reached, chosen and found, plain, limits, tried),
     )
 
 
@@ -189,7 +198,8 @@ def _required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> 
     kind = type(law).__name__
     if not isinstance(law, TableLaw):
         raise ArgumentError(
-            f"law must make laws that are tables, got {kind}: a delay margin is that of a linear loop."
+            f"law must make laws that are tables, got {kind}: a delay margin is that of a linear "
+            "loop."
         )
     if isinstance(law, ExactPredictor):
         raise ArgumentError(
@@ -200,91 +210,7 @@ def _required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> 
     return law
 
 
-def _run(
-    search: Search,
-    families: Sequence[Family],
-    steps: Sequence[float],
-    gains: np.ndarray,
-    asked: float,
-    rng: np.random.Generator,
-) -> None:
-    """Spend the budget: samples, then polishing for cost, and for margin where it falls short."""
-    pairs = [(family, step) for step in steps for family in families]
-    share = max(4, int(0.35 * search.budget / len(pairs)))
-    for family, step in pairs:
-        for parameters in family.starts(gains):
-            search.evaluate(family, step, parameters)
-        search.samples(family, step, share, rng)
-    per_mode = search.plant.modes > 1
-    for part in (0.25, 0.3, 0.5, 1.0):
-        short = not any(one.margin >= asked for one in search.stable)
-        merits = [search.cheapest(asked), search.widest()] if short else [search.cheapest(asked)]
-        left = search.budget - search.spent
-        for merit in merits:
-            if left < 20:
-                return
-            for start in _distinct(search, merit, 1 if part == 1.0 else 2):
-                search.polish(start, merit, per_mode and part >= 0.5, int(part * left / 4.0) + 10)
-
-
-def _distinct(search: Search, merit, most: int) -> list[Tried]:
-    """The best of each family and step, the best of all first."""
-    best: list[Tried] = []
-    for one in search.ranked(merit):
-        if all((one.family, one.step) != (other.family, other.step) for other in best):
-            best.append(one)
-        if len(best) == most:
-            break
-    return best
-
-
-def _ends(plant: SwitchedSystem, law: TableLaw, step: float, asked: float) -> np.ndarray:
+def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
     """The growth rates at both ends of the margin asked for, from spectra of their own."""
     ends = [SwitchedSystem(plant.A, plant.B, plant.delay * (1.0 + s * asked)) for s in (-1.0, 1.0)]
     return np.array([[growth_rate(end, law, i, step) for i in range(plant.modes)] for end in ends])
-
-
-class _Exact:
-    """Exact margins of what a search tried, each computed once."""
-
-    def __init__(self, plant: SwitchedSystem) -> None:
-        self.plant = plant
-        self.known: dict[int, DelayMargin] = {}
-
-    def margin(self, tried: Tried) -> DelayMargin:
-        key = id(tried)
-        if key not in self.known:
-            self.known[key] = constant_delay_margin(self.plant, tried.law, tried.step)
-        return self.known[key]
-
-    def relative(self, tried: Tried) -> float:
-        return self.margin(tried).relative or 0.0
-
-    def choose(self, search: Search, asked: float) -> Tried | None:
-        """The cheapest with the margin asked for; else the one with the largest margin."""
-        stable = search.stable
-        able = sorted((one for one in stable if one.margin >= asked), key=lambda one: one.cost)
-        for one in able[:: max(1, len(able) // 200)][:_CHECKED]:
-            if self.relative(one) >= asked:
-                return one
-        widest = sorted(stable, key=lambda one: -one.margin)[:_CHECKED]
-        return max(widest, key=self.relative, default=None)
-
-    def front(self, search: Search, found: TradeOff | None) -> tuple[TradeOff, ...]:
-        """The trade-off: designs of which none is both wider and cheaper, few enough to draw."""
-        best: list[Tried] = []
-        for one in sorted(search.stable, key=lambda one: one.cost):
-            if not best or one.margin > best[-1].margin:
-                best.append(one)
-        if not best:
-            return ()
-        margins = np.array([one.margin for one in best])
-        wanted = np.linspace(margins[0], min(margins[-1], 2.0), _POINTS)
-        few = [best[i] for i in sorted({int(np.searchsorted(margins, w - 1e-12)) for w in wanted})]
-        points = [TradeOff(one.law, one.step, self.relative(one), one.cost) for one in few]
-        points += [] if found is None else [found]
-        kept: list[TradeOff] = []
-        for point in sorted(points, key=lambda point: (point.cost, -point.margin)):
-            if not kept or point.margin > kept[-1].margin:
-                kept.append(point)
-        return tuple(kept)

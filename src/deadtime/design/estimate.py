@@ -52,9 +52,7 @@ def frequencies(delay: float, highest: float) -> np.ndarray:
     return np.unique(np.concatenate((low, even)))
 
 
-def _starts(
-    omega: np.ndarray, values: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _starts(omega: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frequencies where a modulus passes 1 or peaks close to it, and the δ of either sign, seconds.
 
     The nearest of each kind; and whether a modulus is sure to pass 1 there.

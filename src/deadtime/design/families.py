@@ -56,7 +56,9 @@ class Family(ABC):
         """Parameters (modes, size) to start from: those of given gains, or close to them."""
 
     @abstractmethod
-    def feedback(self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    def feedback(
+        self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray
+    ) -> np.ndarray:
         """The gain of (A, B), the mode itself or with its input as a state."""
 
     def choice(self, parameters: np.ndarray) -> Choice | None:
@@ -114,9 +116,10 @@ class Poles(Family):
 
     def _encoded(self, poles: np.ndarray) -> np.ndarray:
         """Parameters of poles in the open left half plane; nearby of others."""
-        poles = np.where(poles.real < 0.0, poles, -np.abs(poles.real) - 0.1 * self.unit + 1j * poles.imag)
-        upper = poles[poles.imag > 0.0]
-        real = np.sort(poles[poles.imag == 0.0].real)[::-1]
+        re, im = np.real(poles), np.imag(poles)
+        re = np.where(re < 0.0, re, -np.abs(re) - 0.1 * self.unit)
+        upper = (re + 1j * im)[im > 0.0]
+        real = np.sort(re[im == 0.0])[::-1]
         squares = [(abs(p) ** 2, -2.0 * p.real) for p in upper]
         pairs = zip(real[0 : real.size - real.size % 2 : 2], real[1::2], strict=True)
         squares += [(a * b, -a - b) for a, b in pairs]
@@ -139,7 +142,9 @@ class Poles(Family):
             result = np.convolve(result, [1.0, values[-1] * self.unit])
         return result
 
-    def feedback(self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    def feedback(
+        self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray
+    ) -> np.ndarray:
         """Ackermann's formula: K = −e_nᵀ [B AB …]⁻¹ χ(A)."""
         unit, one = self.unit, np.eye(A.shape[0])
         A, columns = A / unit, [B[:, 0]]
@@ -182,7 +187,9 @@ class Weights(Family):
             rows.append(row)
         return rows
 
-    def feedback(self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    def feedback(
+        self, mode: int, parameters: np.ndarray, A: np.ndarray, B: np.ndarray
+    ) -> np.ndarray:
         from scipy.linalg import solve_continuous_are
 
         n, m = self.plant.states, self.plant.inputs

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -105,14 +106,16 @@ def _largest(slack: Callable[[float], float]) -> float:
 
     if slack(1.0) >= 0.0:
         return math.inf
-    return float(brentq(slack, 0.0, 1.0, xtol=1e-12))
+    found: Any = brentq(slack, 0.0, 1.0, xtol=1e-12)
+    return float(found)
 
 
 def _unstable(A: np.ndarray, B: np.ndarray, slow: float) -> tuple[np.ndarray, np.ndarray]:
     """A₊ (k, k) and B₊ (k, m): QᵀA = A₊Qᵀ and B₊ = QᵀB for the eigenvalues right of `slow`."""
     from scipy.linalg import schur
 
-    triangle, Q, count = schur(A.T, sort=lambda re, im: re > slow)
+    found: Any = schur(A.T, sort=lambda re, im: re > slow)
+    triangle, Q, count = found
     return np.ascontiguousarray(triangle[:count, :count].T), Q[:, :count].T @ B
 
 
@@ -138,13 +141,15 @@ def _apart(A: np.ndarray, B: np.ndarray, D: float, Delta: float) -> float:
     poles = np.linalg.eigvals(A).astype(complex)
     if np.any(_beyond(poles * Delta)):
         return -1.0
-    free = [_half_angle(q) @ np.linalg.inv(half_angle_weight(q)) for q in poles[:, None, None] * Delta]
+    free = [
+        _half_angle(q) @ np.linalg.inv(half_angle_weight(q)) for q in poles[:, None, None] * Delta
+    ]
     return float(1.0 - np.max(np.abs(np.ravel(free) * np.exp(poles * (D - Delta)))))
 
 
 def _beyond(v: np.ndarray) -> np.ndarray:
     """On [1, ∞), where √(1 − v) is not defined."""
-    return (np.abs(v.imag) <= 1e-12 * np.abs(v)) & (v.real >= 1.0)
+    return (np.abs(np.imag(v)) <= 1e-12 * np.abs(v)) & (np.real(v) >= 1.0)
 
 
 def _interpolable(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> float:
@@ -185,8 +190,8 @@ def delay_weight(q: np.ndarray) -> np.ndarray:
     # Beyond π: x = π/t.
     far = np.pi / t
     outside = np.log(2.0 / far), far, np.pi * weights / t**2
-    parts = (np.concatenate(pair) for pair in zip(inside, outside, strict=True))
-    return q @ outer(*parts, q)
+    levels, x, spread = (np.concatenate(pair) for pair in zip(inside, outside, strict=True))
+    return q @ outer(levels, x, spread, q)
 
 
 def half_angle_weight(q: np.ndarray) -> np.ndarray:
@@ -205,7 +210,7 @@ def half_angle_weight(q: np.ndarray) -> np.ndarray:
 
 
 def outer(levels: np.ndarray, x: np.ndarray, weights: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """exp((2/π) Σ w ℓ q (q² + x²)⁻¹), the outer function of log modulus ℓ(x) = ℓ(−x), at a matrix q."""
+    """exp((2/π) Σ w ℓ q (q² + x²)⁻¹): the outer function of log modulus ℓ(x) = ℓ(−x), at q."""
     from scipy.linalg import expm
 
     square = q @ q

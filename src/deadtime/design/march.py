@@ -50,7 +50,7 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
     inputs = np.zeros((past + block) * m)
     x, middle = x0.copy(), np.empty(n)
     total, before, ratio = 0.0, 0.0, 0.0
-    for round in range(most):
+    for _ in range(most):
         inputs[: past * m] = inputs[block * m :]
         added = 0.0
         for k in range(past, past + block):

@@ -48,16 +48,19 @@ def _answer(asked: float, reached: bool, found: TradeOff | None, evaluated: int)
             "constant mode."
         )
     filtered = "" if found.time_constant is None else ", with a low-pass filter"
+    where = f"({percent(asked)} asked){filtered}, at a step of {found.step:g} s."
     if reached:
-        return (
-            f"Every constant mode stays stable while the true delay errs by less than "
-            f"{percent(found.margin)} ({percent(asked)} asked){filtered}, at a step of "
-            f"{found.step:g} s."
-        )
+        return f"Every constant mode stays stable {_while(found.margin)} {where}"
     return (
-        f"Not reached: of {evaluated} designs that were tried, the one with the largest margin has "
-        f"{percent(found.margin)} ({percent(asked)} asked){filtered}, at a step of {found.step:g} s."
+        f"Not reached: of {evaluated} designs that were tried, the one with the largest margin "
+        f"has {percent(found.margin)} {where}"
     )
+
+
+def _while(margin: float) -> str:
+    if math.isinf(margin):
+        return "whatever the true delay"
+    return f"while the true delay errs by less than {percent(margin)}"
 
 
 def _price(found: TradeOff, plain: TradeOff) -> str:

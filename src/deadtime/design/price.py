@@ -1,8 +1,8 @@
 """What a loop costs: ∫ |x|² + |u|², the mean over initial states on the unit sphere.
 
-With one mode for ever, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k (`spectrum.lifted`),
-and what a period costs is a quadratic form zᵀ S z: the Gramians of `deadtime.exponential` give
-∫|x|² over both phases of the period, the held input gives h |u_k|². So
+With one mode for ever, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
+`deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
+`deadtime.exponential` give ∫|x|² over both phases of the period, the held input h |u_k|². So
 
     ∫₀^∞ |x|² + |u|² dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
 
@@ -73,9 +73,7 @@ def cost_and_growth(
     block = max(taps, window.count, _SHORTEST)
     total = 0.0
     for x0 in np.eye(plant.states):
-        cost, ratio = cost_of_run(
-            Phi, Gamma, Q, F, G, window.count, step, x0, block, blocks, _DONE
-        )
+        cost, ratio = cost_of_run(Phi, Gamma, Q, F, G, window.count, step, x0, block, blocks, _DONE)
         if math.isinf(cost):
             return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
         total += cost

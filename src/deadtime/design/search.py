@@ -13,7 +13,7 @@ import numpy as np
 
 from deadtime.design.estimate import estimated_margin
 from deadtime.design.families import Choice, Family
-from deadtime.design.price import cost_and_growth
+from deadtime.design.price import BLOCKS, cost_and_growth
 from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law
 from deadtime.laws.low_pass import LowPassPredictor
@@ -24,7 +24,8 @@ Merit = Callable[["Tried | None"], float]
 _SLACK = 1.003  # of the margin asked for: what the estimate may err by
 _SLOPE = 12.0  # of the penalty, of the cost's logarithm by that of the margin
 _LOST = 1e3
-_BLOCKS = 150
+_BLOCKS = 150  # of one delay: enough to compare costs by
+_WIDEST = 9.0  # relative: beyond, margins are not told apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ class Search:
             law = made(self.make, self.plant, choice)
         except ArgumentError:  # the law's own rules for gains
             return None
-        one = assessed(self.plant, law, step, self.worst)
+        one = assessed(self.plant, law, step, self.worst, _BLOCKS)
         tried = Tried(family, step, parameters, choice, law, *one)
         self.tried.append(tried)
         return tried
@@ -90,9 +91,7 @@ class Search:
         for point in points:
             self.evaluate(family, step, np.tile(point, (self.plant.modes, 1)))
 
-    def polish(
-        self, start: Tried, merit: Merit, per_mode: bool, count: int
-    ) -> None:
+    def polish(self, start: Tried, merit: Merit, per_mode: bool, count: int) -> None:
         """Nelder and Mead's method from a design, on what all modes share or on each mode's own."""
         from scipy.optimize import minimize
 
@@ -119,7 +118,6 @@ class Search:
             method="Nelder-Mead",
             options=options,
         )
-
 
     def cheapest(self, asked: float) -> Merit:
         """To be minimised: the cost's logarithm, with a penalty where the margin is too small."""
@@ -164,7 +162,7 @@ def made(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
 
 
 def assessed(
-    plant: SwitchedSystem, law: Law, step: float, worst: bool
+    plant: SwitchedSystem, law: Law, step: float, worst: bool, blocks: int = BLOCKS
 ) -> tuple[float, float, float]:
     """Estimated relative margin, cost, and growth of the fastest mode, 1/s."""
     from deadtime.switching import SwitchingSignal
@@ -172,13 +170,11 @@ def assessed(
     costs, margin, growth = [], math.inf, 0.0
     for mode in range(plant.modes):
         table = law.digital(step, SwitchingSignal.constant(mode), 1)
-        cost, grows = cost_and_growth(plant, table, mode, _BLOCKS)
+        cost, grows = cost_and_growth(plant, table, mode, blocks)
         costs.append(cost)
         growth = max(growth, grows)
         if math.isinf(cost):
             margin = 0.0
         elif margin > 0.0:
-            margin = min(margin, estimated_margin(plant, table, mode))
+            margin = min(margin, _WIDEST, estimated_margin(plant, table, mode))
     return margin, max(costs) if worst else sum(costs) / len(costs), growth
-
-

@@ -18,7 +18,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class LowPassPredictor(TableLaw):
-    """A law followed by a low-pass filter that the law knows of: its table holds the filtered input.
+    """A law followed by a low-pass filter that it knows of: the table holds the filtered input.
 
         T du/dt = v − u,    v the wrapped law,    u_k = E u_{k−1} + (1 − E) v_k,    E = e^{−h T⁻¹}
 
@@ -85,13 +85,11 @@ class LowPassPredictor(TableLaw):
 
         table = self.law.digital(step, signal, steps)
         kept = expm(-table.step * np.linalg.inv(self.time_constant))
-        passed = np.eye(kept.shape[0]) - kept
+        passed = np.eye(self.plant.inputs) - kept
         G = passed @ table.input_gain
         G[:, 0] += kept
         factor = None if table.factor is None else _factor(table.factor, kept, passed, G[:, -1])
-        return Feedback(
-            passed @ table.state_gain, G, table.context, table.step, table.ages, factor
-        )
+        return Feedback(passed @ table.state_gain, G, table.context, table.step, table.ages, factor)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         raise ArgumentError(
