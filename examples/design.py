@@ -10,7 +10,7 @@ margin to spare.
 import deadtime as dt
 from deadtime.design_plots import plot_designs
 
-BUDGET = 400  # of designs to try; a few times as many find a little more
+BUDGET = 200  # of designs to try; a few times as many find a little more
 
 paper, follower = dt.problems.paper().plant, dt.problems.follower()
 designs = {}

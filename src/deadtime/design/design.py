@@ -90,9 +90,9 @@ def design(
     Examples
     --------
     >>> import deadtime as dt
-    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.5)
-    >>> found = design(plant, delay_margin=0.4, step=0.05, budget=200)
-    >>> found.reached, found.margin.relative >= 0.4, found.cost > found.plain.cost
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=1.0)
+    >>> found = design(plant, delay_margin=0.2, step=0.05, budget=60)
+    >>> found.reached, found.margin.relative >= 0.2, found.cost > found.plain.cost
     (True, True, True)
     """
     asked = _checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)

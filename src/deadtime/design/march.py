@@ -41,7 +41,7 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
 
     `Phi`, `Gamma` and `Q` hold both phases of a period; G (m, taps·m) has the oldest tap first.
     Blocks of `block` periods are run until one adds less than `done` of the sum, or `most` are;
-    what is then missing is the tail of a geometric series. Returns the cost and the last ratio of
+    what is then missing is the tail of a geometric series. Returns the cost and the ratio of
     blocks; a cost of ∞ where that is 1 or more.
     """
     m, n = F.shape
@@ -49,8 +49,8 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
     past = max(taps, count)
     inputs = np.zeros((past + block) * m)
     x, middle = x0.copy(), np.empty(n)
-    total, before, ratio = 0.0, 0.0, 0.0
-    for _ in range(most):
+    total, before, ratio, first = 0.0, 0.0, 0.0, 0.0
+    for rounds in range(most):
         inputs[: past * m] = inputs[block * m :]
         added = 0.0
         for k in range(past, past + block):
@@ -69,11 +69,12 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
                 x[:] = middle
         total += added
         if not total < LARGEST:
-            return np.inf, max(added / before if before > 0.0 else 2.0, 1.0)
+            return np.inf, (added / first) ** (1.0 / rounds) if rounds > 0 else LARGEST
         if added <= done * total:
             return total, 0.0
         ratio = added / before if before > 0.0 else 1.0
         before = added
+        first = first if first > 0.0 else added
     if ratio >= 1.0:
         return np.inf, ratio
     return total + before * ratio / (1.0 - ratio), ratio
