@@ -31,7 +31,7 @@ def design(
     step: float | None = None,
     longest_step: float | None = None,
     filtered: Annotated[bool | None, Parameter(negative="--unfiltered")] = None,
-    budget: int = 1200,
+    budget: int = 800,
     out: Folder = Path("design"),
     json_output: AsJson = False,
 ) -> int:

@@ -34,7 +34,7 @@ def design(
     filtered: bool | None = None,
     longest_step: float | None = None,
     cost: str = "mean",
-    budget: int = 1200,
+    budget: int = 800,
     dearest: float = DEAREST,
     seed: int = 0,
 ) -> Design:

@@ -20,7 +20,8 @@ from deadtime.spectrum.newton import decomposed
 
 _LOW, _FINE = 0.02, 0.25  # rad, of delay × frequency: the lowest, and the distance higher up
 _FEW = 160
-_STARTS, _NEWTON, _CONVERGED = 12, 12, 1e-6
+_STARTS, _NEWTON, _CONVERGED = 24, 12, 1e-6
+_NEAREST = 0.6  # of a start's δ: so much nearer its solution may be
 _HIGH = -0.2  # of log|λ|: a peak that may reach 1 at another delay
 
 
@@ -35,9 +36,12 @@ def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> fl
     values = loop[:, :, 0] if loop.shape[1] == 1 else np.linalg.eigvals(loop)
     values = np.take_along_axis(values, np.argsort(np.abs(values), axis=1), axis=1)
     w, away, sure = _starts(omega, values)
-    if w.size == 0:
-        return math.inf
-    return _refined(response, w, away, sure, plant.delay) / plant.delay
+    best, batch = math.inf, 0
+    while batch < w.size and _NEAREST * abs(away[batch]) < best:
+        some = slice(batch, batch + _STARTS)
+        found = _refined(response, w[some], away[some], sure[some], plant.delay)
+        best, batch = min(best, found), batch + _STARTS
+    return best / plant.delay
 
 
 def feedback_to_state(F: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -55,7 +59,7 @@ def frequencies(delay: float, highest: float) -> np.ndarray:
 def _starts(omega: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frequencies where a modulus passes 1 or peaks close to it, and the δ of either sign, seconds.
 
-    The nearest of each kind; and whether a modulus is sure to pass 1 there.
+    The nearest first; and whether a modulus is sure to pass 1 there.
     """
     level = np.log(np.maximum(np.abs(values), 1e-300))
     angle = np.angle(values)
@@ -73,10 +77,8 @@ def _starts(omega: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
     at = np.concatenate((at, angle[rows + 1, columns]))
     longer = np.mod(at, 2.0 * np.pi) / w
     away = np.concatenate((longer, longer - 2.0 * np.pi / w))
-    sure = np.tile(sure, 2)
     order = np.argsort(np.abs(away))
-    order = np.concatenate((order[sure[order]][:_STARTS], order[~sure[order]][:_STARTS]))
-    return np.tile(w, 2)[order], away[order], sure[order]
+    return np.tile(w, 2)[order], away[order], np.tile(sure, 2)[order]
 
 
 def _refined(
@@ -87,20 +89,23 @@ def _refined(
     d = delay + away
     able = d > 0.0
     w, d, start, sign = w[able], d[able], start[able], sign[able]
-    best = start.copy()
-    for _ in range(_NEWTON if w.size else 0):
-        now = decomposed(*response.matrix(w, d))
+    best, alive = start.copy(), np.arange(w.size)
+    for _ in range(_NEWTON):
+        if alive.size == 0:
+            break
+        now = decomposed(*response.matrix(w[alive], d[alive]))
         # 1 + a dω + b dD = 0: with b divided out, the imaginary part has no dD.
         a, b = now.slope(0), now.slope(1)
         with np.errstate(divide="ignore", invalid="ignore"):
             dw = -np.imag(1.0 / b) / np.imag(a / b)
             dd = -np.real(1.0 / b) - dw * np.real(a / b)
-        step = np.maximum(np.abs(dw) / w, np.abs(dd) / delay)
-        near = (step < 0.3) & (d + dd > 0.0)
-        w, d = np.where(near, w + dw, w), np.where(near, d + dd, d)
-        done = near & (step < _CONVERGED) & (sign * (d - delay) > 0.0)
-        done &= np.abs(d - delay) < 2.0 * start
-        best = np.where(done, np.abs(d - delay), best)
-        if np.all(done | ~near):
-            break
+        step = np.maximum(np.abs(dw) / w[alive], np.abs(dd) / delay)
+        near = (step < 0.3) & (d[alive] + dd > 0.0)
+        alive, step = alive[near], step[near]
+        w[alive] += dw[near]
+        d[alive] += dd[near]
+        moved = sign[alive] * (d[alive] - delay)
+        done = (step < _CONVERGED) & (moved > 0.0) & (moved < 2.0 * start[alive])
+        best[alive[done]] = moved[done]
+        alive = alive[step >= _CONVERGED]
     return float(best.min()) if best.size else math.inf

@@ -110,7 +110,7 @@ def _largest(slack: Callable[[float], float]) -> float:
         return math.inf
     if slack(_LEAST) < 0.0:
         return 0.0
-    found: Any = brentq(slack, _LEAST, 1.0, xtol=1e-15, rtol=1e-12)
+    found: Any = brentq(slack, _LEAST, 1.0, xtol=1e-15)
     return float(found)
 
 

@@ -91,7 +91,7 @@ class Search:
         for point in points:
             self.evaluate(family, step, np.tile(point, (self.plant.modes, 1)))
 
-    def polish(self, start: Tried, merit: Merit, per_mode: bool, count: int) -> None:
+    def polish(self, start: Tried, merit: Merit, per_mode: bool, count: int, size: float) -> None:
         """Nelder and Mead's method from a design, on what all modes share or on each mode's own."""
         from scipy.optimize import minimize
 
@@ -103,8 +103,7 @@ class Search:
             return start.parameters + flat
 
         x0 = start.parameters.ravel() if per_mode else np.zeros(shape[1])
-        size = x0.size
-        corners = x0 + 0.25 * np.concatenate((np.zeros((1, size)), np.eye(size)))
+        corners = x0 + size * np.concatenate((np.zeros((1, x0.size)), np.eye(x0.size)))
         options = {
             "maxfev": count,
             "initial_simplex": corners,

@@ -10,7 +10,8 @@ from deadtime.design.families import Family, Poles, Weights
 from deadtime.design.search import Merit, Search, Tried
 
 _SAMPLED = 0.35  # of the budget
-_PARTS = (0.25, 0.3, 0.5, 1.0)  # of the rest, one after the other
+_PARTS = (0.2, 0.25, 0.35, 0.5, 1.0)  # of the rest, one after the other
+_SIZES = (0.25, 0.6, 0.25, 0.6, 0.15)  # of the simplex that each starts with
 _FEWEST = 20  # trials that polishing is worth
 _LONGER = (1, 2, 5, 10, 20, 50, 100)  # times the step: what is tried where longer ones are allowed
 
@@ -40,16 +41,18 @@ def spend(
         for parameters in family.starts(gains):
             search.evaluate(family, step, parameters)
         search.samples(family, step, share, rng)
-    for part in _PARTS:
+    for part, size in zip(_PARTS, _SIZES, strict=True):
         short = not any(one.margin >= asked for one in search.stable)
-        merits = [search.cheapest(asked), search.widest()] if short else [search.cheapest(asked)]
+        merits = [search.widest()] if short else [search.cheapest(asked)]
+        if short and part < 0.3:
+            merits.append(search.cheapest(asked))
         left = search.budget - search.spent
-        per_mode = search.plant.modes > 1 and part >= 0.3
+        per_mode = search.plant.modes > 1 and part >= 0.25
         for merit in merits:
             if left < _FEWEST:
                 return
             for start in _distinct(search, merit, 1 if part == 1.0 else 2):
-                search.polish(start, merit, per_mode, int(part * left / 4.0) + 10)
+                search.polish(start, merit, per_mode, int(part * left / 3.0) + 10, size)
 
 
 def _distinct(search: Search, merit: Merit, most: int) -> list[Tried]:
