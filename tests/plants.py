@@ -49,6 +49,12 @@ def mean_gain(plant):
     return gains(plant.mean())[0]
 
 
+def filter_matrix(plant, unit=1.0):
+    """A time constant that mixes the inputs, with complex eigenvalues where there are two."""
+    m = plant.inputs
+    return unit * (0.05 * np.eye(m) + 0.02 * (np.tri(m, k=-1) - np.tri(m, k=-1).T))
+
+
 # Every law, made for a plant: contracts run through all of them.
 LAWS = {
     "averaged": lambda plant: dt.AveragedPredictor(plant, gains(plant)),
@@ -63,8 +69,12 @@ LAWS = {
     "expected": lambda plant: dt.ExpectedPredictor(plant, gains(plant), markov(plant.modes)),
     "exact": lambda plant: dt.ExactPredictor(plant, gains(plant)),
     "delayed": lambda plant: dt.DelayedStateFeedback(plant, gains(plant)),
+    "averaged, low-pass": lambda plant: dt.LowPassPredictor(
+        dt.AveragedPredictor(plant, gains(plant)), filter_matrix(plant)
+    ),
 }
-PREDICTORS = [name for name in LAWS if name != "delayed"]
+IDEAL = [name for name in LAWS if name != "averaged, low-pass"]  # have a form without a step
+PREDICTORS = [name for name in IDEAL if name != "delayed"]
 
 
 def in_other_units(name, T, c):
@@ -85,6 +95,9 @@ def in_other_units(name, T, c):
         "expected": lambda: dt.ExpectedPredictor(changed, K, dt.Markov(markov(3).rates / c)),
         "exact": lambda: dt.ExactPredictor(changed, K),
         "delayed": lambda: dt.DelayedStateFeedback(changed, K),
+        "averaged, low-pass": lambda: dt.LowPassPredictor(
+            dt.AveragedPredictor(changed, K), filter_matrix(changed, c)
+        ),
     }[name]()
     return changed, law
 

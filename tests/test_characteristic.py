@@ -14,7 +14,7 @@ from deadtime.spectrum.count import count_right_of
 from deadtime.spectrum.ideal import IdealLoop
 
 PAPER = plants.paper()
-IDEAL = [name for name in plants.LAWS if name != "mean with gains"]
+IDEAL = [name for name in plants.IDEAL if name != "mean with gains"]
 # The truth and the law's model: the same, a longer and a shorter true delay, other matrices.
 LOOPS = {
     "paper": (PAPER, PAPER),

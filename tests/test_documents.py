@@ -82,6 +82,17 @@ def test_python_of_the_page_on_robustness_runs(capsys):
     assert f"−{-low:.1f} to +{high:.1f} % in the\ngain" in page
 
 
+def test_python_of_the_page_on_design_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, names = run_page("design.md")
+    found, exact = names["found"], names["exact"]
+    assert found.reached
+    assert found.cost < 2.0 * found.plain.cost
+    assert exact.relative >= 0.02
+    assert names["certificate"].stable is not False
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+
+
 def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     from deadtime.cli import main
 

@@ -161,7 +161,7 @@ def test_any_off_grid_signal_agrees_with_a_second_discretisation(seed):
     agrees(plants.LAWS["averaged"](PAPER), PAPER, signal, [-1.0, 1.0], 5.0)
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 def test_three_modes_agree_with_a_second_discretisation(name):
     agrees(plants.LAWS[name](PLANT), PLANT, SIGNAL, X0, 3.0)
 
@@ -172,7 +172,7 @@ def other_model(delay):
     return dt.SwitchedSystem(A, B, delay)
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 @pytest.mark.parametrize("delay", [0.234, 0.3171, 0.1517])
 def test_a_law_with_a_wrong_model_agrees_with_a_second_discretisation(name, delay):
     agrees(plants.LAWS[name](other_model(delay)), PLANT, SIGNAL, X0, 1.5)
@@ -244,7 +244,7 @@ def test_thirty_seconds_in_three_runs_are_one_run(name):
     plants.close(np.hstack(inputs), whole.inputs[:, :-1], 1e-10)
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 @pytest.mark.parametrize("first", [0.1, 0.8, 1.5])
 def test_splitting_the_horizon_changes_nothing(name, first):
     history = np.random.default_rng(5).normal(size=(2, 3))
@@ -265,7 +265,7 @@ def test_splitting_the_horizon_changes_nothing(name, first):
 # -- the digital loop's limit ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 def test_the_digital_loop_tends_to_the_ideal_one_with_order_one(name):
     plant = plants.generic(0.2)
     signal = dt.SwitchingSignal([0.0, 0.4, 0.7, 1.2, 1.5], [0, 1, 2, 0, 1])
@@ -289,7 +289,7 @@ def test_identical_modes_make_every_predictor_the_same_run():
         same_run(run(name, plant), same, 1e-12)
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 def test_a_change_of_state_variables_commutes_with_simulation(name):
     T = np.array([[2.0, 0.5, 0.0], [-1.0, 1.0, 0.3], [0.2, 0.0, 0.7]])
     plant, law = plants.in_other_units(name, T, 1.0)
@@ -298,7 +298,7 @@ def test_a_change_of_state_variables_commutes_with_simulation(name):
     plants.close(other.inputs, one.inputs, 1e-11)
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 def test_a_change_of_time_unit_commutes_with_simulation(name):
     c = 60.0
     plant, law = plants.in_other_units(name, np.eye(3), c)
@@ -308,7 +308,7 @@ def test_a_change_of_time_unit_commutes_with_simulation(name):
     same_run(other, one, 1e-10)
 
 
-@pytest.mark.parametrize("name", plants.LAWS)
+@pytest.mark.parametrize("name", plants.IDEAL)
 def test_runs_superpose(name):
     whole = run(name, u0=[0.4, -1.0])
     free, forced = run(name), run(name, x0=np.zeros(3), u0=[0.4, -1.0])

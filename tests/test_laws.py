@@ -80,6 +80,7 @@ def test_labels_tell_the_laws_apart():
         "expected",
         "oracle",
         "delay ignored",
+        "averaged, low-pass",
     ]
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime import imperfections, problems
 from deadtime.controller import Controller
+from deadtime.design import DelayLimit, Design, delay_limit, design
 from deadtime.errors import (
     ArgumentError,
     CertificateFileError,
@@ -27,6 +28,7 @@ from deadtime.laws import (
     ExactPredictor,
     ExpectedPredictor,
     Law,
+    LowPassPredictor,
     MeanPredictor,
     OptimalPredictor,
     SingleModePredictor,
@@ -74,7 +76,9 @@ __all__ = [
     "ChatteringError",
     "Controller",
     "DeadtimeError",
+    "DelayLimit",
     "DelayedStateFeedback",
+    "Design",
     "ExactPredictor",
     "ExpectedPredictor",
     "Factor",
@@ -83,6 +87,7 @@ __all__ = [
     "HalfSpace",
     "InfeasibleError",
     "Law",
+    "LowPassPredictor",
     "Markov",
     "MeanPredictor",
     "Observer",
@@ -105,7 +110,9 @@ __all__ = [
     "certify",
     "characteristic_roots",
     "common_lyapunov",
+    "delay_limit",
     "delay_margin",
+    "design",
     "falsify",
     "gain_margin",
     "growth_rate",

@@ -1,12 +1,30 @@
-"""The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `fit`, `study`,
-`robustness`, `init`, `schema`.
+"""The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `design`,
+`robustness`, `fit`, `study`, `init`, `schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when `verify`
-finds that a file proves nothing, 2 when something in the request is wrong, 130 when interrupted.
-Errors are one line on stderr.
+finds that a file proves nothing or `design` does not reach its margin, 2 when something in the
+request is wrong, 130 when interrupted. Errors are one line on stderr.
 """
 
-from deadtime.cli import certificates, files, models, robustness, runs, theorem
+from deadtime.cli import (
+    certificates,
+    design,
+    files,
+    models,
+    robustness,
+    runs,
+    theorem,
+)
 from deadtime.cli.entry import app, main
 
-__all__ = ["app", "certificates", "files", "main", "models", "robustness", "runs", "theorem"]
+__all__ = [
+    "app",
+    "certificates",
+    "design",
+    "files",
+    "main",
+    "models",
+    "robustness",
+    "runs",
+    "theorem",
+]

@@ -10,6 +10,7 @@ from deadtime.laws.base import Law
 from deadtime.laws.delayed import DelayedStateFeedback
 from deadtime.laws.exact import ExactPredictor
 from deadtime.laws.expected import ExpectedPredictor
+from deadtime.laws.low_pass import LowPassPredictor
 from deadtime.laws.mean import MeanPredictor
 from deadtime.laws.optimal import OptimalPredictor
 from deadtime.laws.single import SingleModePredictor
@@ -21,6 +22,7 @@ __all__ = [
     "ExactPredictor",
     "ExpectedPredictor",
     "Law",
+    "LowPassPredictor",
     "MeanPredictor",
     "OptimalPredictor",
     "SingleModePredictor",

@@ -17,6 +17,7 @@ from deadtime.laws import (
     ExactPredictor,
     ExpectedPredictor,
     Law,
+    LowPassPredictor,
     MeanPredictor,
     OptimalPredictor,
     SingleModePredictor,
@@ -146,6 +147,8 @@ def _laws(parts: _Parts) -> dict[str, Law]:
     for i, section in enumerate(parts.file.law):
         with _section("law", i):
             law = _law(parts, section)
+            if section.low_pass is not None:
+                law = LowPassPredictor(law, section.low_pass)
             name = section.name or law.label
             if name in laws:
                 raise ArgumentError(f"name {name!r} is used twice: give the law another name.")

@@ -61,6 +61,11 @@ class LawSection(Section):
     """What all laws share."""
 
     name: str | None = Field(None, description="Name in tables and figures.")
+    low_pass: float | Matrix | None = Field(
+        None,
+        description="Time constant of a low-pass filter on the law's input, seconds; a number, or "
+        "m × m.",
+    )
     model: ModelSection = Field(default_factory=ModelSection)
 
 

@@ -6,6 +6,7 @@ from deadtime.checks import index, instance
 from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law, require_match
 from deadtime.laws.exact import ExactPredictor
+from deadtime.laws.low_pass import LowPassPredictor
 from deadtime.plant import SwitchedSystem
 
 
@@ -14,6 +15,8 @@ def require_constant(plant: SwitchedSystem, law: Law) -> None:
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
+    if isinstance(law, LowPassPredictor):
+        law = law.law
     if isinstance(law, ExactPredictor) and law.signal is not None and law.signal.switches:
         raise ArgumentError(
             "law must not foresee a signal of its own that switches, when the mode stays the "

@@ -1,0 +1,126 @@
+"""`deadtime design`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from deadtime.checks import index, positive
+from deadtime.cli.entry import AsJson, Folder, app
+from deadtime.cli.printing import print_table, save_figure
+from deadtime.cli.problems import problem_of
+from deadtime.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from deadtime.design import Design
+    from deadtime.problems import Problem
+
+Kind = Literal["averaged", "mean"]
+
+
+@app.command
+def design(
+    problem: str,
+    *,
+    delay_margin: float,
+    law: Kind = "averaged",
+    mode: int | None = None,
+    step: float | None = None,
+    longest_step: float | None = None,
+    filtered: Annotated[bool | None, Parameter(negative="--unfiltered")] = None,
+    budget: int = 800,
+    out: Folder = Path("design"),
+    json_output: AsJson = False,
+) -> int:
+    """Gains and a law with a delay margin in every constant mode, at the least cost found.
+
+    Examples: `deadtime design follower --delay-margin 0.05`,
+    `deadtime design problem.toml --delay-margin 0.02 --mode 0 --out mode0`. Writes OUT.toml, to be
+    pasted into the problem file, and the chart OUT.png. Exit code 1 if the margin is not reached.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    delay_margin
+        The error of the delay to be tolerated, relative to it: 0.05 for ±5 %.
+    law
+        The family of laws: averaged, or mean with the mean of the gains.
+    mode
+        Design one mode alone, for its own exact law; all modes by default.
+    step
+        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
+    longest_step
+        Allow longer periods, up to this, seconds.
+    filtered
+        Only laws with a low-pass filter, or only without; both by default.
+    budget
+        How many designs to try.
+    out
+        Where to write, without suffix.
+    json_output
+        Print the result as JSON instead of text.
+    """
+    from deadtime import SwitchedSystem
+    from deadtime.design import design as designed
+    from deadtime.design_plots import plot_designs
+    from deadtime.design_table import design_record, problem_sections
+
+    chosen = problem_of(problem)
+    plant, gains = chosen.plant, chosen.gains
+    if mode is not None:
+        one = slice(index("mode", mode, plant.modes), mode + 1)
+        plant = SwitchedSystem(plant.A[one], plant.B[one], plant.delay)
+        gains = gains[one]
+    period = chosen.step or 0.01 if step is None else positive("step", step)
+    found = designed(
+        plant,
+        delay_margin=delay_margin,
+        step=period,
+        law=None if law == "averaged" else _mean,
+        gains=gains,
+        filtered=filtered,
+        longest_step=longest_step,
+        budget=budget,
+    )
+    written = [out.with_name(f"{out.name}.toml"), out.with_name(f"{out.name}.png")]
+    title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
+    _write(written[0], problem_sections(found, law, chosen.plant, chosen.gains, mode))
+    save_figure(plot_designs({title: found}), written[1])
+    if json_output:
+        print(json.dumps(design_record(found), indent=2, ensure_ascii=False))
+    else:
+        _print(chosen, found, mode)
+        print("\nGains and law: {}, chart: {}".format(*written))
+    return 0 if found.reached else 1
+
+
+def _mean(plant, gains):
+    """The mean law with the mean gain."""
+    from deadtime.laws import MeanPredictor
+
+    return MeanPredictor(plant, gains.mean(axis=0), gains, allow_unstable=True)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None
+
+
+def _print(problem: Problem, found: Design, mode: int | None) -> None:
+    from rich.console import Console
+
+    from deadtime.design_table import HEADINGS, LIMIT_HEADINGS, design_rows, limit_rows
+
+    console = Console(highlight=False, soft_wrap=False)
+    console.print(problem.title, style="bold", markup=False)
+    console.print(f"• {found.message}\n", markup=False)
+    print_table(HEADINGS, design_rows(found))
+    console.print("\nWhat linear controllers of one mode alone can tolerate:", markup=False)
+    names = problem.modes if mode is None else (problem.modes[mode],)
+    print_table(LIMIT_HEADINGS, limit_rows(found, names))

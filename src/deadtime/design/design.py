@@ -1,0 +1,216 @@
+"""Design for margin: the cheapest gains, filter and period with a requested delay margin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.checks import count, instance, number, positive
+from deadtime.design.exact import Exact
+from deadtime.design.limits import delay_limit
+from deadtime.design.message import sentences
+from deadtime.design.result import Design, TradeOff
+from deadtime.design.search import MakeLaw, Search, Tried, assessed
+from deadtime.design.strategy import pairs_of, spend
+from deadtime.errors import ArgumentError
+from deadtime.gains import lqr, require_controllable
+from deadtime.laws.averaged import AveragedPredictor
+from deadtime.laws.base import Law, TableLaw, checked_gains, require_match
+from deadtime.laws.exact import ExactPredictor
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.growth import growth_rate
+from deadtime.spectrum.margin import constant_delay_margin
+
+DEAREST = 100.0
+
+
+def design(
+    plant: SwitchedSystem,
+    *,
+    delay_margin: float,
+    step: float = 0.01,
+    law: MakeLaw | None = None,
+    gains: ArrayLike | None = None,
+    filtered: bool | None = None,
+    longest_step: float | None = None,
+    cost: str = "mean",
+    budget: int = 800,
+    dearest: float = DEAREST,
+    seed: int = 0,
+) -> Design:
+    """Gains and a law with a requested delay margin, at the least cost found.
+
+    Varied are the gains (with one input the poles of each mode, with several the LQR weights), the
+    time constant of a low-pass filter in the law, and, if allowed, a longer sampling period. If
+    nothing tried has the margin, the largest margin found comes back, beside what any linear
+    controller could reach.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant at its nominal delay, the model of the law.
+    delay_margin : float
+        The relative error of the true delay, above 0 and below 1, that every constant mode must
+        tolerate both ways: 0.05 for ±5 %.
+    step : float
+        Sampling period h, seconds.
+    law : callable, optional
+        The law family: (plant, gains) → law; `AveragedPredictor` by default. For one mode's own
+        exact law give a plant of that mode alone.
+    gains : array_like, shape (modes, m, n), optional
+        The plain design to start from and to compare with; LQR of identity weights by default.
+    filtered : bool, optional
+        True: only laws with a low-pass filter; False: only without; by default both.
+    longest_step : float, optional
+        Allow periods up to this, seconds: 2, 5, 10, … times `step`.
+    cost : "mean" or "worst"
+        The cost ∫ |x|² + |u|² of the mean or of the worst mode, each for ever.
+    budget : int
+        How many designs to try.
+    dearest : float
+        Designs that cost more than so many times the cheapest found are not considered.
+    seed : int
+        Of the samples that the search starts from; the answer depends on nothing else.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, a mode is not controllable, or the law family makes laws that
+        are no table or foresee the signal.
+
+    Notes
+    -----
+    The margin is that of constant modes, exact; switching may lose the loop earlier, which
+    `delay_margin(…, dwell_time=…)` decides. A search proves nothing about what it did not find.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=1.0)
+    >>> found = design(plant, delay_margin=0.2, step=0.05, budget=60)
+    >>> found.reached, found.margin.relative >= 0.2, found.cost > found.plain.cost
+    (True, True, True)
+    """
+    asked = _checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    given = None if gains is None else checked_gains(plant, gains, True)
+    budget, make = count("budget", budget, 20), law or _averaged
+    for mode in range(plant.modes):
+        require_controllable(plant.A[mode], plant.B[mode], mode)
+    start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
+    plain = _plain(plant, _required_table(plant, make, start), step, cost == "worst")
+    search = Search(plant, make, cost == "worst", budget, dearest)
+    pairs = pairs_of(search, filtered, step, longest_step)
+    spend(search, pairs, start, asked, np.random.default_rng(seed))
+    exact = Exact(plant, search)
+    return _result(plant, exact, exact.choose(asked), asked, plain, start)
+
+
+def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
+    """The design to compare with."""
+    margin = constant_delay_margin(plant, law, step)
+    return TradeOff(law, step, margin.relative or 0.0, assessed(plant, law, step, worst)[1])
+
+
+def _result(
+    plant: SwitchedSystem,
+    exact: Exact,
+    chosen: Tried | None,
+    asked: float,
+    plain: TradeOff,
+    gains: np.ndarray,
+) -> Design:
+    """What was chosen, or the plain design where nothing is stable."""
+    law, step, cost = plain.law, plain.step, plain.cost
+    if chosen is None:
+        margin = constant_delay_margin(plant, law, step)
+    else:
+        margin, gains = exact.margin(chosen), chosen.choice.gains
+        law, step = chosen.law, chosen.step
+        cost = assessed(plant, law, step, exact.search.worst)[1]
+    growth = _ends(plant, law, step, asked)
+    reached = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
+    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
+    found = TradeOff(law, step, margin.relative or 0.0, cost)
+    tried = exact.search.spent
+    return Design(
+        law=law,
+        gains=gains,
+        time_constant=found.time_constant,
+        step=step,
+        margin=margin,
+        asked=asked,
+        reached=reached,
+        growth=growth,
+        cost=cost,
+        plain=plain,
+        limits=limits,
+        points=exact.trade_off(chosen),
+        evaluated=tried,
+        message=sentences(asked, reached, chosen and found, plain, limits, tried),
+    )
+
+
+def _averaged(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor:
+    return AveragedPredictor(plant, gains, allow_unstable=True)
+
+
+def _checked(
+    plant: SwitchedSystem,
+    delay_margin: float,
+    step: float,
+    filtered: bool | None,
+    longest_step: float | None,
+    cost: str,
+    dearest: float,
+) -> float:
+    """The margin asked for, once the arguments make sense."""
+    instance("plant", plant, SwitchedSystem)
+    asked = number("delay_margin", delay_margin)
+    if not 0.0 < asked < 1.0:
+        raise ArgumentError(
+            f"delay_margin must be above 0 and below 1, relative to the delay, got {asked:g}: "
+            "0.05 asks for ±5 %."
+        )
+    step = positive("step", step)
+    if longest_step is not None and positive("longest_step", longest_step) < step:
+        raise ArgumentError(
+            f"longest_step must be at least the step, {step:g} s, got {longest_step:g}: leave it "
+            "out to keep the step."
+        )
+    if filtered not in (None, True, False):
+        raise ArgumentError(f"filtered must be True, False or None for both, got {filtered!r}.")
+    if cost not in ("mean", "worst"):
+        raise ArgumentError(f'cost must be "mean" or "worst" over the modes, got {cost!r}.')
+    if number("dearest", dearest) <= 1.0:
+        raise ArgumentError(f"dearest must be above 1, times the cheapest cost, got {dearest:g}.")
+    return asked
+
+
+def _required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:
+    """The plain design's law, if the family's laws can be run."""
+    if not callable(make):
+        raise ArgumentError(f"law must be a function (plant, gains) -> law, got {make!r}.")
+    law = make(plant, gains)
+    kind = type(law).__name__
+    if not isinstance(law, TableLaw):
+        raise ArgumentError(
+            f"law must make laws that are tables, got {kind}: a delay margin is that of a linear "
+            "loop."
+        )
+    if isinstance(law, ExactPredictor):
+        raise ArgumentError(
+            "law must make laws that can run, but ExactPredictor foresees the signal: for a mode's "
+            "own exact law give a plant of that mode alone."
+        )
+    require_match(plant, law)
+    return law
+
+
+def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
+    """The growth rates at both ends of the margin asked for, from spectra of their own."""
+    ends = [SwitchedSystem(plant.A, plant.B, plant.delay * (1.0 + s * asked)) for s in (-1.0, 1.0)]
+    return np.array([[growth_rate(end, law, i, step) for i in range(plant.modes)] for end in ends])

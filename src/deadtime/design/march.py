@@ -1,0 +1,80 @@
+"""The cost of a loop along its own run, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+LARGEST = 1e60  # |x|²: beyond, the loop grows
+
+
+@njit(cache=True)
+def _form(Q, x, u):
+    """zᵀ Q z, z = (x, u)."""
+    n = x.size
+    total = 0.0
+    for i in range(n + u.size):
+        row = 0.0
+        for j in range(n):
+            row += Q[i, j] * x[j]
+        for j in range(u.size):
+            row += Q[i, n + j] * u[j]
+        total += row * (x[i] if i < n else u[i - n])
+    return total
+
+
+@njit(cache=True)
+def _moved(Phi, Gamma, x, u, result):
+    """Φ x + Γ u."""
+    for i in range(x.size):
+        total = 0.0
+        for j in range(x.size):
+            total += Phi[i, j] * x[j]
+        for j in range(u.size):
+            total += Gamma[i, j] * u[j]
+        result[i] = total
+
+
+@njit(cache=True)
+def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
+    """∫ |x|² + |u|² from x0 with no inputs in the past.
+
+    `Phi`, `Gamma` and `Q` hold both phases of a period; G (m, taps·m) has the oldest tap first.
+    Blocks of `block` periods are run until one adds less than `done` of the sum, or `most` are;
+    what is then missing is the tail of a geometric series. Returns the cost and the ratio of
+    blocks; a cost of ∞ where that is 1 or more.
+    """
+    m, n = F.shape
+    taps = G.shape[1] // m
+    past = max(taps, count)
+    inputs = np.zeros((past + block) * m)
+    x, middle = x0.copy(), np.empty(n)
+    total, before, ratio, first = 0.0, 0.0, 0.0, 0.0
+    for rounds in range(most):
+        inputs[: past * m] = inputs[block * m :]
+        added = 0.0
+        for k in range(past, past + block):
+            window = inputs[(k - taps) * m : k * m]
+            for i in range(m):
+                value = np.dot(G[i], window)
+                for j in range(n):
+                    value += F[i, j] * x[j]
+                inputs[k * m + i] = value
+                added += step * value * value
+            for phase in range(2):
+                at = (k - count + phase) * m
+                u = inputs[at : at + m]
+                added += _form(Q[phase], x, u)
+                _moved(Phi[phase], Gamma[phase], x, u, middle)
+                x[:] = middle
+        total += added
+        if not total < LARGEST:
+            return np.inf, (added / first) ** (1.0 / rounds) if rounds > 0 else LARGEST
+        if added <= done * total:
+            return total, 0.0
+        ratio = added / before if before > 0.0 else 1.0
+        before = added
+        first = first if first > 0.0 else added
+    if ratio >= 1.0:
+        return np.inf, ratio
+    return total + before * ratio / (1.0 - ratio), ratio

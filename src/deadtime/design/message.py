@@ -1,0 +1,88 @@
+"""A design for margin in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from deadtime.design.limits import DelayLimit
+from deadtime.design.result import TradeOff
+from deadtime.wording import amount
+
+
+def percent(part: float) -> str:
+    """A relative margin, rounded down.
+
+    Examples
+    --------
+    >>> percent(0.05126), percent(1.234), percent(float("inf"))
+    ('5.12 %', '123 %', 'more than 100 %')
+    """
+    if math.isinf(part):
+        return "more than 100 %"
+    if part <= 0.0:
+        return "none"
+    places = max(0, 2 - math.floor(math.log10(100.0 * part)))
+    return f"{math.floor(100.0 * part * 10.0**places + 1e-9) / 10.0**places:.{places}f} %"
+
+
+def sentences(
+    asked: float,
+    reached: bool,
+    found: TradeOff | None,
+    plain: TradeOff,
+    limits: Sequence[DelayLimit],
+    evaluated: int,
+) -> str:
+    """Whether the margin is reached, at what price, and what could be reached at all."""
+    text = [_answer(asked, reached, found, evaluated)]
+    if found is not None:
+        text.append(_price(found, plain))
+    return " ".join([*text, _limits(limits, asked)])
+
+
+def _answer(asked: float, reached: bool, found: TradeOff | None, evaluated: int) -> str:
+    if found is None:
+        return (
+            f"Not reached: none of {evaluated} designs that were tried is stable in every "
+            "constant mode."
+        )
+    filtered = "" if found.time_constant is None else ", with a low-pass filter"
+    where = f"({percent(asked)} asked){filtered}, at a step of {found.step:g} s."
+    if reached:
+        return f"Every constant mode stays stable {_while(found.margin)} {where}"
+    return (
+        f"Not reached: of {evaluated} designs that were tried, the one with the largest margin "
+        f"has {percent(found.margin)} {where}"
+    )
+
+
+def _while(margin: float) -> str:
+    if math.isinf(margin):
+        return "whatever the true delay"
+    return f"while the true delay errs by less than {percent(margin)}"
+
+
+def _price(found: TradeOff, plain: TradeOff) -> str:
+    if math.isinf(plain.cost):
+        return f"It costs {amount(found.cost)}; the plain design is unstable in a constant mode."
+    return (
+        f"It costs {amount(found.cost / plain.cost)} times as much as the plain design, whose "
+        f"margin is {percent(plain.margin)}."
+    )
+
+
+def _limits(limits: Sequence[DelayLimit], asked: float) -> str:
+    """The mode with the least room."""
+    worst = min(range(len(limits)), key=lambda i: (limits[i].most, limits[i].reached))
+    limit = limits[worst]
+    if math.isinf(limit.reached):
+        return "Nothing in the plant limits the margin below 100 %."
+    name = f"mode {worst}" if len(limits) > 1 else "the mode"
+    if math.isinf(limit.most):
+        return f"Some linear controller of {name} alone reaches {percent(limit.reached)}."
+    text = (
+        f"Some linear controller of {name} alone reaches {percent(limit.reached)}, none "
+        f"more than {percent(limit.most)}"
+    )
+    return f"{text}: the margin asked for does not exist." if asked > limit.most else f"{text}."

@@ -1,0 +1,111 @@
+"""A design for margin as tables, as JSON, and as sections of a problem file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deadtime.design import Design, TradeOff
+from deadtime.design.message import percent
+from deadtime.plant import SwitchedSystem
+from deadtime.wording import compact, signed
+
+HEADINGS = ("design", "delay margin", "cost", "filter, s", "step, s")
+LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
+
+
+def design_rows(design: Design) -> list[tuple[str, ...]]:
+    """The plain design, the trade-off, and the one chosen."""
+    names = ("chosen" if point.law is design.law else "" for point in design.points)
+    points = [_row(name, point) for name, point in zip(names, design.points, strict=True)]
+    return [_row("plain", design.plain), *points]
+
+
+def _row(name: str, point: TradeOff) -> tuple[str, ...]:
+    T = point.time_constant
+    slowest = "–" if T is None else f"{np.abs(np.linalg.eigvals(T)).max():.3g}"
+    return name, percent(point.margin), compact(point.cost), slowest, f"{point.step:g}"
+
+
+def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
+    """What any linear controller can tolerate, mode by mode."""
+    return [
+        (
+            name,
+            percent(limit.reached),
+            percent(limit.most),
+            ", ".join(_pole(pole) for pole in limit.poles) or "none",
+        )
+        for name, limit in zip(modes, design.limits, strict=True)
+    ]
+
+
+def _pole(pole: complex) -> str:
+    text = signed(pole.real)
+    return text if pole.imag == 0.0 else f"{text}{signed(pole.imag)}j"
+
+
+def problem_sections(
+    design: Design,
+    kind: str,
+    plant: SwitchedSystem,
+    gains: np.ndarray,
+    mode: int | None = None,
+) -> str:
+    """The design as sections [gains], [[law]] and a step, for the problem file of a plant.
+
+    With a mode the design is that mode's alone: the other modes keep their gains.
+    """
+    lines = [f"# {sentence}." for sentence in design.message.rstrip(".").split(". ")]
+    K = np.array(gains)
+    K[slice(None) if mode is None else [mode]] = design.gains
+    lines += ["", "[gains]", f"K = {_nested(K)}"]
+    if np.linalg.eigvals(plant.A + plant.B @ K).real.max() >= 0.0:
+        lines.append("allow_unstable = true    # the filter is part of what stabilises")
+    lines += ["", "[[law]]", f'kind = "{kind}"' if mode is None else 'kind = "single"']
+    lines += [] if mode is None else [f"mode = {mode}"]
+    T = design.time_constant
+    if T is not None:
+        lines.append(f"low_pass = {repr(float(T[0, 0])) if T.shape[0] == 1 else _nested(T)}")
+    return "\n".join([*lines, "", f"# In [run]: step = {design.step!r}", ""])
+
+
+def _nested(array: np.ndarray) -> str:
+    return str(array.tolist())
+
+
+def design_record(design: Design) -> dict[str, Any]:
+    """The design for JSON; null for what is infinite."""
+    margin = design.margin
+    return {
+        "asked": design.asked,
+        "reached": design.reached,
+        "delay_margin": {
+            "relative": _finite(margin.relative),
+            "lower": _finite(margin.lower),
+            "upper": _finite(margin.upper),
+        },
+        "growth_at_both_ends": design.growth.tolist(),
+        "gains": design.gains.tolist(),
+        "time_constant": None if design.time_constant is None else design.time_constant.tolist(),
+        "step": design.step,
+        "cost": _finite(design.cost),
+        "plain": {"margin": _finite(design.plain.margin), "cost": _finite(design.plain.cost)},
+        "limits": [
+            {"reached": _finite(limit.reached), "most": _finite(limit.most)}
+            for limit in design.limits
+        ],
+        "points": [
+            {"margin": _finite(point.margin), "cost": point.cost, "step": point.step}
+            for point in design.points
+        ],
+        "evaluated": design.evaluated,
+        "message": design.message,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,126 @@
+"""A law whose input passes a low-pass filter on its way to the plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.checks import instance, real_array
+from deadtime.errors import ArgumentError
+from deadtime.feedback import Factor, Feedback
+from deadtime.forecast import Forecast
+from deadtime.laws.base import Law, TableLaw
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class LowPassPredictor(TableLaw):
+    """A law followed by a low-pass filter that it knows of: the table holds the filtered input.
+
+        T du/dt = v − u,    v the wrapped law,    u_k = E u_{k−1} + (1 − E) v_k,    E = e^{−h T⁻¹}
+
+    The wrapped law predicts with the past u, those that the plant gets, so its prediction stays
+    exact; what changes is that high frequencies, at which a predictor amplifies an error of its
+    delay, no longer go around the loop. The filter is part of the loop that gains must stabilise:
+    `deadtime.design` chooses both together, as does LQR for the plant with u as a state and du/dt
+    as its input (docs/theory/delay-margin.md).
+
+    Parameters
+    ----------
+    law : TableLaw
+        The law of v; any that is a table.
+    time_constant : float, or array_like, shape (m, m)
+        T in seconds: a number > 0 for all inputs, or a matrix whose eigenvalues have positive real
+        parts.
+
+    Raises
+    ------
+    ArgumentError
+        If the law is no table, or T is no such number or matrix.
+
+    References
+    ----------
+    Mondié and Michiels, IEEE Trans. Automatic Control 48 (2003), section IV: a filter makes the
+    approximated predictor stable for a fine enough step. Feeding back the filtered input is
+    Krstic's modified predictor, Automatica 44 (2008).
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.2)
+    >>> law = dt.SingleModePredictor(plant, [[[-1.0]]], 0)
+    >>> law.digital(0.1).input_gain.ravel().round(3)
+    array([-0.1, -0.1])
+    >>> dt.LowPassPredictor(law, 0.1).digital(0.1).input_gain.ravel().round(3)
+    array([ 0.305, -0.063])
+    """
+
+    law: TableLaw
+    time_constant: Float[np.ndarray, "m m"]
+
+    def __init__(self, law: Law, time_constant: ArrayLike) -> None:
+        instance("law", law, Law)
+        if not isinstance(law, TableLaw):
+            raise ArgumentError(
+                f"law must be a table, got {type(law).__name__}, which is called sample by sample."
+            )
+        vars(self).update(
+            plant=law.plant,
+            gains=law.gains,
+            law=law,
+            time_constant=_matrix(time_constant, law.plant.inputs),
+        )
+
+    @property
+    def label(self) -> str:
+        return f"{self.law.label}, low-pass"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        from scipy.linalg import expm
+
+        table = self.law.digital(step, signal, steps)
+        kept = expm(-table.step * np.linalg.inv(self.time_constant))
+        passed = np.eye(self.plant.inputs) - kept
+        G = passed @ table.input_gain
+        G[:, 0] += kept
+        factor = None if table.factor is None else _factor(table.factor, kept, passed, G[:, -1])
+        return Feedback(passed @ table.state_gain, G, table.context, table.step, table.ages, factor)
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        raise ArgumentError(
+            "step must be given: LowPassPredictor feeds back its own input through a differential "
+            "equation, which the ideal loop does not solve; a short step comes close."
+        )
+
+
+def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
+    """T as an (m, m) matrix whose eigenvalues have positive real parts."""
+    array = np.asarray(value)
+    if array.ndim == 0:
+        array = real_array("time_constant", array[None, None], "() or (m, m)", 2) * np.eye(m)
+    array = real_array("time_constant", array, "() or (m, m)", 2)
+    if array.shape != (m, m):
+        raise ArgumentError(
+            f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got {array.shape}."
+        )
+    least = np.linalg.eigvals(array).real.min()
+    if least <= 0.0:
+        raise ArgumentError(
+            "time_constant must be positive, in s, or a matrix whose eigenvalues have positive "
+            f"real parts, got {least:g}: without a filter use the law itself."
+        )
+    return array
+
+
+def _factor(factor: Factor, kept: np.ndarray, passed: np.ndarray, last: np.ndarray) -> Factor:
+    """The taps as powers again: one more block holds u_{k−1}, and forgets it (0⁰ = 1, 0^j = 0)."""
+    contexts, m, q = factor.H.shape
+    S = np.zeros((q + m, q + m))
+    S[:q, :q] = factor.S
+    H = np.concatenate((passed @ factor.H, np.broadcast_to(kept, (contexts, m, m))), axis=2)
+    return Factor(H, S, np.concatenate((factor.input, np.eye(m))), last.copy())
