@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: reproduce study test lint types pytest bench examples schema clean
+.PHONY: reproduce study test lint types pytest long bench examples schema clean
 
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
@@ -26,6 +26,10 @@ types: .venv/installed-test
 
 pytest: .venv/installed-test .venv/compiled
 	$(BIN)/pytest --numprocesses auto --dist loadfile
+
+# What is too long for every change: certificates of N = 100 put back in fifty digits.
+long: .venv/installed-test .venv/compiled
+	$(BIN)/pytest -m long
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/single_run.py

@@ -121,8 +121,12 @@ def assert_steps_decrease(certificate, loop, instants, maximum=None, most=None):
             assert reference.decreases(before, after, M, evidence.rho), (i, a, j, s)
 
 
-@pytest.mark.parametrize("digits", [False, True])
-@pytest.mark.parametrize("name", CASES)
+IN_DIGITS = [
+    pytest.param(name, True, marks=() if name in SMALL else pytest.mark.long) for name in CASES
+]
+
+
+@pytest.mark.parametrize(("name", "digits"), [*((name, False) for name in CASES), *IN_DIGITS])
 def test_every_step_decreases_the_lyapunov_function_in_floats_and_in_fifty_digits(name, digits):
     plant, law, certificate = certified(name)
     most = None if name in SMALL else 1 if digits else 20

@@ -247,11 +247,11 @@ def test_the_cost_under_additive_noise_is_that_of_the_covariance_recursion():
     expected[0] -= steps * np.trace(W) * (0.051**2 + 0.049**2) / 6.0
     kinds = [WhiteDisturbance(W), Noise(noise)]
     found = []
-    for seed in range(600):
+    for seed in range(300):
         metrics = run(imperfections=kinds, seed=seed, horizon=steps * STEP).metrics()
         found.append([metrics["ise"], metrics["energy"], metrics["final_norm"] ** 2])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0) / math.sqrt(len(found))
-    assert (error <= 0.05 * mean).all()
+    assert (error <= 0.07 * mean).all()
     assert (np.abs(mean - expected) <= 3.5 * error).all()
 
 

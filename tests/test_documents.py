@@ -107,6 +107,8 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
             continue
         if command.startswith("reproduce"):
             command += " --no-certificates"  # tests/test_cli.py runs it whole
+        if command.startswith("robustness"):
+            command += " --scenarios 2"
         with pytest.raises(SystemExit) as stopped:
             main(command.split())
         assert stopped.value.code == 0, command

@@ -64,14 +64,14 @@ def test_lost_samples_and_late_modes_are_tried_as_simulate_has_them(result):
 
 
 def test_the_price_of_noise_is_quadratic_and_doubles_where_it_says():
-    result = assess("averaged", scenarios=40)
+    result = assess("averaged", scenarios=20)
     noise = result.noise
     cost = [
         dt.simulate(
             PLANT, plants.LAWS["averaged"](MODEL), SIGNAL, X0, HORIZON, STEP,
             imperfections=[Noise(noise.doubling)], seed=seed,
         ).metrics()["cost"]
-        for seed in range(1000, 1060)
+        for seed in range(1000, 1040)
     ]  # fmt: skip
     error = np.std(cost) / math.sqrt(len(cost))
     assert abs(np.mean(cost) - 2.0 * noise.base) <= 4.0 * error + 0.05 * noise.base

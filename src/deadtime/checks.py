@@ -81,6 +81,13 @@ def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
     return result
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A contiguous view that cannot be written through: one type for the compiled functions."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
 def _hint(raw: np.ndarray, ndim: int) -> str:
     """What to do about an array that lacks exactly one axis."""
     if raw.ndim == 2 and ndim == 3:

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.checks import read_only
+
 
 def noise_covariance(
     A: Float[np.ndarray, "n n"], W: Float[np.ndarray, "n n"], tau: float
@@ -40,7 +42,7 @@ def transition(A: Float[np.ndarray, "n n"], tau: float) -> Float[np.ndarray, "n 
     """e^{Aτ}."""
     from deadtime.exponential import held
 
-    return held(np.ascontiguousarray(A), np.zeros((A.shape[0], 1)), tau)[0]
+    return held(read_only(A), read_only(np.zeros((A.shape[0], 1))), tau)[0]
 
 
 def square_root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deadtime.checks import read_only
 from deadtime.errors import ArgumentError
 
 
@@ -20,7 +21,7 @@ def held_pair(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np
     """Φ and Γ."""
     from deadtime.exponential import held
 
-    return held(A, B, step)
+    return held(read_only(A), read_only(B), step)
 
 
 def quotient(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:

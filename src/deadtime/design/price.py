@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from deadtime.checks import read_only
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.lifted import aged_row
@@ -60,7 +61,7 @@ def cost_and_growth(
     from deadtime.design.march import cost_of_run
     from deadtime.exponential import energy_gramian, held
 
-    A, B, step = plant.A[mode], plant.B[mode], feedback.step
+    A, B, step = read_only(plant.A[mode]), read_only(plant.B[mode]), feedback.step
     window = Window.of(plant.delay, step)
     lengths = (window.phase, step - window.phase)
     moves = [held(A, B, length) for length in lengths]

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import number, real_array, shaped
+from deadtime.checks import number, read_only, real_array, shaped
 from deadtime.covariance import noise_covariance, square_root, transition
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
@@ -173,7 +173,7 @@ class StepDisturbance(Disturbance):
         shaped(name, force, (sizes.states,), "(n,)")
         total = np.zeros((sizes.states, 1))
         for A, tau in pieces:
-            Phi, Gamma = held(np.ascontiguousarray(A), force[:, None].copy(), tau)
+            Phi, Gamma = held(read_only(A), read_only(force[:, None]), tau)
             total = Phi @ total + Gamma
         return total
 

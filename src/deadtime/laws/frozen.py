@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
+from deadtime.checks import read_only
 from deadtime.exponential import held, held_modes, multiply
 from deadtime.feedback import Factor, Feedback
 from deadtime.steps import Window
@@ -44,7 +45,7 @@ def frozen_table(
 ) -> Feedback:
     """The one-row table Σ_i w_i K_i P_i, with its factorisation (S block-diagonal over modes)."""
     count, step = window.count, window.step
-    F, G, Phi, Gamma = _rows(A, B, K, weights, count, window.delay, step, window.phase)
+    F, G, Phi, Gamma = _rows(A, B, K, read_only(weights), count, window.delay, step, window.phase)
     modes, n, m = B.shape
     H = (weights[:, None, None] * K).transpose(1, 0, 2).reshape(1, m, modes * n)
     S = np.zeros((modes * n, modes * n))

@@ -39,8 +39,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
+from deadtime.covariance import transition
 from deadtime.errors import ArgumentError
-from deadtime.exponential import held
 from deadtime.feedback import Factor, Feedback
 from deadtime.forecast import Forecast
 from deadtime.steps import Window
@@ -66,14 +66,14 @@ def markov_table(
     Z[:states, :states], Z[:states, states:] = _expected_system(A, B, generator)
     Z[states:, states:] = np.kron(generator.T, np.eye(m))
     _require_precision(generator, h)
-    whole, first = exponential(Z, h), exponential(Z, window.phase)
+    whole, first = transition(Z, h), transition(Z, window.phase)
     E, forced = whole[:states, :states], whole[:states, states:]
 
     G = np.empty((modes, count, m, m))
     row = K.transpose(1, 0, 2).reshape(m, states)
-    spread = [exponential(generator.T, window.phase)]
+    spread = [transition(generator.T, window.phase)]
     for _ in range(count - 2):
-        spread.append(exponential(generator.T, h) @ spread[-1])
+        spread.append(transition(generator.T, h) @ spread[-1])
     for j in range(1, count):
         taps = (row @ forced).reshape(m, modes, m)
         G[:, j - 1] = np.einsum("asb,sc->cab", taps, spread[count - 1 - j])
@@ -100,12 +100,12 @@ def markov_forecast(
     inputs = forced.reshape(states, modes, m).transpose(1, 0, 2).reshape(modes * states, m)
     system = np.kron(np.eye(modes), free) - np.kron(generator, np.eye(states))
     lift = np.eye(states).reshape(states, modes, n).transpose(1, 0, 2).reshape(modes * states, n)
-    ahead = exponential(generator.T, delay)
+    ahead = transition(generator.T, delay)
     gains = np.einsum("sc,iab->casib", ahead, K).reshape(modes, m, modes * states)
 
     row = K.transpose(1, 0, 2).reshape(m, states)
-    direct = (row @ exponential(free, delay)).reshape(m, modes, n).transpose(1, 0, 2)
-    closed = gains @ exponential(system, delay) @ lift
+    direct = (row @ transition(free, delay)).reshape(m, modes, n).transpose(1, 0, 2)
+    closed = gains @ transition(system, delay) @ lift
     if not np.abs(closed - direct).max() <= _CLOSED_FORM * np.abs(direct).max():
         return None
     return Forecast(
@@ -132,18 +132,13 @@ def _expected_system(
 def _require_precision(generator: np.ndarray, step: float) -> None:
     """Refuse rates so fast that probabilities do not sum to 1 any more."""
     with np.errstate(over="ignore", invalid="ignore"):
-        lost = np.abs(exponential(generator.T, step).sum(axis=0) - 1.0).max()
+        lost = np.abs(transition(generator.T, step).sum(axis=0) - 1.0).max()
     if not lost <= _PROBABILITY:
         raise ArgumentError(
             f"model has rates up to {generator.max():.2g} 1/s, which double precision cannot tell "
             f"apart from infinite ones over a step of {step:g} s: use MeanPredictor, the limit of "
             "fast switching, or slower rates."
         )
-
-
-def exponential(A: np.ndarray, tau: float) -> np.ndarray:
-    """e^{Aτ}."""
-    return held(np.ascontiguousarray(A), np.zeros((A.shape[0], 1)), tau)[0]
 
 
 def _factor(
@@ -156,8 +151,8 @@ def _factor(
 ) -> Factor | None:
     """The factor, or None where it loses digits."""
     modes, m, n = K.shape
-    ahead = exponential(generator.T, window.delay - window.step) if window.count > 1 else np.eye(1)
-    S = np.kron(exponential(-generator, window.step), E)
+    ahead = transition(generator.T, window.delay - window.step) if window.count > 1 else np.eye(1)
+    S = np.kron(transition(-generator, window.step), E)
     blocks = forced.reshape(modes * n, modes, m).transpose(1, 0, 2).reshape(modes * modes * n, m)
     if not (np.isfinite(S).all() and window.count > 1):
         return None

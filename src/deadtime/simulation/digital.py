@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deadtime.checks import read_only
 from deadtime.feedback import Feedback
 from deadtime.imperfections import Disturbance
 from deadtime.laws.base import Law
@@ -133,7 +134,7 @@ def _run(
         table.Gamma,
         window.count,
         feedback.state_gain,
-        np.ascontiguousarray(G),
+        read_only(G),
         rows,
         x0,
         inputs,

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.checks import read_only
 from deadtime.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes
 from deadtime.plant import SwitchedSystem
@@ -84,7 +85,7 @@ class Forcing:
         n = self._plant.states
         Gamma = np.zeros((n, n))
         for A, tau in pieces:
-            Phi, own = held(np.ascontiguousarray(A), np.eye(n), tau)
+            Phi, own = held(read_only(A), read_only(np.eye(n)), tau)
             Gamma = multiply(Phi, Gamma) + own
         total = sum(tau for _, tau in pieces)
         if total == 0.0:

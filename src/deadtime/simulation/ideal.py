@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.checks import read_only
 from deadtime.errors import ArgumentError
 from deadtime.forecast import Forecast
 from deadtime.plant import SwitchedSystem
@@ -135,7 +136,7 @@ def run_ideal(
 
 def _contiguous(forecast: Forecast) -> tuple[np.ndarray, np.ndarray]:
     """The forecast's A and B as the compiled code needs them."""
-    return np.ascontiguousarray(forecast.A), np.ascontiguousarray(forecast.B)
+    return read_only(forecast.A), read_only(forecast.B)
 
 
 def _fastest_rate(plant: SwitchedSystem, forecast: Forecast, gains: np.ndarray) -> float:

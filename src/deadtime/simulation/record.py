@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.checks import read_only
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Cuts, Window, snap_all
 
@@ -87,7 +88,8 @@ class DigitalRecord:
         if self.forces is None:
             return B, acting
         unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
-        return np.concatenate((B, unit), axis=2), np.dstack((acting, self.forces[: steps + 1]))
+        forced = read_only(np.concatenate((B, unit), axis=2))
+        return forced, np.dstack((acting, self.forces[: steps + 1]))
 
     def grid(self, end: float) -> Float[np.ndarray, " T"]:
         """The samples, and the end of the run when that is no sample."""

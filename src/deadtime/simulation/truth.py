@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from deadtime.checks import read_only
 from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Drawn
@@ -85,7 +86,7 @@ class KnownTruth(Truth):
         A, B, cuts, phase = self._plant.A, self._plant.B, self._cuts, self._window.phase
         if self.forces is not None:
             u = np.hstack((u, self.forces[k]))
-            B = np.concatenate((B, np.broadcast_to(np.eye(x.size), A.shape)), axis=2)
+            B = read_only(np.concatenate((B, np.broadcast_to(np.eye(x.size), A.shape)), axis=2))
         p, stop = np.searchsorted(cuts.step, k), np.searchsorted(cuts.step, k + 1)
         mode = cuts.mode[p]
         for f, a, b in ((0, 0.0, min(offset, phase)), (1, phase, offset)):
@@ -176,5 +177,5 @@ class RuleTruth(Truth):
         return Cuts(
             np.array(self._steps, np.int64),
             np.array(self._offsets, np.float64),
-            np.array(self._modes, np.int64),
+            read_only(np.array(self._modes, np.int64)),
         )
