@@ -8,6 +8,8 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.controller import Status
+from deadtime.controller.arguments import require_state
+from deadtime.controller.status import Clock
 
 STEP = 0.1
 GENERIC = plants.generic()
@@ -294,3 +296,70 @@ def test_the_clock_is_part_of_a_warm_restart():
         controller.update(np.ones(3), 0, time=7.0 + 8 * STEP)
         assert (controller.status, controller.late, controller.samples) == (Status.LATE, 3, 9)
     assert (first.update(np.ones(3), 0) == second.update(np.ones(3), 0)).all()
+
+
+def test_a_gap_longer_than_the_window_counts_for_the_age_and_the_samples():
+    plant = plants.scalar([0.3, 0.1], delay=0.3)
+    law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]), None, 2.0)
+    late, regular = dt.Controller(law, 0.1), dt.Controller(law, 0.1)
+    late.update([1.0], 0, time=0.0)
+    u = regular.update([1.0], 0)
+    for _ in range(17):
+        regular.update([math.nan], 0, u)
+    plants.close(late.update([0.8], 0, time=1.8), regular.update([0.8], 0, u), 1e-13)
+    assert late.samples == regular.samples == 19
+
+
+def test_a_call_that_is_refused_with_an_error_changes_nothing():
+    rng = np.random.default_rng(3)
+    clean, shaken = timed("expected"), timed("expected")
+    for k in range(5):
+        x = rng.normal(size=3)
+        for wrong in (
+            {"x": x},
+            {"x": x, "mode": 0, "applied": [1.0]},
+            {"x": x, "mode": 0, "reference": [1.0]},
+            {"x": x[:2], "mode": 0},
+            {"x": ["a", "b", "c"], "mode": 0},
+        ):
+            with pytest.raises(dt.ArgumentError):
+                shaken.update(**{"time": k * STEP, **wrong})
+        plants.close(shaken.update(x, 0, time=k * STEP), clean.update(x, 0), 0.0, 1.0)
+    assert shaken.status == Status.OK
+
+
+def test_a_clock_that_jumps_far_ahead_is_not_believed():
+    controller = timed("mean")
+    u = controller.update(np.ones(3), 0, time=0.0)
+    for time in (1e308, -1e308, 2e5 * STEP):
+        assert (controller.update(np.zeros(3), 0, time=time) == u).all()
+        assert controller.status == Status.OUT_OF_ORDER
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mode": 99}, r"state\['mode'\] must be in -1..2, got 99"),
+        ({"mode": "x"}, r"state\['mode'\] must hold real numbers"),
+        ({"age": -1}, r"state\['age'\] must be an integer of at least 0"),
+        ({"input": np.full(2, math.nan)}, r"state\['input'\] must be finite"),
+        ({"ring": None}, r"state\['ring'\] must have shape"),
+    ],
+)
+def test_a_spoilt_state_is_refused(change, message):
+    controller = timed("averaged, dwell-aware")
+    with pytest.raises(dt.ArgumentError, match=message):
+        controller.restore({**controller.state, **change})
+    with pytest.raises(dt.ArgumentError, match=r"state must be what `Controller\.state` gave"):
+        require_state(None, controller.state, 3)
+
+
+def test_limits_on_one_side_are_limits():
+    controller = limited((0.0, math.inf))
+    assert (controller.update([5.0, -3.0, 2.0]) >= 0.0).all()
+
+
+@pytest.mark.parametrize("time", ["noon", [0.3], 1j])
+def test_a_time_that_is_no_number_is_refused_by_name(time):
+    with pytest.raises(dt.ArgumentError, match="time must be a number, in seconds, got"):
+        Clock(STEP).periods(time)

@@ -319,6 +319,7 @@ def test_jitter_measures_earlier_by_up_to_its_most():
     loop = run(imperfections=[Jitter(0.06), StepDisturbance(FORCE)], seed=3)
     fine = run(imperfections=[Jitter(0.06), StepDisturbance(FORCE)], seed=3,
                times=np.linspace(0.0, 2.0, 20001)).states  # fmt: skip
+    assert (loop.measured[:, 0] == X0).all()  # nothing is earlier than the start
     early = []
     for k in range(1, loop.time.size):
         near = np.arange(max(0, 1000 * k - 1000), 1000 * k + 1)
@@ -358,6 +359,9 @@ def test_covariances_and_their_roots_are_those_of_a_quadrature():
         (StepDisturbance([1.0]), r"StepDisturbance.force must have shape \(n,\) = \(3,\)"),
         (StepDisturbance(FORCE, 2.0, 1.0), "0 ≤ start < end, got 2 and 1"),
         (StepDisturbance(FORCE, -1.0), "0 ≤ start < end"),
+        (StepDisturbance(FORCE, 0.0, "noon"), "0 ≤ start < end, got 0 and noon"),
+        (WhiteDisturbance("much"), "WhiteDisturbance.intensity must hold real numbers"),
+        (ColouredDisturbance(1.0, 1.0, [[1.0], [1.0, 2.0]]), "ColouredDisturbance.force must hold"),
         (MeasurementDelay(0.0), "MeasurementDelay.delay must be positive"),
         (Jitter(-0.1), "Jitter.most must be positive"),
         (Jitter(0.11), "Jitter.most must be at most one period, 0.1 s, got 0.11: .* LateSamples"),

@@ -83,6 +83,26 @@ def test_a_scalar_loop_has_the_margin_of_its_characteristic_equation():
     assert margin.upper == pytest.approx((1.0 + np.exp(-h)) / coefficient, rel=1e-6)
 
 
+@pytest.mark.parametrize(("pole", "step"), [(0.02, 0.01), (0.2, 0.001)])
+def test_a_slow_unstable_mode_is_lost_at_frequency_zero(pole, step):
+    # At rest u = −K̂ x and 0 = p x + k u: the least factor makes the static gain 1.
+    plant = plants.scalar(pole, delay=1.0)
+    law = dt.SingleModePredictor(plant, dt.lqr(plant, [[1.0]], [[1.0]]), 0)
+    table = law.digital(step)
+    F, G = table.state_gain[0, 0, 0], table.input_gain[0, :, 0, 0].sum()
+    margin = dt.gain_margin(plant, law, step)
+    assert margin.lower == pytest.approx(-pole * (1.0 - G) / F, rel=1e-8)
+
+
+def test_a_plant_that_integrates_bears_any_smaller_effect(recwarn):
+    plant = plants.scalar(0.0, delay=1.0)
+    law = dt.SingleModePredictor(plant, dt.place(plant, [-0.5]), 0)
+    margin = dt.gain_margin(plant, law, 0.01)
+    assert margin.lower == 0.0
+    assert 4.0 < margin.upper < 6.0
+    assert not recwarn
+
+
 def test_the_papers_first_mode_bears_three_and_a_half_percent():
     paper = dt.problems.paper().plant
     plant = dt.SwitchedSystem(paper.A[:1], paper.B[:1], paper.delay)

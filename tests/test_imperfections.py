@@ -222,6 +222,12 @@ def test_a_plant_that_switches_by_its_state_takes_imperfections_too():
         ([Dropout(1.2)], r"Dropout.probability must be in \[0, 1\], got 1.2"),
         ([LateSamples(0)], "LateSamples.periods must be an integer of at least 1"),
         ([ModeDelay(0)], "ModeDelay.periods must be"),
+        ([ModeDelay(10**30)], "ModeDelay.periods must be at most 1,000,000,000"),
+        ([Noise("loud")], "Noise.std must hold real numbers, one or"),
+        ([Noise([[1.0], [1.0, 2.0]])], "Noise.std must hold real numbers"),
+        ([Saturation("low", 1.0)], "Saturation.low must hold real numbers"),
+        ([Saturation(math.nan, 1.0)], "Saturation.low must not be NaN"),
+        (Noise(0.1), "imperfections must be a list of imperfections, got Noise"),
         ([WrongMode(-0.1)], "WrongMode.probability must be in"),
         ([Saturation(1.0, 1.0)], "Saturation must have low < high"),
         ([Saturation(0.0, [1.0, -1.0])], "Saturation must have low < high"),
@@ -231,6 +237,12 @@ def test_a_plant_that_switches_by_its_state_takes_imperfections_too():
 def test_malformed_imperfections_are_refused_by_name(imperfections, message):
     with pytest.raises(dt.ArgumentError, match=message):
         run(imperfections=imperfections)
+
+
+def test_a_saturation_may_have_one_side():
+    loop = run(imperfections=[Saturation(-math.inf, 1.0)])
+    assert loop.inputs.max() == 1.0
+    assert loop.inputs.min() < -1.0
 
 
 def test_what_goes_with_imperfections_is_checked():

@@ -261,6 +261,11 @@ def test_a_hidden_state_that_decays_is_no_obstacle_to_a_kalman_filter():
             lambda: dt.Observer(PLANT, C, np.zeros((2, 3)), STEP),
             "gain must have shape (n, p) = (3, 2), got (2, 3): pass the transpose",
         ),
+        (lambda: dt.Observer(PLANT, [[1.0], [1.0, 2.0]], [[1.0]], STEP), "C must hold real"),
+        (
+            lambda: dt.luenberger(plants.paper(), [[1.0, 0.0]], [-1, -2], 1e4),
+            "step = 10000 s is too",
+        ),
         (
             lambda: dt.Observer(PLANT, C, np.full((3, 2), np.nan), STEP),
             "gain[0, 0] must be finite",

@@ -151,6 +151,22 @@ def test_the_command_prints_sentences_and_leaves_a_picture(tmp_path, capsys, mon
 
 
 @pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"x0": np.zeros(3)}, "x0 must not be 0, from where nothing moves"),
+        ({"horizon": 0.25}, "horizon must be longer than the delay, 0.251 s, got 0.25"),
+        ({"imperfections": Noise(0.1)}, "imperfections must be a list"),
+    ],
+)
+def test_what_would_say_nothing_is_refused(changed, message):
+    arguments = {"x0": X0, "horizon": HORIZON, "imperfections": (), **changed}
+    with pytest.raises((dt.ArgumentError, TypeError), match=message):
+        dt.robustness(
+            PLANT, plants.LAWS["mean"](MODEL), SIGNAL, step=STEP, scenarios=1, **arguments
+        )
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--law", "nonsense"], "law must be one of"),

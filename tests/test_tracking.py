@@ -265,7 +265,9 @@ def test_a_reference_that_is_not_finite_is_refused_and_the_last_one_goes_on():
         assert (u == good.update([0.1, 0.2], 0, reference=[1.0, -2.0])).all()
         assert bad.status == (Status.BAD_REFERENCE if k == 4 else Status.OK)
     assert bad.refused == 1
-    with pytest.raises(dt.ArgumentError, match=r"reference must have shape \(2,\), got \(1,\)"):
+    with pytest.raises(
+        dt.ArgumentError, match=r"reference must have shape \(tracked,\) = \(2,\), got \(1,\)"
+    ):
         bad.update([0.1, 0.2], 0, reference=[1.0])
 
 
@@ -321,6 +323,10 @@ ZERO = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -1.0]]], [[[0.0], [1.0]]], 0.3)
         (
             lambda: tracking(reference=([0.0, 0.0], [1.0, 2.0])),
             "reference, times must increase, got [0.0, 0.0].",
+        ),
+        (
+            lambda: SERVO.place([1.0, 2.0, 3.0, 4.0, 5.0]),
+            "gains must make (x, q) decay in every mode",
         ),
         (
             lambda: tracking(reference=([0.0, 1.0], [1.0, 2.0, 3.0])),

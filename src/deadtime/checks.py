@@ -81,6 +81,26 @@ def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
     return result
 
 
+def as_floats(name: str, value: ArrayLike, form: str) -> np.ndarray:
+    """An array of floats of any shape; NaN and infinity pass."""
+    try:
+        raw = np.asarray(value)
+    except ValueError:
+        raw = np.empty(0, object)
+    if raw.dtype.kind not in "biuf":
+        raise ArgumentError(f"{name} must hold real numbers, {form}, got {value!r}.")
+    return raw.astype(float)
+
+
+def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    """A limit for each of m = `size` inputs, a number for all; infinite for none."""
+    array = as_floats(name, value, f"one or (m,) = ({size},)")
+    whole = np.full(size, array) if array.ndim == 0 else array
+    if np.isnan(whole).any():
+        raise ArgumentError(f"{name} must not be NaN, got {whole.tolist()}.")
+    return shaped(name, whole, (size,), "(m,)")
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     """A contiguous view that cannot be written through: one type for the compiled functions."""
     view = np.ascontiguousarray(array).view()

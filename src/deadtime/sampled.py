@@ -21,7 +21,12 @@ def held_pair(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np
     """Φ and Γ."""
     from deadtime.exponential import held
 
-    return held(read_only(A), read_only(B), step)
+    Phi, Gamma = held(read_only(A), read_only(B), step)
+    if not (np.isfinite(Phi).all() and np.isfinite(Gamma).all()):
+        raise ArgumentError(
+            f"step = {step:g} s is too long: within it the plant grows beyond what floats hold."
+        )
+    return Phi, Gamma
 
 
 def quotient(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:

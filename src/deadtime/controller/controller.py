@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import count, instance, positive
-from deadtime.controller.arguments import limits_of, vector
+from deadtime.controller.arguments import limits_of, require_state, vector
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.controller.status import Clock, Status
@@ -142,7 +142,8 @@ class Controller:
             When this sample was taken, seconds on any clock that goes on; give it always or
             never. Jitter below half a period is taken for none. A call whose period has been
             served is refused; periods without a call are made up for: their input is taken to
-            have been held, and `late` counts them.
+            have been held, and `late` counts them. A time more than 100,000 periods ahead is
+            refused like one out of order: the clock is not the same.
 
         Returns
         -------
@@ -157,18 +158,17 @@ class Controller:
             If a shape is wrong, or the mode is missing where the law reads it.
         """
         x = vector("x", x, self._measured)
+        applied = None if applied is None else vector("applied", applied, self._u.size)
+        self._require(mode, reference)
         periods = self._clock.periods(time)
         if not periods:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
             return self._answer(out)
-        for _ in range(min(periods - 1, self.table.taps)):
-            self._pass(applied)
+        self._pass(applied, periods - 1)
         status = self._remember(applied)
         status = self._see(mode) or status
         if self._observing:
             status = self._observe(x, reference, status)
-        elif reference is not None:
-            raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
         else:
             if not status and not np.isfinite(x).all():
                 status = Status.BAD_STATE
@@ -186,18 +186,30 @@ class Controller:
         out[:] = self._u
         return out
 
-    def _pass(self, applied: ArrayLike | None) -> None:
-        """A period without a call."""
-        self._remember(applied)
-        self._age = min(self._age + 1, self.table.ages)
-        if self._observing:
-            self._observing.see(self._latest, self._nothing, self._mode, None, self.samples)
-            self._observing.note(self._u)
-        self.samples += 1
+    def _require(self, mode: int | None, reference: ArrayLike | None) -> None:
+        """Refuse a call that lacks or misshapes something, before anything is changed."""
+        if self._reads_mode and mode is None:
+            raise ArgumentError("mode must be given: the rows of this law depend on it.")
+        if reference is None:
+            return
+        if self._observing is None:
+            raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
+        self._observing.require(reference)
 
-    def _remember(self, applied: ArrayLike | None) -> Status:
+    def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
+        """Periods without a call: the observer runs over all of them, the window holds the last."""
+        for _ in range(missed if self._observing else min(missed, self.table.taps)):
+            self._remember(applied)
+            if self._observing:
+                self._observing.see(self._latest, self._nothing, self._mode, None, self.samples)
+                self._observing.note(self._u)
+                self.samples += 1
+        self.samples += 0 if self._observing else missed
+        self._age = min(self._age + missed, self.table.ages)
+
+    def _remember(self, applied: Float[np.ndarray, " m"] | None) -> Status:
         """The input of the period that ends becomes the latest of the past ones."""
-        u = self._u if applied is None else vector("applied", applied, self._u.size)
+        u = self._u if applied is None else applied
         finite = bool(np.isfinite(u).all())
         self._latest[:] = u if finite else self._u
         self._past.push(self._latest)
@@ -207,16 +219,15 @@ class Controller:
         """Follow the sampled mode and its age."""
         if not self._reads_mode:
             return Status.OK
-        if mode is None:
-            raise ArgumentError("mode must be given: the rows of this law depend on it.")
-        known = isinstance(mode, (int, np.integer)) and 0 <= mode < self.law.plant.modes
-        if not known or mode == self._mode:
+        number = int(mode) if isinstance(mode, (int, np.integer)) else -1
+        known = 0 <= number < self.law.plant.modes
+        if not known or number == self._mode:
             self._age = min(self._age + 1, self.table.ages)
         elif self._mode >= 0:
             self._age = 0
         if not known:
             return Status.BAD_MODE
-        self._mode = int(mode)
+        self._mode = number
         return Status.OK
 
     def _observe(self, y: np.ndarray, reference: ArrayLike | None, status: Status) -> Status:
@@ -268,19 +279,7 @@ class Controller:
 
         Raises `ArgumentError` for a state of another law or step.
         """
-        own = self.state
-        for name in ("law", "step", "taps"):
-            if state.get(name) != own[name]:
-                raise ArgumentError(
-                    f"state must come from a controller of the same {name} = {own[name]}, got "
-                    f"{state.get(name)}."
-                )
-        for name, value in own.items():
-            if name not in state or np.shape(state[name]) != np.shape(value):
-                raise ArgumentError(
-                    f"state[{name!r}] must have shape {np.shape(value)}: pass what "
-                    "`Controller.state` gave."
-                )
+        require_state(state, self.state, self.law.plant.modes)
         self._past.load(state)
         if self._observing:
             self._observing.load(state)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from deadtime.checks import as_floats, shaped
 from deadtime.errors import ArgumentError
 from deadtime.output_feedback import OutputFeedback
 
@@ -44,19 +45,22 @@ class Observing:
 
     def _follow(self, reference: ArrayLike | None, samples: int) -> bool:
         if self._reference is None:
-            if reference is not None:
-                raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
             return False
         if reference is None:
             self._r[:] = self._reference(samples * self._step)
             return False
-        r = np.asarray(reference, dtype=float)
-        if r.shape != self._r.shape:
-            raise ArgumentError(f"reference must have shape {self._r.shape}, got {r.shape}.")
+        r = self.require(reference)
         if not np.isfinite(r).all():
             return True
         self._r[:] = r
         return False
+
+    def require(self, reference: ArrayLike) -> Float[np.ndarray, " r"]:
+        """A reference of the right shape; its entries need not be finite."""
+        if self._reference is None:
+            raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
+        r = as_floats("reference", reference, f"shape {self._r.shape}")
+        return shaped("reference", r, self._r.shape, "(tracked,)")
 
     def note(self, asked: Float[np.ndarray, " m"]) -> None:
         """What the law asked for, to be compared with what is applied."""

@@ -7,6 +7,10 @@ import math
 
 import numpy as np
 
+from deadtime.errors import ArgumentError
+
+_MOST = 100_000  # periods that a call may be ahead of the last one
+
 
 class Status(enum.IntEnum):
     """What became of the last period."""
@@ -43,12 +47,21 @@ class Clock:
 
     def periods(self, time: float | None) -> int:
         """How many periods have begun since the last call; 0: none, the call is out of order."""
-        origin, last = self.state
-        if time is None or math.isnan(origin):
-            if time is not None and math.isfinite(time):
-                self.state[:] = time, 0.0
-            return 1 if time is None or math.isfinite(time) else 0
-        now = round((time - origin) / self._step) if math.isfinite(time) else last
-        periods = max(0, int(now - last))
+        if time is None:
+            return 1
+        try:
+            now = float(time)
+        except (TypeError, ValueError):
+            raise ArgumentError(f"time must be a number, in seconds, got {time!r}.") from None
+        origin, last = self.state.tolist()
+        if not math.isfinite(now):
+            return 0
+        if math.isnan(origin):
+            self.state[:] = now, 0.0
+            return 1
+        ahead = (now - origin) / self._step - last
+        if not 0.5 <= ahead <= _MOST:
+            return 0
+        periods = math.floor(ahead + 0.5)
         self.state[1] += periods
         return periods

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from deadtime.checks import bound
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import Act, ActuatorImperfection, Sizes, per_signal
 
@@ -19,7 +20,7 @@ class Saturation(ActuatorImperfection):
     Parameters
     ----------
     low, high : array_like
-        Scalars or shape (m,), low < high.
+        Scalars or shape (m,), low < high; infinite for no limit on a side.
     """
 
     kind: ClassVar[int] = 6
@@ -27,8 +28,8 @@ class Saturation(ActuatorImperfection):
     high: ArrayLike
 
     def actuator(self, sizes: Sizes) -> Act:
-        low = per_signal("Saturation.low", self.low, sizes.inputs)
-        high = per_signal("Saturation.high", self.high, sizes.inputs)
+        low = bound("Saturation.low", self.low, sizes.inputs)
+        high = bound("Saturation.high", self.high, sizes.inputs)
         if (low >= high).any():
             raise ArgumentError(
                 f"Saturation must have low < high, got {low.tolist()} and {high.tolist()}."

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import instance, number, real_array, shaped
+from deadtime.checks import as_floats, instance, number, real_array, shaped
 from deadtime.errors import ArgumentError
 
 
@@ -50,7 +50,12 @@ class SensorImperfection(Imperfection):
 
 
 class TimingImperfection(Imperfection):
-    """Changes when the law's measurement is taken."""
+    """Changes when the law's measurement is taken.
+
+    `waits` says whether what was measured before time 0 is missing, or time 0 is taken instead.
+    """
+
+    waits: ClassVar[bool]
 
     @abstractmethod
     def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
@@ -81,6 +86,10 @@ class Disturbance(Imperfection):
 
 def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.Generator]:
     """A generator for each, which the presence of the others does not change."""
+    if not isinstance(imperfections, Sequence) or isinstance(imperfections, str):
+        raise ArgumentError(
+            f"imperfections must be a list of imperfections, got {type(imperfections).__name__}."
+        )
     seen: dict[int, int] = {}
     result = []
     for one in imperfections:
@@ -109,7 +118,7 @@ def require(one: Imperfection, sizes: Sizes) -> None:
 
 
 def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:
-    array = np.asarray(value, dtype=float)
+    array = as_floats(name, value, f"one or ({size},)")
     whole = np.full(size, array) if array.ndim == 0 else array
     return shaped(name, real_array(name, whole, "(size,)", 1), (size,), "(size,)")
 

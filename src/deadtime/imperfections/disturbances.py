@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import number, read_only, real_array, shaped
+from deadtime.checks import as_floats, number, read_only, real_array, shaped
 from deadtime.covariance import noise_covariance, square_root, transition
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
@@ -52,7 +52,7 @@ class WhiteDisturbance(Disturbance):
 
     def _checked(self, n: int) -> np.ndarray:
         name = "WhiteDisturbance.intensity"
-        given = np.asarray(self.intensity, dtype=float)
+        given = as_floats(name, self.intensity, "one, (n,) or (n, n)")
         if given.ndim < 2:
             given = np.diag(per_signal(name, given, n))
         W = shaped(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
@@ -121,7 +121,7 @@ class ColouredDisturbance(Disturbance):
         return np.hstack((M[:n, n:] - slope * kept, slope, left))
 
     def _checked(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        given = np.asarray(self.force, dtype=float)
+        given = as_floats("ColouredDisturbance.force", self.force, "(n, q)")
         given = given[:, None] if given.ndim == 1 else given
         E = real_array("ColouredDisturbance.force", given, "(n, q)", 2)
         shaped("ColouredDisturbance.force", E, (n, E.shape[1]), "(n, q)")
@@ -156,11 +156,15 @@ class StepDisturbance(Disturbance):
         self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
         start = number("StepDisturbance.start", self.start)
-        if not 0.0 <= start < self.end:
+        try:
+            end = float(self.end)
+        except (TypeError, ValueError):
+            end = math.nan
+        if not 0.0 <= start < end:
             raise ArgumentError(
                 f"StepDisturbance must have 0 ≤ start < end, got {start:g} and {self.end}."
             )
-        first, stop = (math.ceil(snap(min(t / sizes.step, steps))) for t in (start, self.end))
+        first, stop = (math.ceil(snap(min(t / sizes.step, steps))) for t in (start, end))
         active = np.zeros((steps, 2, 1))
         active[first:stop] = 1.0
         return active

@@ -21,6 +21,8 @@ from deadtime.imperfections.base import (
     probability_of,
 )
 
+_MOST = 10**9  # periods
+
 
 @dataclass(frozen=True)
 class Noise(SensorImperfection):
@@ -116,7 +118,10 @@ class ModeDelay(SensorImperfection):
     periods: int
 
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        modes: deque[int] = deque(maxlen=count("ModeDelay.periods", self.periods) + 1)
+        periods = count("ModeDelay.periods", self.periods)
+        if periods > _MOST:
+            raise ArgumentError(f"ModeDelay.periods must be at most {_MOST:,}, got {periods}.")
+        modes: deque[int] = deque(maxlen=periods + 1)
 
         def sense(seen: Seen) -> Seen:
             modes.append(seen.mode)

@@ -25,6 +25,7 @@ class MeasurementDelay(TimingImperfection):
     """
 
     kind: ClassVar[int] = 11
+    waits: ClassVar[bool] = True
     delay: float
 
     def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
@@ -36,6 +37,8 @@ class MeasurementDelay(TimingImperfection):
 class Jitter(TimingImperfection):
     """Samples are taken up to `most` seconds early, uniformly, and used as if they were not.
 
+    The first is taken at time 0.
+
     Parameters
     ----------
     most : float
@@ -43,6 +46,7 @@ class Jitter(TimingImperfection):
     """
 
     kind: ClassVar[int] = 12
+    waits: ClassVar[bool] = False
     most: float
 
     def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import instance, positive, real_array, shaped
+from deadtime.checks import as_floats, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.sampled import held_pair
@@ -151,7 +151,7 @@ class Observer:
 
 def output_matrices(C: ArrayLike, plant: SwitchedSystem) -> Float[np.ndarray, "mode p n"]:
     """C as one (p, n) matrix per mode."""
-    ndim = np.ndim(C) if not isinstance(C, np.ndarray) else C.ndim
+    ndim = as_floats("C", C, "shape (p, n) or (modes, p, n)").ndim
     form = "(modes, p, n)" if ndim == 3 else "(p, n)"
     array = real_array("C", C, form, 3 if ndim == 3 else 2)
     if array.shape[-1] != plant.states:
@@ -166,7 +166,7 @@ def per_mode(
     name: str, value: ArrayLike, modes: int, shape: tuple[int, ...], form: str
 ) -> Float[np.ndarray, "mode rows columns"]:
     """One matrix for all modes, or one per mode, as the latter (read-only)."""
-    given = np.asarray(value)
+    given = as_floats(name, value, f"shape {form}")
     if given.ndim == 3:
         array = real_array(name, given, f"(modes, {form[1:]}", 3)
         return shaped(name, array, (modes, *shape), f"(modes, {form[1:]}")

@@ -8,8 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, positive, real_array, shaped
-from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay
+from deadtime.checks import count, instance, positive, real_array, shaped
+from deadtime.errors import ArgumentError
+from deadtime.imperfections import (
+    Disturbance,
+    Dropout,
+    Imperfection,
+    LateSamples,
+    ModeDelay,
+    Noise,
+    streams,
+)
 from deadtime.laws.base import Law, TableLaw
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
@@ -112,9 +121,20 @@ def robustness(
     >>> result.late.tolerated, result.lag
     (12.0, None)
     """
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
     x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
     step, horizon = positive("step", step), positive("horizon", horizon)
+    streams(imperfections, seed)
+    if horizon <= plant.delay:
+        raise ArgumentError(
+            f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
+            "then no input arrives."
+        )
+    moved = any(isinstance(one, (Disturbance, Noise)) for one in imperfections)
+    if not (x0.any() or moved):
+        raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
     setting = Setting(plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections))
     inner = law.law if isinstance(law, OutputFeedback) else law
     table = isinstance(inner, TableLaw)

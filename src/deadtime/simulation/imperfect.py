@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from deadtime.imperfections import (
     Sizes,
     TimingImperfection,
 )
-from deadtime.imperfections.base import Lag
 from deadtime.laws.base import Remembering, Update
 from deadtime.plant import SwitchedSystem
+
+Lags = Callable[[], tuple[float, float]]
 
 
 class ImperfectLaw:
@@ -30,7 +31,8 @@ class ImperfectLaw:
     Attributes
     ----------
     lag : callable or None
-        How long before a sample its state is to be measured, seconds; called once a sample.
+        How long before a sample its state is to be measured, seconds, in two parts: what is missing
+        before time 0, and what is not; called once a sample.
     measured : (samples, n) or (samples, p)
         What the law was told of x or y, NaN where nothing arrived.
     commanded : (samples, m)
@@ -57,8 +59,12 @@ class ImperfectLaw:
         self._actuators = [
             one.actuator(sizes) for one, _ in pairs if isinstance(one, ActuatorImperfection)
         ]
-        lags = [one.lag(sizes, rng) for one, rng in pairs if isinstance(one, TimingImperfection)]
-        self.lag: Lag | None = (lambda: sum(lag() for lag in lags)) if lags else None
+        timings = [(one, rng) for one, rng in pairs if isinstance(one, TimingImperfection)]
+        waits = [one.lag(sizes, rng) for one, rng in timings if one.waits]
+        early = [one.lag(sizes, rng) for one, rng in timings if not one.waits]
+        self.lag: Lags | None = None
+        if timings:
+            self.lag = lambda: (sum(lag() for lag in waits), sum(lag() for lag in early))
         self._update = update
         self._tells_commands = predict == "commanded"
         self._pipe: np.ndarray | None = None

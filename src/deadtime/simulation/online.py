@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.errors import ChatteringError
-from deadtime.imperfections.base import Lag
 from deadtime.laws.base import Law, Update
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
-from deadtime.simulation.imperfect import ImperfectLaw
+from deadtime.simulation.imperfect import ImperfectLaw, Lags
 from deadtime.simulation.record import DigitalRecord, PhaseTable
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.steps import modes_at, snap
@@ -81,7 +80,7 @@ def run_online(
 def _run(
     truth: Truth,
     update: Update,
-    lag: Lag | None,
+    lag: Lags | None,
     age: int,
     x0: np.ndarray,
     horizon: float,
@@ -105,7 +104,7 @@ def _run(
         if k < kept:
             age = age if last is None else age + 1 if truth.mode == last else 0
             last = truth.mode
-            seen = x if lag is None else _before(truth, k, lag(), states, grid)
+            seen = x if lag is None else _before(truth, k, *lag(), states, grid)
             try:
                 inputs[now] = update(seen, inputs[:now], last, age)
             except ChatteringError as error:
@@ -123,10 +122,12 @@ def _run(
     return kept, states[: kept + ahead], at_phase[: kept + ahead - 1], stop
 
 
-def _before(truth: Truth, k: int, lag: float, states: np.ndarray, grid: Grid) -> np.ndarray:
-    """x(t_k − lag), NaN before time 0."""
-    ratio = snap(k - lag / grid.window.step)
-    if ratio < 0.0:
+def _before(
+    truth: Truth, k: int, late: float, early: float, states: np.ndarray, grid: Grid
+) -> np.ndarray:
+    """x(t_k − late − early), at time 0 at least; NaN while nothing has arrived."""
+    ratio = max(0.0, snap(k - (late + early) / grid.window.step))
+    if snap(k - late / grid.window.step) < 0.0:
         return np.full(states.shape[1], np.nan)
     j = int(np.floor(ratio))
     if ratio == j:

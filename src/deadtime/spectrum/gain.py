@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +28,7 @@ from deadtime.spectrum.small_matrices import inverses
 
 _TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
 _LARGEST = 1e6  # factors beyond are as good as infinite
+_GROWTH = 1e-8  # 1/s: what round-off may make of a loop that only just decays
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,23 +113,34 @@ def _interval(plant: SwitchedSystem, law: Law, mode: int, step: float) -> tuple[
     """The factors next to 1 at which this mode is lost."""
     factors = _candidates(digital_response(plant, law, mode, step), plant.delay)
 
-    def stable(factor: float) -> bool:
+    def lost(factor: float) -> bool:
         changed = SwitchedSystem(plant.A, factor * plant.B, plant.delay)
-        return growth_rate(changed, law, mode, step) < 0.0
+        return growth_rate(changed, law, mode, step) >= _GROWTH
 
-    above = np.append(factors[factors > 1.0], _LARGEST)
-    below = np.append(factors[factors < 1.0][::-1], 1.0 / _LARGEST)
-    high = next((a for a, b in itertools.pairwise(above) if not stable(math.sqrt(a * b))), math.inf)
-    low = next((a for a, b in itertools.pairwise(below) if not stable(math.sqrt(a * b))), 0.0)
-    return float(low), float(high)
+    def limit(outwards: list[float]) -> float | None:
+        """The first factor beyond which the mode is lost; the last is as far as any matters."""
+        for a, b in itertools.pairwise(outwards):
+            if lost(math.sqrt(a * b)):
+                return a
+        good, bad = 1.0, outwards[-1]
+        if not lost(bad):
+            return None
+        # A crossing between two frequencies was missed.
+        while abs(math.log(bad / good)) > 1e-12:
+            middle = math.sqrt(good * bad)
+            good, bad = (good, middle) if lost(middle) else (middle, bad)
+        return good
+
+    high = limit([*factors[factors > 1.0].tolist(), _LARGEST])
+    low = limit([*factors[factors < 1.0][::-1].tolist(), 1.0 / _LARGEST])
+    return 0.0 if low is None else low, math.inf if high is None else high
 
 
 def _candidates(response: DigitalResponse, delay: float) -> Float[np.ndarray, " factor"]:
     """Every factor at which a root stands at the limit of stability, increasing."""
     highest = response.highest
     count = int(8.0 * highest * (response.memory + delay)) + 256
-    # The ends are approached: a plant that integrates has an infinite gain at frequency 0.
-    omega = np.linspace(1e-9, 1.0 - 1e-12, count) * highest
+    omega = np.linspace(1e-9, 1.0 - 1e-9, count) * highest
     gains = _gains(response, omega, delay)
     while True:
         gains = _matched(gains)
@@ -142,12 +155,16 @@ def _candidates(response: DigitalResponse, delay: float) -> Float[np.ndarray, " 
         omega = np.concatenate((omega, middle))[order]
     real, imag = np.real(gains), np.imag(gains)
     crossing = (imag[1:] * imag[:-1] < 0.0) & (real[1:] + real[:-1] > 0.0)
-    ends: list[complex] = gains[[0, -1]].ravel().tolist()
-    found = [z.real for z in ends if abs(z.imag) <= 1e-5 * abs(z)]
+    found: list[Any] = []
+    for end in (0.0, highest):
+        # A plant that integrates has an infinite gain at frequency 0: no factor ends there.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values: Any = _gains(response, np.array([end]), delay).ravel().tolist()
+        found += [z.real for z in values if abs(z.imag) <= 1e-9 * abs(z) < math.inf]
     for i, j in np.argwhere(crossing):
         found.append(_refined(response, delay, omega[i : i + 2], gains[i : i + 2, j]))
-    values = np.array([value for value in found if value > 1.0 / _LARGEST])
-    return np.unique(1.0 / values)
+    real = np.array([value for value in found if value > 1.0 / _LARGEST])
+    return np.unique(1.0 / real)
 
 
 def _gains(response: DigitalResponse, omega: np.ndarray, delay: float) -> np.ndarray:
@@ -155,6 +172,7 @@ def _gains(response: DigitalResponse, omega: np.ndarray, delay: float) -> np.nda
     samples = response.samples(omega)
     p, _, _ = response.pipe(omega, np.full(omega.size, delay))
     L = inverses(samples.M) @ samples.r @ p
+    L = np.where(np.isfinite(L), L, 1e300)
     return L[:, :, 0] if L.shape[1] == 1 else np.linalg.eigvals(L)
 
 

@@ -208,6 +208,7 @@ class Servo:
             return np.zeros((0, r))
         driven, weight = self._driven, np.zeros((n + r, n + r))
         qq, qx = np.zeros((r, r)), np.zeros((r, r))
+        _require_decay(driven, K, step)
         for i, X in enumerate(X_r):
             HC = self.tracked @ self.C[i, :, :n]
             weight[:n, :n] = HC.T @ HC
@@ -224,6 +225,23 @@ class Servo:
     def __repr__(self) -> str:
         d = self.disturbance.shape[2]
         return f"Servo(tracked={len(self.tracked)}, sums={self.sums}, disturbances={d})"
+
+
+def _require_decay(
+    driven: SwitchedSystem, K: Float[np.ndarray, "mode m xq"], step: float | None
+) -> None:
+    """Refuse gains under which (x, q) does not decay in some mode: nothing would settle."""
+    for i, (A, B) in enumerate(zip(driven.A, driven.B, strict=True)):
+        if step is None:
+            rate = np.linalg.eigvals(A + B @ K[i]).real.max()
+        else:
+            Phi, Gamma = held_pair(A, B, step)
+            rate = np.log(np.abs(np.linalg.eigvals(Phi + Gamma @ K[i])).max()) / step
+        if rate >= 0.0:
+            raise ArgumentError(
+                f"gains must make (x, q) decay in every mode; mode {i} has the rate {rate:+.3g} "
+                "1/s: poles must lie left of the imaginary axis."
+            )
 
 
 def _extended(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> SwitchedSystem:
