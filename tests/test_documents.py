@@ -98,7 +98,7 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 10
+    assert len(commands) == 11
     dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
     (study,) = (command.split()[1] for command in commands if command.startswith("study"))
     load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones
@@ -109,6 +109,8 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
             command += " --no-certificates"  # tests/test_cli.py runs it whole
         if command.startswith("robustness"):
             command += " --scenarios 2"
+        if command.startswith("design"):
+            command += " --budget 100"
         with pytest.raises(SystemExit) as stopped:
             main(command.split())
         assert stopped.value.code == 0, command
