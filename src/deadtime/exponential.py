@@ -87,6 +87,18 @@ def _doublings(size):
 
 
 @njit(cache=True)
+def advance(Phi, Gamma, x, u, result):
+    """result = Φ x + Γ u."""
+    for i in range(x.size):
+        total = 0.0
+        for j in range(x.size):
+            total += Phi[i, j] * x[j]
+        for j in range(u.size):
+            total += Gamma[i, j] * u[j]
+        result[i] = total
+
+
+@njit(cache=True)
 def held(A, B, tau):
     """Φ (n, n) and Γ (n, m) over a piece of length `tau` seconds with the input held."""
     n = A.shape[0]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from deadtime.exponential import advance
+
 LARGEST = 1e60  # |x|²: beyond, the loop grows
 
 
@@ -21,18 +23,6 @@ def _form(Q, x, u):
             row += Q[i, n + j] * u[j]
         total += row * (x[i] if i < n else u[i - n])
     return total
-
-
-@njit(cache=True)
-def _moved(Phi, Gamma, x, u, result):
-    """Φ x + Γ u."""
-    for i in range(x.size):
-        total = 0.0
-        for j in range(x.size):
-            total += Phi[i, j] * x[j]
-        for j in range(u.size):
-            total += Gamma[i, j] * u[j]
-        result[i] = total
 
 
 @njit(cache=True)
@@ -65,7 +55,7 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
                 at = (k - count + phase) * m
                 u = inputs[at : at + m]
                 added += _form(Q[phase], x, u)
-                _moved(Phi[phase], Gamma[phase], x, u, middle)
+                advance(Phi[phase], Gamma[phase], x, u, middle)
                 x[:] = middle
         total += added
         if not total < LARGEST:

@@ -92,14 +92,15 @@ class Estimator:
         A y that is None or not finite corrects nothing. `mode` is the sampled mode; below 0 it is
         not known, and the last one goes on, mode 0 before any was known.
         """
-        from deadtime.observers.kernel import correct, integrate, move, seen
+        from deadtime.exponential import advance
+        from deadtime.observers.kernel import correct, integrate, seen
 
         samples, place, before = self.counters
         oldest = (place + 1) % len(self.ring)
         self.ring[place], self.counters[1] = latest, oldest
         if samples:
             Phi, Gamma = self._late
-            move(Phi[before], Gamma[before], self.at_phase, self.ring[oldest], self._x)
+            advance(Phi[before], Gamma[before], self.at_phase, self.ring[oldest], self._x)
         mode = int(before) if mode < 0 else mode
         C = self.observer.C[mode]
         y = self._nothing if y is None else y
@@ -123,7 +124,7 @@ class Estimator:
             self.before[:] = self._now
             self._r[:] = 0.0 if reference is None else reference
         Phi, Gamma = self._early
-        move(Phi[mode], Gamma[mode], self._x, self.ring[oldest], self.at_phase)
+        advance(Phi[mode], Gamma[mode], self._x, self.ring[oldest], self.at_phase)
         self.counters[0], self.counters[2] = samples + 1, mode
         return self.z
 

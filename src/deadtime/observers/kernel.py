@@ -7,18 +7,6 @@ from numba import njit
 
 
 @njit(cache=True)
-def move(Phi, Gamma, x, u, result):
-    """result = Φ x + Γ u."""
-    for i in range(Phi.shape[0]):
-        total = 0.0
-        for j in range(Phi.shape[1]):
-            total += Phi[i, j] * x[j]
-        for j in range(u.size):
-            total += Gamma[i, j] * u[j]
-        result[i] = total
-
-
-@njit(cache=True)
 def correct(C, L, y, x, spare, innovation):
     """x += L (y − C x), if y and the answer are finite; says whether it did."""
     for i in range(y.size):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.exponential import between, energy_between, energy_gramian
+from deadtime.exponential import advance, between, energy_between, energy_gramian
 
 LIMIT = 1e100
 
@@ -17,18 +17,6 @@ def _dot(a, b):
     for i in range(a.size):
         total += a[i] * b[i]
     return total
-
-
-@njit(cache=True)
-def _advance(Phi, Gamma, x, u, result):
-    """result = Φ x + Γ u."""
-    for i in range(x.size):
-        total = 0.0
-        for j in range(x.size):
-            total += Phi[i, j] * x[j]
-        for j in range(u.size):
-            total += Gamma[i, j] * u[j]
-        result[i] = total
 
 
 @njit(cache=True)
@@ -70,12 +58,12 @@ def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past, shift):
             for i in range(m):
                 inputs[past + k, i] = _dot(G[row, i], recent) + _dot(F[row, i], x)
         i = index[k, 0]
-        _advance(Phi[i], Gamma[i], x, inputs[past + k - count], at_phase[k])
+        advance(Phi[i], Gamma[i], x, inputs[past + k - count], at_phase[k])
         if shift.size:
             at_phase[k] += shift[k, 0]
         i = index[k, 1]
         u = inputs[past + k - count + 1]
-        _advance(Phi[i], Gamma[i], at_phase[k], u, states[k + 1])
+        advance(Phi[i], Gamma[i], at_phase[k], u, states[k + 1])
         if shift.size:
             states[k + 1] += shift[k, 1]
         k += 1
@@ -93,10 +81,10 @@ def states_at(A, B, phase, cut_step, cut_offset, cut_mode, step, offset, states,
         Phi, Gamma, p, mode = between(
             A, B, cut_mode[p], cut_offset, cut_mode, p, stop, 0.0, min(o, phase)
         )
-        _advance(Phi, Gamma, states[k], acting[k, 0], result[i])
+        advance(Phi, Gamma, states[k], acting[k, 0], result[i])
         if o > phase:
             Phi, Gamma, p, mode = between(A, B, mode, cut_offset, cut_mode, p, stop, phase, o)
-            _advance(Phi, Gamma, result[i].copy(), acting[k, 1], result[i])
+            advance(Phi, Gamma, result[i].copy(), acting[k, 1], result[i])
     return result
 
 
