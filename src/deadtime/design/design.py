@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import count, instance, number, positive
 from deadtime.design.exact import Exact
-from deadtime.design.limits import delay_limit
+from deadtime.design.limits import DelayLimit, delay_limit
 from deadtime.design.message import sentences
 from deadtime.design.result import Design, TradeOff
 from deadtime.design.search import MakeLaw, Search, Tried, assessed
@@ -79,8 +81,8 @@ def design(
     Raises
     ------
     ArgumentError
-        If an argument is malformed, a mode is not controllable, or the law family makes laws that
-        are no table or foresee the signal.
+        If an argument is malformed, a mode is not controllable or has no `delay_limit`, or the law
+        family makes laws that are no table or foresee the signal.
 
     Notes
     -----
@@ -97,16 +99,18 @@ def design(
     """
     asked = _checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
     given = None if gains is None else checked_gains(plant, gains, True)
-    budget, make = count("budget", budget, 20), law or _averaged
+    budget, seed = count("budget", budget, 20), count("seed", seed, 0)
+    make = _averaged if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
+    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
     plain = _plain(plant, _required_table(plant, make, start), step, cost == "worst")
     search = Search(plant, make, cost == "worst", budget, dearest)
     pairs = pairs_of(search, filtered, step, longest_step)
     spend(search, pairs, start, asked, np.random.default_rng(seed))
     exact = Exact(plant, search)
-    return _result(plant, exact, exact.choose(asked), asked, plain, start)
+    return _result(plant, exact, exact.choose(asked), asked, plain, start, limits)
 
 
 def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
@@ -122,6 +126,7 @@ def _result(
     asked: float,
     plain: TradeOff,
     gains: np.ndarray,
+    limits: tuple[DelayLimit, ...],
 ) -> Design:
     """What was chosen, or the plain design where nothing is stable."""
     law, step, cost = plain.law, plain.step, plain.cost
@@ -133,7 +138,6 @@ def _result(
         cost = assessed(plant, law, step, exact.search.worst)[1]
     growth = _ends(plant, law, step, asked)
     reached = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
-    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     found = TradeOff(law, step, margin.relative or 0.0, cost)
     tried = exact.search.spent
     return Design(
@@ -181,7 +185,7 @@ def _checked(
             f"longest_step must be at least the step, {step:g} s, got {longest_step:g}: leave it "
             "out to keep the step."
         )
-    if filtered not in (None, True, False):
+    if not (filtered is None or isinstance(filtered, (bool, np.bool_))):
         raise ArgumentError(f"filtered must be True, False or None for both, got {filtered!r}.")
     if cost not in ("mean", "worst"):
         raise ArgumentError(f'cost must be "mean" or "worst" over the modes, got {cost!r}.')
@@ -194,6 +198,7 @@ def _required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> 
     """The plain design's law, if the family's laws can be run."""
     if not callable(make):
         raise ArgumentError(f"law must be a function (plant, gains) -> law, got {make!r}.")
+    _require_two_arguments(make)
     law = make(plant, gains)
     kind = type(law).__name__
     if not isinstance(law, TableLaw):
@@ -208,6 +213,21 @@ def _required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> 
         )
     require_match(plant, law)
     return law
+
+
+def _require_two_arguments(make: MakeLaw) -> None:
+    """Refuse a function that cannot be called with a plant and gains."""
+    try:
+        takes = inspect.signature(make)
+    except (TypeError, ValueError):
+        return  # compiled: it has none to be read
+    try:
+        takes.bind(None, None)
+    except TypeError:
+        raise ArgumentError(
+            "law must be a function (plant, gains) -> law that takes these two by position, got "
+            f"one that takes {takes}."
+        ) from None
 
 
 def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
