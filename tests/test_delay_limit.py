@@ -1,7 +1,9 @@
 """What any linear controller could reach: closed forms, quadrature, and loops that try."""
 
+import itertools
 import math
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -9,7 +11,7 @@ from scipy.optimize import brentq
 
 import deadtime as dt
 import plants
-from deadtime.design.limits import delay_weight, half_angle_weight
+from deadtime.design.weights import delay_weight, half_angle_weight
 
 
 def one_mode(A, B, delay):
@@ -133,8 +135,118 @@ def test_poles_on_the_axis_limit_only_what_small_gain_promises():
     assert limit.most == math.inf
 
 
+# -- poles that nearly coincide ------------------------------------------------------------------
+
+
+def log_outer(level, p, points):
+    """log of the outer function of log modulus level(x), at p, in many digits."""
+    kernel = [
+        mpmath.quad(lambda x: level(x) * p / (p * p + x * x), [a, b])
+        for a, b in itertools.pairwise(points)
+    ]
+    return 2 / mpmath.pi * sum(kernel)
+
+
+def small_gain_values(poles, delay, Delta):
+    def near(x):
+        return mpmath.log(mpmath.sinc(x / 2)) if x else mpmath.mpf(0)
+
+    for p in poles:
+        q = p * Delta
+        far = mpmath.quad(
+            lambda t, q=q: mpmath.log(2 * t / mpmath.pi) * mpmath.pi * q
+            / (q * q * t * t + mpmath.pi**2), [0, 1]
+        )  # fmt: skip
+        log_W = log_outer(near, q, [0, q, 1, 3, mpmath.pi]) + 2 / mpmath.pi * far
+        yield q * mpmath.exp(log_W + p * delay)
+
+
+def necessary_values(poles, delay, Delta):
+    def level(angle, q):
+        log = mpmath.log(mpmath.tan(mpmath.pi / 4 + angle / 4))
+        return log * q / (q**2 * mpmath.cos(angle) ** 2 + mpmath.sin(angle) ** 2)
+
+    for p in poles:
+        q = p * Delta
+        corner = min(mpmath.atan(q), 1)
+        ends = [0, corner, mpmath.pi / 2]
+        log_O = 2 / mpmath.pi * mpmath.quad(lambda angle, q=q: level(angle, q), ends)
+        yield mpmath.tan(mpmath.asin(q) / 2) * mpmath.exp(p * (delay - Delta) - log_O)
+
+
+def pick_is_positive(values, poles):
+    f, size = list(values), range(len(poles))
+    entries = [[(1 - f[i] * f[j]) / (poles[i] + poles[j]) for j in size] for i in size]
+    return min(mpmath.eigsy(mpmath.matrix(entries), eigvals_only=True)) >= 0
+
+
+@pytest.mark.parametrize(
+    ("poles", "delay"),
+    [
+        ((1.0, 1.0 + 1e-7), 1.0),
+        (tuple(1.0 + 0.03 * np.arange(5)), 0.2),
+        (tuple(np.linspace(1.0, 1.001, 6)), 0.6),
+    ],
+)
+def test_limits_of_nearly_equal_poles_are_those_of_a_pick_matrix_in_many_digits(poles, delay):
+    limit = dt.delay_limit(one_mode(np.diag(poles), np.ones((len(poles), 1)), delay))
+    with mpmath.workdps(50):
+        exact = [mpmath.mpf(pole) for pole in poles]
+        for values, found in ((small_gain_values, limit.reached), (necessary_values, limit.most)):
+            if math.isinf(found):
+                continue
+            for factor, expected in ((1 - 1e-8, True), (1 + 1e-8, False)):
+                at = values(exact, delay, mpmath.mpf(found * factor) * delay)
+                assert pick_is_positive(at, exact) is expected
+
+
+def test_with_several_inputs_the_pick_matrix_has_the_directions_of_the_rows():
+    poles, delay = np.array([1.0, 1.7, 2.0]), 1.0
+    B = np.array([[1.0, 0.2], [0.3, -1.0], [0.8, 0.5]])
+    limit = dt.delay_limit(one_mode(np.diag(poles), B, delay))
+
+    def least(error):
+        f = np.array([weight(p * error) * np.exp(p * delay) for p in poles])
+        X1 = (B @ B.T) / np.add.outer(poles, poles)
+        return np.linalg.eigvalsh(X1 - f[:, None] * X1 * f).min()
+
+    assert limit.reached == pytest.approx(brentq(least, 1e-3, 0.2), rel=1e-8)
+    turn, scale = np.array([[0.6, 0.8], [-0.8, 0.6]]), np.diag([1e4, 1.0, 1e-5])
+    same = dt.delay_limit(one_mode(np.diag(poles), scale @ B @ turn, delay))
+    assert same.reached == pytest.approx(limit.reached, rel=1e-8)
+
+
+def test_rows_of_several_inputs_that_cannot_be_told_apart_are_refused():
+    B = np.random.default_rng(0).normal(size=(6, 2))
+    with pytest.raises(dt.ArgumentError, match="mode 0 has unstable poles too close to each other"):
+        dt.delay_limit(one_mode(np.diag(np.linspace(1.0, 1.001, 6)), B, 0.3))
+
+
+@pytest.mark.parametrize("growth", [20.0, 50.0, 300.0])
+def test_tiny_limits_are_their_asymptotes(growth):
+    # W → pΔ and tan(½ asin pΔ) → pΔ/2 as Δ → 0.
+    limit = dt.delay_limit(plants.scalar(1.0, 1.0, growth))
+    assert limit.reached == pytest.approx(np.exp(-growth) / growth, rel=1e-7)
+    assert limit.most == pytest.approx(2.0 * limit.reached, rel=1e-7)
+
+
+def test_a_limit_too_small_for_a_number_is_rounded_to_its_safe_side():
+    limit = dt.delay_limit(plants.scalar(1.0, 1.0, 800.0))
+    assert limit.reached == 0.0
+    assert 0.0 < limit.most < 1e-300
+
+
+@pytest.mark.parametrize("fixed", [[[0.0]], [[0.0, 2.0], [-2.0, 0.0]]])
+def test_a_pole_on_the_axis_that_no_input_reaches_is_refused(fixed):
+    size = len(fixed)
+    A = np.zeros((size + 1, size + 1))
+    A[:size, :size], A[size, size] = fixed, 1.0
+    with pytest.raises(dt.ArgumentError, match="mode 0 cannot be stabilised: no input reaches"):
+        dt.delay_limit(one_mode(A, [[0.0]] * size + [[1.0]], 1.0))
+
+
 def test_an_unstable_pole_that_no_input_reaches_is_refused():
-    with pytest.raises(dt.ArgumentError, match="mode 0 is not controllable"):
+    with pytest.raises(dt.ArgumentError, match="mode 0 cannot be stabilised"):
         dt.delay_limit(one_mode(np.diag([1.0, 2.0]), [[1.0], [0.0]], 1.0))
     calm = dt.delay_limit(one_mode(np.diag([1.0, -2.0]), [[1.0], [0.0]], 2.0))
     assert calm.reached < 0.08

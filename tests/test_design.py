@@ -11,8 +11,10 @@ import deadtime as dt
 import plants
 from deadtime.design.estimate import estimated_margin
 from deadtime.design.families import Poles, Weights
-from deadtime.design.message import percent
+from deadtime.design.limits import DelayLimit
+from deadtime.design.message import percent, sentences
 from deadtime.design.price import cost_and_growth, loop_cost
+from deadtime.design.result import TradeOff
 from deadtime.design.search import Search
 from deadtime.design.strategy import pairs_of
 from deadtime.spectrum import lifted_loop
@@ -304,6 +306,11 @@ def test_the_law_family_is_the_caller_s():
         ({"step": 0.1, "longest_step": 0.05}, r"longest_step must be at least the step, 0\.1 s"),
         ({"cost": "least"}, 'cost must be "mean" or "worst"'),
         ({"budget": 3}, "budget must be an integer of at least 20"),
+        ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
+        ({"seed": 1.5}, "seed must be an integer of at least 0, got 1.5"),
+        ({"filtered": np.array([True, False])}, "filtered must be True, False or None for both"),
+        ({"law": lambda plant: None}, r"takes these two by position, got one that takes \(plant\)"),
+        ({"law": 3}, r"law must be a function \(plant, gains\) -> law, got 3"),
         ({"dearest": 1.0}, "dearest must be above 1"),
         ({"gains": np.zeros((2, 1, 1))}, r"gains must hold one \(m, n\) matrix per mode, 1"),
         ({"law": lambda plant, gains: dt.ExactPredictor(plant, gains)}, "ExactPredictor foresees"),
@@ -322,6 +329,36 @@ def test_a_mode_that_cannot_be_controlled_is_refused():
     plant = dt.SwitchedSystem([np.diag([1.0, 2.0])], [[[1.0], [0.0]]], 0.1)
     with pytest.raises(dt.ArgumentError, match="mode 0 is not controllable"):
         dt.design(plant, delay_margin=0.1)
+
+
+def room(asked, *limits):
+    """The last sentence of a design's message."""
+    limits = [DelayLimit(*limit, np.empty(0, complex)) for limit in limits]
+    plain = TradeOff(LAW, 0.1, 0.0, math.inf)
+    return sentences(asked, False, None, plain, limits, 1).split("constant mode. ")[1]
+
+
+def test_the_modes_with_the_least_room_are_named():
+    oscillator, unstable = (0.052, math.inf), (0.347, 0.9)
+    both = "Some linear controller of mode 0 alone reaches 5.20 %, none of mode 1 alone more than "
+    assert room(0.1, oscillator, unstable) == both + "90.0 %."
+    assert room(0.95, oscillator, unstable).endswith("90.0 %: the margin asked for does not exist.")
+    one = "Some linear controller of mode 1 alone reaches 2.00 %, none more than 5.00 %."
+    assert room(0.01, (0.1, 0.2), (0.02, 0.05)) == one
+    assert room(0.01, (0.05, 0.5), (0.02, 0.5)).endswith("mode 1 alone reaches 2.00 %, none more "
+                                                        "than 50.0 %.")  # fmt: skip
+    assert room(0.1, (math.inf, math.inf), oscillator).endswith("of mode 1 alone reaches 5.20 %.")
+
+
+def test_limits_too_small_to_matter_are_numbers_all_the_same():
+    limit = dt.delay_limit(plants.scalar(1.0, 1.0, 33.0))
+    assert room(0.1, (limit.reached, limit.most)) == (
+        "Some linear controller of the mode alone reaches 1.41e-14 %, none more than 2.82e-14 %: "
+        "the margin asked for does not exist."
+    )
+    text = room(0.1, (0.0, 1e-303))
+    assert text.startswith("Small gain promises no linear controller of the mode alone any margin")
+    assert "more than none" not in text
 
 
 def test_margins_in_sentences_are_rounded_down():

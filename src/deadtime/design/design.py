@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, instance, number, positive
+from deadtime.checks import count
 from deadtime.design.exact import Exact
-from deadtime.design.limits import delay_limit
+from deadtime.design.limits import DelayLimit, delay_limit
 from deadtime.design.message import sentences
+from deadtime.design.request import checked, required_table
 from deadtime.design.result import Design, TradeOff
 from deadtime.design.search import MakeLaw, Search, Tried, assessed
 from deadtime.design.strategy import pairs_of, spend
-from deadtime.errors import ArgumentError
 from deadtime.gains import lqr, require_controllable
 from deadtime.laws.averaged import AveragedPredictor
-from deadtime.laws.base import Law, TableLaw, checked_gains, require_match
-from deadtime.laws.exact import ExactPredictor
+from deadtime.laws.base import Law, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.growth import growth_rate
 from deadtime.spectrum.margin import constant_delay_margin
@@ -79,8 +78,8 @@ def design(
     Raises
     ------
     ArgumentError
-        If an argument is malformed, a mode is not controllable, or the law family makes laws that
-        are no table or foresee the signal.
+        If an argument is malformed, a mode is not controllable or has no `delay_limit`, or the law
+        family makes laws that are no table or foresee the signal.
 
     Notes
     -----
@@ -95,18 +94,20 @@ def design(
     >>> found.reached, found.margin.relative >= 0.2, found.cost > found.plain.cost
     (True, True, True)
     """
-    asked = _checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    asked = checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
     given = None if gains is None else checked_gains(plant, gains, True)
-    budget, make = count("budget", budget, 20), law or _averaged
+    budget, seed = count("budget", budget, 20), count("seed", seed, 0)
+    make = _averaged if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
+    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
-    plain = _plain(plant, _required_table(plant, make, start), step, cost == "worst")
+    plain = _plain(plant, required_table(plant, make, start), step, cost == "worst")
     search = Search(plant, make, cost == "worst", budget, dearest)
     pairs = pairs_of(search, filtered, step, longest_step)
     spend(search, pairs, start, asked, np.random.default_rng(seed))
     exact = Exact(plant, search)
-    return _result(plant, exact, exact.choose(asked), asked, plain, start)
+    return _result(plant, exact, exact.choose(asked), asked, plain, start, limits)
 
 
 def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
@@ -122,6 +123,7 @@ def _result(
     asked: float,
     plain: TradeOff,
     gains: np.ndarray,
+    limits: tuple[DelayLimit, ...],
 ) -> Design:
     """What was chosen, or the plain design where nothing is stable."""
     law, step, cost = plain.law, plain.step, plain.cost
@@ -133,7 +135,6 @@ def _result(
         cost = assessed(plant, law, step, exact.search.worst)[1]
     growth = _ends(plant, law, step, asked)
     reached = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
-    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     found = TradeOff(law, step, margin.relative or 0.0, cost)
     tried = exact.search.spent
     return Design(
@@ -156,58 +157,6 @@ def _result(
 
 def _averaged(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor:
     return AveragedPredictor(plant, gains, allow_unstable=True)
-
-
-def _checked(
-    plant: SwitchedSystem,
-    delay_margin: float,
-    step: float,
-    filtered: bool | None,
-    longest_step: float | None,
-    cost: str,
-    dearest: float,
-) -> float:
-    """The margin asked for, once the arguments make sense."""
-    instance("plant", plant, SwitchedSystem)
-    asked = number("delay_margin", delay_margin)
-    if not 0.0 < asked < 1.0:
-        raise ArgumentError(
-            f"delay_margin must be above 0 and below 1, relative to the delay, got {asked:g}: "
-            "0.05 asks for ±5 %."
-        )
-    step = positive("step", step)
-    if longest_step is not None and positive("longest_step", longest_step) < step:
-        raise ArgumentError(
-            f"longest_step must be at least the step, {step:g} s, got {longest_step:g}: leave it "
-            "out to keep the step."
-        )
-    if filtered not in (None, True, False):
-        raise ArgumentError(f"filtered must be True, False or None for both, got {filtered!r}.")
-    if cost not in ("mean", "worst"):
-        raise ArgumentError(f'cost must be "mean" or "worst" over the modes, got {cost!r}.')
-    if number("dearest", dearest) <= 1.0:
-        raise ArgumentError(f"dearest must be above 1, times the cheapest cost, got {dearest:g}.")
-    return asked
-
-
-def _required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:
-    """The plain design's law, if the family's laws can be run."""
-    if not callable(make):
-        raise ArgumentError(f"law must be a function (plant, gains) -> law, got {make!r}.")
-    law = make(plant, gains)
-    kind = type(law).__name__
-    if not isinstance(law, TableLaw):
-        raise ArgumentError(
-            f"law must make laws that are tables, got {kind}: a delay margin is that of a linear "
-            "loop."
-        )
-    if isinstance(law, ExactPredictor):
-        raise ArgumentError(
-            "law must make laws that can run, but ExactPredictor foresees the signal: for a mode's "
-            "own exact law give a plant of that mode alone."
-        )
-    require_match(plant, law)
-    return law
 
 
 def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:

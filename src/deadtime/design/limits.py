@@ -12,6 +12,10 @@ Reached by none that is linear, time-invariant and continuous: what breaks, for 
 inequality with C = O(A₊)⁻¹ tan(½ asin(A₊Δ)) e^{A₊(D−Δ)} B₊, or A₊Δ having an eigenvalue on [1, ∞);
 for several inputs, for an eigenvalue p: |tan(½ asin(pΔ)) e^{p(D−Δ)}| ≤ |O(p)|. Here O is outer with
 |O(jω)| = tan(π/4 + ¼ atan(ωΔ)).
+
+C = f(A₊) B₊ in each case, so X₂ = f(A₊) X₁ f(A₊)ᵀ: in coordinates in which X₁ = I the inequality is
+‖f(A₊)‖ ≤ 1. Those of `_balanced` need no X₁, which is singular to machine precision where poles
+nearly coincide.
 """
 
 from __future__ import annotations
@@ -22,15 +26,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
 from deadtime.checks import index, instance
-from deadtime.gains import require_controllable
+from deadtime.design.weights import delay_weight, half_angle, half_angle_weight
+from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
+from deadtime.pole_placement import reachable
 
 SLOW = 1e-6  # of 1/D: poles below are not counted; what they cost is of that order
-_POINTS = 12
-_LEAST = 1e-15  # relative: a smaller limit is 0
+_LEAST = -700.0  # log of the relative error below which nothing is resolved, 1e-304
+_LOST = 1e-9  # of a direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +65,7 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
     Parameters
     ----------
     plant : SwitchedSystem
-        Its unstable poles must be controllable for a limit above 0.
+        No input need reach its decaying poles.
     mode : int
         The mode.
 
@@ -67,7 +73,14 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
     -------
     DelayLimit
         To about 1e-9 relative. Without unstable poles `most` is ∞. Poles within 1e-6/D of the
-        imaginary axis count as on it, and do not limit `most`.
+        imaginary axis count as on it, and do not limit `most`. Below 1e-304 `reached` is 0 and
+        `most` is 1e-304.
+
+    Raises
+    ------
+    ArgumentError
+        If an input is malformed; no input reaches a pole that is unstable or on the axis; or the
+        poles of several inputs nearly coincide, so that rounding decides which input is whose.
 
     Notes
     -----
@@ -89,29 +102,46 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
     """
     instance("plant", plant, SwitchedSystem)
     mode = index("mode", mode, plant.modes)
-    A, B, D = *_unstable(plant.A[mode], plant.B[mode], SLOW / plant.delay), plant.delay
+    D, slow = plant.delay, SLOW / plant.delay
+    _require_stabilisable(plant.A[mode], plant.B[mode], slow, mode)
+    A, B = _unstable(plant.A[mode], plant.B[mode], slow)
     on_axis = _on_axis(plant.A[mode], D)
     if A.size == 0:
         return DelayLimit(on_axis, math.inf, np.empty(0, complex))
-    require_controllable(A, B, mode)
-    poles = np.sort_complex(np.linalg.eigvals(A).astype(complex))
-    several = B.shape[1] > 1
-    possible = _apart if several else _together
-    reached = min(on_axis, _largest(lambda error: _small_gain(A, B, D, error * D)))
-    most = _largest(lambda error: possible(A, B, D, error * D))
-    return DelayLimit(reached, most, poles)
+    A = _balanced(A, B, mode)
+    possible = _apart if B.shape[1] > 1 else _together
+    reached = min(on_axis, _largest(lambda error: _small_gain(A, D, error * D), 0.0))
+    most = _largest(lambda error: possible(A, D, error * D), math.exp(_LEAST))
+    return DelayLimit(reached, most, np.sort_complex(np.diag(A)))
 
 
-def _largest(slack: Callable[[float], float]) -> float:
-    """The relative error below 1 at which a condition (slack ≥ 0) is lost; ∞ for none."""
+def _require_stabilisable(A: np.ndarray, B: np.ndarray, slow: float, mode: int) -> None:
+    """Refuse a pole that is unstable, or counts as on the axis, and that no input moves."""
+    kept, input_of = _unstable(A, B, -slow)
+    if kept.size and reachable(kept, input_of) < len(kept):
+        poles = ", ".join(f"{pole:.4g}" for pole in np.linalg.eigvals(kept))
+        raise ArgumentError(
+            f"mode {mode} cannot be stabilised: no input reaches all of its poles {poles} 1/s that "
+            "do not decay, so no controller has a delay margin."
+        )
+
+
+def _largest(excess: Callable[[float], float], below: float) -> float:
+    """The relative error below 1 at which a condition (excess ≤ 0) is lost; ∞ for none.
+
+    Solved in its logarithm. `below` is the answer where that is under _LEAST.
+    """
     from scipy.optimize import brentq
 
-    if slack(1.0) >= 0.0:
+    def at(logarithm: float) -> float:
+        return min(excess(math.exp(logarithm)), 1e3)
+
+    if at(0.0) <= 0.0:
         return math.inf
-    if slack(_LEAST) < 0.0:
-        return 0.0
-    found: Any = brentq(slack, _LEAST, 1.0, xtol=1e-15)
-    return float(found)
+    if at(_LEAST) > 0.0:
+        return below
+    found: Any = brentq(at, _LEAST, 0.0, xtol=1e-14)
+    return math.exp(found)
 
 
 def _on_axis(A: np.ndarray, D: float) -> float:
@@ -132,32 +162,32 @@ def _unstable(A: np.ndarray, B: np.ndarray, slow: float) -> tuple[np.ndarray, np
     return np.ascontiguousarray(triangle[:count, :count].T), Q[:, :count].T @ B
 
 
-def _small_gain(A: np.ndarray, B: np.ndarray, D: float, Delta: float) -> float:
-    """≥ 0 where some linear controller has ‖W T‖ ≤ 1."""
+def _small_gain(A: np.ndarray, D: float, Delta: float) -> float:
+    """≤ 0 where some linear controller has ‖W T‖ ≤ 1; A input-balanced."""
+    return _log_norm(delay_weight(A * Delta), A, D)
+
+
+def _together(A: np.ndarray, D: float, Delta: float) -> float:
+    """≤ 0 where one input could do: all poles at once; A input-balanced."""
+    v = A * Delta
+    if np.any(_beyond(np.diag(v))):
+        return math.inf
+    return _log_norm(np.linalg.solve(half_angle_weight(v), half_angle(v)), A, D - Delta)
+
+
+def _apart(A: np.ndarray, D: float, Delta: float) -> float:
+    """≤ 0 where several inputs could do: each pole by itself; A triangular."""
+    poles = np.diag(A)
+    return max(_together(pole[None, None], D, Delta) for pole in poles)
+
+
+def _log_norm(weight: np.ndarray, A: np.ndarray, D: float) -> float:
+    """log ‖weight · e^{AD}‖ without overflow."""
     from scipy.linalg import expm
 
-    return _interpolable(A, B, delay_weight(A * Delta) @ expm(A * D) @ B)
-
-
-def _together(A: np.ndarray, B: np.ndarray, D: float, Delta: float) -> float:
-    """≥ 0 where one input could do: all poles at once."""
-    from scipy.linalg import expm
-
-    if np.any(_beyond(np.linalg.eigvals(A) * Delta)):
-        return -1.0
-    free = np.linalg.solve(half_angle_weight(A * Delta), _half_angle(A * Delta))
-    return _interpolable(A, B, free @ expm(A * (D - Delta)) @ B)
-
-
-def _apart(A: np.ndarray, B: np.ndarray, D: float, Delta: float) -> float:
-    """≥ 0 where several inputs could do: each pole by itself."""
-    poles = np.linalg.eigvals(A).astype(complex)
-    if np.any(_beyond(poles * Delta)):
-        return -1.0
-    free = [
-        _half_angle(q) @ np.linalg.inv(half_angle_weight(q)) for q in poles[:, None, None] * Delta
-    ]
-    return float(1.0 - np.max(np.abs(np.ravel(free) * np.exp(poles * (D - Delta)))))
+    growth = D * float(np.real(np.diag(A)).max())
+    norm = np.linalg.norm(weight @ expm(A * D - growth * np.eye(len(A))), 2)
+    return float(np.log(norm)) + growth
 
 
 def _beyond(v: np.ndarray) -> np.ndarray:
@@ -165,84 +195,35 @@ def _beyond(v: np.ndarray) -> np.ndarray:
     return (np.abs(np.imag(v)) <= 1e-12 * np.abs(v)) & (np.real(v) >= 1.0)
 
 
-def _interpolable(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> float:
-    """≥ 0 where a function of H∞ norm ≤ 1 takes B to C at A: the Pick matrix X₁ − X₂ ≥ 0."""
-    from scipy.linalg import eigh, solve_continuous_lyapunov
+def _balanced(A: np.ndarray, B: np.ndarray, mode: int) -> np.ndarray:
+    """(k, k) complex, triangular: A₊ in coordinates in which X₁ = I, without solving for X₁.
 
-    if not np.isfinite(C).all():
-        return -1.0
-    X1 = solve_continuous_lyapunov(A, B @ B.T)
-    X2 = solve_continuous_lyapunov(A, C @ C.T)
-    largest = eigh(0.5 * (X2 + X2.T), 0.5 * (X1 + X1.T), eigvals_only=True)[-1]
-    return float(1.0 - largest)
+    There A + Aᴴ = B Bᴴ, so that entry (i, j > i) is bᵢbⱼᴴ, and |bᵢ|² = 2 Re pᵢ: the poles and the
+    directions of the rows of B say it all, with one input the poles do. A row's direction is that
+    of what is left of it once the rows below are taken out (S. Hammarling 1982): for the last one
+    with b and U = [[U₁, v], [0, τ]] from the old coordinates to these, from A U = U (A + …),
 
-
-def _half_angle(v: np.ndarray) -> np.ndarray:
-    """tan(½ asin v) = (√(1 + v) − √(1 − v))/(√(1 + v) + √(1 − v)) of a matrix."""
-    from scipy.linalg import sqrtm
-
-    one = np.eye(v.shape[0])
-    plus, minus = (np.asarray(sqrtm(one + sign * v)) for sign in (1.0, -1.0))
-    result = np.linalg.solve(plus + minus, plus - minus)
-    return result if np.iscomplexobj(v) else result.real
-
-
-def delay_weight(q: np.ndarray) -> np.ndarray:
-    """W at q = pΔ: outer with |W(jx)| = 2 sin(x/2) for x < π and 2 beyond.
-
-    W = q W₁, and log W₁(q) = (2/π) ∫₀^∞ ℓ(x) q/(q² + x²) dx with ℓ = log(2 sin(x/2)/x), log(2/x).
-
-    Examples
-    --------
-    >>> delay_weight(np.array([[0.1]])).round(4)     # close to q itself while that is small
-    array([[0.0963]])
+        (A₁ + p̄) v = B₁ bᴴ − a τ,    the rest is (A₁, B₁ − v b).
     """
-    x, weights = _nodes(q)
-    level = np.log(np.where(x < np.pi, np.sinc(np.minimum(x, np.pi) / (2.0 * np.pi)), 2.0 / x))
-    return q @ outer(level, x, weights, q)
+    from scipy.linalg import schur
 
-
-def half_angle_weight(q: np.ndarray) -> np.ndarray:
-    """O at q = pΔ: outer with |O(jx)| = tan(π/4 + ¼ atan x).
-
-    Examples
-    --------
-    >>> [half_angle_weight(np.array([[q]])).item().__round__(4) for q in (1e-9, 1e9)]
-    [1.0, 2.4142]
-    """
-    x, weights = _nodes(q)
-    return outer(np.log(np.tan(0.25 * np.pi + 0.25 * np.arctan(x))), x, weights, q)
-
-
-def outer(levels: np.ndarray, x: np.ndarray, weights: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """exp((2/π) Σ w ℓ q (q² + x²)⁻¹): the outer function of log modulus ℓ(x) = ℓ(−x), at q."""
-    from scipy.linalg import expm
-
-    square = q @ q
-    one = np.eye(q.shape[0])
-    inverse = np.linalg.inv(square + (x**2)[:, None, None] * one)
-    return expm((2.0 / np.pi) * q @ np.einsum("k,kij->ij", weights * levels, inverse))
-
-
-def _nodes(q: np.ndarray) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Gauss nodes and weights on (0, ∞): panels that double away from 0 and from every |Im q|.
-
-    The kernel has poles at a distance Re q from |Im q|, and the modulus of W a kink at π.
-    """
-    values = np.linalg.eigvals(q)
-    re, im, size = np.real(values), np.abs(np.imag(values)), np.abs(values)
-    low, high = 1e-3 * min(float(size.min()), 1.0), 1e7 * max(float(size.max()), 4.0)
-    ends = [low * 2.0 ** np.arange(math.ceil(math.log2(high / low)) + 1), [0.0, np.pi]]
-    for at, width in zip(im, re, strict=True):
-        away = 0.5 * width * 2.0 ** np.arange(max(1, math.ceil(math.log2(high / width)) + 1))
-        ends += [at + away, at - away, [at]]
-    ends = np.unique(np.concatenate(ends))
-    ends = ends[(ends >= 0.0) & (ends <= high)]
-    y, weights = np.polynomial.legendre.leggauss(_POINTS)
-    y, weights = 0.5 * (1.0 + y), 0.5 * weights
-    length = np.diff(ends)[:, None]
-    x, w = ends[:-1, None] + length * y, length * weights
-    # Beyond the last end: x = end/t², where the logarithm at t = 0 is mild.
-    t, last = y**2, ends[-1]
-    tail = 2.0 * y * weights * last / t**2
-    return np.concatenate((x.ravel(), last / t)), np.concatenate((w.ravel(), tail))
+    found: Any = schur(A, output="complex")
+    T, Z = found
+    poles, rows = np.diag(T), Z.conj().T @ B
+    error = np.abs(Z.T) @ np.linalg.norm(B, axis=1) * np.finfo(float).eps
+    b = np.zeros(rows.shape, complex)
+    for n in reversed(range(len(T))):
+        left = np.linalg.norm(rows[n])
+        if B.shape[1] > 1 and error[n] > _LOST * left:
+            raise ArgumentError(
+                f"mode {mode} has unstable poles too close to each other, or to being "
+                f"uncontrollable, for its several inputs: of the input to {poles[n]:.4g} 1/s only "
+                f"{left:.1e} is its own; model close poles as one, or leave weak inputs out."
+            )
+        size = np.sqrt(2.0 * poles[n].real)
+        b[n] = size * (rows[n] / left if B.shape[1] > 1 else 1.0)
+        side = rows[:n] @ b[n].conj() - T[:n, n] * left / size
+        v = np.linalg.solve(T[:n, :n] + poles[n].conj() * np.eye(n), side)
+        error = error[:n] + np.finfo(float).eps * np.abs(v) * size
+        rows = rows[:n] - v[:, None] * b[n]
+    return np.diag(poles) + np.triu(b @ b.conj().T, 1)

@@ -15,13 +15,16 @@ def percent(part: float) -> str:
 
     Examples
     --------
-    >>> percent(0.05126), percent(1.234), percent(float("inf"))
-    ('5.12 %', '123 %', 'more than 100 %')
+    >>> percent(0.05126), percent(1.234), percent(float("inf")), percent(1.419e-16)
+    ('5.12 %', '123 %', 'more than 100 %', '1.41e-14 %')
     """
     if math.isinf(part):
         return "more than 100 %"
     if part <= 0.0:
         return "none"
+    if part < 1e-6:
+        exponent = math.floor(math.log10(part)) + 2
+        return f"{math.floor(part / 10.0 ** (exponent - 4)) / 100.0:.2f}e{exponent} %"
     places = max(0, 2 - math.floor(math.log10(100.0 * part)))
     return f"{math.floor(100.0 * part * 10.0**places + 1e-9) / 10.0**places:.{places}f} %"
 
@@ -73,16 +76,19 @@ def _price(found: TradeOff, plain: TradeOff) -> str:
 
 
 def _limits(limits: Sequence[DelayLimit], asked: float) -> str:
-    """The mode with the least room."""
-    worst = min(range(len(limits)), key=lambda i: (limits[i].most, limits[i].reached))
-    limit = limits[worst]
-    if math.isinf(limit.reached):
+    """The modes with the least room: of which the least is reached, or the least is possible."""
+    modes = range(len(limits))
+    least = min(modes, key=lambda i: (limits[i].reached, limits[i].most))
+    bound = min(modes, key=lambda i: (limits[i].most, i != least))
+    reached, most = limits[least].reached, limits[bound].most
+    if math.isinf(reached):
         return "Nothing in the plant limits the margin below 100 %."
-    name = f"mode {worst}" if len(limits) > 1 else "the mode"
-    if math.isinf(limit.most):
-        return f"Some linear controller of {name} alone reaches {percent(limit.reached)}."
-    text = (
-        f"Some linear controller of {name} alone reaches {percent(limit.reached)}, none "
-        f"more than {percent(limit.most)}"
-    )
-    return f"{text}: the margin asked for does not exist." if asked > limit.most else f"{text}."
+    name, other = (f"mode {i}" if len(limits) > 1 else "the mode" for i in (least, bound))
+    if reached == 0.0:
+        text = f"Small gain promises no linear controller of {name} alone any margin"
+    else:
+        text = f"Some linear controller of {name} alone reaches {percent(reached)}"
+    if math.isfinite(most):
+        whose = "" if bound == least else f" of {other} alone"
+        text += f", none{whose} more than {percent(most)}"
+    return f"{text}: the margin asked for does not exist." if asked > most else f"{text}."

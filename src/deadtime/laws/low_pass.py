@@ -100,7 +100,13 @@ class LowPassPredictor(TableLaw):
 
 def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
     """T as an (m, m) matrix whose eigenvalues have positive real parts."""
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ArgumentError(
+            f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got rows of "
+            "different lengths."
+        ) from None
     if array.ndim == 0:
         array = real_array("time_constant", array[None, None], "() or (m, m)", 2) * np.eye(m)
     array = real_array("time_constant", array, "() or (m, m)", 2)
