@@ -36,7 +36,7 @@ def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
         (
             name,
             percent(limit.reached),
-            percent(limit.most),
+            percent(limit.most, up=True),
             ", ".join(_pole(pole) for pole in limit.poles) or "none",
         )
         for name, limit in zip(modes, design.limits, strict=True)

@@ -10,11 +10,13 @@ from deadtime.design.result import TradeOff
 from deadtime.wording import amount
 
 
-def percent(part: float) -> str:
-    """A relative margin, rounded down.
+def percent(part: float, up: bool = False) -> str:
+    """A relative margin, rounded down; a bound from above, rounded up.
 
     Examples
     --------
+    >>> percent(0.05121, up=True), percent(0.05), percent(0.05, up=True)
+    ('5.13 %', '5.00 %', '5.00 %')
     >>> percent(0.05126), percent(1.234), percent(float("inf")), percent(1.419e-16)
     ('5.12 %', '123 %', 'more than 100 %', '1.41e-14 %')
     """
@@ -22,11 +24,13 @@ def percent(part: float) -> str:
         return "more than 100 %"
     if part <= 0.0:
         return "none"
+    whole = math.ceil if up else math.floor
     if part < 1e-6:
         exponent = math.floor(math.log10(part)) + 2
-        return f"{math.floor(part / 10.0 ** (exponent - 4)) / 100.0:.2f}e{exponent} %"
+        return f"{whole(part / 10.0 ** (exponent - 4)) / 100.0:.2f}e{exponent} %"
     places = max(0, 2 - math.floor(math.log10(100.0 * part)))
-    return f"{math.floor(100.0 * part * 10.0**places + 1e-9) / 10.0**places:.{places}f} %"
+    slack = -1e-9 if up else 1e-9
+    return f"{whole(100.0 * part * 10.0**places + slack) / 10.0**places:.{places}f} %"
 
 
 def sentences(
@@ -90,5 +94,5 @@ def _limits(limits: Sequence[DelayLimit], asked: float) -> str:
         text = f"Some linear controller of {name} alone reaches {percent(reached)}"
     if math.isfinite(most):
         whose = "" if bound == least else f" of {other} alone"
-        text += f", none{whose} more than {percent(most)}"
+        text += f", none{whose} more than {percent(most, up=True)}"
     return f"{text}: the margin asked for does not exist." if asked > most else f"{text}."
