@@ -353,7 +353,7 @@ def test_the_modes_with_the_least_room_are_named():
 def test_limits_too_small_to_matter_are_numbers_all_the_same():
     limit = dt.delay_limit(plants.scalar(1.0, 1.0, 33.0))
     assert room(0.1, (limit.reached, limit.most)) == (
-        "Some linear controller of the mode alone reaches 1.41e-14 %, none more than 2.82e-14 %: "
+        "Some linear controller of the mode alone reaches 1.41e-14 %, none more than 2.83e-14 %: "
         "the margin asked for does not exist."
     )
     text = room(0.1, (0.0, 1e-303))
