@@ -93,8 +93,10 @@ def test_a_loop_that_is_lost_as_it_is_says_so():
     result = dt.robustness(plant, law, signal, [1.0], 3.0, 0.1, scenarios=2)
     for one in (result.drops, result.late, result.lag):
         assert one.tolerated is None
-        assert one.message == "the loop is lost as it is, with nothing added"
+        assert one.message == "the runs are lost as they are, with nothing added"
     assert result.delay.lower is None
+    assert len(result.sentences) == 4
+    assert result.sentences[-1].startswith("What noise costs cannot be told")
     plot_robustness(result)
 
 
@@ -105,6 +107,7 @@ def test_what_every_run_has_beside_what_is_tried_is_kept():
         PLANT, plants.LAWS["averaged"](MODEL), SIGNAL, X0, HORIZON, STEP, imperfections=[limits]
     )
     assert (result.drops.cost[0] == run.metrics()["cost"]).all()
+    assert result.sentences[0].startswith("But for the imperfections of every run, the")
     assert result.late.cost.shape[1] == 4
 
 

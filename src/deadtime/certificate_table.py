@@ -227,7 +227,8 @@ def delay_sentence(problem: Problem) -> list[str]:
         margin = constant_delay_margin(problem.plant, law, problem.step)
     except ArgumentError:
         return []
-    return [f"Under the law “{name}” {margin.message}."]
+    but = ", but for the imperfections," if problem.imperfections else ""
+    return [f"Under the law “{name}”{but} {margin.message}."]
 
 
 def _decay(certificate: Certificate | None) -> str:

@@ -54,7 +54,12 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
             Patch(facecolor=REACHED, label="some linear controller, per mode"),
             Patch(facecolor=BEYOND, label="no linear controller, in some mode"),
         ]
-        figure.legend(handles=keys, loc="outside lower center", ncols=3, handlelength=1.6)
+        figure.legend(
+            handles=keys,
+            loc="outside lower center",
+            ncols=3 if columns > 1 else 2,
+            handlelength=1.6,
+        )
     return figure
 
 

@@ -60,6 +60,7 @@ def problem_sections(
     With a mode the design is that mode's alone: the other modes keep their gains.
     """
     lines = [f"# {sentence}." for sentence in design.message.rstrip(".").split(". ")]
+    lines.append("# Put these in place of [gains] and of the [[law]] sections of the problem file.")
     K = np.array(gains)
     K[slice(None) if mode is None else [mode]] = design.gains
     lines += ["", "[gains]", f"K = {_nested(K)}"]

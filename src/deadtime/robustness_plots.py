@@ -106,6 +106,9 @@ def _cost_panel(panel: Axes, tolerance: Tolerance | None, label: str, unit: floa
     if tolerance is None:
         _nothing(panel, "the law does not\nread the mode")
         return
+    if tolerance.tolerated is None:
+        _nothing(panel, "lost as it is")
+        return
     base = float(np.median(tolerance.cost[0]))
     values, cost = unit * tolerance.values, np.minimum(tolerance.cost / base, _LARGEST)
     kept = ~tolerance.lost.any(axis=1)

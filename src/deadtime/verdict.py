@@ -120,12 +120,17 @@ def _differ(problem: Problem, name: str) -> bool:
 
 def _without_switching(result: Comparison) -> str:
     names, growth = result.problem.modes, result.growth
+    same = (
+        "Without its imperfections the same loop"
+        if result.problem.imperfections
+        else "The same loop"
+    )
     unstable = [i for i, rate in enumerate(growth) if rate > 0.0]
     if not unstable:
         slowest = int(np.argmax(growth))
         rate = f" at {signed(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
         return (
-            "The same loop is stable without switching, too: held in any one mode it decays, "
+            f"{same} is stable without switching, too: held in any one mode it decays, "
             f"slowest in {names[slowest]}{rate}."
         )
     rates = [f"held in {names[i]} it grows at {_rate(growth[i])}" for i in unstable]

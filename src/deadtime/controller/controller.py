@@ -139,9 +139,9 @@ class Controller:
         reference : array_like, shape (tracked,), optional
             r at t_k, of a law with a servo; without it the law's own.
         time : float, optional
-            When this sample was taken, seconds on any clock that goes on; give it always or
-            never. Jitter below half a period is taken for none. A call whose period has been
-            served is refused; periods without a call are made up for: their input is taken to
+            When this sample was taken, seconds on any clock that goes on; a call without one is
+            the next period. Jitter below half a period is taken for none. A call whose period has
+            been served is refused; periods without a call are made up for: their input is taken to
             have been held, and `late` counts them. A time more than 100,000 periods ahead is
             refused like one out of order: the clock is not the same.
 

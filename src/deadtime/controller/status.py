@@ -39,15 +39,16 @@ class Clock:
 
     def __init__(self, step: float) -> None:
         self._step = step
-        self.state = np.array([math.nan, 0.0])
+        self.state = np.array([math.nan, -1.0])
 
     def reset(self) -> None:
         """Begin anew at the next call."""
-        self.state[:] = math.nan, 0.0
+        self.state[:] = math.nan, -1.0
 
     def periods(self, time: float | None) -> int:
         """How many periods have begun since the last call; 0: none, the call is out of order."""
         if time is None:
+            self.state[1] += 1.0
             return 1
         try:
             now = float(time)
@@ -57,7 +58,9 @@ class Clock:
         if not math.isfinite(now):
             return 0
         if math.isnan(origin):
-            self.state[:] = now, 0.0
+            # As if the calls without a time had come on time.
+            self.state[0] = now - (last + 1.0) * self._step
+            self.state[1] += 1.0
             return 1
         ahead = (now - origin) / self._step - last
         if not 0.5 <= ahead <= _MOST:

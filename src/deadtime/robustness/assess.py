@@ -149,15 +149,23 @@ def robustness(
     late = _whole(setting, LateSamples, most, "every sample may be", "late")
     progress("detection lag")
     lag = None
-    if not table or inner.digital(step, *_future(signal)).context in ("mode", "mode_age"):
+    observed = inner is not law and plant.modes > 1
+    reads = not table or inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
+    if reads or observed:
         lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
     progress("noise")
-    noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
-    parts = (delay, gain, drops, late, lag, noise)
-    sentences = [_sentence(part.message) for part in parts if part is not None]
+    if drops.tolerated is None:
+        noise = NoisePrice.unknown("what noise costs cannot be told: the runs are lost without it")
+    else:
+        noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
+    margins = "but for the imperfections of every run, " if setting.imperfections else ""
+    sentences = [_sentence(margins + part.message) for part in (delay, gain) if part is not None]
+    sentences += [_sentence(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
-        sentences.insert(-1, "The law does not read the mode, so that it may be told late.")
-    return Robustness(plant, law, step, *parts, tuple(sentences))
+        sentences.append("The law does not read the mode, so that it may be told late.")
+    sentences.append(_sentence(noise.message))
+    once = tuple(dict.fromkeys(sentences))
+    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once)
 
 
 def _future(signal: SwitchingSignal | Rule) -> tuple:

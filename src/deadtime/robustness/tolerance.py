@@ -108,6 +108,11 @@ class NoisePrice:
     doubling: float
     message: str
 
+    @classmethod
+    def unknown(cls, message: str) -> NoisePrice:
+        """No price, and why."""
+        return cls(np.zeros(1), np.zeros((1, 1)), math.nan, math.nan, math.nan, message)
+
 
 def sweep(
     setting: Setting,
@@ -150,7 +155,7 @@ def tolerance_of(
     values, cost, lost = swept
     bad = np.flatnonzero(lost.any(axis=1))
     if bad.size and bad[0] == 0:
-        text = "the loop is lost as it is, with nothing added"
+        text = "the runs are lost as they are, with nothing added"
         return Tolerance(values, cost, lost, None, float(values[0]), text)
     failed = float(values[bad[0]]) if bad.size else None
     tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
