@@ -363,3 +363,12 @@ def test_limits_on_one_side_are_limits():
 def test_a_time_that_is_no_number_is_refused_by_name(time):
     with pytest.raises(dt.ArgumentError, match="time must be a number, in seconds, got"):
         Clock(STEP).periods(time)
+
+
+def test_calls_without_a_time_are_the_next_periods():
+    controller = timed("mean")
+    for time in (None, 1.0, None, None, 1.0 + 3 * STEP, None, 1.0 + 5.2 * STEP):
+        controller.update(np.ones(3), 0, time=time)
+        assert controller.status == Status.OK
+    controller.update(np.ones(3), 0, time=1.0 + 7 * STEP)
+    assert (controller.status, controller.late) == (Status.LATE, 1)
