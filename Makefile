@@ -27,7 +27,7 @@ types: .venv/installed-test
 pytest: .venv/installed-test .venv/compiled
 	$(BIN)/pytest --numprocesses auto --dist loadfile
 
-# What is too long for every change: certificates of N = 100 put back in fifty digits.
+# What is too long for every change: the whole report, certificates of N = 100 put back.
 long: .venv/installed-test .venv/compiled
 	$(BIN)/pytest -m long
 

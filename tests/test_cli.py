@@ -59,6 +59,7 @@ def test_simulate_json_equals_the_library(folder, capsys):
     assert (folder / "run.svg").read_text().startswith("<?xml")
 
 
+@pytest.mark.long
 def test_reproduce_writes_the_whole_report(folder, capsys):
     code, out, err = run(capsys, "reproduce")
     assert (code, err) == (0, "")

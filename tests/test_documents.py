@@ -120,7 +120,14 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
 
 
-@pytest.mark.parametrize("script", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
+LONG = ("design",)  # docs/design.md, which runs always, does the same with a smaller budget
+SCRIPTS = [
+    pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem in LONG else ())
+    for path in sorted((ROOT / "examples").glob("*.py"))
+]
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
 def test_example_runs_without_a_word_on_stderr_and_leaves_a_picture(tmp_path, script):
     result = subprocess.run(
         [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True

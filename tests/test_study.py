@@ -228,6 +228,7 @@ def test_the_uncompensated_law_fails_where_the_predictors_succeed(small):
     assert max(final[law].max() for law in study.laws if law != "delay ignored") < 0.1
 
 
+@pytest.mark.long
 def test_the_result_does_not_depend_on_the_number_of_workers(small):
     study, data = small
     seen = []
