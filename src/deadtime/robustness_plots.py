@@ -55,8 +55,21 @@ def plot_robustness(
     return figure
 
 
-def _growth(result: Robustness, plants: Sequence[SwitchedSystem], mode: int) -> list[float]:
-    return [growth_rate(plant, result.law, mode, result.step) for plant in plants]
+def _growth_curves(
+    panel: Axes,
+    result: Robustness,
+    x: np.ndarray,
+    plants: Sequence[SwitchedSystem],
+    ends: Sequence[float | None],
+) -> None:
+    """The growth rate of every mode over x, a plant for each, and where none grows shaded."""
+    for mode in range(result.plant.modes):
+        rates = [growth_rate(plant, result.law, mode, result.step) for plant in plants]
+        panel.plot(x, rates, color=COLOURS[mode % 6], linestyle=LINES[mode % len(LINES)])
+    low, high = ends
+    if low is not None and high is not None:
+        _shade(panel, *np.clip([low, high], x[0], x[-1]))
+    panel.axhline(0.0, color=COLOURS[6], linewidth=0.8)
 
 
 def _delay_panel(panel: Axes, result: Robustness) -> None:
@@ -70,12 +83,10 @@ def _delay_panel(panel: Axes, result: Robustness) -> None:
     reach = min(0.9, 0.1 if relative is None else 2.0 * min(relative, 0.4))
     errors = np.linspace(-reach, reach, _POINTS)
     plants = [SwitchedSystem(plant.A, plant.B, (1.0 + e) * D) for e in errors]
-    for mode in range(plant.modes):
-        _line(panel, 100.0 * errors, _growth(result, plants, mode), mode)
-    if margin.lower is not None and margin.upper is not None:
-        ends = [100.0 * (end / D - 1.0) for end in (margin.lower, margin.upper)]
-        _shade(panel, *np.clip(ends, -100.0 * reach, 100.0 * reach))
-    panel.axhline(0.0, color=COLOURS[6], linewidth=0.8)
+    ends = [
+        None if end is None else 100.0 * (end / D - 1.0) for end in (margin.lower, margin.upper)
+    ]
+    _growth_curves(panel, result, 100.0 * errors, plants, ends)
 
 
 def _gain_panel(panel: Axes, result: Robustness) -> None:
@@ -89,15 +100,7 @@ def _gain_panel(panel: Axes, result: Robustness) -> None:
     high = 1.2 if margin.upper is None else 1.0 + 2.0 * (min(margin.upper, 3.0) - 1.0)
     factors = np.linspace(low, high, _POINTS)
     plants = [SwitchedSystem(plant.A, k * plant.B, plant.delay) for k in factors]
-    for mode in range(plant.modes):
-        _line(panel, factors, _growth(result, plants, mode), mode)
-    if margin.lower is not None and margin.upper is not None:
-        _shade(panel, *np.clip([margin.lower, margin.upper], low, high))
-    panel.axhline(0.0, color=COLOURS[6], linewidth=0.8)
-
-
-def _line(panel: Axes, x: np.ndarray, y: list[float], mode: int) -> None:
-    panel.plot(x, y, color=COLOURS[mode % 6], linestyle=LINES[mode % len(LINES)])
+    _growth_curves(panel, result, factors, plants, [margin.lower, margin.upper])
 
 
 def _cost_panel(panel: Axes, tolerance: Tolerance | None, label: str, unit: float) -> None:

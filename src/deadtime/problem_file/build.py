@@ -10,7 +10,7 @@ import numpy as np
 from deadtime.checks import positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.gains import lqr, place
-from deadtime.imperfections import Sizes
+from deadtime.imperfections import Imperfection, Sizes
 from deadtime.laws import (
     AveragedPredictor,
     DelayedStateFeedback,
@@ -61,16 +61,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         laws = observed(laws, file.observer, step, _numbers)
     with _section("truth"):
         truth = _changed(plant, file.truth) if file.truth is not None else plant
-    if file.imperfection:
-        with _section("run"):
-            if step is None:
-                raise ArgumentError(
-                    'step = "ideal" has no samples, at which imperfections act: give a period.'
-                )
-    sizes = Sizes(plant.modes, plant.states, plant.inputs, step or 1.0)
-    outputs = next(iter(laws.values())).outputs
-    measured = None if outputs is None else outputs.shape[1]
-    imperfections = build_imperfections(file.imperfection, sizes, measured)
+    imperfections = _imperfections(file, plant, laws, step)
     with _section("signal"):
         longest = max(truth.delay, *(law.plant.delay for law in laws.values()))
         if rule is None:
@@ -99,6 +90,23 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         modes=modes,
         dwell_time=getattr(file.signal, "dwell_time", None),
     )
+
+
+def _imperfections(
+    file: schema.ProblemFile, plant: SwitchedSystem, laws: dict[str, Law], step: float | None
+) -> tuple[Imperfection, ...]:
+    """The imperfections of the file, checked against what its laws measure."""
+    if not file.imperfection:
+        return ()
+    if step is None:
+        with _section("run"):
+            raise ArgumentError(
+                'step = "ideal" has no samples, at which imperfections act: give a period.'
+            )
+    outputs = next(iter(laws.values())).outputs
+    measured = None if outputs is None else outputs.shape[1]
+    sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
+    return build_imperfections(file.imperfection, sizes, measured)
 
 
 def _names(what: str, names: list[str], count: int) -> tuple[str, ...]:
