@@ -49,6 +49,7 @@ from deadtime.switching import (
     Markov,
     Polyhedra,
     SemiMarkov,
+    SignalBatch,
     SwitchingSignal,
 )
 from deadtime.tracking import Servo
@@ -98,6 +99,7 @@ __all__ = [
     "Robustness",
     "SemiMarkov",
     "Servo",
+    "SignalBatch",
     "SingleModePredictor",
     "StateDependentPredictor",
     "StudyFileError",

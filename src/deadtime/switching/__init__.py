@@ -1,5 +1,6 @@
 """Switching signals: what they are, how they are drawn at random, how logs are read."""
 
+from deadtime.switching.batch import SignalBatch
 from deadtime.switching.markov import Markov
 from deadtime.switching.rules import FunctionRule, HalfSpace, Polyhedra, Rule
 from deadtime.switching.semi_markov import SemiMarkov
@@ -12,5 +13,6 @@ __all__ = [
     "Polyhedra",
     "Rule",
     "SemiMarkov",
+    "SignalBatch",
     "SwitchingSignal",
 ]
