@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -10,8 +11,12 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import count, positive, real_array
 from deadtime.errors import ArgumentError
+from deadtime.switching.quantiles import Quantiles
 from deadtime.switching.random import Draw, jump_signal, require_few
 from deadtime.switching.signal import SwitchingSignal
+
+if TYPE_CHECKING:
+    from deadtime.switching.batch import SignalBatch
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -111,6 +116,47 @@ class Markov:
         mean = self.mean
         require_few(horizon, float(mean.max()))
         return jump_signal([_exponential(scale) for scale in mean], self.rates, horizon, seed)
+
+    @property
+    def drawable(self) -> bool:
+        """Whether `draw` can be asked for; always."""
+        return True
+
+    def draw(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> SignalBatch:
+        """The signals of scenarios first, …, first + count − 1 on [0, horizon), in one batch.
+
+        A scenario's signal is a function of the model, `seed` and its number only, whatever else
+        is drawn with it; a longer horizon continues it. It follows the same law as those of
+        `sample`, but is none of them: other numbers are read.
+
+        Parameters
+        ----------
+        horizon : float
+            The signals end here, seconds.
+        seed : int
+            At least 0.
+        first, count : int
+            Number of the first scenario, at least 0, and how many, at least 1.
+
+        Raises
+        ------
+        ArgumentError
+            If the horizon is not positive, an integer is out of its range, or the batch would
+            hold too many switches.
+
+        Examples
+        --------
+        >>> model = Markov([[0.0, 2.0], [1.0, 0.0]])
+        >>> batch = model.draw(10.0, seed=1, count=1000)
+        >>> (batch[700].times == model.draw(10.0, seed=1, first=700)[0].times).all()
+        np.True_
+        """
+        from deadtime.switching.drawing import draw_signals
+
+        mean = self.mean
+        quantiles = Quantiles(np.zeros(self.modes), mean)
+        longest = float(mean.max())
+        return draw_signals(quantiles, self.rates, longest, horizon, seed, (first, count))
 
     def __repr__(self) -> str:
         means = ", ".join(f"{mean:.3g}" for mean in self.mean)

@@ -15,6 +15,7 @@ from deadtime.checks import count, number, positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.switching.families import Goodness
 from deadtime.switching.hazards import count_ages, hazards, require_short
+from deadtime.switching.quantiles import Quantiles, drawable
 from deadtime.switching.random import jump_signal, require_few
 from deadtime.switching.signal import SwitchingSignal
 from deadtime.switching.sojourns import (
@@ -27,6 +28,8 @@ from deadtime.switching.sojourns import (
 )
 
 if TYPE_CHECKING:
+    from deadtime.switching.batch import SignalBatch
+
     Sojourn = Distribution | float | Sequence[Distribution | float]
     Signals = SwitchingSignal | Sequence[SwitchingSignal]
     Families = str | Sequence[str]
@@ -140,6 +143,47 @@ class SemiMarkov:
         require_few(horizon, float(self.mean.max()))
         draws = [draw_from(f"sojourn[{i}]", dist) for i, dist in enumerate(self.sojourn)]
         return jump_signal(draws, self.transition, horizon, seed)
+
+    @cached_property
+    def drawable(self) -> bool:
+        """Whether `draw` can be asked for: every distribution has a quantile without a search."""
+        return all(map(drawable, self.sojourn))
+
+    def draw(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> SignalBatch:
+        """The signals of scenarios first, …, first + count − 1 on [0, horizon), in one batch.
+
+        A scenario's signal is a function of the model, `seed` and its number only, whatever else
+        is drawn with it; a longer horizon continues it. It follows the same law as those of
+        `sample`, but is none of them: other numbers are read, and sojourns come from the inverse
+        survival functions, not from `rvs`.
+
+        Parameters
+        ----------
+        horizon : float
+            The signals end here, seconds.
+        seed : int
+            At least 0.
+        first, count : int
+            Number of the first scenario, at least 0, and how many, at least 1.
+
+        Raises
+        ------
+        ArgumentError
+            If the model is not `drawable`, the horizon is not positive, an integer is out of its
+            range, or the batch would hold too many switches.
+
+        Examples
+        --------
+        >>> from scipy.stats import gamma
+        >>> model = SemiMarkov([gamma(2.0, scale=0.3), 0.4])
+        >>> batch = model.draw(10.0, seed=1, count=1000)
+        >>> (batch[700].times == model.draw(10.0, seed=1, first=700)[0].times).all()
+        np.True_
+        """
+        from deadtime.switching.drawing import draw_signals
+
+        quantiles, longest = Quantiles.of(self.sojourn), float(self.mean.max())
+        return draw_signals(quantiles, self.transition, longest, horizon, seed, (first, count))
 
     def hazard(self, step: float, ages: int) -> Float[np.ndarray, "mode age"]:
         """Probability that a sojourn which outlasted a samples ends by the next one.
