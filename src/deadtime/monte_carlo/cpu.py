@@ -1,0 +1,126 @@
+"""The CPU engine: eight scenarios to a vector, see `deadtime.monte_carlo.kernel`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deadtime.feedback import Feedback
+from deadtime.monte_carlo.figures import Figures, Path
+from deadtime.monte_carlo.kernel import Plant, Rows, Run, Shape, run_scenarios
+from deadtime.monte_carlo.lanes import LANES
+from deadtime.monte_carlo.loop import Laid, Loop
+from deadtime.monte_carlo.window_form import WindowForm, window_form
+
+_KINDS = {"none": 0, "mode": 1, "mode_age": 2, "step": 3}
+_NOTHING = np.zeros(0)
+
+
+class CpuEngine:
+    """Runs tables along signals that are laid on a loop; holds nothing that changes."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        limits = loop.limits
+        self._run = Run(
+            loop.whole + 1,
+            loop.rest / loop.window.step,
+            loop.late,
+            loop.x0,
+            limits[0],
+            limits[1].ravel(),
+            limits[2].ravel(),
+        )
+
+    def table(self, feedback: Feedback) -> tuple[Shape, Rows]:
+        """A law's rows as the compiled loop reads them."""
+        form = window_form(feedback)
+        if form is None:
+            return self._shape(1, 1, 1, dense=True), _dense([feedback])
+        rows, m, q = form.out.shape
+        return self._shape(q, form.transition.shape[1], rows), _factored(feedback, form)
+
+    def tables(self, feedbacks: Sequence[Feedback]) -> tuple[Shape, Rows]:
+        """Rows per sample, of up to eight scenarios."""
+        feedbacks = [*feedbacks, *[feedbacks[-1]] * (LANES - len(feedbacks))]
+        return self._shape(1, 1, 1, dense=True), _dense(feedbacks)
+
+    def run(
+        self, table: tuple[Shape, Rows], laid: Laid, first: int = 0, count: int | None = None
+    ) -> Figures:
+        """Run a table along the scenarios first, …, first + count − 1 (first a multiple of 8)."""
+        count = laid.scenarios if count is None else count
+        groups = -(-count // LANES)
+        shape, rows = table
+        result = run_scenarios(
+            shape, rows, self._plant(laid), self._run, first // LANES, groups, _NOTHING, 0
+        )
+        return Figures(*result[:, :count].copy())
+
+    def path(
+        self, table: tuple[Shape, Rows], laid: Laid, first: int, count: int, keep: int = 0
+    ) -> tuple[Figures, Path]:
+        """The same for up to eight scenarios, with states and inputs from sample `keep` on."""
+        n, m = len(table[0].x), len(table[0].u)
+        samples = self._run.samples - keep
+        path = np.empty(samples * (n + m) * LANES)
+        result = run_scenarios(*table, self._plant(laid), self._run, first // LANES, 1, path, keep)
+        both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
+        return Figures(*result[:, :count].copy()), Path(both[:, :n], both[:, n:])
+
+    def _plant(self, laid: Laid) -> Plant:
+        return Plant(
+            self._loop.window.count,
+            laid.maps,
+            laid.first,
+            laid.step,
+            laid.mode,
+            laid.map,
+            laid.age,
+        )
+
+    def _shape(self, order: int, block: int, rows: int, dense: bool = False) -> Shape:
+        plant = self._loop.plant
+        sizes = plant.states, plant.inputs, self._loop.maps.move.shape[2], order, block
+        flags = int(dense), int(len(self._loop.actuators) > 0)
+        return Shape(*((0.0,) * size for size in (*sizes, rows * plant.inputs, *flags)))
+
+
+def _factored(feedback: Feedback, form: WindowForm) -> Rows:
+    flat: list[Any] = [part.ravel() for part in (feedback.state_gain, *form)]
+    state, out, transition, enter, last, ahead, behind = map(np.ascontiguousarray, flat)
+    kind = _KINDS[feedback.context]
+    length, taps = form.ahead.shape[0], feedback.taps
+    return Rows(length, taps, state, out, last, transition, enter, ahead, behind, _NOTHING, kind, 1)
+
+
+def _dense(feedbacks: Sequence[Feedback]) -> Rows:
+    """Dense rows, the oldest input first, padded to whole vectors."""
+    first = feedbacks[0]
+    taps, m = first.taps, first.state_gain.shape[1]
+    length = -(-taps * m // LANES) * LANES
+    rows = sum(feedback.state_gain.shape[0] for feedback in feedbacks)
+    dense, start = np.zeros((rows, m, length)), 0
+    for feedback in feedbacks:
+        G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3)
+        dense[start : start + len(G), :, : taps * m] = G.reshape(len(G), m, taps * m)
+        start += len(G)
+    state = np.concatenate([feedback.state_gain for feedback in feedbacks]).ravel()
+    unused, kind = np.zeros(m * m), _KINDS[first.context]
+    # Sizes of what only factorised rows use: the code for them is there, and never run.
+    return Rows(
+        0,
+        taps,
+        state,
+        unused,
+        unused,
+        unused,
+        unused,
+        unused,
+        unused,
+        dense.ravel(),
+        kind,
+        first.ages,
+    )
