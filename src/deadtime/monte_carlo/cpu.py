@@ -39,36 +39,32 @@ class CpuEngine:
         form = window_form(feedback)
         if form is None:
             return self._shape(1, 1, 1, dense=True), _dense([feedback])
-        rows, m, q = form.out.shape
+        rows, _, q = form.out.shape
         return self._shape(q, form.transition.shape[1], rows), _factored(feedback, form)
 
     def tables(self, feedbacks: Sequence[Feedback]) -> tuple[Shape, Rows]:
-        """Rows per sample, of up to eight scenarios."""
-        feedbacks = [*feedbacks, *[feedbacks[-1]] * (LANES - len(feedbacks))]
+        """Rows per sample, one table for each of up to eight scenarios."""
         return self._shape(1, 1, 1, dense=True), _dense(feedbacks)
 
     def run(
         self, table: tuple[Shape, Rows], laid: Laid, first: int = 0, count: int | None = None
     ) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1 (first a multiple of 8)."""
-        count = laid.scenarios if count is None else count
-        groups = -(-count // LANES)
-        shape, rows = table
-        result = run_scenarios(
-            shape, rows, self._plant(laid), self._run, first // LANES, groups, _NOTHING, 0
-        )
-        return Figures(*result[:, :count].copy())
+        """Run a table along the scenarios first, …, first + count − 1."""
+        count = laid.scenarios - first if count is None else count
+        plant = self._plant(laid)
+        return Figures(*run_scenarios(*table, plant, self._run, first, count, _NOTHING, 0))
 
     def path(
         self, table: tuple[Shape, Rows], laid: Laid, first: int, count: int, keep: int = 0
     ) -> tuple[Figures, Path]:
-        """The same for up to eight scenarios, with states and inputs from sample `keep` on."""
+        """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table[0].x), len(table[0].u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        result = run_scenarios(*table, self._plant(laid), self._run, first // LANES, 1, path, keep)
+        plant = self._plant(laid)
+        result = run_scenarios(*table, plant, self._run, first, count, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
-        return Figures(*result[:, :count].copy()), Path(both[:, :n], both[:, n:])
+        return Figures(*result), Path(both[:, :n], both[:, n:])
 
     def _plant(self, laid: Laid) -> Plant:
         return Plant(

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from deadtime.plant import SwitchedSystem
 
 WIDE = 8  # entries of a map come in vectors of so many
-_NODES, _ROUND_OFF = 20, 1e-17
+_NODES, _ROUND_OFF = 20, 2e-15
 _MOST_NUMBERS = 4e6  # of the series for all pairs of modes
 
 
@@ -140,7 +140,7 @@ def _series(
         scale = np.abs(samples).max(axis=0)
         terms = 2.0 / _NODES * (values.T @ samples)
         terms[0] *= 0.5
-        kept = np.flatnonzero((np.abs(terms) > 2e-16 * np.maximum(scale, 1e-300)).any(axis=1))
+        kept = np.flatnonzero((np.abs(terms) > _ROUND_OFF * np.maximum(scale, 1e-300)).any(axis=1))
         terms = terms[: 1 + int(kept.max(initial=0))]
         powers = np.zeros_like(terms)
         for d in range(terms.shape[1]):

@@ -156,10 +156,9 @@ def _dense(shape, rows, row, xs, window, start, width, asked):
 
 
 @njit(cache=True, nogil=True)
-def _run_eight(shape, rows, plant, run, group, out, path, keep):
-    """Run the scenarios 8·group, …, 8·group + 7; those past the last repeat the last."""
+def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
+    """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest."""
     n, m, wide, asked = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
-    scenarios = plant.first.size - 1
     size = n * wide + wide * (wide + 1) // 2
     factored = len(shape.dense) == 0
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -177,7 +176,7 @@ def _run_eight(shape, rows, plant, run, group, out, path, keep):
     began, row = np.empty(LANES, np.int64), np.zeros(LANES, np.int64)
     at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     for lane in range(LANES):
-        scenario = min(group * LANES + lane, scenarios - 1)
+        scenario = start + min(lane, count - 1)
         at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
         mode[lane] = plant.mode[at[lane]]
         mode_row[lane] = mode[lane] if rows.kind == 1 else 0
@@ -243,7 +242,7 @@ def _run_eight(shape, rows, plant, run, group, out, path, keep):
                 elif rows.kind == 2:
                     row[lane] = mode[lane] * rows.ages + min(k - began[lane], rows.ages - 1)
                 elif rows.kind == 3:
-                    row[lane] = lane * run.samples + k
+                    row[lane] = min(lane, count - 1) * run.samples + k
             store(xs, 0, x)
             _dense(shape, rows, row, xs, window, p * m, width, ask)
             u = load(ask, 0, shape.u)
@@ -291,16 +290,17 @@ def _run_eight(shape, rows, plant, run, group, out, path, keep):
 
 
 @njit(cache=True, nogil=True)
-def run_scenarios(shape, rows, plant, run, group, groups, path, keep):
-    """Figures (FIGURES, 8·groups) of the scenarios from 8·group on.
+def run_scenarios(shape, rows, plant, run, start, count, path, keep):
+    """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    `path`, empty or of one group of eight, gets x and u of every sample from `keep` on.
+    `path`, empty or for at most eight scenarios, gets x and u of every sample from `keep` on.
     """
-    result = np.empty((FIGURES, LANES * groups))
+    result = np.empty((FIGURES, count))
     out = np.empty(FIGURES * LANES)
-    for g in range(groups):
-        _run_eight(shape, rows, plant, run, group + g, out, path, keep)
+    for at in range(0, count, LANES):
+        few = min(LANES, count - at)
+        _run_eight(shape, rows, plant, run, start + at, few, out, path, keep)
         for f in range(FIGURES):
-            for lane in range(LANES):
-                result[f, g * LANES + lane] = out[f * LANES + lane]
+            for lane in range(few):
+                result[f, at + lane] = out[f * LANES + lane]
     return result

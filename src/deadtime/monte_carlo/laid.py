@@ -22,36 +22,37 @@ def _snap(ratio):
 
 
 @njit(cache=True, nogil=True)
-def _place(time, step, phase, count):
-    """The period that a switch falls in, and when in it."""
-    ratio = _snap(time / step)
+def _place(time, step, phase, count, rate):
+    """The period that a switch falls in, and when in it; `rate` is 1/step."""
+    ratio = _snap(time * rate)
     k = np.floor(ratio)
     if ratio == k:
         return np.int64(k), 0.0
     offset = time - k * step
     if phase < step:
-        late = _snap((time - (count - 1) * step - phase) / step)
+        late = _snap((time - (count - 1) * step - phase) * rate)
         if late == np.floor(late):
             k, offset = late + count - 1, phase
     return np.int64(k), offset
 
 
 @njit(cache=True, nogil=True)
-def lay(offset, times, modes, samples, step, phase, count):
+def lay(offset, times, modes, samples, step, phase, count, plants):
     """Records (step, mode at the sample, map) of every scenario for the periods 0, …, samples − 1.
 
-    Scenario s has the sojourns offset[s], …, offset[s + 1] − 1. A map below the number of modes
-    is that mode's; the others count the cut periods, of which cut c has the sojourns
-    sojourn[c], …, until[c] − 1, the first of them begun before the period or at its start, and
-    the others at[c'] into it, one entry of `at` for each sojourn. The last period is always cut.
-    Returns first, step, mode, map, sojourn, until, at.
+    Scenario s has the sojourns offset[s], …, offset[s + 1] − 1. A map below `plants`, the number
+    of modes, is that mode's. Map plants + c is that of cut period c with the sojourns sojourn[c],
+    …, until[c] − 1, of which sojourn i begins at[i] into the period, the first one before it or
+    at its start. A scenario's last period counts as cut, and is marked in `last`.
+    Returns first, step, mode, map, sojourn, until, last, at.
     """
     scenarios, most = offset.size - 1, 2 * modes.size + 2 * (offset.size - 1)
     first = np.empty(scenarios + 1, np.int64)
-    step_of, mode_of = np.empty(most, np.int64), np.empty(most, np.int64)
-    cut_of = np.empty(most, np.int64)
-    sojourn, until = np.empty(most, np.int64), np.empty(most, np.int64)
-    at = np.zeros(modes.size)
+    step_of, mode_of = np.empty(most, np.int32), np.empty(most, np.int32)
+    map_of, last = np.empty(most, np.int32), np.empty(most, np.bool_)
+    sojourn, until = np.empty(most, np.int32), np.empty(most, np.int32)
+    rate = 1.0 / step
+    at = np.empty(modes.size)
     final, r, c = samples - 1, 0, 0
     for s in range(scenarios):
         first[s] = r
@@ -61,20 +62,20 @@ def lay(offset, times, modes, samples, step, phase, count):
             # Switches at the sample come first: they are what the law sees.
             ahead, within = final + 1, 0.0
             while i + 1 < stop:
-                ahead, within = _place(times[i + 1], step, phase, count)
+                ahead, within = _place(times[i + 1], step, phase, count, rate)
                 if ahead != k or within > 0.0:
                     break
                 i += 1
                 ahead = final + 1
-            step_of[r], mode_of[r], cut_of[r] = k, modes[i], -1
+            step_of[r], mode_of[r], map_of[r] = k, modes[i], modes[i]
             if k == final or ahead == k:
-                cut_of[r], sojourn[c] = c, i
+                map_of[r], sojourn[c], last[c] = plants + c, i, k == final
                 while i + 1 < stop and ahead == k:
                     i += 1
                     at[i] = within
                     ahead = final + 1
                     if i + 1 < stop:
-                        ahead, within = _place(times[i + 1], step, phase, count)
+                        ahead, within = _place(times[i + 1], step, phase, count, rate)
                 until[c] = i + 1
                 c += 1
                 r += 1
@@ -84,9 +85,8 @@ def lay(offset, times, modes, samples, step, phase, count):
             else:
                 r += 1
                 k = min(ahead, final)
-        # The loop leaves every scenario at its last period, which is cut.
     first[scenarios] = r
-    return first, step_of[:r], mode_of[:r], cut_of[:r], sojourn[:c], until[:c], at
+    return first, step_of[:r], mode_of[:r], map_of[:r], sojourn[:c], until[:c], last[:c], at
 
 
 @njit(cache=True, nogil=True)
@@ -171,7 +171,7 @@ def fill_maps(
     until,
     modes,
     at,
-    final,
+    last,
     step,
     rest,
     phase,
@@ -182,7 +182,7 @@ def fill_maps(
     width,
     piece_width,
 ):
-    """Fill maps[modes + c] for every cut period c; `final` marks the last period of a scenario.
+    """Fill maps[modes + c] for every cut period c; `last` as from `lay`.
 
     A period with one switch is read from `switched` (mode·modes + mode, part, cell, degree, size),
     the others are composed from `pieces` (mode, cell, degree, size). `phase` is 0 where one input
@@ -195,7 +195,7 @@ def fill_maps(
     cell = step / pieces.shape[1]
     for c in range(sojourn.size):
         i = sojourn[c]
-        if cells > 0 and until[c] == i + 2 and not final[c]:
+        if cells > 0 and until[c] == i + 2 and not last[c]:
             t = at[i + 1]
             part = 1 if phase > 0.0 and t >= phase else 0
             low = phase if part == 1 else 0.0
@@ -204,7 +204,7 @@ def fill_maps(
             value = _series(flat, index, cells, degrees, size, low, (high - low) / cells, t, width)
             store(place, (count + c) * size, value)
         else:
-            end = rest if final[c] else step
+            end = rest if last[c] else step
             _composed(
                 i,
                 until[c],

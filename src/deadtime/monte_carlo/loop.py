@@ -22,7 +22,7 @@ from deadtime.monte_carlo.cut_periods import (
     tables_of,
 )
 from deadtime.plant import SwitchedSystem
-from deadtime.steps import Window, snap
+from deadtime.steps import Window, snap, snap_all
 from deadtime.switching import SignalBatch
 
 _CELLS = 1024  # of a period, for a plant that is so fast
@@ -125,7 +125,7 @@ class Loop:
 
         window, tables = self.window, self.tables
         assert tables is not None
-        first, step, mode, cut, sojourn, until, at = lay(
+        first, step, mode, which, sojourn, until, last, at = lay(
             signals.first,
             signals.times,
             signals.modes,
@@ -133,10 +133,12 @@ class Loop:
             window.step,
             window.phase,
             window.count,
+            self.plant.modes,
         )
         modes = self.plant.modes
         own = np.concatenate((self.maps.move.reshape(modes, -1), packed(self.maps.energy)), axis=1)
-        maps = np.zeros((modes + sojourn.size, tables.width))
+        maps = np.empty((modes + sojourn.size, tables.width))
+        maps[:modes] = 0.0
         maps[:modes, : own.shape[1]] = own
         fill_maps(
             maps,
@@ -144,7 +146,7 @@ class Loop:
             until,
             signals.modes,
             at,
-            step[cut >= 0] == self.whole,
+            last,
             window.step,
             self.rest,
             window.phase if len(self.lengths) > 1 else 0.0,
@@ -155,6 +157,5 @@ class Loop:
             (0.0,) * (tables.width // WIDE),
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
-        ages = [math.floor(snap(age / window.step)) for age in signals.initial_age.tolist()]
-        which = np.where(cut >= 0, modes + cut, mode)
-        return Laid(first, step, mode, which, maps, np.array(ages, np.int64))
+        ages = np.floor(snap_all(signals.initial_age / window.step)).astype(np.int64)
+        return Laid(first, step, mode, which, maps, ages)

@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import positive, real_array, shaped
+from deadtime.checks import instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
-from deadtime.imperfections import Imperfection
-from deadtime.laws.base import Law
-from deadtime.monte_carlo.signals import SignalAt, SwitchingModel, signals_of
+from deadtime.imperfections import Imperfection, RateLimit, Saturation, streams
+from deadtime.laws.base import Law, TableLaw, require_match
+from deadtime.monte_carlo.block import Block
+from deadtime.monte_carlo.dataset import METRICS, Results, dataset_of
+from deadtime.monte_carlo.engine import BACKENDS, Engine, engine_of
+from deadtime.monte_carlo.loop import Loop
+from deadtime.monte_carlo.memory import require_memory
+from deadtime.monte_carlo.named import named_laws
+from deadtime.monte_carlo.source import SwitchingModel, source_of
+from deadtime.monte_carlo.workers import Progress, processors, run_blocks, shown
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation import simulate
-from deadtime.switching import SwitchingSignal
-from deadtime.version import __version__
+from deadtime.steps import Window
+from deadtime.switching import SignalBatch, SwitchingSignal
 
 if TYPE_CHECKING:
     import xarray as xr
 
     Laws = Sequence[Law] | Mapping[str, Law]
-    Model = SwitchingModel | Sequence[SwitchingSignal]
+    Model = SwitchingModel | Sequence[SwitchingSignal] | SignalBatch
 else:
-    Laws = Model = object  # `_named` and `signals_of` check them, with better messages
+    Laws = Model = object  # `named_laws` and `source_of` check them, with better messages
 
-BACKENDS = ("numba",)
-
-# Metric: (unit, long name), in the order and under the names of `Trajectory.metrics()`.
-METRICS = {
-    "ise": ("x^2 s", "integral of |x|^2"),
-    "energy": ("u^2 s", "integral of |u|^2"),
-    "cost": ("x^2 s + u^2 s", "integral of |x|^2 + |u|^2"),
-    "peak": ("x", "maximum of |x| over the samples"),
-    "settling_time": ("s", "time from which |x| stays within 2 % of its peak, inf if never"),
-    "decay_rate": ("1/s", "minus the slope of log|x| over the second half"),
-    "final_norm": ("x", "|x| at the end"),
-}
-DIVERGED = "|x| left 1e100 and the run ended there; its metrics are those up to that end"
-
-Progress = Callable[[int, int], None]
+_BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
+_MOST_TERMS, _MOST_SAMPLES = 1500, 2**31 - 2
+_NAMED = 10  # scenarios that a message names
 
 
 def monte_carlo(
@@ -53,13 +47,22 @@ def monte_carlo(
     scenarios: int = 1000,
     seed: int = 0,
     backend: str = "numba",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     imperfections: Sequence[Imperfection] = (),
+    trajectories: bool = False,
+    threads: int | None = None,
 ) -> xr.Dataset:
     """Run several laws over many switching signals, every law on the same ones.
 
     The signal of scenario i depends on the model, on `seed` and on i only: not on the number
-    of scenarios or of laws. Inputs before time 0 are 0.
+    of scenarios or of laws, on the backend, or on how many threads there are; `draw_signals`
+    gives it. Inputs before time 0 are 0. The loops are those of `simulate`: switches anywhere,
+    any delay, a law whose model is not the plant.
+
+    Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
+    where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
+    laws with imperfections other than saturation and rate limits, scenarios that diverge, and
+    plants beyond some 30 states; `attrs["one_by_one"]` names the laws.
 
     Parameters
     ----------
@@ -67,11 +70,11 @@ def monte_carlo(
         The truth, as in `simulate`.
     laws : list of Law, or mapping of names to laws
         A list is named by the laws' labels, which must differ.
-    model : switching model, or list of SwitchingSignal
-        Something with a method ``sample(horizon, seed)``; it is asked for signals that reach
-        the horizon plus the longest delay. Or the signals themselves, one per scenario. One
-        that ends before the horizon goes on in its last mode, as in `simulate`, and
-        ``attrs["message"]`` counts these.
+    model : switching model, list of SwitchingSignal, or SignalBatch
+        Something with a method ``sample(horizon, seed)``, and better one with ``draw``, such as
+        `Markov` and `SemiMarkov`; it is asked for signals that reach the horizon plus the longest
+        delay. Or the signals themselves, one per scenario. One that ends before the horizon goes
+        on in its last mode, as in `simulate`, and ``attrs["message"]`` counts these.
     x0 : array_like, shape (n,)
         State at time 0.
     horizon : float
@@ -82,25 +85,34 @@ def monte_carlo(
         Number of signals to draw, ≥ 1; with a list of signals its length counts instead.
     seed : int
         At least 0. The same seed gives the same signals.
-    backend : str
-        How to compute; "numba" is the only one so far.
-    progress : callable, optional
-        Called as ``progress(done, total)`` after each scenario.
+    backend : "numba" or "jax"
+        The compiled loop for processors, or JAX, which uses a GPU where there is one
+        (``pip install "deadtime[jax]"``).
+    progress : bool or callable, optional
+        True for a bar on the terminal; or called as ``progress(done, total)`` after each block
+        of scenarios.
     imperfections : sequence of Imperfection
         What sensors and actuators do, as in `simulate`; scenario i draws the same for every law,
         whatever the number of scenarios.
+    trajectories : bool
+        Keep states and inputs at the samples, and the modes.
+    threads : int, optional
+        How many to use; by default one for each processor.
 
     Returns
     -------
     xarray.Dataset
         Dimensions (law, scenario); one variable per metric of `Trajectory.metrics`, with its
         unit, and `diverged`. A run that diverges leaves its metrics up to its end, and the
-        other runs untouched.
+        other runs untouched; ``attrs["message"]`` counts and names such scenarios. With
+        trajectories also x (law, scenario, state, time), u and mode, NaN past a run's end.
+        After Ctrl-C the scenarios that are done, with ``attrs["interrupted"]`` = 1.
 
     Raises
     ------
     ArgumentError
-        If an argument is malformed, or laws, plant and signals do not belong together.
+        If an argument is malformed, laws, plant and signals do not belong together, the results
+        would not fit into memory, or the backend is not installed.
 
     Examples
     --------
@@ -116,21 +128,27 @@ def monte_carlo(
     True
     """
     horizon, step = positive("horizon", horizon), positive("step", step)
-    named = _named(laws)
+    instance("plant", plant, SwitchedSystem)
+    named = named_laws(laws)
+    for law in named.values():
+        require_match(plant, law)
     scenarios, seed = _whole("scenarios", scenarios, 1), _whole("seed", seed, 0)
+    threads = processors() if threads is None else _whole("threads", threads, 1)
     if backend not in BACKENDS:
         raise ArgumentError(f"backend must be one of {list(BACKENDS)}, got {backend!r}.")
     x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     delay = max(plant.delay, *(law.plant.delay for law in named.values()))
-    signal_at, scenarios = signals_of(model, scenarios, seed, horizon + delay, plant.modes)
-
-    def run(law: Law, signal: SwitchingSignal, scenario: int):
-        drawn = int(np.random.SeedSequence([seed, scenario]).generate_state(1)[0])
-        return simulate(
-            plant, law, signal, x0, horizon, step, imperfections=imperfections, seed=drawn
-        )
-
-    values, diverged, continued = _loop(named, signal_at, scenarios, horizon, run, progress)
+    source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
+    streams(imperfections, seed)
+    loop = Loop(plant, Window.of(plant.delay, step), x0, horizon, _actuators(imperfections))
+    results = _room(loop, len(named), scenarios, trajectories)
+    engine = engine_of(backend, loop)
+    tables = _tables(engine, loop, named, imperfections)
+    block = Block(loop, source, named, tables, engine, imperfections, seed, results)
+    size = int(np.clip(_BLOCK_STEPS / (loop.whole + 1), 1, _BLOCK)) if tables else 1
+    with shown(progress, scenarios) as report:
+        workers = min(threads, -(-scenarios // size)) if tables and backend == "numba" else 1
+        continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
     attributes = {
         "seed": seed,
         "step": step,
@@ -141,85 +159,54 @@ def monte_carlo(
         "delay": plant.delay,
         "backend": backend,
         "imperfections": [repr(one) for one in imperfections],
-        "message": _message(continued, scenarios),
+        "one_by_one": [name for name in named if name not in tables],
+        "interrupted": int(interrupted),
+        "message": _message(results, list(named), continued, interrupted),
     }
-    return _dataset(list(named), values, diverged, attributes)
+    return dataset_of(list(named), results, step, attributes)
 
 
-def _loop(
+def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Saturation | RateLimit]:
+    """What engines know of imperfections: limits of the inputs."""
+    return [one for one in imperfections if isinstance(one, (Saturation, RateLimit))]
+
+
+def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:
+    """Arrays for the results, where there is memory for them."""
+    plant, samples = loop.plant, loop.whole + 1
+    needed = scenarios * laws * (8.0 * len(METRICS) + 1.0)
+    require_memory(f"metrics of {scenarios:,} scenarios", needed, "run fewer at a time")
+    if not trajectories:
+        return Results.empty(laws, scenarios)
+    needed += scenarios * samples * (8.0 * laws * (plant.states + plant.inputs) + 4.0)
+    require_memory(
+        f"trajectories of {scenarios:,} scenarios of {samples:,} samples under {laws} laws",
+        needed,
+        "leave trajectories out and run the scenarios of interest alone, with draw_signals and "
+        "simulate",
+    )
+    return Results.empty(laws, scenarios, (plant.states, plant.inputs, samples))
+
+
+def _tables(
+    engine: Engine,
+    loop: Loop,
     laws: Mapping[str, Law],
-    signal_at: SignalAt,
-    scenarios: int,
-    horizon: float,
-    run: Callable[[Law, SwitchingSignal, int], Any],
-    progress: Progress | None,
-) -> tuple[dict[str, np.ndarray], np.ndarray, int]:
-    """Metrics and divergence of every law on every signal; how many signals ended early."""
-    values = {name: np.empty((len(laws), scenarios)) for name in METRICS}
-    diverged = np.zeros((len(laws), scenarios), dtype=bool)
-    continued = 0
-    for i in range(scenarios):
-        signal = signal_at(i)
-        continued += signal.end < horizon
-        for row, law in enumerate(laws.values()):
-            trajectory = run(law, signal, i)
-            diverged[row, i] = trajectory.diverged
-            for name, value in trajectory.metrics().items():
-                values[name][row, i] = value
-        if progress is not None:
-            progress(i + 1, scenarios)
-    return values, diverged, continued
-
-
-def _dataset(
-    names: list[str],
-    values: Mapping[str, np.ndarray],
-    diverged: np.ndarray,
-    attributes: Mapping[str, Any],
-) -> xr.Dataset:
-    import xarray as xr
-
-    dims = ("law", "scenario")
-    variables: dict[str, Any] = {
-        name: (dims, value, {"units": METRICS[name][0], "long_name": METRICS[name][1]})
-        for name, value in values.items()
-    }
-    variables["diverged"] = (dims, diverged, {"long_name": DIVERGED})
-    coordinates = {
-        "law": ("law", names, {"long_name": "law"}),
-        "scenario": ("scenario", np.arange(diverged.shape[1]), {"long_name": "scenario"}),
-    }
-    attributes = {**attributes, "version": __version__}
-    return xr.Dataset(variables, coordinates, attributes)
-
-
-def _named(laws: object) -> dict[str, Law]:
-    """Laws by name, in their order."""
-    if isinstance(laws, Mapping):
-        pairs = list(laws.items())
-    elif isinstance(laws, Sequence) and not isinstance(laws, str):
-        pairs = [(getattr(law, "label", ""), law) for law in laws]
-    else:
-        hint = ": for one law, write [law]" if isinstance(laws, Law) else ""
-        raise ArgumentError(
-            f"laws must be a list of laws, or a dict of names to laws, got "
-            f"{type(laws).__name__}{hint}."
-        )
-    if not pairs:
-        raise ArgumentError("laws must hold at least one law, got none.")
-    named: dict[str, Law] = {}
-    for name, law in pairs:
-        if not isinstance(law, Law):
-            raise ArgumentError(f"laws must hold laws only, got {type(law).__name__}.")
-        if not isinstance(name, str):
-            raise ArgumentError(f"laws must have names that are strings, got {name!r}.")
-        if name in named:
-            raise ArgumentError(
-                f"laws must have different labels, got {name!r} twice: "
-                "name them yourself, with a dict of names to laws."
-            )
-        named[name] = law
-    return named
+    imperfections: Sequence[Imperfection],
+) -> dict[str, Any]:
+    """The tables of the laws that the engine can run: None for rows per sample."""
+    n, wide = loop.maps.move.shape[1:]
+    if len(imperfections) > len(loop.actuators) or loop.tables is None:
+        return {}
+    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or loop.whole > _MOST_SAMPLES:
+        return {}
+    step, anything = loop.window.step, SwitchingSignal.constant(0)
+    tables = {}
+    for name, law in laws.items():
+        if isinstance(law, TableLaw):
+            feedback = law.digital(step, anything, 1)
+            tables[name] = None if feedback.context == "step" else engine.table(feedback)
+    return tables
 
 
 def _whole(name: str, value: object, least: int) -> int:
@@ -229,10 +216,20 @@ def _whole(name: str, value: object, least: int) -> int:
     return int(value)
 
 
-def _message(continued: int, scenarios: int) -> str:
-    if not continued:
-        return ""
-    return (
-        f"{continued} of {scenarios} signals end before the horizon and were continued in "
-        "their last mode."
-    )
+def _message(results: Results, names: Sequence[str], continued: int, interrupted: bool) -> str:
+    """What is worth knowing about the run as a whole."""
+    done, scenarios = int(results.done.sum()), results.done.size
+    notes = []
+    if interrupted:
+        notes.append(f"interrupted after {done:,} of {scenarios:,} scenarios.")
+    if continued:
+        notes.append(
+            f"{continued} of {done} signals end before the horizon and were continued in their "
+            "last mode."
+        )
+    for name, diverged in zip(names, results.diverged, strict=True):
+        which = np.flatnonzero(diverged & results.done)
+        if which.size:
+            listed = ", ".join(map(str, which[:_NAMED])) + ", …" * (which.size > _NAMED)
+            notes.append(f"{name} diverged on {which.size:,} of {done:,} scenarios: {listed}.")
+    return " ".join(notes)
