@@ -12,6 +12,7 @@ import xarray as xr
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.monte_carlo import scenario_seed
 from deadtime.study import load_study, run_study
 from deadtime.study.answers import answers
 from deadtime.study.cell import run_cell, setting_of, signals_of
@@ -173,7 +174,8 @@ def test_a_cell_is_monte_carlo_on_its_plant_gains_and_model(small):
         "expected": dt.ExpectedPredictor(plant, gains, model),
         "oracle": dt.ExactPredictor(plant, gains),
     }
-    direct = dt.monte_carlo(plant, laws, model, study.x0, 6.0, 0.05, scenarios=8, seed=0)
+    signals = [model.sample(6.5, seed=scenario_seed(0, i)) for i in range(8)]
+    direct = dt.monte_carlo(plant, laws, signals, study.x0, 6.0, 0.05)
     here = data.sel(sojourn="exponential", delay=0.5, distance=1.0, dwell_time=0.8, law=list(laws))
     for name in ("ise", "energy", "peak", "final_norm"):
         np.testing.assert_array_equal(here[name].values, direct[name].values)
