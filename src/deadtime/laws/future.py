@@ -15,22 +15,26 @@ from numba import njit
 from deadtime.exponential import phases
 
 
-@njit(cache=True)
-def _carry_back(R, Phi, Gamma, tap, scratch):
-    """tap += R Γ, then R ← R Φ, in place."""
+@njit(cache=True, nogil=True)
+def _carry_back(R, Phi, Gamma, i, G, k, j, scratch):
+    """G[k, j] += R Γ_i, then R ← R Φ_i, in place; by entries, for views cost more than they do."""
     m, n = R.shape
     for a in range(m):
         for b in range(m):
-            for k in range(n):
-                tap[a, b] += R[a, k] * Gamma[k, b]
+            total = G[k, j, a, b]
+            for c in range(n):
+                total += R[a, c] * Gamma[i, c, b]
+            G[k, j, a, b] = total
         for b in range(n):
-            scratch[b] = 0.0
-            for k in range(n):
-                scratch[b] += R[a, k] * Phi[k, b]
-        R[a] = scratch
+            total = 0.0
+            for c in range(n):
+                total += R[a, c] * Phi[i, c, b]
+            scratch[b] = total
+        for b in range(n):
+            R[a, b] = scratch[b]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def future_rows(A, B, final_gain, step, phase, count, cut_step, cut_offset, cut_mode):
     """F (steps, m, n) and G (steps, N, m, m) along a known signal.
 
@@ -44,10 +48,9 @@ def future_rows(A, B, final_gain, step, phase, count, cut_step, cut_offset, cut_
     for k in range(steps):
         R[:] = final_gain[k]
         for j in range(1, count + 1):
-            i = index[k + count - j, 0]
-            _carry_back(R, Phi[i], Gamma[i], G[k, j - 1], scratch)
+            _carry_back(R, Phi, Gamma, index[k + count - j, 0], G, k, j - 1, scratch)
             if j < count and phase < step:
                 i = index[k + count - 1 - j, 1]
-                _carry_back(R, Phi[i], Gamma[i], G[k, j - 1], scratch)
+                _carry_back(R, Phi, Gamma, i, G, k, j - 1, scratch)
         F[k] = R
     return F, G

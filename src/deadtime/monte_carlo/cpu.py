@@ -93,14 +93,14 @@ def _factored(feedback: Feedback, form: WindowForm) -> Rows:
 
 
 def _dense(feedbacks: Sequence[Feedback]) -> Rows:
-    """Dense rows, the oldest input first, padded to whole vectors."""
+    """Dense rows, the latest input first, padded to whole vectors."""
     first = feedbacks[0]
     taps, m = first.taps, first.state_gain.shape[1]
     length = -(-taps * m // LANES) * LANES
     rows = sum(feedback.state_gain.shape[0] for feedback in feedbacks)
     dense, start = np.zeros((rows, m, length)), 0
     for feedback in feedbacks:
-        G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3)
+        G = feedback.input_gain.transpose(0, 2, 1, 3)
         dense[start : start + len(G), :, : taps * m] = G.reshape(len(G), m, taps * m)
         start += len(G)
     state = np.concatenate([feedback.state_gain for feedback in feedbacks]).ravel()

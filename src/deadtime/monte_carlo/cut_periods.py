@@ -134,12 +134,12 @@ def _series(
     """
     nodes = np.polynomial.chebyshev.chebpts1(_NODES)
     values = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
+    weights = np.where(np.arange(_NODES) == 0, 1.0, 2.0) / _NODES
     width, result = (high - low) / cells, []
     for c in range(cells):
         samples = np.array([function(low + width * (c + 0.5 + 0.5 * x)) for x in nodes])
         scale = np.abs(samples).max(axis=0)
-        terms = 2.0 / _NODES * (values.T @ samples)
-        terms[0] *= 0.5
+        terms = weights[:, None] * (values.T @ samples)
         kept = np.flatnonzero((np.abs(terms) > _ROUND_OFF * np.maximum(scale, 1e-300)).any(axis=1))
         terms = terms[: 1 + int(kept.max(initial=0))]
         powers = np.zeros_like(terms)
@@ -153,11 +153,9 @@ def _series(
 def _stack(parts: Sequence) -> np.ndarray:
     """Nested lists of arrays (…, degree, size) as one, padded to one degree and whole vectors."""
     flat = [part if isinstance(part, np.ndarray) else _stack(part) for part in parts]
-    ndim = flat[0].ndim
     shape = np.max([part.shape for part in flat], axis=0)
     shape[-1] = -(-shape[-1] // WIDE) * WIDE
     result = np.zeros((len(flat), *shape))
     for row, part in zip(result, flat, strict=True):
         row[tuple(slice(size) for size in part.shape)] = part
-    assert ndim + 1 == result.ndim
     return result

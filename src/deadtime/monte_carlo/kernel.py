@@ -6,6 +6,9 @@ memory and is rewritten where its records say so: when its mode changes, and for
 switch cuts.
 """
 
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
 from __future__ import annotations
 
 import math
@@ -38,6 +41,7 @@ from deadtime.monte_carlo.lanes import (
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
 _LOG_2 = math.log(2.0)
+_NEVER = np.int64(2**62)
 _ONE = (0.0,)
 _FOUR = (0.0,) * 4
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
@@ -63,7 +67,7 @@ class Rows(NamedTuple):
 
     state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
     ahead (length, q, m) and behind (length, rows, m, q), flat; dense (rows, m, padded taps), the
-    oldest input first; `kind` 0 one row, 1 a row per mode, 2 per mode and age, 3 per sample.
+    latest input first; `kind` 0 one row, 1 a row per mode, 2 per mode and age, 3 per sample.
     """
 
     length: int
@@ -81,9 +85,9 @@ class Rows(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """The truth: N, and signals laid on its periods (`loop.Laid`)."""
+    """The truth: its delay N in periods, and signals laid on them (`loop.Laid`)."""
 
-    count: int
+    delay: int
     maps: np.ndarray
     first: np.ndarray
     step: np.ndarray
@@ -141,152 +145,207 @@ def _refill(shape, rows, ring, period, now, carry):
         store(carry, r * asked * LANES, sums)
 
 
+class Work(NamedTuple):
+    """Memory of eight scenarios.
+
+    ring : inputs, of `period` samples;  carry : what the block of inputs before adds to sums;
+    window : inputs twice over, scenario by scenario, for dense rows;  own : maps;
+    mode, its number as one that `chosen` reads, when it began, the row of the law;
+    at, stop, coming : the next record, the end of records, 8·period + place of the next one.
+    """
+
+    ring: np.ndarray
+    carry: np.ndarray
+    window: np.ndarray
+    own: np.ndarray
+    xs: np.ndarray
+    ask: np.ndarray
+    mode: np.ndarray
+    mode_row: np.ndarray
+    began: np.ndarray
+    row: np.ndarray
+    at: np.ndarray
+    stop: np.ndarray
+    coming: np.ndarray
+
+
 @njit(cache=True, nogil=True)
-def _dense(shape, rows, row, xs, window, start, width, asked):
-    """The input that dense rows ask for, scenario by scenario, from x in `xs`."""
+def _work(shape, rows, plant, run, start, count, period):
+    """The memory at time 0."""
+    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
+    at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    mode, mode_row = np.empty(LANES, np.int64), np.zeros(LANES)
+    began, xs = np.empty(LANES, np.int64), np.empty(n * LANES)
+    for lane in range(LANES):
+        scenario = start + min(lane, count - 1)
+        at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
+        mode[lane] = plant.mode[at[lane]]
+        if rows.kind == 1:
+            mode_row[lane] = mode[lane]
+        began[lane] = -plant.age[scenario]
+        for i in range(n):
+            xs[i * LANES + lane] = run.x0[i]
+    return Work(
+        np.zeros(period * m * LANES),
+        np.zeros(max(1, min(rows.length, run.samples)) * len(shape.rows) * LANES),
+        np.zeros(len(shape.dense) * (2 * rows.taps * m + LANES) * LANES),
+        np.empty((n * wide + wide * (wide + 1) // 2) * LANES),
+        xs,
+        np.empty(m * LANES),
+        mode,
+        mode_row,
+        began,
+        np.zeros(LANES, np.int64),
+        at,
+        stop,
+        np.arange(LANES),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _switch(rows, plant, work, k, soon):
+    """Apply the records of period k; which comes next, or a number that no period reaches."""
+    size = work.own.size // LANES
+    while soon // LANES == k:
+        lane = soon % LANES
+        record = work.at[lane]
+        work.at[lane] += 1
+        if plant.mode[record] != work.mode[lane]:
+            work.mode[lane], work.began[lane] = plant.mode[record], k
+            if rows.kind == 1:
+                work.mode_row[lane] = plant.mode[record]
+        for i in range(size):
+            work.own[i * LANES + lane] = plant.maps[plant.map[record], i]
+        work.coming[lane] = _NEVER
+        if work.at[lane] < work.stop[lane]:
+            work.coming[lane] = np.int64(plant.step[work.at[lane]]) * LANES + lane
+        soon = _NEVER
+        for other in range(LANES):
+            soon = min(soon, work.coming[other])
+    return soon
+
+
+@njit(cache=True, nogil=True)
+def _ask_dense(shape, rows, work, k, count, samples, place):
+    """The input that dense rows ask for, scenario by scenario, from x in `work.xs`."""
     n, m = len(shape.x), len(shape.u)
     length = rows.dense.size // max(1, rows.state.size // n)
+    width = 2 * rows.taps * m + LANES
+    for lane in range(LANES):
+        row = 0
+        if rows.kind == 1:
+            row = work.mode[lane]
+        elif rows.kind == 2:
+            row = work.mode[lane] * rows.ages + min(k - work.began[lane], rows.ages - 1)
+        elif rows.kind == 3:
+            row = min(lane, count - 1) * samples + k
+        for i in range(m):
+            at = row * m + i
+            value = _dot(rows.dense, at * length, work.window, lane * width + place * m, length)
+            for j in range(n):
+                value += rows.state[at * n + j] * work.xs[j * LANES + lane]
+            work.ask[i * LANES + lane] = value
+
+
+@njit(cache=True, nogil=True)
+def _remember(shape, rows, work, place):
+    """Put the inputs in `work.ask` into the window of dense rows, the latest at `place`.
+
+    They are held twice, so that N inputs lie side by side wherever the ring begins.
+    """
+    m, width = len(shape.u), 2 * rows.taps * len(shape.u) + LANES
     for lane in range(LANES):
         for i in range(m):
-            at = row[lane] * m + i
-            value = _dot(rows.dense, at * length, window, lane * width + start, length)
-            for j in range(n):
-                value += rows.state[at * n + j] * xs[j * LANES + lane]
-            asked[i * LANES + lane] = value
+            at = lane * width + place * m + i
+            work.window[at] = work.window[at + rows.taps * m] = work.ask[i * LANES + lane]
+
+
+@njit(cache=True, nogil=True)
+def _limited(shape, run, u, before):
+    """The input after the actuators, the one before given."""
+    m, one = len(shape.u), same(1.0, _ONE)
+    for a in range(run.rate.size):
+        base = times(same(run.rate[a], shape.u), before, same(0.0, shape.u))
+        low = product(run.low, a * m, one, base)
+        u = smaller(larger(u, low), product(run.high, a * m, one, base))
+    return u
 
 
 @njit(cache=True, nogil=True)
 def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest."""
     n, m, wide, asked = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
-    size = n * wide + wide * (wide + 1) // 2
-    factored = len(shape.dense) == 0
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
-    period = min(max(plant.count, rows.taps), run.samples) + 1
-    ring = np.zeros(period * m * LANES)
-    carry = np.zeros(max(1, min(rows.length, run.samples)) * asked * LANES)
-    own = np.empty(size * LANES)
-    xs, ask, more = np.empty(n * LANES), np.empty(m * LANES), np.empty(2 * LANES)
-    width = 0 if factored else 2 * rows.taps * m + LANES
-    window = np.zeros(width * LANES)
-    mode, coming = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    never = np.int64(run.samples) * LANES
-    soon = np.int64(0)
-    mode_row = np.zeros(LANES)
-    began, row = np.empty(LANES, np.int64), np.zeros(LANES, np.int64)
-    at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    for lane in range(LANES):
-        scenario = start + min(lane, count - 1)
-        at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
-        mode[lane] = plant.mode[at[lane]]
-        mode_row[lane] = mode[lane] if rows.kind == 1 else 0
-        began[lane] = -plant.age[scenario]
-        coming[lane] = lane
-        for i in range(n):
-            xs[i * LANES + lane] = run.x0[i]
-    x = load(xs, 0, shape.x)
-    b = same(0.0, shape.b)
-    one = same(1.0, _ONE)
-    ise, energy, peak = same(0.0, _ONE), same(0.0, _ONE), same(0.0, _ONE)
-    last, least = same(-1.0, _ONE), same(np.inf, _ONE)
-    P, Q, EP, EQ = one, one, same(0.0, _ONE), same(0.0, _ONE)
+    period = min(max(plant.delay, rows.taps), run.samples) + 1
+    work = _work(shape, rows, plant, run, start, count, period)
+    ring, own = work.ring, work.own
+    none, one = same(0.0, _ONE), same(1.0, _ONE)
     small = same(OUTSIDE, _ONE)
-    now, old = 0, period - min(plant.count, run.samples)
-    new = (period - min(plant.count - 1, run.samples)) % period
+    x, b = load(work.xs, 0, shape.x), same(0.0, shape.b)
+    ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
+    # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
+    P, Q, EP, EQ = one, one, none, none
+    now, old = 0, period - min(plant.delay, run.samples)
+    new = (period - min(plant.delay - 1, run.samples)) % period
     older = period - min(rows.taps, run.samples)
-    r, p = 0, 0
+    soon, r, place = np.int64(0), 0, 0
     for k in range(run.samples):
-        # What happens to the modes in this period.
-        while soon // LANES == k:
-            lane = soon % LANES
-            record = at[lane]
-            at[lane] += 1
-            if plant.mode[record] != mode[lane]:
-                mode[lane], began[lane] = plant.mode[record], k
-                mode_row[lane] = mode[lane] if rows.kind == 1 else 0
-            for i in range(size):
-                own[i * LANES + lane] = plant.maps[plant.map[record], i]
-            coming[lane] = never
-            if at[lane] < stop[lane]:
-                coming[lane] = plant.step[at[lane]] * LANES + lane
-            soon = never
-            for other in range(LANES):
-                soon = min(soon, coming[other])
-        # Metrics of the sample.
-        norm = squares(x, same(0.0, _ONE))
+        if soon // LANES == k:
+            soon = _switch(rows, plant, work, k, soon)
+        norm = squares(x, none)
         peak = larger(norm, peak)
-        last = where_larger(norm, times(small, peak, same(0.0, _ONE)), float(k), last)
+        last = where_larger(norm, times(small, peak, none), float(k), last)
         if k >= run.late:
             least = smaller(norm, least)
-            P = times(P, mantissa(norm), same(0.0, _ONE))
-            EP = times(one, exponent(norm), EP)
-            Q = times(Q, P, same(0.0, _ONE))
-            EQ = times(one, EP, EQ)
+            P, EP = times(P, mantissa(norm), none), times(one, exponent(norm), EP)
+            Q, EQ = times(Q, P, none), times(one, EP, EQ)
             if (k - run.late) % _GROUP == _GROUP - 1:
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
-        # The law.
-        if factored:
+        if len(shape.dense) == 0:
             if r == rows.length:
-                _refill(shape, rows, ring, period, now, carry)
+                _refill(shape, rows, ring, period, now, work.carry)
                 b, r = same(0.0, shape.b), 0
-            sums = load(carry, r * asked * LANES, shape.rows)
+            sums = load(work.carry, r * asked * LANES, shape.rows)
             sums = product(rows.last, 0, load(ring, older * m * LANES, shape.u), sums)
-            sums = product(rows.state, 0, x, sums)
-            sums = product(rows.out, 0, b, sums)
-            u = chosen(sums, load(mode_row, 0, _ONE), shape.u)
+            sums = product(rows.out, 0, b, product(rows.state, 0, x, sums))
+            u = chosen(sums, load(work.mode_row, 0, _ONE), shape.u)
         else:
-            for lane in range(LANES):
-                if rows.kind == 1:
-                    row[lane] = mode[lane]
-                elif rows.kind == 2:
-                    row[lane] = mode[lane] * rows.ages + min(k - began[lane], rows.ages - 1)
-                elif rows.kind == 3:
-                    row[lane] = min(lane, count - 1) * run.samples + k
-            store(xs, 0, x)
-            _dense(shape, rows, row, xs, window, p * m, width, ask)
-            u = load(ask, 0, shape.u)
+            store(work.xs, 0, x)
+            _ask_dense(shape, rows, work, k, count, run.samples, place)
+            u = load(work.ask, 0, shape.u)
         if len(shape.limited) > 0:
             before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            for a in range(run.rate.size):
-                base = times(same(run.rate[a], shape.u), before, same(0.0, shape.u))
-                low = product(run.low, a * m, one, base)
-                high = product(run.high, a * m, one, base)
-                u = smaller(larger(u, low), high)
+            u = _limited(shape, run, u, before)
         store(ring, now * m * LANES, u)
-        if factored:
-            b = block_product(
-                rows.transition, 0, b, product(rows.enter, 0, u, same(0.0, shape.b)), shape.block
-            )
+        if len(shape.dense) == 0:
+            entered = product(rows.enter, 0, u, same(0.0, shape.b))
+            b = block_product(rows.transition, 0, b, entered, shape.block)
             r += 1
         else:
-            store(ask, 0, u)
-            for lane in range(LANES):
-                for i in range(m):
-                    window[lane * width + p * m + i] = ask[i * LANES + lane]
-                    window[lane * width + (p + rows.taps) * m + i] = ask[i * LANES + lane]
-            p = 0 if p + 1 == rows.taps else p + 1
+            place = rows.taps - 1 if place == 0 else place - 1
+            store(work.ask, 0, u)
+            _remember(shape, rows, work, place)
         if path.size and k >= keep:
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
-        # The plant.
         recent = load(ring, new * m * LANES, shape.u)
         z = first_of(x, load(ring, old * m * LANES, shape.u), recent, shape.z)
         ise = own_form(own, n * wide * LANES, z, ise)
         x = own_product(own, 0, z, same(0.0, shape.x))
         weight = run.rest if k == run.samples - 1 else 1.0
-        energy = times(same(weight, _ONE), squares(u, same(0.0, _ONE)), energy)
+        energy = times(same(weight, _ONE), squares(u, none), energy)
         now = 0 if now + 1 == period else now + 1
         old = 0 if old + 1 == period else old + 1
         new = 0 if new + 1 == period else new + 1
         older = 0 if older + 1 == period else older + 1
-    for f, figure in enumerate((ise, energy, peak, last, least, P, Q, squares(x, same(0.0, _ONE)))):
+    figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
+    for f, figure in enumerate(figures):
         store(out, f * LANES, figure)
-    store(more, 0, EP)
-    store(more, LANES, EQ)
     for lane in range(LANES):
-        out[5 * LANES + lane] = math.log(out[5 * LANES + lane]) + more[lane] * _LOG_2
-        out[6 * LANES + lane] = math.log(out[6 * LANES + lane]) + more[LANES + lane] * _LOG_2
+        for f in (5, 6):
+            product_so_far, exponents = out[f * LANES + lane], out[(f + 3) * LANES + lane]
+            out[f * LANES + lane] = math.log(product_so_far) + exponents * _LOG_2
 
 
 @njit(cache=True, nogil=True)
@@ -296,7 +355,7 @@ def run_scenarios(shape, rows, plant, run, start, count, path, keep):
     `path`, empty or for at most eight scenarios, gets x and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
-    out = np.empty(FIGURES * LANES)
+    out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(shape, rows, plant, run, start + at, few, out, path, keep)

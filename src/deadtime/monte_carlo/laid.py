@@ -5,6 +5,9 @@ that of a period which a switch cuts. As `deadtime.steps.Cuts` has it, a switch 
 period of a sample, or of an arriving input, is at it.
 """
 
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
 from __future__ import annotations
 
 import numpy as np

@@ -8,9 +8,12 @@ The compiler vectorises such loops by itself only where it can prove that no two
 and then keeps no vector in a register from one period to the next: about four times slower.
 """
 
+# Types of Numba are called to make signatures.
+# pyright: reportCallIssue=false
+
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -85,7 +88,7 @@ class _Code:
         return self.builder.select(self.builder.fcmp_ordered("<", a, b), a, b)
 
 
-Work = Callable[..., Sequence[Any]]
+Work = Callable[..., Any]
 
 
 def _made(signature: Any, work: Work) -> tuple[Any, Callable[..., Any]]:

@@ -83,14 +83,13 @@ def _blocks_of_ones(q: int, size: int) -> np.ndarray:
 def _modal(factor: Factor) -> tuple[Factor, int] | None:
     """In real eigenvectors of S: real parts and imaginary parts for complex pairs."""
     values, vectors = np.linalg.eig(factor.S)
-    real = np.flatnonzero(values.imag == 0.0)
-    pairs = np.flatnonzero(values.imag > 0.0)
+    real, imaginary = np.real(vectors), np.imag(vectors)
+    single, pairs = np.flatnonzero(np.imag(values) == 0.0), np.flatnonzero(np.imag(values) > 0.0)
     if pairs.size == 0:
-        size, basis = 1, vectors.real
-    elif real.size % 2 == 0:
+        size, basis = 1, real
+    elif single.size % 2 == 0:
         size = 2
-        columns = [vectors[:, real].real]
-        columns += [np.column_stack((vectors[:, p].real, vectors[:, p].imag)) for p in pairs]
+        columns = [real[:, single], *(np.stack((real[:, p], imaginary[:, p]), 1) for p in pairs)]
         basis = np.column_stack(columns)
     else:
         return None
