@@ -11,7 +11,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from batch_problem import LAWS, PAPER, USUAL, X0
 from numba import njit, prange
+
+import deadtime as dt
+from deadtime.monte_carlo.loop import Loop
+from deadtime.steps import Window
 
 WIDTH = 64  # scenarios side by side in `side_by_side`
 
@@ -33,6 +38,33 @@ class Problem(NamedTuple):
     into: np.ndarray
     leave: np.ndarray
     out: np.ndarray
+
+
+def problem_of(law: dt.Law) -> Problem:
+    """The tables of a peer; the window's recursion is that of the averaged law."""
+    feedback, averaged = law.digital(USUAL.step), LAWS["averaged"].digital(USUAL.step)
+    loop = Loop(PAPER.plant, Window.of(1.0, USUAL.step), np.array(X0), USUAL.horizon)
+    factor = averaged.factor
+    assert factor is not None
+    values, vectors = np.linalg.eig(factor.S)
+    into = np.linalg.solve(vectors, factor.input)[:, 0]
+    return Problem(
+        *map(np.ascontiguousarray, loop.maps),
+        np.ascontiguousarray(feedback.state_gain[:, 0]),
+        np.ascontiguousarray(feedback.input_gain[:, ::-1, 0, 0]),
+        feedback.ages,
+        np.array(X0),
+        values,
+        into,
+        values**feedback.taps * into,
+        (factor.H[0] @ vectors)[0],
+    )
+
+
+def blocks_of(modes: np.ndarray) -> np.ndarray:
+    """Modes (scenario, period) as (block, period, WIDTH)."""
+    blocks = modes.reshape(-1, WIDTH, modes.shape[1])
+    return np.ascontiguousarray(blocks.transpose(0, 2, 1))
 
 
 class Numbers(NamedTuple):
@@ -130,7 +162,7 @@ def plain(problem, modes):
 
 @njit(parallel=True, fastmath=True, cache=True)
 def side_by_side(numbers, N, modes):
-    """`plain` with `numbers_of` its problem, scenarios side by side in memory; modes (block, period, WIDTH).
+    """`plain`, scenarios side by side in memory: `numbers_of` the problem, `blocks_of` the modes.
 
     Everything but the inputs lies in one array at known distances, so that the compiler can
     prove that the inner loop's iterations do not meet, and vectorises it.

@@ -1,4 +1,7 @@
-"""What the machine can do, measured: the bounds that a benchmark of compiled loops is held to."""
+"""What the machine can do, measured: the bounds that a benchmark of compiled loops is held to.
+
+A bound is the best of a few runs, not their median.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,48 +57,58 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if has else os.cpu_count() or 1
 
 
-def median_of(work: Callable[[], object], repeats: int) -> float:
-    """Median seconds of a call; the caller has made the first one."""
+def seconds(work: Callable[[], object], repeats: int) -> list[float]:
+    """Of each call."""
     spent = []
     for _ in range(repeats):
         start = time.perf_counter()
         work()
         spent.append(time.perf_counter() - start)
-    return statistics.median(spent)
+    return spent
+
+
+def median_of(work: Callable[[], object], repeats: int) -> float:
+    """Median seconds of a call; the caller has made the first one."""
+    return statistics.median(seconds(work, repeats))
 
 
 def _fma(chains: int, threads: int, rounds: int) -> float:
     """Operations per second, two for each entry of each fma."""
     like = (0.0,) * chains
     each = [np.full(chains * LANES, 0.5) for _ in range(threads)]
-    _chains(like, each[0].copy(), 1)
+
+    def one(numbers: np.ndarray) -> None:
+        _chains(like, numbers, rounds)
+
+    one(each[0].copy())
     with ThreadPoolExecutor(threads) as pool:
-        spent = median_of(
-            lambda: list(pool.map(lambda numbers: _chains(like, numbers, rounds), each)), 5
-        )
+        list(pool.map(abs, range(threads)))  # starts the threads
+        spent = min(seconds(lambda: list(pool.map(one, each)), 5))
     assert all((np.abs(numbers) <= 1.0).all() for numbers in each)
     return 2.0 * LANES * chains * rounds * threads / spent
 
 
 def _bandwidth(threads: int, size: int) -> float:
-    """Bytes per second of a = b + s c, 24 an element; reading `a` before it is written not counted."""
+    """Bytes per second of a = b + s c, 24 an element; `a` is not read, as far as this counts."""
     a, b, c = np.zeros(size), np.ones(size), np.ones(size)
     edges = np.linspace(0, size, threads + 1).astype(int)
-    parts = [slice(*pair) for pair in zip(edges[:-1], edges[1:], strict=True)]
+    parts = [slice(*pair) for pair in pairwise(edges)]
 
     def work() -> None:
         list(pool.map(lambda part: _triad(a[part], b[part], c[part], 3.0), parts))
 
     with ThreadPoolExecutor(threads) as pool:
         work()
-        spent = median_of(work, 5)
+        spent = min(seconds(work, 5))
     assert a[0] == a[-1] == 4.0
     return 24.0 * size / spent
 
 
 def measured(quick: bool) -> Machine:
     """Measure it: the best of several numbers of chains, since registers differ in number."""
-    rounds, size, every = (10**6, 2**22, processors()) if quick else (10**7, 2**24, processors())
+    rounds, size, every = (
+        (3 * 10**6, 2**22, processors()) if quick else (10**7, 2**24, processors())
+    )
     one = {chains: _fma(chains, 1, rounds) for chains in (1, 5, 8, 12)}
     best = max(one, key=one.__getitem__)
     # A single chain waits for itself: its vectors of eight come one every `_LATENCY` cycles.
