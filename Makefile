@@ -31,8 +31,9 @@ pytest: .venv/installed-test .venv/compiled
 long: .venv/installed-test .venv/compiled
 	$(BIN)/pytest -m long
 
-bench: .venv/installed
+bench: .venv/installed .venv/compiled
 	$(BIN)/python benchmarks/single_run.py
+	$(BIN)/python benchmarks/batch.py
 
 examples: .venv/installed
 	for script in examples/*.py; do $(BIN)/python $$script || exit 1; done
