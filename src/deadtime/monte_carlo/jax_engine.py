@@ -22,7 +22,7 @@ from deadtime.monte_carlo.jax_kernel import Law, Run, Signals, Sizes, run_scenar
 from deadtime.monte_carlo.loop import Laid, Loop
 from deadtime.monte_carlo.window_form import window_form
 
-_BUDGET, _MOST = 1 << 29, 1 << 16  # bytes and scenarios of a chunk
+_BUDGET, _MOST = 1 << 30, 1 << 16  # bytes and scenarios of a chunk
 _FEW_ROWS = 4  # all of so few are computed: cheaper than looking up one per scenario
 
 
@@ -44,7 +44,8 @@ class JaxEngine:
     ----------
     loop : Loop
     chunk : int, optional
-        Scenarios at a time, ≥ 1; unless told, as many as half a gigabyte holds.
+        Scenarios at a time, ≥ 1; unless told, as many as a gigabyte holds, up to
+        65536.
 
     Raises
     ------
@@ -122,13 +123,17 @@ class JaxEngine:
     ) -> Iterator[Signals]:
         """The signals of one chunk of scenarios after another."""
         size = min(self._chunk or self._fitting(table, path), _power_of_two(count))
+        modes = self._loop.plant.modes
+        cuts = np.add.reduceat(laid.map >= modes, laid.first[:-1], dtype=np.int64)
+        most = np.add.reduceat(cuts[first : first + count], np.arange(0, count, size)).max()
+        room = _power_of_two(modes + int(most))
         for start in range(first, first + count, size):
             chosen = np.minimum(np.arange(start, start + size), first + count - 1)
             real = np.arange(start, min(start + size, first + count))
             mode, index = _by_period(laid, real, self._samples)
             row = self._rows(table, mode, laid.age[real], real - first)
             again = chosen - start
-            maps, index = _only_used(laid, index, self._loop)
+            maps, index = _only_used(laid, index, self._loop, room)
             row = None if row is None else _filled(row, again)
             yield Signals(maps, _filled(index, again), row)
 
@@ -194,16 +199,13 @@ def _by_period(
     )
 
 
-def _only_used(laid: Laid, index: Int[np.ndarray, "scenario sample"], loop: Loop) -> Any:
-    """The maps that a chunk uses, as columns, and where they are among these.
-
-    Their number is rounded up to a power of two: it is part of what is compiled.
-    """
+def _only_used(laid: Laid, index: Int[np.ndarray, "scenario sample"], loop: Loop, room: int) -> Any:
+    """The maps that a chunk uses, as columns with some room, and where they are among these."""
     modes, n, wide = loop.plant.modes, loop.plant.states, loop.maps.move.shape[2]
     size = n * wide + wide * (wide + 1) // 2
     cut = index[index >= modes]  # of a chunk these follow each other; every last period is cut
     low, high = int(cut.min()), int(cut.max()) + 1
-    maps = np.zeros((size, _power_of_two(modes + high - low)))
+    maps = np.zeros((size, room))  # the same for all chunks: it is part of what is compiled
     maps[:, :modes] = laid.maps[:modes, :size].T
     maps[:, modes : modes + high - low] = laid.maps[low:high, :size].T
     return maps, np.where(index < modes, index, index - low + modes)

@@ -22,7 +22,7 @@ _THERE = "promise_in_bounds"  # the host made the indices
 class Sizes(NamedTuple):
     """What a compiled function is made for, beside the shapes of its arguments.
 
-    `wide` is how much acts over a period; `count` and `taps` are how many inputs the plant and the
+    `wide` is how much acts over a period; `back` and `taps` are how many inputs the plant and the
     law look back; `window` is W, the periods of a block of factorised rows, and 0 for dense rows;
     `own` says that each scenario looks up its row, rather than choosing among all of them.
     """
@@ -30,7 +30,7 @@ class Sizes(NamedTuple):
     samples: int
     late: int
     wide: int
-    count: int
+    back: int
     taps: int
     window: int
     own: bool
@@ -84,7 +84,7 @@ class _Ring(NamedTuple):
 
     @classmethod
     def of(cls, sizes: Sizes) -> _Ring:
-        return cls(sizes.samples, min(max(sizes.count, sizes.taps), sizes.samples) + 1)
+        return cls(sizes.samples, min(max(sizes.back, sizes.taps), sizes.samples) + 1)
 
     def place(self, k: Array, back: Any) -> Array:
         """Where u_{k−back} is."""
@@ -99,7 +99,7 @@ def _asked(sizes: Sizes, law: Law, ring: _Ring, x, b, inputs, k, row, earlier) -
     else:
         taps = (columns - x.shape[0]) // m
         places = ring.place(k, 1 + jnp.arange(taps))
-        seen = x, inputs[places].reshape(taps * m, -1)
+        seen = x, inputs[places].reshape(taps * m, x.shape[1])
     if sizes.own:
         own = law.table.at[row].get(mode=_THERE)
         return jnp.einsum("sij,js->is", own, jnp.concatenate(seen), precision="highest")
@@ -120,12 +120,12 @@ def _period(sizes: Sizes, law: Law, signals: Signals, run: Run, carry, at):
     x, b, inputs = carry
     k, index, row, earlier = at
     ring, n = _Ring.of(sizes), x.shape[0]
-    before, old = inputs[ring.place(k, 1)], inputs[ring.place(k, sizes.count)]
+    before, old = inputs[ring.place(k, 1)], inputs[ring.place(k, sizes.back)]
     u = _asked(sizes, law, ring, x, b, inputs, k, row, earlier)
     for rate, low, high in zip(run.rate, run.low, run.high, strict=True):
         base = rate * before
         u = jnp.minimum(jnp.maximum(u, base + low[:, None]), base + high[:, None])
-    new = u if sizes.count == 1 else inputs[ring.place(k, sizes.count - 1)]
+    new = u if sizes.back == 1 else inputs[ring.place(k, sizes.back - 1)]
     inputs = inputs.at[k % ring.length].set(u)
     if sizes.window:
         b = _next_sum(law, b, u)
@@ -192,7 +192,7 @@ def _periods(sizes: Sizes, law: Law, signals: Signals, run: Run):
 
 @partial(jax.jit, static_argnums=0)
 def run_scenarios(sizes: Sizes, law: Law, signals: Signals, run: Run):
-    """Figures (8, scenario) as `Figures` orders them, and x and u (sample, …, scenario) if asked."""
+    """Figures (8, scenario) in the order of `Figures`; x and u (sample, …, scenario) or None."""
     ise, energy, after, kept = _periods(sizes, law, signals, run)
     samples, late = sizes.samples, sizes.late
     start = jnp.broadcast_to(run.x0 @ run.x0, after[:1].shape)
