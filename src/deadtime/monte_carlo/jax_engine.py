@@ -2,8 +2,8 @@
 
 Scenarios run in chunks of one size, the last filled up by repeating its last scenario, so that
 one shape is compiled once. A chunk is as large as a budget of bytes allows: for each scenario it
-takes 32 bytes per period (which map and row, and three squares), the inputs in flight, and the
-row that it looks up.
+takes 32 bytes per period (which map and row, and three squares), the maps of its cut periods, the
+inputs in flight, and the row that it looks up.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
 from deadtime.checks import count as whole_number
 from deadtime.feedback import Context, Feedback
+from deadtime.monte_carlo.by_period import by_period, filled, most_maps, own_maps, rows_of
 from deadtime.monte_carlo.figures import Figures, Path
+from deadtime.monte_carlo.jax_arguments import Law, Run, Signals, Sizes
 from deadtime.monte_carlo.jax_double import in_double
-from deadtime.monte_carlo.jax_kernel import Law, Run, Signals, Sizes, run_scenarios
+from deadtime.monte_carlo.jax_kernel import run_scenarios
 from deadtime.monte_carlo.loop import Laid, Loop
 from deadtime.monte_carlo.window_form import window_form
 
@@ -44,8 +45,7 @@ class JaxEngine:
     ----------
     loop : Loop
     chunk : int, optional
-        Scenarios at a time, ≥ 1; unless told, as many as a gigabyte holds, up to
-        65536.
+        Scenarios at a time, ≥ 1; unless told, as many as a gigabyte holds, up to 65536.
 
     Raises
     ------
@@ -122,40 +122,17 @@ class JaxEngine:
         self, table: Table, laid: Laid, first: int, count: int, path: bool
     ) -> Iterator[Signals]:
         """The signals of one chunk of scenarios after another."""
-        size = min(self._chunk or self._fitting(table, path), _power_of_two(count))
-        modes = self._loop.plant.modes
-        cuts = np.add.reduceat(laid.map >= modes, laid.first[:-1], dtype=np.int64)
-        most = np.add.reduceat(cuts[first : first + count], np.arange(0, count, size)).max()
-        room = _power_of_two(modes + int(most))
+        size = min(self._chunk or self._fitting(table, laid, path), _power_of_two(count))
+        room = _power_of_two(most_maps(laid, first, count, size, self._loop))
         for start in range(first, first + count, size):
-            chosen = np.minimum(np.arange(start, start + size), first + count - 1)
             real = np.arange(start, min(start + size, first + count))
-            mode, index = _by_period(laid, real, self._samples)
-            row = self._rows(table, mode, laid.age[real], real - first)
-            again = chosen - start
-            maps, index = _only_used(laid, index, self._loop, room)
-            row = None if row is None else _filled(row, again)
-            yield Signals(maps, _filled(index, again), row)
-
-    def _rows(
-        self,
-        table: Table,
-        mode: Int[np.ndarray, "scenario sample"],
-        age: Int[np.ndarray, " scenario"],
-        number: Int[np.ndarray, " scenario"],
-    ) -> Int[np.ndarray, "scenario sample"] | None:
-        """The row of the law at each sample, as `Feedback.rows` has it for one scenario."""
-        if table.context == "none":
-            return None
-        if table.context == "mode":
-            return mode
-        samples = np.arange(self._samples)
-        if table.context == "step":
-            return number[:, None] * self._samples + samples
-        began = np.where(np.diff(mode, axis=1, prepend=-1) != 0, samples, -np.iinfo(np.int32).max)
-        began[:, 0] = -np.minimum(age, table.ages)
-        ages = samples - np.maximum.accumulate(began, axis=1)
-        return mode * table.ages + np.minimum(ages, table.ages - 1)
+            mode, index = by_period(laid, real, self._samples)
+            if table.context == "step":
+                row = (real - first)[:, None] * self._samples + np.arange(self._samples)
+            else:
+                row = rows_of(mode, laid.age[real], table.context, table.ages)
+            maps, index = own_maps(laid, index, self._loop, room)
+            yield Signals(maps, filled(index, size), None if row is None else filled(row, size))
 
     def _dense(self, feedbacks: Sequence[Feedback]) -> Table:
         """Dense rows; what lies further back than the run is never asked for."""
@@ -174,48 +151,15 @@ class JaxEngine:
             law = _on_device(Law(table))
         return Table(law, first.context, first.ages, taps, 0, own)
 
-    def _fitting(self, table: Table, path: bool) -> int:
+    def _fitting(self, table: Table, laid: Laid, path: bool) -> int:
         """How many scenarios fit the budget, a power of two."""
         loop, rows = self._loop, table.law.table.shape
         n, m = loop.plant.states, loop.plant.inputs
         flight = min(max(loop.window.count, table.taps), self._samples)
         numbers = self._samples * (4 + path * (n + m)) + flight * m + loop.maps.energy[0].size
+        numbers += 2 * laid.maps.size // laid.scenarios  # as many again for rounding up
         numbers += table.window * rows[0] * m + (1 + table.own) * m * rows[2]
         return _power_of_two(min(_MOST, max(1, _BUDGET // (8 * numbers))) + 1) // 2
-
-
-def _by_period(
-    laid: Laid, scenarios: Int[np.ndarray, " scenario"], samples: int
-) -> tuple[Int[np.ndarray, "scenario sample"], Int[np.ndarray, "scenario sample"]]:
-    """Mode at each sample, and map of each period, of scenarios that follow each other."""
-    records = slice(laid.first[scenarios[0]], laid.first[scenarios[-1] + 1])
-    step = laid.step[records]
-    until = np.append(step[1:], 0)
-    until = np.where(until == 0, samples, until)  # the next record is another scenario's first
-    shape = scenarios.size, samples
-    return (
-        np.repeat(laid.mode[records], until - step).reshape(shape),
-        np.repeat(laid.map[records], until - step).reshape(shape),
-    )
-
-
-def _only_used(laid: Laid, index: Int[np.ndarray, "scenario sample"], loop: Loop, room: int) -> Any:
-    """The maps that a chunk uses, as columns with some room, and where they are among these."""
-    modes, n, wide = loop.plant.modes, loop.plant.states, loop.maps.move.shape[2]
-    size = n * wide + wide * (wide + 1) // 2
-    cut = index[index >= modes]  # of a chunk these follow each other; every last period is cut
-    low, high = int(cut.min()), int(cut.max()) + 1
-    maps = np.zeros((size, room))  # the same for all chunks: it is part of what is compiled
-    maps[:, :modes] = laid.maps[:modes, :size].T
-    maps[:, modes : modes + high - low] = laid.maps[low:high, :size].T
-    return maps, np.where(index < modes, index, index - low + modes)
-
-
-def _filled(
-    values: Int[np.ndarray, "scenario sample"], again: Int[np.ndarray, " more"]
-) -> Int[np.ndarray, "sample more"]:
-    """By sample, with the last scenario repeated."""
-    return np.ascontiguousarray(values[np.minimum(again, len(values) - 1)].T.astype(np.int32))
 
 
 def _power_of_two(number: int) -> int:

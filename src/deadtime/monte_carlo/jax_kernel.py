@@ -15,60 +15,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from deadtime.monte_carlo.jax_arguments import Law, Run, Signals, Sizes
+
 OUTSIDE = 0.02**2
 _THERE = "promise_in_bounds"  # the host made the indices
-
-
-class Sizes(NamedTuple):
-    """What a compiled function is made for, beside the shapes of its arguments.
-
-    `wide` is how much acts over a period; `back` and `taps` are how many inputs the plant and the
-    law look back; `window` is W, the periods of a block of factorised rows, and 0 for dense rows;
-    `own` says that each scenario looks up its row, rather than choosing among all of them.
-    """
-
-    samples: int
-    late: int
-    wide: int
-    back: int
-    taps: int
-    window: int
-    own: bool
-    path: bool
-
-
-class Law(NamedTuple):
-    """A law's rows, and of factorised ones the rest of their `WindowForm`, None of dense ones.
-
-    A dense row acts on x and on past inputs, the latest first, a factorised one on x, on the sum
-    over the block so far and on the oldest input: table (rows, m, n + …).
-    """
-
-    table: Any
-    transition: Any = None
-    enter: Any = None
-    ahead: Any = None
-    behind: Any = None
-
-
-class Signals(NamedTuple):
-    """Maps (size, map), and for each period and scenario its map and, where there are several, its
-    row of the law (period, scenario)."""
-
-    maps: Any
-    index: Any
-    row: Any
-
-
-class Run(NamedTuple):
-    """x0 (n,), the weight of the last input, and per actuator: whether relative to the input
-    before, low and high (actuator, m)."""
-
-    x0: Any
-    rest: Any
-    rate: Any
-    low: Any
-    high: Any
 
 
 def _product(matrix: Array, vectors: Array) -> Array:
