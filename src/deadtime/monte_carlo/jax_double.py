@@ -46,3 +46,10 @@ def in_double() -> AbstractContextManager[object]:
         return jax.enable_x64(True)
     # Versions before 0.8 have it there only, later ones no longer.
     return import_module("jax.experimental").enable_x64()
+
+
+def on_cpu() -> bool:
+    """Whether JAX found nothing faster to compute on."""
+    import jax
+
+    return jax.default_backend() == "cpu"

@@ -18,12 +18,13 @@ from deadtime.feedback import Context, Feedback
 from deadtime.monte_carlo.by_period import by_period, filled, most_maps, own_maps, rows_of
 from deadtime.monte_carlo.figures import Figures, Path
 from deadtime.monte_carlo.jax_arguments import Law, Run, Signals, Sizes
-from deadtime.monte_carlo.jax_double import in_double
+from deadtime.monte_carlo.jax_double import in_double, on_cpu
 from deadtime.monte_carlo.jax_kernel import run_scenarios
 from deadtime.monte_carlo.loop import Laid, Loop
 from deadtime.monte_carlo.window_form import window_form
 
 _BUDGET, _MOST = 1 << 30, 1 << 16  # bytes and scenarios of a chunk
+_MOST_ON_CPU = 1 << 10  # a period's arrays then stay in its cache: two to three times as fast
 _FEW_ROWS = 4  # all of so few are computed: cheaper than looking up one per scenario
 
 
@@ -45,7 +46,8 @@ class JaxEngine:
     ----------
     loop : Loop
     chunk : int, optional
-        Scenarios at a time, ≥ 1; unless told, as many as a gigabyte holds, up to 65536.
+        Scenarios at a time, ≥ 1; unless told, as many as a gigabyte holds, up to 65536, and
+        up to 1024 where JAX computes on a CPU.
 
     Raises
     ------
@@ -159,7 +161,8 @@ class JaxEngine:
         numbers = self._samples * (4 + path * (n + m)) + flight * m + loop.maps.energy[0].size
         numbers += 2 * laid.maps.size // laid.scenarios  # as many again for rounding up
         numbers += table.window * rows[0] * m + (1 + table.own) * m * rows[2]
-        return _power_of_two(min(_MOST, max(1, _BUDGET // (8 * numbers))) + 1) // 2
+        most = _MOST_ON_CPU if on_cpu() else _MOST
+        return _power_of_two(min(most, max(1, _BUDGET // (8 * numbers))) + 1) // 2
 
 
 def _power_of_two(number: int) -> int:
