@@ -181,7 +181,7 @@ def test_results_do_not_depend_on_blocks_threads_or_how_signals_are_handed_over(
         here = run(model=part)[name].values
         np.testing.assert_array_equal(here, whole[name].values[:, 13:18])
     module = importlib.import_module("deadtime.monte_carlo.run")
-    for block, threads in ((5, 1), (2, 3)):
+    for block, threads in ((8, 1), (16, 3)):
         monkeypatch.setattr(module, "_BLOCK", block)
         assert run(seed=4, threads=threads).identical(whole)
 

@@ -135,6 +135,7 @@ def _series(
     nodes = np.polynomial.chebyshev.chebpts1(_NODES)
     values = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
     weights = np.where(np.arange(_NODES) == 0, 1.0, 2.0) / _NODES
+    powers = _chebyshev(_NODES)
     width, result = (high - low) / cells, []
     for c in range(cells):
         samples = np.array([function(low + width * (c + 0.5 + 0.5 * x)) for x in nodes])
@@ -142,18 +143,23 @@ def _series(
         terms = weights[:, None] * (values.T @ samples)
         kept = np.flatnonzero((np.abs(terms) > _ROUND_OFF * np.maximum(scale, 1e-300)).any(axis=1))
         terms = terms[: 1 + int(kept.max(initial=0))]
-        powers = np.zeros_like(terms)
-        for d in range(terms.shape[1]):
-            column = np.polynomial.chebyshev.cheb2poly(terms[:, d])
-            powers[: column.size, d] = column
-        result.append(powers)
+        result.append(powers[: len(terms), : len(terms)] @ terms)
     return _stack(result)
+
+
+def _chebyshev(count: int) -> Float[np.ndarray, "power polynomial"]:
+    """Chebyshev's polynomials T_0, …, T_{count − 1} as columns of powers."""
+    result = np.zeros((count, count))
+    for d in range(count):
+        coefficients = np.polynomial.chebyshev.cheb2poly(np.eye(count)[d, : d + 1])
+        result[: coefficients.size, d] = coefficients
+    return result
 
 
 def _stack(parts: Sequence) -> np.ndarray:
     """Nested lists of arrays (…, degree, size) as one, padded to one degree and whole vectors."""
     flat = [part if isinstance(part, np.ndarray) else _stack(part) for part in parts]
-    shape = np.max([part.shape for part in flat], axis=0)
+    shape = [max(sizes) for sizes in zip(*(part.shape for part in flat), strict=True)]
     shape[-1] = -(-shape[-1] // WIDE) * WIDE
     result = np.zeros((len(flat), *shape))
     for row, part in zip(result, flat, strict=True):

@@ -23,14 +23,17 @@ from deadtime.monte_carlo.lanes import (
     chosen,
     exponent,
     first_of,
+    gather,
     larger,
     load,
     mantissa,
+    matrix_product,
     own_form,
     own_product,
     product,
     same,
     smaller,
+    spread,
     squares,
     store,
     times,
@@ -43,31 +46,35 @@ OUTSIDE = 0.02**2
 _LOG_2 = math.log(2.0)
 _NEVER = np.int64(2**62)
 _ONE = (0.0,)
-_FOUR = (0.0,) * 4
+_FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
 
 
 class Shape(NamedTuple):
-    """Sizes, as the lengths of tuples: state, input, what acts over a period, window, its blocks,
-    and the inputs that the law's rows ask for. The last two are empty where rows are factorised,
-    and where no actuator limits the input."""
+    """Sizes, as the lengths of tuples: state, input, both, what acts over a period, window, its
+    blocks, the inputs that the law's rows ask for, m (n + m) for the heads of dense rows. The last
+    two are empty where rows are factorised, and where no actuator limits the input."""
 
     x: tuple
     u: tuple
+    both: tuple
     z: tuple
     b: tuple
     block: tuple
     rows: tuple
+    head: tuple
     dense: tuple
     limited: tuple
 
 
 class Rows(NamedTuple):
-    """A law. Of a factorised one `length` is the window, and `dense` is empty.
+    """A law. Of a factorised one `length` is the window, and `head` and `dense` are empty.
 
     state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
-    ahead (length, q, m) and behind (length, rows, m, q), flat; dense (rows, m, padded taps), the
-    latest input first; `kind` 0 one row, 1 a row per mode, 2 per mode and age, 3 per sample.
+    ahead (length, q, m) and behind (length, rows, m, q), flat. Of dense rows, `head`
+    (rows, m, n + m): what x and the latest input, and `dense` (rows, m, width): what the others,
+    the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per mode and
+    age, 3 per sample.
     """
 
     length: int
@@ -79,7 +86,9 @@ class Rows(NamedTuple):
     enter: np.ndarray
     ahead: np.ndarray
     behind: np.ndarray
+    head: np.ndarray
     dense: np.ndarray
+    width: int
     kind: int
     ages: int
 
@@ -123,10 +132,10 @@ def _dot(a, i, b, j, length):
     while k < length:
         rest = times(load(a, i + k, _ONE), load(b, j + k, _ONE), rest)
         k += LANES
-    return total(sums) + total(rest)
+    return total(first_of(sums, rest, rest, _FIVE))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _refill(shape, rows, ring, period, now, carry):
     """What the previous block of inputs adds to each sum of the coming one.
 
@@ -149,7 +158,8 @@ class Work(NamedTuple):
     """Memory of eight scenarios.
 
     ring : inputs, of `period` samples;  carry : what the block of inputs before adds to sums;
-    window : inputs twice over, scenario by scenario, for dense rows;  own : maps;
+    window : for dense rows, scenario by scenario, inputs twice over, so that N of them lie side
+    by side wherever the ring begins;  own : maps;
     mode, its number as one that `chosen` reads, when it began, the row of the law;
     at, stop, coming : the next record, the end of records, 8·period + place of the next one.
     """
@@ -202,7 +212,7 @@ def _work(shape, rows, plant, run, start, count, period):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _switch(rows, plant, work, k, soon):
     """Apply the records of period k; which comes next, or a number that no period reaches."""
     size = work.own.size // LANES
@@ -225,12 +235,14 @@ def _switch(rows, plant, work, k, soon):
     return soon
 
 
-@njit(cache=True, nogil=True)
-def _ask_dense(shape, rows, work, k, count, samples, place):
-    """The input that dense rows ask for, scenario by scenario, from x in `work.xs`."""
-    n, m = len(shape.x), len(shape.u)
-    length = rows.dense.size // max(1, rows.state.size // n)
-    width = 2 * rows.taps * m + LANES
+@njit(cache=True, nogil=True, inline="always")
+def _sum_dense(shape, rows, work, k, count, samples, place):
+    """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
+
+    They do not wait for what the last period gave: a processor works on both at once.
+    """
+    m, head = len(shape.u), len(shape.head)
+    width = work.window.size // LANES
     for lane in range(LANES):
         row = 0
         if rows.kind == 1:
@@ -239,28 +251,14 @@ def _ask_dense(shape, rows, work, k, count, samples, place):
             row = work.mode[lane] * rows.ages + min(k - work.began[lane], rows.ages - 1)
         elif rows.kind == 3:
             row = min(lane, count - 1) * samples + k
+        work.row[lane] = row * head
+        start = lane * width + (place + 1) * m
         for i in range(m):
-            at = row * m + i
-            value = _dot(rows.dense, at * length, work.window, lane * width + place * m, length)
-            for j in range(n):
-                value += rows.state[at * n + j] * work.xs[j * LANES + lane]
-            work.ask[i * LANES + lane] = value
+            at = (row * m + i) * rows.width
+            work.ask[lane * m + i] = _dot(rows.dense, at, work.window, start, rows.width)
 
 
-@njit(cache=True, nogil=True)
-def _remember(shape, rows, work, place):
-    """Put the inputs in `work.ask` into the window of dense rows, the latest at `place`.
-
-    They are held twice, so that N inputs lie side by side wherever the ring begins.
-    """
-    m, width = len(shape.u), 2 * rows.taps * len(shape.u) + LANES
-    for lane in range(LANES):
-        for i in range(m):
-            at = lane * width + place * m + i
-            work.window[at] = work.window[at + rows.taps * m] = work.ask[i * LANES + lane]
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _limited(shape, run, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
@@ -288,7 +286,8 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
     now, old = 0, period - min(plant.delay, run.samples)
     new = (period - min(plant.delay - 1, run.samples)) % period
     older = period - min(rows.taps, run.samples)
-    soon, r, place = np.int64(0), 0, 0
+    places = m * np.arange(LANES)
+    soon, r, place, width = np.int64(0), 0, 0, work.window.size // LANES
     for k in range(run.samples):
         if soon // LANES == k:
             soon = _switch(rows, plant, work, k, soon)
@@ -311,9 +310,11 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             sums = product(rows.out, 0, b, product(rows.state, 0, x, sums))
             u = chosen(sums, load(work.mode_row, 0, _ONE), shape.u)
         else:
-            store(work.xs, 0, x)
-            _ask_dense(shape, rows, work, k, count, run.samples, place)
-            u = load(work.ask, 0, shape.u)
+            _sum_dense(shape, rows, work, k, count, run.samples, place)
+            latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
+            heads = gather(rows.head, work.row, shape.head)
+            sums = gather(work.ask, places, shape.u)
+            u = matrix_product(heads, first_of(x, latest, latest, shape.both), sums)
         if len(shape.limited) > 0:
             before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
             u = _limited(shape, run, u, before)
@@ -324,8 +325,8 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             r += 1
         else:
             place = rows.taps - 1 if place == 0 else place - 1
-            store(work.ask, 0, u)
-            _remember(shape, rows, work, place)
+            spread(work.window, place * m, width, u)
+            spread(work.window, (place + rows.taps) * m, width, u)
         if path.size and k >= keep:
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)

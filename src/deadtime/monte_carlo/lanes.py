@@ -139,6 +139,39 @@ def store(_, array, index, values):
 
 
 @intrinsic
+def spread(_, array, index, stride, values):
+    """array[index + l·stride + i] = entry l of vector i: each scenario's numbers side by side."""
+
+    def work(code: _Code, target: Any, start: Any, width: Any, given: Any) -> None:
+        for lane in range(LANES):
+            shift = code.builder.mul(width, ir.Constant(_WORD, lane))
+            first = code.builder.add(start, shift)
+            for i, vector in enumerate(given):
+                entry = code.builder.extract_element(vector, ir.Constant(_INDEX, lane))
+                code.builder.store(entry, code.place(*target, first, i))
+
+    return _made(types.void(array, types.intp, types.intp, values), work)
+
+
+@intrinsic
+def gather(_, array, places, like):
+    """Vectors with array[places[l] + i] as entry l of vector i."""
+
+    def work(code: _Code, source: Any, starts: Any, _: Any) -> list[Any]:
+        result = [ir.Constant(_VECTOR, ir.Undefined)] * len(like)
+        zero = ir.Constant(_WORD, 0)
+        for lane in range(LANES):
+            start = code.builder.load(code.place(*starts, zero, lane))
+            for i in range(len(like)):
+                entry = code.builder.load(code.place(*source, start, i))
+                index = ir.Constant(_INDEX, lane)
+                result[i] = code.builder.insert_element(result[i], entry, index)
+        return result
+
+    return _made(_vectors(len(like))(array, places, like), work)
+
+
+@intrinsic
 def same(_, value, like):
     """len(like) vectors of one number."""
 
@@ -189,6 +222,22 @@ def product(_, array, index, z, to):
         return result
 
     return _made(to(array, types.intp, z, to), work)
+
+
+@intrinsic
+def matrix_product(_, matrix, z, to):
+    """to + M z, M (len(to), len(z)) given as vectors, row by row."""
+    width = len(z)
+
+    def work(code: _Code, entries: Any, factors: Any, sums: Any) -> list[Any]:
+        result = []
+        for i, total in enumerate(sums):
+            for entry, factor in zip(entries[i * width : (i + 1) * width], factors, strict=True):
+                total = code.fma(entry, factor, total)
+            result.append(total)
+        return result
+
+    return _made(to(matrix, z, to), work)
 
 
 @intrinsic
@@ -339,10 +388,14 @@ def total(_, a):
                 build.fadd(*vectors[k : k + 2]) if k + 1 < len(vectors) else vectors[k]
                 for k in range(0, len(vectors), 2)
             ]
-        result = build.extract_element(vectors[0], ir.Constant(_INDEX, 0))
-        for k in range(1, LANES):
-            entry = build.extract_element(vectors[0], ir.Constant(_INDEX, k))
-            result = build.fadd(result, entry)
+        (result,), width = vectors, LANES
+        while width > 1:
+            # Fold the upper half onto the lower one.
+            width //= 2
+            order = [*range(width, 2 * width), *[0] * (LANES - width)]
+            mask = ir.Constant(ir.VectorType(_INDEX, LANES), order)
+            result = build.fadd(result, build.shuffle_vector(result, result, mask))
+        result = build.extract_element(result, ir.Constant(_INDEX, 0))
         return result
 
     return _made(types.float64(a), work)

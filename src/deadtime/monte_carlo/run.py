@@ -145,7 +145,8 @@ def monte_carlo(
     engine = engine_of(backend, loop)
     tables = _tables(engine, loop, named, imperfections)
     block = Block(loop, source, named, tables, engine, imperfections, seed, results)
-    size = int(np.clip(_BLOCK_STEPS / (loop.whole + 1), 1, _BLOCK)) if tables else 1
+    # Whole vectors of eight.
+    size = 8 * int(np.clip(_BLOCK_STEPS / 8 / (loop.whole + 1), 1, _BLOCK / 8)) if tables else 1
     with shown(progress, scenarios) as report:
         workers = min(threads, -(-scenarios // size)) if tables and backend == "numba" else 1
         continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)

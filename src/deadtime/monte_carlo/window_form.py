@@ -49,16 +49,15 @@ def window_form(feedback: Feedback) -> WindowForm | None:
     rows, taps, m, _ = feedback.input_gain.shape
     if feedback.context not in ("none", "mode") or rows > _MOST_ROWS:
         return None
-    if not feedback.input_gain.any():
-        nothing = Factor(
-            np.zeros((rows, m, 1)), np.zeros((1, 1)), np.zeros((1, m)), np.zeros((rows, m, m))
-        )
+    if taps == 1 or not feedback.input_gain.any():
+        last = feedback.input_gain[:, -1]
+        nothing = Factor(np.zeros((rows, m, 1)), np.zeros((1, 1)), np.zeros((1, m)), last)
         return _form(nothing, 1, 1)
     factor = feedback.factor
     if factor is None or factor.S.shape[0] > _MOST_ORDER:
         return None
     for candidate, size in _candidates(factor):
-        form = _form(candidate, size, max(1, taps - 1))
+        form = _form(candidate, size, taps - 1)
         if _fits(form, feedback):
             return form
     return None
@@ -117,8 +116,6 @@ def _fits(form: WindowForm, feedback: Feedback) -> bool:
     """Whether the form's taps are the table's, forwards, and across the two blocks."""
     taps = feedback.input_gain
     W = taps.shape[1] - 1
-    if W == 0:
-        return True
     forwards = np.einsum("cmq,jqp->cjmp", form.out, form.ahead[::-1])
     backwards = np.einsum("jcmq,qp->cjmp", form.behind, form.enter)
     scale = np.abs(taps[:, :W]).max(axis=(0, 2, 3))[None, :, None, None]
