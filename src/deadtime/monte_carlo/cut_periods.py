@@ -9,6 +9,7 @@ exponentials by one short polynomial.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +83,8 @@ def composed(
     return move, energy
 
 
-def tables_of(plant: SwitchedSystem, lengths: Sequence[float], cells: int) -> Tables:
+@lru_cache(8)
+def tables_of(plant: SwitchedSystem, lengths: tuple[float, ...], cells: int) -> Tables:
     """The series of a plant, `lengths` being those for which one input acts at a time."""
     A, B, modes, step = plant.A, plant.B, plant.modes, sum(lengths)
     n, wide = plant.states, plant.states + plant.inputs * len(lengths)
@@ -149,11 +151,10 @@ def _series(
 
 def _chebyshev(count: int) -> Float[np.ndarray, "power polynomial"]:
     """Chebyshev's polynomials T_0, …, T_{count − 1} as columns of powers."""
-    result = np.zeros((count, count))
-    for d in range(count):
-        coefficients = np.polynomial.chebyshev.cheb2poly(np.eye(count)[d, : d + 1])
-        result[: coefficients.size, d] = coefficients
-    return result
+    columns = [
+        np.polynomial.chebyshev.cheb2poly(row[: d + 1]) for d, row in enumerate(np.eye(count))
+    ]
+    return np.stack([np.pad(column, (0, count - column.size)) for column in columns], axis=1)
 
 
 def _stack(parts: Sequence) -> np.ndarray:
@@ -161,7 +162,7 @@ def _stack(parts: Sequence) -> np.ndarray:
     flat = [part if isinstance(part, np.ndarray) else _stack(part) for part in parts]
     shape = [max(sizes) for sizes in zip(*(part.shape for part in flat), strict=True)]
     shape[-1] = -(-shape[-1] // WIDE) * WIDE
-    result = np.zeros((len(flat), *shape))
+    result = np.zeros([len(flat), *shape])
     for row, part in zip(result, flat, strict=True):
         row[tuple(slice(size) for size in part.shape)] = part
     return result

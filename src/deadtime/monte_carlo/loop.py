@@ -103,7 +103,7 @@ class Loop:
         norms = [balanced_norm(A) for A in self.plant.A]
         size = max(norms) * self.window.step
         cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
-        return None if cells > _CELLS else tables_of(self.plant, self.lengths, cells)
+        return None if cells > _CELLS else tables_of(self.plant, tuple(self.lengths), cells)
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
