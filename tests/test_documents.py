@@ -47,6 +47,16 @@ def run_page(name):
     return page, names
 
 
+def test_python_of_the_page_on_many_signals_runs(capsys):
+    _, names = run_page("monte-carlo.md")
+    assert names["data"].sizes == {"law": 3, "scenario": 200}
+    printed = capsys.readouterr().out
+    assert f"{names['worst']} True" in printed
+    assert (
+        "trajectories of 10,000,000 scenarios of 1,001 samples under 3 laws would take" in printed
+    )
+
+
 def test_python_of_the_page_on_the_controller_runs(capsys):
     page, _ = run_page("controller.md")
     assert capsys.readouterr().out.splitlines()[-1] == "True"
@@ -98,7 +108,7 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 11
+    assert len(commands) == 12
     dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
     (study,) = (command.split()[1] for command in commands if command.startswith("study"))
     load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones
@@ -111,6 +121,8 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
             command += " --scenarios 2"
         if command.startswith("design"):
             command += " --budget 100"
+        if command.startswith("monte-carlo"):
+            command += " --scenarios 50"
         with pytest.raises(SystemExit) as stopped:
             main(command.split())
         assert stopped.value.code == 0, command

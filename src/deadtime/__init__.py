@@ -35,7 +35,7 @@ from deadtime.laws import (
     StateDependentPredictor,
 )
 from deadtime.lyapunov import common_lyapunov
-from deadtime.monte_carlo import monte_carlo
+from deadtime.monte_carlo import draw_signals, monte_carlo
 from deadtime.observers import Observer, kalman, luenberger
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
@@ -115,6 +115,7 @@ __all__ = [
     "delay_limit",
     "delay_margin",
     "design",
+    "draw_signals",
     "falsify",
     "gain_margin",
     "growth_rate",
