@@ -150,6 +150,8 @@ def peer_rows() -> list[Row]:
         ("dense, one row", averaged, 16_384, 1e-9, lambda modes: peers.dense(same, modes)),
         ("dense, dwell-aware", aware, 16_384, 1e-9, _dense_work(aware)),
         ("dense, expected", semi, 16_384, 1e-9, _dense_work(semi)),
+        ("ring buffer, dwell-aware", aware, 8192, 1e-9, _dense_work(aware, peers.ring_buffer)),
+        ("ring buffer, expected", semi, 8192, 1e-9, _dense_work(semi, peers.ring_buffer)),
         ("JAX, vmap of scan, window rolled", averaged, 512, 1e-9, peers.jax_scan(same)),
     ]  # fmt: skip
     for name, law, scenarios, allowed, work in plan:
@@ -166,9 +168,9 @@ def peer_rows() -> list[Row]:
     return rows
 
 
-def _dense_work(law: dt.Law) -> Work:
+def _dense_work(law: dt.Law, loop: Callable[..., np.ndarray] = peers.dense) -> Work:
     problem = peers.problem_of(law)
-    return lambda modes: peers.dense(problem, modes)
+    return lambda modes: loop(problem, modes)
 
 
 def plain_error(horizon: float) -> float:
@@ -260,8 +262,10 @@ def comparison(rows: list[Row]) -> str:
         f"Rates relative to the peer with the same rows: {times('averaged', 'plain recursion')} "
         f"(factorised, plain recursion), {times('averaged', 'dense, one row')} (factorised, dense "
         f"row), {times('averaged, dwell-aware', 'dense, dwell-aware')} and "
-        f"{times('expected, semi-Markov', 'dense, expected')} (dense both). A call for eight "
-        f"scenarios takes {1e3 * fixed:.0f} ms. The first row, timed again at the end: "
+        f"{times('expected, semi-Markov', 'dense, expected')} (dense both), "
+        f"{times('averaged, dwell-aware', 'ring buffer, dwell-aware')} and "
+        f"{times('expected, semi-Markov', 'ring buffer, expected')} (dense, ring buffer). A call for "
+        f"eight scenarios takes {1e3 * fixed:.0f} ms. The first row, timed again at the end: "
         f"{millions(len(batch) * USUAL.periods / spent)}."
     )
 

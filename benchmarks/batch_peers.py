@@ -127,6 +127,44 @@ def dense(problem, modes):
     return result
 
 
+@njit(parallel=True, cache=True)
+def ring_buffer(problem, modes):
+    """`dense` with the last N inputs in a ring, and sums in the order written: no fast maths."""
+    move, energy, F, G, ages, start, _, _, _, _ = problem
+    scenarios, K = modes.shape
+    N, aware = G.shape[1], F.shape[0] > 1
+    result = np.empty((3, scenarios))
+    for s in prange(scenarios):
+        u, now = np.zeros(N), 0
+        x, y = start[0], start[1]
+        ise, effort, peak = 0.0, 0.0, x * x + y * y
+        age, before = 0, modes[s, 0]
+        for k in range(K):
+            i = modes[s, k]
+            age = age + 1 if i == before and k > 0 else 0
+            before = i
+            row = i * ages + min(age, ages - 1) if aware else 0
+            value = F[row, 0] * x + F[row, 1] * y
+            taps = G[row]
+            place = now
+            for j in range(N):
+                value += taps[j] * u[place]
+                place = 0 if place + 1 == N else place + 1
+            v, M, E = u[now], move[i], energy[i]
+            u[now] = value
+            now = 0 if now + 1 == N else now + 1
+            ise += E[0, 0] * x * x + E[1, 1] * y * y + E[2, 2] * v * v
+            ise += 2.0 * (E[0, 1] * x * y + E[0, 2] * x * v + E[1, 2] * y * v)
+            effort += value * value
+            x, y = (
+                M[0, 0] * x + M[0, 1] * y + M[0, 2] * v,
+                M[1, 0] * x + M[1, 1] * y + M[1, 2] * v,
+            )
+            peak = max(peak, x * x + y * y)
+        result[0, s], result[1, s], result[2, s] = ise, effort, peak
+    return result
+
+
 @njit(parallel=True, fastmath=True, cache=True)
 def plain(problem, modes):
     """O(1) a period: add the new input, subtract the one that leaves. It cancels."""

@@ -14,7 +14,7 @@ SOURCE = Path(dt.__file__).parent
 # Each ring may import from itself and from the rings before it.
 RINGS = (
     ("errors", "checks", "wording", "version"),
-    ("plant", "switching", "steps", "exponential", "covariance", "feedback", "forecast"),
+    ("plant", "switching", "steps", "lanes", "exponential", "covariance", "feedback", "forecast"),
     ("imperfections",),
     (
         *("pole_placement", "sampled", "gains", "observers", "tracking", "laws"),

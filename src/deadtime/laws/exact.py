@@ -106,17 +106,7 @@ class ExactPredictor(TableLaw):
         known = self._known(signal, (steps - 1) * step)
         cuts = Cuts.of(known, window)
         future = modes_at(known, np.arange(steps) * step + window.delay, step)
-        F, G = future_rows(
-            plant.A,
-            plant.B,
-            self.gains[future],
-            window.step,
-            window.phase,
-            window.count,
-            cuts.step,
-            cuts.offset,
-            cuts.mode,
-        )
+        F, G = future_rows(plant.A, plant.B, self.gains[future], window, cuts)
         return Feedback(F, G, "step", window.step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from deadtime.feedback import Feedback
+from deadtime.lanes import LANES
 from deadtime.monte_carlo.figures import Figures, Path
 from deadtime.monte_carlo.kernel import Plant, Rows, Run, Shape, run_scenarios
-from deadtime.monte_carlo.lanes import LANES
 from deadtime.monte_carlo.loop import Laid, Loop
 from deadtime.monte_carlo.window_form import WindowForm, window_form
 

@@ -1,6 +1,6 @@
 """The digital loop of eight scenarios at once, compiled: see `docs/theory/batch.md`.
 
-All sizes are types (`deadtime.monte_carlo.lanes`), so that one period is straight-line code with
+All sizes are types (`deadtime.lanes`), so that one period is straight-line code with
 states, window sums and metrics in registers. Each scenario's transition over a period lies in
 memory and is rewritten where its records say so: when its mode changes, and for a period that a
 switch cuts.
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deadtime.monte_carlo.lanes import (
+from deadtime.lanes import (
     LANES,
     block_product,
     chosen,

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.monte_carlo.lanes import load, same, store, times
+from deadtime.lanes import load, same, store, times
 
 TOLERANCE = 1e-9
 

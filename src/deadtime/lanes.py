@@ -1,11 +1,12 @@
-"""Vectors of eight scenarios for compiled code: tuples of them are small vectors and matrices.
+"""Vectors of eight for compiled code: tuples of them are small vectors and matrices.
 
-A tuple of k vectors holds k numbers of each of eight scenarios, side by side in one register
-each. Sizes are types, so that every sum below is unrolled when it is compiled: `like` arguments
-are tuples whose length alone is read. Arrays are flat; eight consecutive entries are one vector.
+A tuple of k vectors holds k numbers of each of eight scenarios, or samples, side by side in one
+register each. Sizes are types, so that every sum below is unrolled when it is compiled: `like`
+arguments are tuples whose length alone is read. Arrays are flat; eight consecutive entries are one
+vector.
 
 The compiler vectorises such loops by itself only where it can prove that no two arrays overlap,
-and then keeps no vector in a register from one period to the next: about four times slower.
+and then keeps no vector in a register from one period to the next.
 """
 
 # Types of Numba are called to make signatures.
@@ -238,6 +239,24 @@ def matrix_product(_, matrix, z, to):
         return result
 
     return _made(to(matrix, z, to), work)
+
+
+@intrinsic
+def table_product(_, left, right, to):
+    """to + L R, L (rows, n), R (n, columns) and the sum given as vectors, row by row."""
+
+    def work(code: _Code, rows: Any, table: Any, sums: Any) -> list[Any]:
+        # rows·n, n·columns and rows·columns are the lengths of the three.
+        n = next(k for k in range(1, len(left) + 1) if k * k * len(to) == len(left) * len(right))
+        columns, result = len(right) // n, []
+        for place, total in enumerate(sums):
+            i, j = divmod(place, columns)
+            for k in range(n):
+                total = code.fma(rows[i * n + k], table[k * columns + j], total)
+            result.append(total)
+        return result
+
+    return _made(to(left, right, to), work)
 
 
 @intrinsic
