@@ -264,8 +264,8 @@ def comparison(rows: list[Row]) -> str:
         f"row), {times('averaged, dwell-aware', 'dense, dwell-aware')} and "
         f"{times('expected, semi-Markov', 'dense, expected')} (dense both), "
         f"{times('averaged, dwell-aware', 'ring buffer, dwell-aware')} and "
-        f"{times('expected, semi-Markov', 'ring buffer, expected')} (dense, ring buffer). A call for "
-        f"eight scenarios takes {1e3 * fixed:.0f} ms. The first row, timed again at the end: "
+        f"{times('expected, semi-Markov', 'ring buffer, expected')} (dense, ring buffer). A call "
+        f"for eight scenarios takes {1e3 * fixed:.0f} ms. The first row, timed again at the end: "
         f"{millions(len(batch) * USUAL.periods / spent)}."
     )
 
