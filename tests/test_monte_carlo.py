@@ -142,6 +142,13 @@ def test_signals_that_end_before_the_horizon_are_counted_in_the_message():
     assert np.unique(found["ise"]).size == 1
 
 
+def test_either_backend_gives_the_same_figures():
+    one, other = (data(seed=2, scenarios=9, backend=backend) for backend in ("numba", "jax"))
+    assert (one.attrs["backend"], other.attrs["backend"]) == ("numba", "jax")
+    for name in METRICS:
+        np.testing.assert_allclose(other[name].values, one[name].values, rtol=1e-9)
+
+
 # -- divergence --------------------------------------------------------------------------------
 
 

@@ -33,6 +33,7 @@ else:
     Laws = Model = object  # `named_laws` and `source_of` check them, with better messages
 
 _BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
+_LARGER = 16  # so many times as much for a device that wants much to do at a time
 _MOST_TERMS, _MOST_SAMPLES = 1500, 2**31 - 2
 _NAMED = 10  # scenarios that a message names
 
@@ -145,8 +146,7 @@ def monte_carlo(
     engine = engine_of(backend, loop)
     tables = _tables(engine, loop, named, imperfections)
     block = Block(loop, source, named, tables, engine, imperfections, seed, results)
-    # Whole vectors of eight.
-    size = 8 * int(np.clip(_BLOCK_STEPS / 8 / (loop.whole + 1), 1, _BLOCK / 8)) if tables else 1
+    size = _block(loop, backend) if tables else 1
     with shown(progress, scenarios) as report:
         workers = min(threads, -(-scenarios // size)) if tables and backend == "numba" else 1
         continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
@@ -165,6 +165,12 @@ def monte_carlo(
         "message": _message(results, list(named), continued, interrupted),
     }
     return dataset_of(list(named), results, step, attributes)
+
+
+def _block(loop: Loop, backend: str) -> int:
+    """Scenarios in a block, in whole vectors of eight."""
+    larger = _LARGER if backend == "jax" else 1
+    return 8 * int(np.clip(larger * _BLOCK_STEPS / 8 / (loop.whole + 1), 1, larger * _BLOCK / 8))
 
 
 def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Saturation | RateLimit]:
