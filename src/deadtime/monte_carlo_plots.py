@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -74,7 +74,7 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
     return figure
 
 
-def _style(law: int) -> dict[str, str]:
+def _style(law: int) -> dict[str, Any]:
     return {"color": COLOURS[law % len(COLOURS)], "linestyle": LINES[law % len(LINES)]}
 
 
@@ -97,7 +97,7 @@ def _panel(panel: Axes, values: Float[np.ndarray, "law scenario"]) -> Bool[np.nd
         )
         panel.xaxis.set_major_formatter("{x:g}")
         panel.xaxis.set_minor_locator(NullLocator())
-    return (values < high).any(axis=1)
+    return np.any(values < high, axis=1)
 
 
 def _curve(panel: Axes, row: np.ndarray, limits: tuple[float, float], law: int) -> None:

@@ -222,7 +222,8 @@ def _print(
     print(problem.title)
     print(
         f"{outcome.scenarios:,} random {signals}, sojourns of {dwell:g} s + "
-        f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, sampled every {data.attrs['step']:g} s."
+        f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "
+        f"sampled every {data.attrs['step']:g} s."
     )
     if data.attrs["message"]:
         print(f"• {data.attrs['message']}")
