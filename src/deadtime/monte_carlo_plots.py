@@ -93,7 +93,7 @@ def _panel(panel: Axes, values: Float[np.ndarray, "law scenario"]) -> Bool[np.nd
     if high / low < _WIDE:
         narrow = high / low < _NARROW
         panel.xaxis.set_major_locator(
-            MaxNLocator(5) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
+            MaxNLocator(9) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
         )
         panel.xaxis.set_major_formatter("{x:g}")
         panel.xaxis.set_minor_locator(NullLocator())
