@@ -1,9 +1,10 @@
 """The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `design`,
-`robustness`, `fit`, `study`, `init`, `schema`.
+`robustness`, `monte-carlo`, `fit`, `study`, `init`, `schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when `verify`
 finds that a file proves nothing or `design` does not reach its margin, 2 when something in the
-request is wrong, 130 when interrupted. Errors are one line on stderr.
+request is wrong, 130 when interrupted (`monte-carlo` then prints and
+saves what is done). Errors are one line on stderr.
 """
 
 from deadtime.cli import (
@@ -11,6 +12,7 @@ from deadtime.cli import (
     design,
     files,
     models,
+    monte_carlo,
     robustness,
     runs,
     theorem,
@@ -24,6 +26,7 @@ __all__ = [
     "files",
     "main",
     "models",
+    "monte_carlo",
     "robustness",
     "runs",
     "theorem",

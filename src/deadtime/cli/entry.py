@@ -16,6 +16,7 @@ app = App(
     name="deadtime",
     help="Predictor feedback for switched linear plants with a long input delay.",
     version=__version__,
+    suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
 
 AsJson = Annotated[bool, Parameter(name="--json", negative="")]

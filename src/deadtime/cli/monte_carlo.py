@@ -1,0 +1,250 @@
+"""`deadtime monte-carlo`."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deadtime.checks import number, positive
+from deadtime.cli.entry import AsJson, File, app
+from deadtime.cli.printing import print_table, save_figure
+from deadtime.cli.problems import problem_of
+from deadtime.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from deadtime.monte_carlo_table import Summary
+    from deadtime.problems import Problem
+    from deadtime.switching import SemiMarkov
+
+_DATA = (".nc", ".csv")
+_PICTURES = (".png", ".svg", ".pdf")
+
+
+@app.command
+def monte_carlo(
+    problem: str,
+    *,
+    scenarios: int = 10_000,
+    dwell_time: float | None = None,
+    mean_sojourn: float | None = None,
+    seed: int = 0,
+    backend: str = "numba",
+    step: float | None = None,
+    out: File = None,
+    data: Path | None = None,
+    json_output: AsJson = False,
+) -> int:
+    """Run every law of a problem over many random switching signals, all on the same ones.
+
+    Sojourns are the dwell time plus an exponential time; the next mode is any other, each as
+    likely. Ctrl-C ends the run early and keeps what is done.
+
+    Examples: `deadtime monte-carlo paper`, `deadtime monte-carlo problem.toml --scenarios 100000
+    --data results.nc`.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    scenarios
+        Number of switching signals.
+    dwell_time
+        Shortest sojourn, seconds; by default that of the problem's signal.
+    mean_sojourn
+        Mean sojourn, seconds, above the dwell time; twice the dwell time by default.
+    seed
+        Of the signals.
+    backend
+        numba, or jax, which uses a GPU where there is one.
+    step
+        Sampling period in seconds; the problem's by default.
+    out
+        The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+    data
+        A file for the metrics of every run: netCDF (.nc) or CSV (.csv).
+    json_output
+        Print the results as JSON instead of text.
+    """
+    from deadtime.monte_carlo import monte_carlo as run
+    from deadtime.monte_carlo_plots import plot_monte_carlo
+    from deadtime.monte_carlo_table import summary
+
+    chosen = problem_of(problem)
+    period = _period(chosen, step)
+    sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
+    picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
+    picture = picture if picture.suffix else picture.with_suffix(".png")
+    # Before the run: an hour of work should not end at a name that cannot be written.
+    _writable("out", picture, _PICTURES)
+    if data is not None:
+        _writable("data", data, _DATA)
+    result = run(
+        chosen.plant,
+        chosen.laws,
+        _model(chosen, *sojourn),
+        chosen.x0,
+        chosen.horizon,
+        period,
+        scenarios,
+        seed,
+        backend,
+        progress=sys.stderr.isatty() and not json_output,
+        imperfections=chosen.imperfections,
+    )
+    if result.sizes["scenario"] == 0:
+        raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
+    outcome = summary(result)
+    if json_output:
+        print(json.dumps(_record(chosen, sojourn, result, outcome), indent=2, ensure_ascii=False))
+    else:
+        _print(chosen, sojourn, result, outcome)
+    save_figure(plot_monte_carlo(result, chosen.title), picture)
+    if data is not None:
+        save_data(result, data)
+    if not json_output:
+        print(f"\nFigure: {picture}" + (f"\nData: {data}" if data is not None else ""))
+    if not result.attrs["interrupted"]:
+        return 0
+    done = f"{outcome.scenarios:,} of {scenarios:,} scenarios"
+    print(f"deadtime: interrupted after {done}; the results are of these", file=sys.stderr)
+    return 130
+
+
+def save_data(data: xr.Dataset, path: Path) -> None:
+    """Metrics on disk: netCDF, or CSV with a row for each law and scenario.
+
+    Attributes that are lists become text, parts separated by "; ": netCDF 3 has no lists of text.
+    """
+    try:
+        if path.suffix.lower() == ".csv":
+            frame = data.to_dataframe(dim_order=["law", "scenario"])
+            frame.reset_index().to_csv(path, index=False)
+            return
+        texts = {
+            name: "; ".join(value) if isinstance(value, list) else value
+            for name, value in data.attrs.items()
+        }
+        data.assign_attrs(texts).to_netcdf(path, engine="scipy")
+    except OSError as error:
+        raise ArgumentError(f"data {str(path)!r} cannot be written: {error.strerror}.") from None
+
+
+def _period(problem: Problem, step: float | None) -> float:
+    """The sampling period, for a loop that is sampled."""
+    if step is not None:
+        return positive("step", step)
+    if problem.step is None:
+        raise ArgumentError(
+            f"the loop of the problem {problem.name!r} is ideal, and Monte Carlo runs sampled "
+            "loops: give a sampling period, --step 0.01."
+        )
+    return problem.step
+
+
+def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> tuple[float, float]:
+    """Dwell time and mean sojourn, where the problem's plant is one that signals switch."""
+    from deadtime.switching import SwitchingSignal
+
+    if problem.plant.modes == 1:
+        raise ArgumentError(
+            f"the plant of the problem {problem.name!r} has one mode, so no signal switches it: "
+            "use deadtime simulate."
+        )
+    if not isinstance(problem.signal, SwitchingSignal):
+        raise ArgumentError(
+            f"the plant of the problem {problem.name!r} is switched by its state, not by random "
+            "signals: use deadtime simulate, or give the file a [signal] instead of the rule."
+        )
+    if np.any(problem.u0) or problem.predict != "applied":
+        raise ArgumentError(
+            f'the problem {problem.name!r} must have u0 = 0 and predict = "applied", as all Monte '
+            f"Carlo runs have, got u0 = {np.asarray(problem.u0).tolist()} and predict = "
+            f"{problem.predict!r}: change the file."
+        )
+    if dwell is None:
+        promised = problem.dwell_time
+        dwell = problem.signal.dwell_time if promised is None else promised
+        if not math.isfinite(dwell):
+            raise ArgumentError(
+                f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
+                "time: give one, --dwell-time 0.2."
+            )
+    dwell = number("dwell_time", dwell)
+    if dwell < 0.0:
+        raise ArgumentError(f"dwell_time must be 0 or more, in s, got {dwell:g}.")
+    mean = 2.0 * dwell if mean is None else number("mean_sojourn", mean)
+    if mean <= dwell:
+        raise ArgumentError(
+            f"mean_sojourn must be above the dwell time, {dwell:g} s, got {mean:g}: give a longer "
+            "one with --mean-sojourn."
+        )
+    return dwell, mean
+
+
+def _model(problem: Problem, dwell: float, mean: float) -> SemiMarkov:
+    """Sojourns of dwell + Exp(mean − dwell), then any other mode."""
+    from scipy.stats import expon
+
+    from deadtime.switching import SemiMarkov
+
+    return SemiMarkov(expon(loc=dwell, scale=mean - dwell), modes=problem.plant.modes)
+
+
+def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
+    """Refuse a file that could not be written, before there is anything to write."""
+    if path.suffix.lower() not in kinds:
+        raise ArgumentError(f"{name} must end in {' or '.join(kinds)}, got {str(path)!r}.")
+    if not path.parent.is_dir():
+        reason = f"there is no folder {str(path.parent)!r}"
+    elif path.is_dir():
+        reason = "it is a folder"
+    elif not os.access(path if path.exists() else path.parent, os.W_OK):
+        reason = "permission denied"
+    else:
+        return
+    raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
+
+
+def _print(
+    problem: Problem, sojourn: tuple[float, float], data: xr.Dataset, outcome: Summary
+) -> None:
+    """Heading, remarks and tables on the terminal."""
+    dwell, mean = sojourn
+    signals = "signal" if outcome.scenarios == 1 else "signals"
+    print(problem.title)
+    print(
+        f"{outcome.scenarios:,} random {signals}, sojourns of {dwell:g} s + "
+        f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "
+        f"sampled every {data.attrs['step']:g} s."
+    )
+    if data.attrs["message"]:
+        print(f"• {data.attrs['message']}")
+    print("\nCost, ∫|x|² + |u|² dt")
+    print_table(outcome.headings, outcome.rows())
+    print("\n∫|x|² dt")
+    print_table(outcome.headings[:4], outcome.rows_of_ise())
+
+
+def _record(
+    problem: Problem, sojourn: tuple[float, float], data: xr.Dataset, outcome: Summary
+) -> dict[str, object]:
+    """The results for JSON."""
+    return {
+        "problem": problem.name,
+        "scenarios": outcome.scenarios,
+        "dwell_time": sojourn[0],
+        "mean_sojourn": sojourn[1],
+        "horizon": problem.horizon,
+        **{name: data.attrs[name] for name in ("step", "seed", "backend", "message")},
+        "interrupted": bool(data.attrs["interrupted"]),
+        "reference": outcome.reference,
+        "laws": outcome.records(),
+    }
