@@ -183,7 +183,7 @@ def test_problems_that_have_no_random_signals_are_refused(capsys, monkeypatch, c
         (["--out", "run.gif"], "out must end in .png or .svg or .pdf, got 'run.gif'"),
         (["--out", "no/run"], "out 'no/run.png' cannot be written: there is no folder 'no'"),
         (["--step", "-1"], "step must be positive"),
-        (["--dwell-time", "-1"], "dwell_time must be 0 or more"),
+        (["--dwell-time", "-1"], "dwell_time must be positive, in s, or 0 with a --mean-sojourn"),
         (["--mean-sojourn", "0.2"], "mean_sojourn must be above the dwell time, 0.2 s, got 0.2"),
         (["--scenarios", "0"], "scenarios must be an integer ≥ 1, got 0"),
         (["--seed", "-1"], "seed must be an integer ≥ 0, got -1"),

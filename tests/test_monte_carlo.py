@@ -149,6 +149,23 @@ def test_either_backend_gives_the_same_figures():
         np.testing.assert_allclose(other[name].values, one[name].values, rtol=1e-9)
 
 
+def test_a_noisy_scenario_can_be_run_alone():
+    noise, law = [dt.imperfections.Noise(0.1)], LAWS["averaged"]
+    found = data(laws={"law": law}, seed=5, scenarios=3, imperfections=noise)
+    assert found.attrs["one_by_one"] == ["law"]
+    signal = Random().sample(5.0, scenario_seed(5, 2))
+    drawn = scenario_seed(5, 2)
+    run = dt.simulate(PLANT, law, signal, X0, 4.0, H, imperfections=noise, seed=drawn)
+    assert found.ise.values[0, 2] == run.metrics()["ise"]
+
+
+def test_modes_that_a_model_does_not_know_of_are_mentioned():
+    plant = plants.scalar([-1.0, -2.0, 0.1])
+    law = dt.DelayedStateFeedback(plant, [[[-0.2]]] * 3)
+    found = data(plant, [law], dt.Markov([[0.0, 1.0], [1.0, 0.0]]), [1.0])
+    assert found.attrs["message"] == "the model has 2 modes, the plant 3: the others never occur."
+
+
 # -- divergence --------------------------------------------------------------------------------
 
 
@@ -225,6 +242,7 @@ class Nothing:
         ({"seed": -1}, "seed must be an integer ≥ 0, got -1."),
         ({"horizon": 0.0}, "horizon must be positive, in s, got 0."),
         ({"step": 0.0}, "step must be positive, in s, got 0."),
+        ({"horizon": 1e12}, "step = 0.05 s is too short: horizon and delay must hold at most"),
         ({"x0": [1.0]}, "x0 must have shape (n,) = (2,), got (1,)."),
         ({"backend": "gpu"}, "backend must be one of ['numba', 'jax'], got 'gpu'."),
         ({"threads": 0}, "threads must be an integer ≥ 1, got 0."),

@@ -60,7 +60,7 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
         seen = _panel(left, losses(data, "cost")) | _panel(right, relative_costs(data))
         left.set_xlabel("cost, ∫ |x|² + |u|² dt  (x² s + u² s)")
         right.set_xlabel(f"cost / cost of “{plain(reference_of(data))}”  (–)")
-        left.set_ylabel(f"share of {count:,} scenarios (%)")
+        left.set_ylabel(f"share of {count:,} scenario{'s' * (count != 1)} (%)")
         left.set_ylim(0.0, 102.0)
         keys = [
             Line2D([], [], **_style(i), label=plain(name) + " (off the axes)" * (not seen[i]))

@@ -59,7 +59,8 @@ def monte_carlo(
     dwell_time
         Shortest sojourn, seconds; by default that of the problem's signal.
     mean_sojourn
-        Mean sojourn, seconds, above the dwell time; twice the dwell time by default.
+        Mean of whole sojourns, seconds; by default twice the dwell time, whatever the problem's
+        own signal has.
     seed
         Of the signals.
     backend
@@ -178,8 +179,10 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> tuple
                 "time: give one, --dwell-time 0.2."
             )
     dwell = number("dwell_time", dwell)
-    if dwell < 0.0:
-        raise ArgumentError(f"dwell_time must be 0 or more, in s, got {dwell:g}.")
+    if dwell < 0.0 or (dwell == 0.0 and mean is None):
+        raise ArgumentError(
+            f"dwell_time must be positive, in s, or 0 with a --mean-sojourn, got {dwell:g}."
+        )
     mean = 2.0 * dwell if mean is None else number("mean_sojourn", mean)
     if mean <= dwell:
         raise ArgumentError(
@@ -223,12 +226,17 @@ def _print(
     print(
         f"{outcome.scenarios:,} random {signals}, sojourns of {dwell:g} s + "
         f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "
-        f"sampled every {data.attrs['step']:g} s."
+        f"sampled every {data.attrs['step']:g} s, seed {data.attrs['seed']}."
     )
+    if data.attrs["imperfections"]:
+        print(f"• Imperfect: {', '.join(data.attrs['imperfections'])}.")
+    if data.attrs["one_by_one"]:
+        print(f"• Run one by one, which takes longer: {', '.join(data.attrs['one_by_one'])}.")
     if data.attrs["message"]:
         print(f"• {data.attrs['message']}")
     print("\nCost, ∫|x|² + |u|² dt")
     print_table(outcome.headings, outcome.rows())
+    print(f"/ {outcome.reference}: the median of the ratio on the same signal.")
     print("\n∫|x|² dt")
     print_table(outcome.headings[:4], outcome.rows_of_ise())
 

@@ -14,7 +14,7 @@ from deadtime.monte_carlo.dataset import Results
 from deadtime.monte_carlo.engine import LANES, Engine
 from deadtime.monte_carlo.figures import Figures, metrics_of, needs_own_run
 from deadtime.monte_carlo.loop import Laid, Loop
-from deadtime.monte_carlo.source import Source
+from deadtime.monte_carlo.source import Source, scenario_seed
 from deadtime.simulation import simulate
 from deadtime.steps import modes_at
 from deadtime.switching import SignalBatch, SwitchingSignal
@@ -125,7 +125,6 @@ class Block:
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""
         loop, results = self.loop, self.results
-        drawn = int(np.random.SeedSequence([self.seed, scenario]).generate_state(1)[0])
         run = simulate(
             loop.plant,
             law,
@@ -134,7 +133,7 @@ class Block:
             loop.horizon,
             loop.window.step,
             imperfections=self.imperfections,
-            seed=drawn,
+            seed=scenario_seed(self.seed, scenario),
         )
         results.diverged[row, scenario] = run.diverged
         for metric, value in run.metrics().items():

@@ -39,6 +39,7 @@ class Path(NamedTuple):
     u: Float[np.ndarray, "scenario m sample"]
 
 
+@np.errstate(all="ignore")  # of a scenario that diverges, which is run again
 def metrics_of(loop: Loop, figures: Figures) -> dict[str, Float[np.ndarray, " scenario"]]:
     """The metrics of `Trajectory.metrics`, in its order.
 
@@ -80,10 +81,14 @@ def _decay_rate(loop: Loop, figures: Figures) -> Float[np.ndarray, " scenario"]:
     return -0.5 * slope / loop.window.step
 
 
+def few_late(loop: Loop) -> bool:
+    """Whether the second half of the horizon has too few samples to fit a slope to."""
+    return loop.whole + 1 - loop.late + (loop.rest > 0.0) < FEW_LATE
+
+
 def needs_own_run(loop: Loop, figures: Figures) -> Bool[np.ndarray, " scenario"]:
     """Scenarios that diverge, vanish or are too short for sums: `simulate` knows what they are."""
-    count = loop.whole + 1 - loop.late + (loop.rest > 0.0)
-    if count < FEW_LATE:
+    if few_late(loop):
         return np.ones(figures.ise.size, dtype=bool)
     peak = np.maximum(figures.peak, figures.final)
     least = np.minimum(figures.least, figures.final)

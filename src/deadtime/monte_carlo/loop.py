@@ -26,6 +26,7 @@ from deadtime.steps import Window, snap, snap_all
 from deadtime.switching import SignalBatch
 
 _CELLS = 1024  # of a period, for a plant that is so fast
+_OLDEST = 2.0**31  # samples: older than any table tells apart
 
 
 class Laid(NamedTuple):
@@ -81,8 +82,9 @@ class Loop:
     @cached_property
     def late(self) -> int:
         """The first sample of the second half."""
-        times = np.arange(self.whole + 1) * self.window.step
-        return int(np.argmax(times >= 0.5 * self.horizon))
+        step, half = self.window.step, 0.5 * self.horizon
+        first = max(0, math.floor(half / step) - 1)
+        return next(k for k in range(first, first + 4) if k * step >= half)
 
     @property
     def lengths(self) -> list[float]:
@@ -157,5 +159,5 @@ class Loop:
             (0.0,) * (tables.width // WIDE),
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
-        ages = np.floor(snap_all(signals.initial_age / window.step)).astype(np.int64)
-        return Laid(first, step, mode, which, maps, ages)
+        ages = np.floor(snap_all(np.minimum(signals.initial_age / window.step, _OLDEST)))
+        return Laid(first, step, mode, which, maps, ages.astype(np.int64))

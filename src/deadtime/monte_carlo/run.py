@@ -15,14 +15,16 @@ from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.monte_carlo.block import Block
 from deadtime.monte_carlo.dataset import METRICS, Results, dataset_of
 from deadtime.monte_carlo.engine import BACKENDS, Engine, engine_of
+from deadtime.monte_carlo.figures import few_late
 from deadtime.monte_carlo.loop import Loop
 from deadtime.monte_carlo.memory import require_memory
 from deadtime.monte_carlo.named import named_laws
 from deadtime.monte_carlo.source import SwitchingModel, source_of
 from deadtime.monte_carlo.workers import Progress, processors, run_blocks, shown
 from deadtime.plant import SwitchedSystem
+from deadtime.simulation.simulate import require_few_steps
 from deadtime.steps import Window
-from deadtime.switching import SignalBatch, SwitchingSignal
+from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -34,7 +36,7 @@ else:
 
 _BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
 _LARGER = 16  # so many times as much for a device that wants much to do at a time
-_MOST_TERMS, _MOST_SAMPLES = 1500, 2**31 - 2
+_MOST_TERMS = 1500  # of straight-line code for a period of the plant
 _NAMED = 10  # scenarios that a message names
 
 
@@ -62,8 +64,9 @@ def monte_carlo(
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
     where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
-    laws with imperfections other than saturation and rate limits, scenarios that diverge, and
-    plants beyond some 30 states; `attrs["one_by_one"]` names the laws.
+    laws with imperfections other than saturation and rate limits, horizons of fewer than some 20
+    periods, plants beyond some 30 states or a thousand times faster than the period;
+    `attrs["one_by_one"]` names the laws. So do scenarios that diverge or vanish.
 
     Parameters
     ----------
@@ -94,7 +97,8 @@ def monte_carlo(
         of scenarios.
     imperfections : sequence of Imperfection
         What sensors and actuators do, as in `simulate`; scenario i draws the same for every law,
-        whatever the number of scenarios.
+        whatever the number of scenarios: what `simulate` draws with the seed
+        ``scenario_seed(seed, i)`` of `deadtime.monte_carlo`.
     trajectories : bool
         Keep states and inputs at the samples, and the modes.
     threads : int, optional
@@ -139,6 +143,7 @@ def monte_carlo(
         raise ArgumentError(f"backend must be one of {list(BACKENDS)}, got {backend!r}.")
     x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     delay = max(plant.delay, *(law.plant.delay for law in named.values()))
+    require_few_steps(max(horizon, delay), step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
     loop = Loop(plant, Window.of(plant.delay, step), x0, horizon, _actuators(imperfections))
@@ -162,7 +167,7 @@ def monte_carlo(
         "imperfections": [repr(one) for one in imperfections],
         "one_by_one": [name for name in named if name not in tables],
         "interrupted": int(interrupted),
-        "message": _message(results, list(named), continued, interrupted),
+        "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
     }
     return dataset_of(list(named), results, step, attributes)
 
@@ -205,7 +210,7 @@ def _tables(
     n, wide = loop.maps.move.shape[1:]
     if len(imperfections) > len(loop.actuators) or loop.tables is None:
         return {}
-    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or loop.whole > _MOST_SAMPLES:
+    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}
     step, anything = loop.window.step, SwitchingSignal.constant(0)
     tables = {}
@@ -223,10 +228,20 @@ def _whole(name: str, value: object, least: int) -> int:
     return int(value)
 
 
-def _message(results: Results, names: Sequence[str], continued: int, interrupted: bool) -> str:
+def _unseen(model: object, plant: SwitchedSystem) -> str:
+    """That a model knows of fewer modes than the plant has: they are left out at times."""
+    modes = getattr(model, "modes", plant.modes)
+    if not isinstance(model, (Markov, SemiMarkov)) or modes == plant.modes:
+        return ""
+    return f"the model has {modes} modes, the plant {plant.modes}: the others never occur."
+
+
+def _message(
+    results: Results, names: Sequence[str], continued: int, interrupted: bool, unseen: str
+) -> str:
     """What is worth knowing about the run as a whole."""
     done, scenarios = int(results.done.sum()), results.done.size
-    notes = []
+    notes = [unseen] if unseen else []
     if interrupted:
         notes.append(f"interrupted after {done:,} of {scenarios:,} scenarios.")
     if continued:

@@ -203,15 +203,20 @@ def _digital(
     disturbances: Drawn,
 ) -> Outcome:
     """The digital run: at once for a table law on a known signal, otherwise period by period."""
-    if max(horizon, plant.delay, law.plant.delay) / step > _MOST_SAMPLES:
-        raise ArgumentError(
-            f"step = {step:g} s is too short: horizon and delay must hold at most "
-            f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."
-        )
+    require_few_steps(max(horizon, plant.delay, law.plant.delay), step)
     grid = Grid.of(plant, law, horizon, step, u0)
     if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal) and not imperfect:
         return run_table(plant, law, switching, x0, grid, disturbances)
     return run_online(plant, law, switching, x0, horizon, grid, imperfect, disturbances)
+
+
+def require_few_steps(longest: float, step: float) -> None:
+    """Refuse a step that the horizon, or a delay, holds too often."""
+    if longest / step > _MOST_SAMPLES:
+        raise ArgumentError(
+            f"step = {step:g} s is too short: horizon and delay must hold at most "
+            f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."
+        )
 
 
 def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
