@@ -27,7 +27,8 @@ types: .venv/installed-test
 # The tests compile more than they run: one level of optimisation takes half the time of three.
 # `make long` compiles as users do.
 pytest: .venv/installed-test .venv/compiled
-	NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba $(BIN)/pytest --numprocesses auto --dist loadfile
+	NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba \
+		$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 # What is too long for every change: the whole report, certificates of N = 100 put back.
 long: .venv/installed-test .venv/compiled

@@ -189,6 +189,7 @@ def test_bad_bounds_get_one_line(capsys, arguments, message):
     assert message in err
 
 
+@pytest.mark.long
 def test_reproduce_of_an_ideal_problem_says_so(folder, capsys):
     run(capsys, "init")
     text = (folder / "problem.toml").read_text().replace("step = 0.01 ", 'step = "ideal" ')

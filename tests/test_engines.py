@@ -1,6 +1,7 @@
 """Both engines against `simulate` and each other: every law, limits, odd sizes."""
 
 import importlib
+import itertools
 import re
 import sys
 
@@ -75,8 +76,16 @@ def check_as_simulated(backend, loop, law, scenarios=(3, 6)):
 # -- against simulate --------------------------------------------------------------------------
 
 
-@both_engines
-@pytest.mark.parametrize("name", plants.LAWS)
+def every_law():
+    """All laws on both engines; those that add no kind of row to the others take `make long`."""
+    kinds = "averaged", "weighted", "expected", "averaged, dwell-aware", "exact"
+    free = {"numba": ("mean, dwell-aware",), "jax": ("single", "delayed")}
+    for backend, name in itertools.product(ENGINES, plants.LAWS):
+        marks = () if name in (*kinds, *free[backend]) else pytest.mark.long
+        yield pytest.param(name, backend, marks=marks)
+
+
+@pytest.mark.parametrize(("name", "backend"), every_law())
 def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name, backend):
     assert TRUTH.delay % H > 0.0
     assert HORIZON % H > 0.0
@@ -85,7 +94,11 @@ def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name, backen
 
 @pytest.mark.parametrize(
     ("name", "backend"),
-    [("averaged", "jax"), ("mean, dwell-aware", "jax"), ("averaged", "numba")],
+    [
+        ("averaged", "jax"),
+        pytest.param("mean, dwell-aware", "jax", marks=pytest.mark.long),
+        ("averaged", "numba"),
+    ],
 )
 def test_limited_inputs_are_as_simulated(name, backend):
     check_as_simulated(backend, loop_of(actuators=LIMITS), plants.LAWS[name](BELIEVED))
@@ -101,7 +114,7 @@ def test_a_window_longer_than_the_run_is_as_simulated(name, backend):
     )
 
 
-@both_engines
+@pytest.mark.parametrize("backend", [pytest.param("numba", marks=pytest.mark.long), "jax"])
 def test_a_window_of_one_input_is_as_simulated(backend):
     check_as_simulated(
         backend, loop_of(plants.generic(H)), plants.LAWS["averaged"](plants.generic(0.06))

@@ -1,0 +1,107 @@
+"""Instructions on vectors of eight, and how an intrinsic is made of them."""
+
+
+# Types of Numba are called to make signatures.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import models, register_model
+
+LANES = 8
+
+REAL, WORD, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
+VECTOR, WORDS = ir.VectorType(REAL, LANES), ir.VectorType(WORD, LANES)
+
+
+class _Lanes(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name="EightScenarios")
+
+
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, VECTOR)
+
+
+_LANES = _Lanes()
+
+
+def vectors(count: int) -> types.UniTuple:
+    return types.UniTuple(_LANES, count)
+
+
+class Code:
+    """Instructions on vectors, for the intrinsics below."""
+
+    def __init__(self, context: Any, builder: Any) -> None:
+        self.context, self.builder = context, builder
+
+    def place(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
+        data = self.context.make_array(kind)(self.context, self.builder, array).data
+        return self.builder.gep(data, [self.builder.add(index, ir.Constant(WORD, shift))])
+
+    def vector(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
+        place = self.place(kind, array, index, shift)
+        loaded = self.builder.load(self.builder.bitcast(place, VECTOR.as_pointer()))
+        loaded.align = 8
+        return loaded
+
+    def same(self, number: Any) -> Any:
+        """One number for every scenario."""
+        undefined = ir.Constant(VECTOR, ir.Undefined)
+        first = self.builder.insert_element(undefined, number, ir.Constant(INDEX, 0))
+        zeros = ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES)
+        return self.builder.shuffle_vector(first, undefined, zeros)
+
+    def shared(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
+        return self.same(self.builder.load(self.place(kind, array, index, shift)))
+
+    def fma(self, a: Any, b: Any, c: Any) -> Any:
+        kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
+        name = f"llvm.fma.v{LANES}f64"
+        return self.builder.call(self.builder.module.declare_intrinsic(name, fnty=kind), [a, b, c])
+
+    def words(self, value: int) -> Any:
+        return ir.Constant(WORDS, [value] * LANES)
+
+    def larger(self, a: Any, b: Any) -> Any:
+        return self.builder.select(self.builder.fcmp_ordered(">", a, b), a, b)
+
+    def smaller(self, a: Any, b: Any) -> Any:
+        return self.builder.select(self.builder.fcmp_ordered("<", a, b), a, b)
+
+
+Work = Callable[..., Any]
+
+
+def made(signature: Any, work: Work) -> tuple[Any, Callable[..., Any]]:
+    """The code of an intrinsic: `work` gets every tuple of vectors unpacked, and its result packed.
+
+    Arrays come as (kind, array), so that they can be read.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        unpacked = []
+        for kind, value in zip(signature.args, arguments, strict=True):
+            if isinstance(kind, types.UniTuple):
+                unpacked.append(cgutils.unpack_tuple(builder, value, len(kind)))
+            elif isinstance(kind, types.Array):
+                unpacked.append((kind, value))
+            else:
+                unpacked.append(value)
+        result = work(Code(context, builder), *unpacked)
+        if signature.return_type is types.void:
+            return context.get_dummy_value()
+        if signature.return_type is types.float64:
+            return result
+        return context.make_tuple(builder, signature.return_type, result)
+
+    return signature, code
