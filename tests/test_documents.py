@@ -132,7 +132,8 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
 
 
-LONG = ("design",)  # docs/design.md, which runs always, does the same with a smaller budget
+# docs/design.md, which runs always, does the same with a smaller budget; rules have tests of their own
+LONG = ("design", "state_dependent")
 SCRIPTS = [
     pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem in LONG else ())
     for path in sorted((ROOT / "examples").glob("*.py"))

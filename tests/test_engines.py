@@ -85,7 +85,7 @@ def every_law():
         yield pytest.param(name, backend, marks=marks)
 
 
-@pytest.mark.parametrize(("name", "backend"), every_law())
+@pytest.mark.parametrize(("name", "backend"), list(every_law()))
 def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name, backend):
     assert TRUTH.delay % H > 0.0
     assert HORIZON % H > 0.0
