@@ -132,7 +132,7 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
 
 
-# docs/design.md, which runs always, does the same with a smaller budget; rules have tests of their own
+# docs/design.md, which runs always, does the same with a smaller budget; rules have own tests.
 LONG = ("design", "state_dependent")
 SCRIPTS = [
     pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem in LONG else ())
