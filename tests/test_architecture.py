@@ -30,6 +30,7 @@ RINGS = (
     ("monte_carlo_table", "monte_carlo_plots"),
     ("certificates_section",),
     ("report", "problem_file"),
+    ("sweeps",),
     ("study",),
     ("cli",),
 )
@@ -75,7 +76,8 @@ def test_import_loads_numpy_and_little_else():
     code = (
         "import sys, deadtime; "
         "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pandas', 'pydantic', 'rich', "
-        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'jax'}; "
+        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'jax', "
+        "'dask', 'distributed', 'zarr'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -9,7 +9,7 @@ from deadtime.comparison import compare
 from deadtime.imperfections import Imperfection, Noise, Saturation, StepDisturbance
 from deadtime.problem_file import load_problem
 from deadtime.problem_file.imperfections import ImperfectionSection
-from deadtime.study.load import load_study
+from deadtime.sweeps import load_study
 from deadtime.verdict import verdict
 
 PLAIN = """\
@@ -194,27 +194,30 @@ def study(tmp_path, text):
 
 
 def test_a_study_runs_with_the_imperfections_of_its_problem_and_its_own(tmp_path):
-    from deadtime.study.cell import run_cell
+    from deadtime.sweeps.cell import run_cell
 
     load(tmp_path, PLAIN + '\n[[imperfection]]\nkind = "noise"\nstd = 0.1\n')
     limits = '\n[[imperfection]]\nkind = "saturation"\nlow = -3\nhigh = 3\n'
     made = study(tmp_path, STUDY + limits)
-    assert made.imperfections == (Noise(0.1), Saturation(-3.0, 3.0))
+    assert made.loop(next(made.cells())).imperfections == (Noise(0.1), Saturation(-3.0, 3.0))
     ((cell,),) = ([*made.cells()],)
-    values = run_cell(made, cell).values["ise"]
+    values = run_cell(made, cell).metrics["ise"]
     assert np.isfinite(values).all()
     # Two modes of fixed sojourns make two signals; every scenario has noise of its own.
     assert np.unique(values[0]).size == 4
     load(tmp_path, PLAIN)
-    plain = run_cell(study(tmp_path, STUDY), cell).values["ise"]
+    plain = run_cell(study(tmp_path, STUDY), cell).metrics["ise"]
     assert np.unique(plain[0]).size <= 2
     assert (plain != values).all()
 
 
-def test_a_study_refuses_a_problem_with_a_truth_of_its_own(tmp_path):
+def test_a_study_runs_the_truth_of_its_problem_unless_the_grid_changes_what_it_fixes(tmp_path):
     load(tmp_path, PLAIN + TRUTH)
-    with pytest.raises(dt.StudyFileError, match=r"remove its \[truth\]"):
-        study(tmp_path, STUDY)
+    made = study(tmp_path, STUDY)
+    loop = made.loop(next(made.cells()))
+    assert loop.plant.delay != loop.laws["averaged"].plant.delay
+    with pytest.raises(dt.StudyFileError, match=r"its \[truth\] fixes what grid\.delay changes"):
+        study(tmp_path, STUDY + "delay = [0.4, 0.5]\n")
 
 
 def test_a_force_without_an_end_needs_none_in_the_file(tmp_path):

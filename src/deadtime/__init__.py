@@ -6,6 +6,7 @@ Design a law, simulate it exactly, compare laws. The sign of gains is u = +K x; 
 right-continuous; arrays index (mode, …), (signal, time).
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from deadtime import imperfections, problems
@@ -15,10 +16,13 @@ from deadtime.errors import (
     ArgumentError,
     CertificateFileError,
     ChatteringError,
+    ClusterError,
     DeadtimeError,
     InfeasibleError,
     ProblemFileError,
+    StoreError,
     StudyFileError,
+    WorkerError,
 )
 from deadtime.feedback import Factor, Feedback
 from deadtime.gains import lqr, place
@@ -68,6 +72,14 @@ if TYPE_CHECKING:
         theorem_bound,
         verify,
     )
+    from deadtime.sweeps import (
+        FunctionStudy,
+        Study,
+        function_study,
+        load_study,
+        open_sweep,
+        sweep,
+    )
 
 __all__ = [
     "ArgumentError",
@@ -75,6 +87,7 @@ __all__ = [
     "Certificate",
     "CertificateFileError",
     "ChatteringError",
+    "ClusterError",
     "Controller",
     "DeadtimeError",
     "DelayLimit",
@@ -85,6 +98,7 @@ __all__ = [
     "Factor",
     "Feedback",
     "FunctionRule",
+    "FunctionStudy",
     "HalfSpace",
     "InfeasibleError",
     "Law",
@@ -102,11 +116,14 @@ __all__ = [
     "SignalBatch",
     "SingleModePredictor",
     "StateDependentPredictor",
+    "StoreError",
+    "Study",
     "StudyFileError",
     "SwitchedSystem",
     "SwitchingSignal",
     "Trajectory",
     "Verification",
+    "WorkerError",
     "WorstCase",
     "__version__",
     "certify",
@@ -117,13 +134,16 @@ __all__ = [
     "design",
     "draw_signals",
     "falsify",
+    "function_study",
     "gain_margin",
     "growth_rate",
     "imperfections",
     "kalman",
+    "load_study",
     "lqr",
     "luenberger",
     "monte_carlo",
+    "open_sweep",
     "place",
     "problems",
     "robustness",
@@ -131,17 +151,20 @@ __all__ = [
     "stability_chart",
     "stability_margin",
     "stabilize",
+    "sweep",
     "theorem_bound",
     "verify",
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Certificates are half of the package and are imported where they are asked for."""
-    if name in __all__:
-        from deadtime import certificates
+_SWEEPS = ("FunctionStudy", "Study", "function_study", "load_study", "open_sweep", "sweep")
 
-        return getattr(certificates, name)
+
+def __getattr__(name: str) -> Any:
+    """Certificates and sweeps are half of the package and are imported where they are asked for."""
+    if name in __all__:
+        home = "deadtime.sweeps" if name in _SWEEPS else "deadtime.certificates"
+        return getattr(import_module(home), name)
     raise AttributeError(f"module 'deadtime' has no attribute {name!r}")
 
 

@@ -36,3 +36,11 @@ class ChatteringError(DeadtimeError, RuntimeError):
 
 class WorkerError(DeadtimeError, RuntimeError):
     """A process that computed a part of a study died."""
+
+
+class StoreError(DeadtimeError, OSError):
+    """A sweep's store cannot be read or written; the message names it and what to do."""
+
+
+class ClusterError(DeadtimeError, RuntimeError):
+    """A cluster cannot be reached, has no workers, or runs another version."""

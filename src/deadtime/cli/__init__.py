@@ -1,5 +1,5 @@
 """The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `design`,
-`robustness`, `monte-carlo`, `fit`, `study`, `init`, `schema`.
+`robustness`, `monte-carlo`, `sweep`, `plot`, `fit`, `study`, `init`, `schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when `verify`
 finds that a file proves nothing or `design` does not reach its margin, 2 when something in the
@@ -15,6 +15,7 @@ from deadtime.cli import (
     monte_carlo,
     robustness,
     runs,
+    sweep,
     theorem,
 )
 from deadtime.cli.entry import app, main
@@ -29,5 +30,6 @@ __all__ = [
     "monte_carlo",
     "robustness",
     "runs",
+    "sweep",
     "theorem",
 ]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from deadtime.cli.entry import AsJson, Folder, app
-from deadtime.cli.printing import print_answers, print_table, progress_bar, save_figure
+from deadtime.cli.printing import print_answers, print_table, save_figure
 from deadtime.errors import ArgumentError
 
 
@@ -67,9 +67,13 @@ def study(
     out: Folder = Path("study-report"),
     scenarios: int | None = None,
     workers: int | None = None,
+    scheduler: str | None = None,
     json_output: AsJson = False,
 ) -> None:
     """Run laws over a grid of plants and switching, and write a report with maps and answers.
+
+    What the folder holds of the same study is not computed again: after an interruption the same
+    command goes on.
 
     Examples: `deadtime study studies/paper.toml`,
     `deadtime study studies/paper.toml --scenarios 20 --out quick-look`.
@@ -84,23 +88,25 @@ def study(
         Signals per cell of the grid, instead of the file's.
     workers
         Processes; as many as there are processors by default. The result is the same.
+    scheduler
+        Address of a Dask scheduler, whose workers reach the folder, instead of this machine.
     json_output
         Print the findings as JSON instead of text.
     """
-    from dataclasses import replace
-
-    from deadtime.checks import count
+    from deadtime.cli.sweep import shown, with_scenarios
     from deadtime.study import load_study
     from deadtime.study.report import write_study
+    from deadtime.sweeps.plan import plan_of
 
     chosen, command = load_study(file), f"deadtime study {file}"
     if scenarios is not None:
-        chosen = replace(chosen, scenarios=count("scenarios", scenarios))
+        chosen = with_scenarios(chosen, scenarios)
         command += f" --scenarios {scenarios}"
-    with progress_bar(chosen.size + 1, quiet=json_output) as advance:
-        report = write_study(chosen, out, workers, advance, command)
+    plan = plan_of(chosen, out / "data" / "study.zarr")
+    with shown(plan, quiet=json_output, remote=scheduler is not None) as report:
+        result = write_study(chosen, out, workers, report, command, scheduler)
     if json_output:
         print((out / "metrics.json").read_text(encoding="utf-8"), end="")
         return
-    print_answers(chosen.title, report.answers)
-    print(f"Report: {report.path}")
+    print_answers(chosen.title, result.answers)
+    print(f"Report: {result.path}")

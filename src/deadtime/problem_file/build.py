@@ -58,7 +58,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         horizon = positive("horizon", run.horizon)
         step = None if run.step == "ideal" else positive("step", run.step)
     with _section("observer"):
-        laws = observed(laws, file.observer, step, _numbers)
+        laws = observed(laws, file.observer, step, as_numbers)
     with _section("truth"):
         truth = _changed(plant, file.truth) if file.truth is not None else plant
     imperfections = _imperfections(file, plant, laws, step)
@@ -120,16 +120,16 @@ def _gains(plant: SwitchedSystem, section: schema.GainsSection) -> np.ndarray:
     if section.K is not None:
         return checked_gains(plant, section.K, section.allow_unstable)
     if section.poles is not None:
-        gains = place(plant, _numbers(section.poles))
+        gains = place(plant, as_numbers(section.poles))
         return checked_gains(plant, gains, section.allow_unstable)
     assert section.lqr is not None
     return lqr(plant, section.lqr.Q, section.lqr.R)
 
 
-def _numbers(poles: list) -> list:
+def as_numbers(poles: list) -> list:
     """Poles as numbers; text such as "-1+2j" is a complex one."""
     if poles and isinstance(poles[0], list):
-        return [_numbers(row) for row in poles]
+        return [as_numbers(row) for row in poles]
     try:
         return [complex(pole) for pole in poles]
     except ValueError:

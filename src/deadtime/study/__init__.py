@@ -1,10 +1,10 @@
-"""Studies: laws over a grid of plants and switching, with maps and answers in plain sentences.
+"""Studies: which law, when? A sweep over plants and switching, with maps and answers in sentences.
 
-What draws and writes is in `deadtime.study.report`.
+The sweep is `deadtime.sweeps`; here is what reads its dataset. What draws and writes is in
+`deadtime.study.report`.
 """
 
-from deadtime.study.load import load_study
 from deadtime.study.run import run_study
-from deadtime.study.study import Cell, Study
+from deadtime.sweeps import Cell, load_study
 
-__all__ = ["Cell", "Study", "load_study", "run_study"]
+__all__ = ["Cell", "load_study", "run_study"]

@@ -8,9 +8,9 @@ import numpy as np
 
 from deadtime.study.findings import favourite, summary, typical_regret, unbeaten
 from deadtime.study.knowledge_answer import EXPECTED, worth_of_distribution, worth_of_dwell_time
-from deadtime.study.laws import AWARE, LEVELS, ORACLE, knowledge_of, within
 from deadtime.study.mean_answer import AVERAGED, MEAN, MOST, averaged_or_mean
 from deadtime.study.phrases import Answer, of_cells, percent, region, the_law
+from deadtime.sweeps.laws import AWARE, LEVELS, ORACLE, knowledge_of, within
 from deadtime.wording import amount
 
 if TYPE_CHECKING:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.audit import Proportion
-from deadtime.study.laws import ORACLE
 from deadtime.study.statistics import (
     SAME,
     mean_interval,
@@ -23,6 +22,7 @@ from deadtime.study.statistics import (
     share_below,
     share_of,
 )
+from deadtime.sweeps.laws import ORACLE
 
 if TYPE_CHECKING:
     import xarray as xr

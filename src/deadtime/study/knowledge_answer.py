@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.study.findings import against_best, duel, favourite, steadier, summary
-from deadtime.study.laws import AWARE
 from deadtime.study.phrases import (
     Answer,
     change,
@@ -24,6 +23,7 @@ from deadtime.study.phrases import (
     words_of,
 )
 from deadtime.study.tables import by_dwell_time, table
+from deadtime.sweeps.laws import AWARE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -17,7 +17,6 @@ from matplotlib.patches import Patch
 
 from deadtime.plotting import COLOURS, STYLE, WIDTH, plain
 from deadtime.study.findings import LOST, best, duel, summary
-from deadtime.study.laws import AWARE
 from deadtime.study.panels import (
     HATCH,
     draw_cell,
@@ -27,6 +26,7 @@ from deadtime.study.panels import (
     short,
 )
 from deadtime.study.phrases import words_of
+from deadtime.sweeps.laws import AWARE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from deadtime.study.study import AXES
+from deadtime.sweeps.axes import AXES
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deadtime.study.study import AXES
+from deadtime.sweeps.axes import AXES
 from deadtime.wording import amount
 
 if TYPE_CHECKING:

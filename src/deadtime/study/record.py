@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deadtime.study.findings import best, summary
-from deadtime.study.laws import LEVELS, ORACLE, knowledge_of, within
 from deadtime.study.phrases import Answer
+from deadtime.study.run import failures
+from deadtime.sweeps.laws import LEVELS, ORACLE, knowledge_of, within
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,7 +54,7 @@ def record_of(data: xr.Dataset, answers: Sequence[Answer]) -> dict[str, Any]:
             for answer in answers
         ],
         "cells": list(_cells(data)),
-        "failures": json.loads(data.attrs["failures"]),
+        "failures": failures(data),
     }
 
 

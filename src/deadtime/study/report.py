@@ -13,12 +13,14 @@ from deadtime.errors import ArgumentError
 from deadtime.report import save_figure
 from deadtime.study import maps
 from deadtime.study.answers import answers
-from deadtime.study.laws import LEVELS, ORACLE, knowledge_of, within
 from deadtime.study.phrases import Answer, the_law
 from deadtime.study.record import record_of, write_cells
-from deadtime.study.run import Progress, run_study
-from deadtime.study.sojourns import FAMILIES
-from deadtime.study.study import AXES, Study
+from deadtime.study.run import failures, run_study
+from deadtime.sweeps.axes import AXES
+from deadtime.sweeps.file_study import FileStudy
+from deadtime.sweeps.laws import LEVELS, ORACLE, knowledge_of, within
+from deadtime.sweeps.run import Report
+from deadtime.sweeps.sojourns import FAMILIES
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
@@ -41,17 +43,18 @@ class StudyReport:
 
 
 def write_study(
-    study: Study,
+    study: FileStudy,
     folder: str | Path,
     workers: int | None = None,
-    progress: Progress = lambda _: None,
+    progress: Report | None = None,
     command: str = "",
+    scheduler: str | None = None,
 ) -> StudyReport:
     """Run a study and write its report into a folder.
 
-    Writes index.html (self-contained), figures/ (PNG and SVG), data/study.nc (every run, netCDF),
-    data/cells.csv (a row per cell and law) and metrics.json; files of the same names are
-    replaced, others are left alone.
+    Writes index.html (self-contained), figures/ (PNG and SVG), data/study.zarr (every run; what is
+    there already is not computed again), data/cells.csv (a row per cell and law) and metrics.json;
+    files of the same names are replaced, others are left alone.
 
     Parameters
     ----------
@@ -59,26 +62,25 @@ def write_study(
         From `load_study`.
     folder : path
         Made if it does not exist, before anything is run.
-    workers, progress
-        As in `run_study`; progress is called `study.size + 1` times.
+    workers, progress, scheduler
+        As in `sweep`.
     command : str
         How to make the report again, for its last line.
 
     Raises
     ------
     ArgumentError
-        If the folder cannot be written.
-    WorkerError
-        If a worker process dies.
+        If the folder cannot be written, its store holds another study, or the grid is not that of
+        the report's maps.
+    DeadtimeError
+        What `sweep` raises.
     """
     folder = Path(folder)
     with _writing(folder):
         for part in ("figures", "data"):
             (folder / part).mkdir(parents=True, exist_ok=True)
-    data = run_study(study, workers, progress)
-    progress("drawing and writing")
+    data = run_study(study, folder / "data" / "study.zarr", workers, progress, scheduler)
     with _writing(folder):
-        data.to_netcdf(folder / "data" / "study.nc", engine="scipy")
         return write_findings(study, data, folder, command)
 
 
@@ -92,9 +94,11 @@ def _writing(folder: Path) -> Iterator[None]:
         ) from None
 
 
-def write_findings(study: Study, data: xr.Dataset, folder: Path, command: str = "") -> StudyReport:
+def write_findings(
+    study: FileStudy, data: xr.Dataset, folder: Path, command: str = ""
+) -> StudyReport:
     """Everything but the runs themselves, from the dataset of `run_study`."""
-    found, failures = answers(data), json.loads(data.attrs["failures"])
+    found = answers(data)
     write_cells(data, folder / "data" / "cells.csv")
     record = record_of(data, found)
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
@@ -109,7 +113,7 @@ def write_findings(study: Study, data: xr.Dataset, folder: Path, command: str = 
         picture=picture,
         winners=list(_winners(data, causal, folder)),
         laws=[(law, the_law(law), list(_alone(data, law, folder))) for law in study.laws],
-        failures=failures,
+        failures=failures(data),
     )
     path = folder / "index.html"
     path.write_text(page, encoding="utf-8")
@@ -161,7 +165,7 @@ def file_name(law: str) -> str:
     return "-".join("".join(c if c.isalnum() else " " for c in law.lower()).split())
 
 
-def _page(study: Study, **parts: Any) -> str:
+def _page(study: FileStudy, **parts: Any) -> str:
     from jinja2 import Environment, PackageLoader
 
     template = Environment(
@@ -169,13 +173,18 @@ def _page(study: Study, **parts: Any) -> str:
     ).get_template("study.html.j2")
     return template.render(
         study=study,
+        plant=study.base.plant,
+        step=study.base.step,
+        horizon=study.base.horizon,
         grid=[
             (AXES[name].label, ", ".join(map(_value, values)), AXES[name].unit)
             for name, values in study.grid.items()
         ],
-        families=[(name, FAMILIES[name][0]) for name in study.grid["sojourn"]],
-        poles=", ".join(_value(pole) for pole in study.poles),
-        x0=", ".join(f"{value:g}" for value in study.x0).replace("-", "−"),
+        families=[
+            (name, FAMILIES[name][0]) for name in study.grid.get("sojourn", ("exponential",))
+        ],
+        poles=", ".join(_value(pole) for pole in study.poles or ()),
+        x0=", ".join(f"{value:g}" for value in study.base.x0).replace("-", "−"),
         version=__version__,
         **parts,
     )

@@ -1,135 +1,89 @@
-"""Run a study: every cell by itself, here or in worker processes, into one labelled dataset."""
+"""The runs of a study, as its report reads them: a sweep's dataset with every axis of the maps."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deadtime.checks import count
-from deadtime.errors import WorkerError
-from deadtime.study.cell import VARIABLES, Outcome, run_cell
-from deadtime.study.study import AXES, Study
-from deadtime.version import __version__
+from deadtime.errors import ArgumentError
+from deadtime.sweeps import Cell, FileStudy, sweep
+from deadtime.sweeps.run import Report
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Progress = Callable[[str], None]
+# In the order of maps: what tells panels apart, then a panel's y and x.
+ORDER = ("sojourn", "delay", "step", "distance", "dwell_time")
+
+
+READ = ("ise", "final_norm")  # metrics that findings are made of
 
 
 def run_study(
-    study: Study, workers: int | None = None, progress: Progress = lambda _: None
+    study: FileStudy,
+    store: str | PathLike[str],
+    workers: int | None = None,
+    progress: Report | None = None,
+    scheduler: str | None = None,
 ) -> xr.Dataset:
-    """Run every law of a study in every cell of its grid.
-
-    Cells are computed independently of each other, so the result does not depend on the number
-    of workers. In all cells scenario i is drawn with the same seed: cells that differ in the
-    plant only share their signals, and those of another dwell time are the same, stretched.
+    """Run what a study's store lacks, and load what its report is made of.
 
     Parameters
     ----------
-    study : Study
-        From `load_study`.
-    workers : int, optional
-        Processes, ≥ 1; as many as there are processors by default. With more than one a script
-        must call this under ``if __name__ == "__main__":``.
-    progress : callable
-        Called with a few words after each cell.
+    study : FileStudy
+        From `load_study`, with poles and a grid of dwell_time and perhaps distance, delay, sojourn
+        and step.
+    store, workers, progress, scheduler
+        As `sweep` takes them.
 
     Returns
     -------
     xarray.Dataset
-        Dimensions: the axes of the grid, then (law, scenario). Variables ise, energy, peak,
-        final_norm and diverged; NaN for a law that could not be built in a cell, and
-        ``attrs["failures"]`` lists these with their reasons, as JSON.
+        Dimensions sojourn, delay, perhaps step, distance, dwell_time, law, scenario. Variables
+        ise, final_norm and diverged, NaN for a law that could not be built in a cell; and reason.
 
     Raises
     ------
-    WorkerError
-        If a worker process dies.
+    ArgumentError
+        If the grid has other axes, which the report's maps do not show.
+    DeadtimeError
+        What `sweep` raises.
     """
-    workers = count("workers", (os.cpu_count() or 1) if workers is None else workers)
-    shape = (*study.shape, len(study.laws), study.scenarios)
-    values = {name: np.full(shape, np.nan) for name in VARIABLES}
-    diverged = np.zeros(shape, dtype=bool)
-    failures: dict[tuple[int, ...], list[dict[str, str]]] = {}
-    for outcome in _outcomes(study, min(workers, study.size)):
-        cell = outcome.cell
-        for name, array in outcome.values.items():
-            values[name][cell.index] = array
-        diverged[cell.index] = outcome.diverged
-        failures[cell.index] = [
-            {"cell": str(cell), "law": law, "reason": reason}
-            for law, reason in outcome.reasons.items()
-        ]
-        progress(str(cell))
-    failed = [failure for index in sorted(failures) for failure in failures[index]]
-    return _dataset(study, values, diverged, failed)
+    other = [name for name in study.grid if name not in ORDER]
+    if study.poles is None or "dwell_time" not in study.grid or other:
+        raise ArgumentError(
+            "study must have poles, and a grid of dwell_time and perhaps distance, delay, sojourn "
+            f"and step, for a report, got the grid {list(study.grid)}: use deadtime sweep and "
+            "deadtime plot."
+        )
+    if not set(READ) <= set(study.metrics):
+        raise ArgumentError(f"metrics must hold {' and '.join(READ)} for a report.")
+    data = sweep(study, store, scheduler, workers=workers, progress=progress)
+    return _complete(data[[*READ, "diverged", "reason"]].load(), study)
 
 
-def _outcomes(study: Study, workers: int) -> Iterator[Outcome]:
-    """The outcome of every cell, in any order."""
-    if workers == 1:
-        yield from (run_cell(study, cell) for cell in study.cells())
-        return
-    from multiprocessing import get_context
-
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts)
-    try:
-        for done in as_completed([pool.submit(run_cell, study, cell) for cell in study.cells()]):
-            yield done.result()
-    except BrokenProcessPool:
-        raise WorkerError(
-            "a worker process died: run with fewer workers if memory ran out; a script that "
-            'calls run_study must do so under if __name__ == "__main__":.'
-        ) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which then stops the workers."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _dataset(
-    study: Study,
-    values: Mapping[str, np.ndarray],
-    diverged: np.ndarray,
-    failures: Sequence[Mapping[str, str]],
-) -> xr.Dataset:
-    import xarray as xr
-
-    dims = (*study.grid, "law", "scenario")
-    variables = {
-        name: (dims, values[name], {"units": unit, "long_name": long})
-        for name, (unit, long) in VARIABLES.items()
+def _complete(data: xr.Dataset, study: FileStudy) -> xr.Dataset:
+    """All axes of the maps, those that the grid leaves out with one value."""
+    given = {
+        "sojourn": "exponential",
+        "delay": study.problem["plant"]["delay"],
+        "distance": 1.0,
     }
-    variables["diverged"] = (dims, diverged, {"long_name": "|x| left 1e100"})
-    coordinates = {
-        name: (name, list(axis), {"long_name": AXES[name].label, "units": AXES[name].unit})
-        for name, axis in study.grid.items()
-    }
-    coordinates |= {"law": ("law", list(study.laws)), "scenario": np.arange(study.scenarios)}
-    attributes = {
-        "title": study.title,
-        "source": study.source,
-        "seed": study.seed,
-        "scenarios": study.scenarios,
-        "horizon": study.horizon,
-        "step": study.step,
-        "x0": study.x0.tolist(),
-        "start": float(np.linalg.norm(study.x0)),
-        "study": study.text,
-        "failures": json.dumps(failures, ensure_ascii=False),
-        "version": __version__,
-    }
-    return xr.Dataset(variables, coordinates, attributes)
+    fixed = {name: [value] for name, value in given.items() if name not in data.dims}
+    axes = [name for name in ORDER if name in data.dims or name in fixed]
+    return data.expand_dims(fixed).transpose(*axes, "law", "scenario", missing_dims="ignore")
+
+
+def failures(data: xr.Dataset) -> list[dict[str, str]]:
+    """The laws that could not be built somewhere: cell, law and why."""
+    dims = data.reason.dims
+    unbuilt = (data.reason != "").values & data.ise.isnull().all("scenario").values
+    found = []
+    for index in np.argwhere(unbuilt):
+        *where, law = (data[name].values[i] for name, i in zip(dims, index, strict=True))
+        cell = Cell(tuple(index[:-1].tolist()), dict(zip(map(str, dims), where, strict=False)))
+        reason = str(data.reason.values[tuple(index)])
+        found.append({"cell": str(cell), "law": str(law), "reason": reason})
+    return found

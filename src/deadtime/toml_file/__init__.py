@@ -1,6 +1,6 @@
 """TOML files that users write: read and checked, every error with file, line and key."""
 
 from deadtime.toml_file.errors import SectionError, section
-from deadtime.toml_file.read import TomlText, read_toml
+from deadtime.toml_file.read import TomlText, read_toml, require_valid
 
-__all__ = ["SectionError", "TomlText", "read_toml", "section"]
+__all__ = ["SectionError", "TomlText", "read_toml", "require_valid", "section"]

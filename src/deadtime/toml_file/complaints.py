@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from deadtime.toml_file.lines import Path as Keys
 from deadtime.toml_file.lines import at_line, key_lines, line_of
 
 _TYPES = {"float", "str", "int", "literal['ideal']"}
@@ -15,17 +17,27 @@ _TYPES = {"float", "str", "int", "literal['ideal']"}
 
 def first_complaint(source: Path, text: str, error: ValidationError, model: type[BaseModel]) -> str:
     """The first thing wrong, with the line of its key."""
-    lines, found = key_lines(text), error.errors()
+    lines = key_lines(text)
+    path, sentence = first_fault(error, model, lines)
+    return f"{at_line(source, line_of(lines, path))}: {sentence}"
+
+
+def first_fault(
+    error: ValidationError, model: type[BaseModel], lines: Mapping[Keys, int] | None = None
+) -> tuple[Keys, str]:
+    """The path of keys to the first thing wrong, and a sentence about it."""
+    found = error.errors()
 
     def order(item: Any) -> tuple[bool, int]:
         # A misspelt key is also a missing one: name the misspelling.
-        return item["type"] == "missing", line_of(lines, _plain(item["loc"], model)) or 10**9
+        line = line_of(lines or {}, _plain(item["loc"], model))
+        return item["type"] == "missing", line or 10**9
 
     first = min(found, key=order)
     path = _plain(first["loc"], model)
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
     name = ".".join(map(str, path)) or "file"
-    return f"{at_line(source, line_of(lines, path))}: {_sentence(first, name, model)}{more}"
+    return path, f"{_sentence(first, name, model)}{more}"
 
 
 def _plain(location: tuple, model: type[BaseModel]) -> tuple:

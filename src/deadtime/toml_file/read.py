@@ -6,12 +6,12 @@ import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from deadtime.errors import ArgumentError
-from deadtime.toml_file.complaints import first_complaint
+from deadtime.toml_file.complaints import first_complaint, first_fault
 from deadtime.toml_file.errors import SectionError
 from deadtime.toml_file.lines import at_line, key_lines, line_of
 
@@ -74,3 +74,12 @@ def read_toml(
         return model.model_validate(data), TomlText(source, text, kind)
     except ValidationError as error:
         raise kind(first_complaint(source, text, error, model)) from None
+
+
+def require_valid(model: type[Model], data: Any) -> Model:
+    """The checked model of what a file would say; `SectionError` with the path of keys if not."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        path, sentence = first_fault(error, model)
+        raise SectionError(sentence, path) from None

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.errors import ArgumentError
 from deadtime.laws import (
     AveragedPredictor,
     DelayedStateFeedback,
@@ -20,7 +21,7 @@ from deadtime.laws import (
     SingleModePredictor,
 )
 from deadtime.plant import SwitchedSystem
-from deadtime.switching import SemiMarkov
+from deadtime.switching import Markov, SemiMarkov
 
 ORACLE, AWARE = "oracle", ", dwell-aware"
 COARSE = 20  # sampling periods per delay at which minimax laws are sought
@@ -36,9 +37,15 @@ class Setting:
     plant: SwitchedSystem
     gains: Float[np.ndarray, "mode m n"]
     mean_gain: Float[np.ndarray, "m n"]
-    model: SemiMarkov
-    dwell_time: float
+    model: Markov | SemiMarkov
+    dwell_time: float | None
     step: float
+
+    def told(self) -> float:
+        """τ_d, for laws that are told it."""
+        if self.dwell_time is None:
+            raise ArgumentError("a dwell-aware law is told τ_d: give grid.dwell_time.")
+        return self.dwell_time
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,10 @@ KINDS: Mapping[str, Kind] = {
     "averaged, minimax": Kind("nothing", lambda s: _minimax(s, common_gain=False)),
     "averaged, one-gain minimax": Kind("nothing", lambda s: _minimax(s, common_gain=True)),
     "averaged, dwell-aware": Kind(
-        "the dwell time", lambda s: AveragedPredictor(s.plant, s.gains, None, s.dwell_time)
+        "the dwell time", lambda s: AveragedPredictor(s.plant, s.gains, None, s.told())
     ),
     "mean, dwell-aware": Kind(
-        "the dwell time", lambda s: MeanPredictor(s.plant, s.mean_gain, s.gains, s.dwell_time)
+        "the dwell time", lambda s: MeanPredictor(s.plant, s.mean_gain, s.gains, s.told())
     ),
     "expected": Kind("the distribution", lambda s: ExpectedPredictor(s.plant, s.gains, s.model)),
     "optimal": Kind("the distribution", _optimal),

@@ -1,0 +1,225 @@
+"""`deadtime sweep`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from deadtime.cli.entry import AsJson, app
+
+if TYPE_CHECKING:
+    from deadtime.sweeps import FileStudy, Progress
+    from deadtime.sweeps.plan import Plan
+
+_EVERY = 10.0  # seconds between lines about a cluster's progress
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+@app.command
+def sweep(
+    file: Path,
+    *,
+    store: Path | None = None,
+    scenarios: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    status: Flag = False,
+    dry_run: Flag = False,
+    verify: Flag = False,
+    json_output: AsJson = False,
+) -> int:
+    """Run every cell of a study's grid into a Zarr store: here, or on a Dask cluster.
+
+    Only cells that the store lacks are computed: after Ctrl-C, a crash or a full disk the same
+    command goes on.
+
+    Examples: `deadtime sweep studies/paper.toml --store paper.zarr`,
+    `deadtime sweep study.toml --dry-run`,
+    `deadtime sweep study.toml --store /shared/study.zarr --scheduler tcp://head:8786`.
+
+    Parameters
+    ----------
+    file
+        A study file; studies/paper.toml is a commented one.
+    store
+        A folder, or a URL that fsspec knows; beside where you are, named after the study, by
+        default. Workers of a cluster must reach it under this name.
+    scenarios
+        Signals per cell of the grid, instead of the file's.
+    scheduler
+        Address of a Dask scheduler; without it all cores of this machine work.
+    workers
+        Processes on this machine.
+    status
+        Say how far the store is, and stop.
+    dry_run
+        Say how much there is to do and to store, and stop.
+    verify
+        Read everything that is stored first, and compute again what is damaged.
+    json_output
+        Print the result as JSON instead of text.
+    """
+    from deadtime.sweeps import load_study, open_sweep
+    from deadtime.sweeps import sweep as run
+    from deadtime.sweeps.plan import plan_of
+
+    chosen = load_study(file)
+    if scenarios is not None:
+        chosen = with_scenarios(chosen, scenarios)
+    place = Path(f"{file.stem}.zarr") if store is None else store
+    url = _url(place)
+    plan = plan_of(chosen, url)
+    if status or dry_run:
+        _say(chosen, plan, dry_run, json_output)
+        return 0
+    damaged = _verified(url) if verify and plan.exists else []
+    for one in damaged:
+        print(f"deadtime: {one}", file=sys.stderr)
+    try:
+        with shown(plan, quiet=json_output, remote=scheduler is not None) as report:
+            data = run(chosen, url, scheduler, workers=workers, progress=report)
+    except KeyboardInterrupt:
+        left = plan_of(chosen, url)
+        print(
+            f"deadtime: interrupted after {left.done:,} of {left.cells:,} cells; the same command "
+            "goes on",
+            file=sys.stderr,
+        )
+        return 130
+    reasons = _reasons(open_sweep(url))
+    if json_output:
+        record = {**dataclasses.asdict(plan_of(chosen, url)), "damaged": damaged}
+        print(json.dumps({**record, "reasons": reasons}, indent=2, ensure_ascii=False))
+        return 0
+    sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
+    print(f"{chosen.title}\n{plan.cells:,} cells: {sizes}")
+    for law, (count, example) in reasons.items():
+        print(f"• {law}: in {count:,} of {plan.cells:,} cells, such as: {example}")
+    print(f"\nStore: {place}. Next: deadtime plot {place}")
+    return 0
+
+
+def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
+    """The study with another number of signals per cell."""
+    from deadtime.checks import count
+
+    return dataclasses.replace(study, scenarios=count("scenarios", scenarios))
+
+
+def _url(place: Path) -> str:
+    """A path as it is; a URL, which a path has shortened, in its own form."""
+    text = str(place)
+    head, colon, rest = text.partition(":/")
+    return f"{head}://{rest.lstrip('/')}" if colon and "/" not in head and len(head) > 1 else text
+
+
+def _verified(url: str) -> list[str]:
+    """What of the store is damaged, now absent."""
+    from deadtime.sweeps.store import open_store
+
+    target, found = open_store(url), []
+    for number, fault in target.faults():
+        target.forget(number)
+        found.append(fault)
+    return found
+
+
+def _reasons(data: Any) -> dict[str, tuple[int, str]]:
+    """Law by law in how many cells something went wrong, and what, for example."""
+    found = {}
+    for law in data.law.values:
+        texts = data.reason.sel(law=law).values.ravel()
+        wrong = texts[texts != ""]
+        if wrong.size:
+            found[str(law)] = (int(wrong.size), str(wrong[0]))
+    return found
+
+
+def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
+    """How far a store is, and how much there is to do."""
+    if as_json:
+        print(json.dumps(dataclasses.asdict(plan), indent=2))
+        return
+    print(study.title)
+    axes = " × ".join(f"{len(values)} {name}" for name, values in study.grid.items())
+    print(
+        f"{plan.cells:,} cells ({axes or 'no axes'}), {study.scenarios:,} signals in each, "
+        f"{len(study.laws)} laws"
+    )
+    state = f"{plan.done:,} cells are whole, {plan.cells - plan.done:,} to do"
+    print(f"Store {plan.store}: {state if plan.exists else 'not there yet'}")
+    if dry_run:
+        print(
+            f"To do: {plan.runs:,} runs in {plan.missing:,} blocks of cells, about "
+            f"{_duration(plan.seconds)} of one core\n"
+            f"Size: at most {_bytes(plan.size)} before compression, {plan.objects:,} objects"
+        )
+
+
+def _bytes(size: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 1000.0:
+            return f"{size:.3g} {unit}"
+        size /= 1000.0
+    return f"{size:,.3g} TB"
+
+
+def _duration(seconds: float) -> str:
+    """Seconds in words.
+
+    Examples
+    --------
+    >>> _duration(3.2), _duration(300.0), _duration(80_000.0), _duration(1e6)
+    ('3 s', '5 min', '22.2 h', '11.6 days')
+    """
+    if seconds < 100.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    if seconds < 6000.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h" if seconds < 3e5 else f"{seconds / 86400.0:.1f} days"
+
+
+@contextmanager
+def shown(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress], None]]:
+    """Progress on stderr: a bar on a terminal; a line now and then about a cluster elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    if quiet or not (console.is_terminal or remote):
+        yield lambda _: None
+        return
+    if remote:
+        yield _Lines(_EVERY)
+        return
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("cells"), TimeRemainingColumn())
+    with Bar(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=plan.cells, completed=plan.done)
+        yield lambda state: bar.update(task, completed=state.done)
+
+
+class _Lines:
+    """Counts, rate and time left, a line every so many seconds."""
+
+    def __init__(self, every: float) -> None:
+        self._every, self._next = every, 0.0
+
+    def __call__(self, state: Progress) -> None:
+        if state.seconds < self._next and state.done < state.total:
+            return
+        self._next = state.seconds + self._every
+        rate = state.computed / max(state.seconds, 1e-9)
+        left = state.seconds * (state.whole_cost / max(state.cost, 1e-9) - 1.0)
+        print(
+            f"{state.done:,} of {state.total:,} cells, {rate:.3g} cells/s on {state.threads} "
+            f"threads, about {_duration(left)} left",
+            file=sys.stderr,
+        )

@@ -1,0 +1,89 @@
+"""What a sweep would do, or has done so far, without computing anything."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from deadtime.sweeps.layout import costs_of, layout_of
+from deadtime.sweeps.store import exists, open_store, place_of
+from deadtime.sweeps.study import Study
+
+_SMALL = 4  # objects of a block that are there whatever happened: one per metric comes on top
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The size of a sweep.
+
+    Attributes
+    ----------
+    store : str
+        Where it is, or would be.
+    exists : bool
+        Whether it is there.
+    cells, done : int
+        Of the grid, and how many of them are whole.
+    blocks, missing : int
+        Pieces of work, and how many of them are not whole.
+    runs : int
+        Of one law on one signal, in the cells that are missing.
+    seconds : float
+        That the missing cells take one core of the machine of benchmarks/README.md, estimated.
+    size : int
+        Bytes of the whole store before compression.
+    objects : int
+        Files or objects of the whole store, at most.
+    """
+
+    store: str
+    exists: bool
+    cells: int
+    done: int
+    blocks: int
+    missing: int
+    runs: int
+    seconds: float
+    size: int
+    objects: int
+
+
+def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
+    """What `sweep` would do.
+
+    Raises
+    ------
+    ArgumentError
+        If the store holds another study.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from deadtime.sweeps import load_study
+    >>> plan = plan_of(load_study("studies/paper.toml"), "nowhere.zarr")  # doctest: +SKIP
+    >>> plan.cells, plan.done  # doctest: +SKIP
+    (160, 0)
+    """
+    url, costs = place_of(store), costs_of(study)
+    there = exists(url)
+    if there:
+        target = open_store(url)
+        target.require(study)
+        layout, done = target.layout, target.done()
+    else:
+        layout, done = layout_of(study, costs), np.zeros(study.shape, dtype=bool)
+    runs = len(study.laws) * study.scenarios
+    return Plan(
+        store=url,
+        exists=there,
+        cells=study.size,
+        done=int(done.sum()),
+        blocks=layout.size,
+        missing=sum(not done[layout.slices(number)].all() for number in range(layout.size)),
+        runs=int((~done).sum()) * runs,
+        seconds=float(costs[~done].sum()),
+        size=study.size * runs * (8 * len(study.metrics) + 1),
+        objects=layout.size * (len(study.metrics) + _SMALL),
+    )

@@ -1,0 +1,217 @@
+"""`sweep`: the cells of a study that a store lacks, computed on Dask and stored by its workers."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deadtime.checks import count
+from deadtime.errors import ArgumentError, WorkerError
+from deadtime.sweeps.cell import run_cell
+from deadtime.sweeps.cluster import cluster
+from deadtime.sweeps.layout import Layout, costs_of, facts_of, layout_of
+from deadtime.sweeps.load import load_study
+from deadtime.sweeps.read import open_sweep
+from deadtime.sweeps.store import Store, cached_store, create, exists, open_store, place_of
+from deadtime.sweeps.study import Study
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from distributed import Client
+
+_AHEAD = 3  # blocks that are handed over for every thread of the cluster
+_LOOK = 2.0  # seconds between looks at how many threads there are
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a sweep is.
+
+    Attributes
+    ----------
+    done, total : int
+        Cells that are whole in the store, and all there are.
+    computed : int
+        Cells of this run.
+    seconds : float
+        Since the first block was handed over.
+    threads : int
+        That the cluster has.
+    cost, whole_cost : float
+        Estimated cost of what this run has done, and of all that it has to do, seconds of one core.
+    """
+
+    done: int
+    total: int
+    computed: int
+    seconds: float
+    threads: int
+    cost: float
+    whole_cost: float
+
+
+Report = Callable[[Progress], None]
+
+
+def sweep(
+    study: Study | str | PathLike[str],
+    store: str | PathLike[str],
+    scheduler: str | None = None,
+    *,
+    workers: int | None = None,
+    progress: Report | None = None,
+) -> xr.Dataset:
+    """Run every cell of a study's grid by `monte_carlo`, into one Zarr store.
+
+    Only cells that the store lacks are computed: after an interruption, whatever was its reason,
+    the same call goes on. The store does not depend on the cluster, on the number of workers or on
+    interruptions, to the last bit.
+
+    Parameters
+    ----------
+    study : Study or path
+        From `load_study` or `function_study`; or a study file.
+    store : path
+        A folder that all workers reach under this name, or a URL that fsspec knows.
+    scheduler : str, optional
+        Address of a Dask scheduler, such as "tcp://host:8786"; without it a cluster of processes on
+        this machine. A script that calls this with several workers must do so under
+        ``if __name__ == "__main__":``.
+    workers : int, optional
+        Processes on this machine; as many as there are processors by default. One worker is a
+        thread of this process.
+    progress : callable, optional
+        Called with a `Progress` after each block of cells.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `open_sweep` gives it: dimensions (axes of the grid, law, scenario), one variable per
+        metric, `diverged`, `reason` (what went wrong with a law in a cell) and `done`.
+
+    Raises
+    ------
+    ArgumentError
+        If the store holds another study, or one of another version.
+    StoreError
+        If the store cannot be written; what it holds is kept.
+    ClusterError
+        If the scheduler cannot be reached, or has no workers of this version.
+    WorkerError
+        If some cells made their workers die, again and again; all others are stored.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> data = dt.sweep("studies/paper.toml", "paper.zarr")  # doctest: +SKIP
+    >>> data.ise.median("scenario").sel(law="averaged")  # doctest: +SKIP
+    """
+    if not isinstance(study, Study):
+        if not isinstance(study, (str, PathLike)):
+            raise ArgumentError(f"study must be a Study or a file, got {type(study).__name__}.")
+        study = load_study(study)
+    workers = None if workers is None else count("workers", workers)
+    url = place_of(store)
+    target = prepare(study, url)
+    missing = target.missing()
+    if missing:
+        with cluster(scheduler, workers) as client:
+            _compute(study, target, missing, client, progress or (lambda _: None))
+    return open_sweep(url)
+
+
+def prepare(study: Study, url: str) -> Store:
+    """The study's store: the one that is there, or a new one."""
+    if exists(url):
+        target = open_store(url)
+        target.require(study)
+        return target
+    layout = layout_of(study, costs_of(study))
+    return create(url, study, layout, facts_of(study, study.laws))
+
+
+def block_costs(study: Study, layout: Layout) -> np.ndarray:
+    """Estimated seconds of every block."""
+    costs = costs_of(study)
+    return np.array([costs[layout.slices(number)].sum() for number in range(layout.size)])
+
+
+def run_block(study: Study, url: str, number: int) -> tuple[int, float]:
+    """Compute a block's cells and store them: what a worker does. Its cells, and its seconds."""
+    began = time.perf_counter()
+    store = cached_store(url)
+    outcomes = [run_cell(study, study.cell(index)) for index in store.layout.cells(number)]
+    store.write(number, outcomes)
+    return len(outcomes), time.perf_counter() - began
+
+
+def _compute(
+    study: Study, target: Store, missing: Sequence[int], client: Client, report: Report
+) -> None:
+    """Hand over the missing blocks, dear ones first, a few for each thread at a time."""
+    from distributed import KilledWorker, as_completed
+
+    costs = block_costs(study, target.layout)
+    total, whole = study.size, float(costs[list(missing)].sum())
+    waiting = [(-costs[number], number) for number in missing]
+    heapq.heapify(waiting)
+    done = total - sum(len(list(target.layout.cells(number))) for number in missing)
+    computed, spent, lost, began = 0, 0.0, [], time.monotonic()
+    threads = Threads(client)
+    futures = as_completed()
+    numbers: dict[str, int] = {}
+    try:
+        while waiting or numbers:
+            for number in _next(waiting, _AHEAD * threads.now() - len(numbers)):
+                key = f"block-{number}-of-{id(target)}"
+                future = client.submit(run_block, study, target.url, number, key=key, pure=False)
+                numbers[key] = number
+                futures.add(future)
+            future = next(futures)
+            number = numbers.pop(future.key)
+            try:
+                cells, _ = future.result()
+            except KilledWorker:
+                lost.append(number)
+                continue
+            computed, spent = computed + cells, spent + float(costs[number])
+            seconds = time.monotonic() - began
+            report(Progress(done + computed, total, computed, seconds, threads.now(), spent, whole))
+    finally:
+        client.cancel(list(futures.futures), force=True)
+    if lost:
+        cells = [str(study.cell(next(target.layout.cells(number)))) for number in lost[:3]]
+        raise WorkerError(
+            f"{len(lost)} blocks of cells made their workers die, so they are absent, such as the "
+            f"one at {'; '.join(cells)}: give workers more memory and run the same again."
+        )
+
+
+def _next(waiting: list[tuple[float, int]], room: int) -> Iterator[int]:
+    while waiting and room > 0:
+        yield heapq.heappop(waiting)[1]
+        room -= 1
+
+
+class Threads:
+    """How many threads the cluster has, asked for now and then: workers come and go."""
+
+    def __init__(self, client: Client) -> None:
+        self._client, self._known, self._asked = client, 1, -_LOOK
+
+    def now(self) -> int:
+        """At least 1: what is handed over waits for workers."""
+        if time.monotonic() - self._asked >= _LOOK:
+            self._known = max(1, _count(self._client.nthreads()))
+            self._asked = time.monotonic()
+        return self._known
+
+
+def _count(threads: Any) -> int:
+    return sum(threads.values())

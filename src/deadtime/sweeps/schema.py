@@ -1,0 +1,131 @@
+"""What a study file may say: the pydantic models behind it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
+
+from deadtime.monte_carlo.dataset import METRICS
+from deadtime.problem_file.imperfections import ImperfectionSection
+from deadtime.problem_file.section import Section
+from deadtime.sweeps.sojourns import FAMILIES
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+AboveMinusOne = Annotated[float, Field(gt=-1.0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
+Count = Annotated[int, Field(strict=True, ge=0)]
+
+
+def known(what: str, name: str, names: Sequence[str]) -> str:
+    """The name, if it is one of the names; otherwise an error that proposes the nearest."""
+    if name in names:
+        return name
+    near = difflib.get_close_matches(name, names, 1)
+    advice = f"did you mean {near[0]!r}?" if near else f"it must be one of {', '.join(names)}"
+    raise ValueError(f"{what} {name!r} is not known: {advice}")
+
+
+def _family(name: str) -> str:
+    return known("sojourn", name, tuple(FAMILIES))
+
+
+def _metric(name: str) -> str:
+    return known("metric", name, tuple(METRICS))
+
+
+def _listed(value: Any) -> Any:
+    """One value as a list of one."""
+    return value if isinstance(value, list) else [value]
+
+
+def distinct(values: list) -> list:
+    """At least one value, and none twice."""
+    if not values:
+        raise ValueError("must hold at least one value: leave the key out for the default")
+    for i, value in enumerate(values):
+        if value in values[:i]:
+            raise ValueError(f"holds {value!r} twice: list each value once")
+    return values
+
+
+List = (BeforeValidator(_listed), AfterValidator(distinct))
+Positives = Annotated[list[Positive], *List]
+NotNegatives = Annotated[list[NotNegative], *List]
+Errors = Annotated[list[AboveMinusOne], *List]
+Probabilities = Annotated[list[Probability], *List]
+Counts = Annotated[list[Count], *List]
+Families = Annotated[list[Annotated[str, AfterValidator(_family)]], *List]
+Metrics = Annotated[list[Annotated[str, AfterValidator(_metric)]], *List]
+
+
+class GridSection(Section):
+    """The axes of the grid: a list of values each, or a single one.
+
+    Beside these, paths into the problem file, such as law.averaged.low_pass.
+    """
+
+    model_config = ConfigDict(extra="allow", strict=False, title=None)
+
+    distance: NotNegatives | None = Field(
+        None, description="α: the modes are α times as far from mode 0 as the problem's."
+    )
+    delay: Positives | None = Field(None, description="D, seconds.")
+    speed: Positives | None = Field(None, description="Poles are moved from 0 by this factor.")
+    step: Positives | None = Field(None, description="Sampling periods, seconds.")
+    horizon: Positives | None = Field(None, description="Length of a run, seconds.")
+    start: Positives | None = Field(None, description="x(0) is the problem's times this.")
+    delay_error: Errors | None = Field(
+        None, description="The true delay is 1 + this times that which laws believe."
+    )
+    gain_error: Errors | None = Field(
+        None, description="The true B is 1 + this times that which laws believe."
+    )
+    sojourn: Families | None = Field(None, description="Families of sojourns, of mean 2 τ_d.")
+    dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
+    noise: NotNegatives | None = Field(None, description="Standard deviation of measurements.")
+    measurement_delay: NotNegatives | None = Field(None, description="Seconds.")
+    jitter: NotNegatives | None = Field(None, description="Samples are up to this early, seconds.")
+    dropout: Probabilities | None = Field(None, description="Probability to lose a sample.")
+    mode_delay: Counts | None = Field(None, description="Periods by which modes are known late.")
+    wrong_mode: Probabilities | None = Field(None, description="Probability of a wrong mode.")
+    saturation: NotNegatives | None = Field(
+        None, description="Inputs stay within plus and minus this; 0: no limit."
+    )
+    rate_limit: NotNegatives | None = Field(
+        None, description="Inputs move by so much a second; 0: no limit."
+    )
+    disturbance: NotNegatives | None = Field(
+        None, description="Intensity of a white disturbance on every state."
+    )
+    seed: Counts | None = Field(None, description="Seeds of the signals, instead of the study's.")
+
+
+class StudyFile(Section):
+    """A deadtime study."""
+
+    title: str = ""
+    problem: str = Field("paper", description="paper, three-mode, follower or a problem file.")
+    poles: list[float | str] | None = Field(
+        None,
+        min_length=1,
+        description='Closed-loop poles of every mode, 1/s; "-1+2j" is complex. Gains are placed in '
+        "every cell, and the laws of the study run; without, the problem's own gains and laws.",
+    )
+    laws: Annotated[list[str], AfterValidator(distinct)] | None = Field(
+        None, description="Laws to run, by name; with poles, the oracle always runs."
+    )
+    horizon: Positive | None = Field(None, description="Seconds; the problem's by default.")
+    step: Positive | None = Field(None, description="Sampling period, s; the problem's by default.")
+    scenarios: Annotated[int, Field(strict=True, ge=1)] = Field(
+        200, description="Signals per cell of the grid."
+    )
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    metrics: Metrics = Field(list(METRICS), description="What to keep of every run.")
+    grid: GridSection
+    imperfection: list[ImperfectionSection] = Field(
+        [], description="Disturbances, sensors and actuators, after those of the problem."
+    )

@@ -1,0 +1,300 @@
+"""The Zarr store of a sweep: a cell is either whole in it or absent.
+
+Every variable is one array over (axes of the grid …, law, scenario), one chunk to a block of cells;
+each chunk is an object of its own that is written at once and carries a checksum. `done` says which
+cells are whole: a block's flags are written after everything else of the block, so that whatever is
+killed in between counts as absent, and is computed again.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import numpy as np
+
+from deadtime.errors import ArgumentError, StoreError
+from deadtime.monte_carlo.dataset import DIVERGED, METRICS
+from deadtime.sweeps.axes import axis_of
+from deadtime.sweeps.cell import Outcome
+from deadtime.sweeps.layout import Layout
+from deadtime.sweeps.study import Study, differences
+from deadtime.version import __version__
+
+if TYPE_CHECKING:
+    import zarr
+
+KIND = "deadtime sweep"
+UNREADABLE = (RuntimeError, ValueError, OSError, KeyError)  # what codecs and files raise
+_REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class Store:
+    """A store that exists, with the layout of its blocks."""
+
+    def __init__(self, url: str, group: zarr.Group) -> None:
+        self.url, self.group = url, group
+        attributes = dict(group.attrs)
+        if attributes.get("kind") != KIND:
+            raise ArgumentError(
+                f"store {url!r} is Zarr, but not made by deadtime sweep: choose another name."
+            )
+        self.definition: dict[str, Any] = json.loads(str(attributes["definition"]))
+        block: Any = attributes["block"]
+        self.layout = Layout(self.array("done").shape, tuple(map(int, block)))
+
+    def array(self, name: str) -> Any:
+        """A variable or coordinate, a Zarr array."""
+        return self.group[name]
+
+    def require(self, study: Study) -> None:
+        """Refuse to mix the results of different studies."""
+        found = differences(self.definition, study.definition())
+        if found:
+            more = f" (and {len(found) - 4} more)" if len(found) > 4 else ""
+            raise ArgumentError(
+                f"store {self.url!r} holds another study: {'; '.join(found[:4])}{more}. Choose "
+                "another store, or change the study back."
+            )
+
+    def done(self) -> np.ndarray:
+        """Which cells are whole; those whose flags cannot be read are not."""
+        done = np.zeros(self.layout.shape, dtype=bool)
+        array = self.array("done")
+        try:
+            done[...] = array[...]
+        except UNREADABLE:
+            for number in range(self.layout.size):
+                place = self.layout.slices(number)
+                with suppress(*UNREADABLE):
+                    done[place] = array[place]
+        return done
+
+    def missing(self) -> list[int]:
+        """The blocks that are not whole."""
+        done = self.done()
+        return [
+            number
+            for number in range(self.layout.size)
+            if not done[self.layout.slices(number)].all()
+        ]
+
+    def write(self, number: int, outcomes: Sequence[Outcome]) -> None:
+        """Store the outcomes of a block's cells, in their order; the flags last."""
+        place = self.layout.slices(number)
+        shape = tuple(part.stop - part.start for part in place)
+        with writing(self.url):
+            for name in outcomes[0].metrics:
+                self._put(name, place, shape, [one.metrics[name] for one in outcomes])
+            self._put("diverged", place, shape, [one.diverged for one in outcomes])
+            reasons = [np.array(one.reasons, dtype=object) for one in outcomes]
+            self._put("reason", place, shape, reasons)
+            self.array("done")[place] = np.ones(shape, dtype=bool)
+
+    def _put(
+        self, name: str, place: tuple[slice, ...], shape: tuple[int, ...], parts: list[np.ndarray]
+    ) -> None:
+        self.array(name)[place] = np.stack(parts).reshape((*shape, *parts[0].shape))
+
+    def forget(self, number: int) -> None:
+        """Count a block's cells as absent."""
+        place = self.layout.slices(number)
+        with writing(self.url):
+            self.array("done")[place] = np.zeros([s.stop - s.start for s in place], dtype=bool)
+
+    def read(self, name: str, number: int) -> np.ndarray:
+        """A block of a variable; `StoreError` that names its chunk if it cannot be read."""
+        array, place = self.array(name), self.layout.slices(number)
+        try:
+            values = array[place]
+        except UNREADABLE as error:
+            raise StoreError(
+                f"store {self.url!r} has a damaged chunk, {self.chunk(name, number)} ({error}): "
+                "find all by `deadtime sweep … --verify`, which computes them again."
+            ) from None
+        return values.astype(object) if name == "reason" else values
+
+    def faults(self) -> Iterator[tuple[int, str]]:
+        """Whole blocks of which something cannot be read or is gone, and what that is."""
+        done = self.done()
+        for number in range(self.layout.size):
+            if not done[self.layout.slices(number)].all():
+                continue
+            try:
+                reasons = self.read("reason", number)
+                self.read("diverged", number)
+                for name in self.definition["metrics"]:
+                    gone = np.isnan(self.read(name, number)).all(axis=-1) & (reasons == "")
+                    if gone.any():
+                        raise StoreError(
+                            f"store {self.url!r} lacks a chunk, {self.chunk(name, number)}."
+                        )
+            except StoreError as error:
+                yield number, str(error)
+
+    def chunk(self, name: str, number: int) -> str:
+        """The object that holds a block of a variable."""
+        counts = self.layout.counts
+        where = [str(int(i)) for i in np.unravel_index(number, counts)] if counts else []
+        rest = ["0"] * (self.array(name).ndim - len(counts))
+        return "/".join([self.url, name, "c", *where, *rest])
+
+
+def place_of(store: str | PathLike[str]) -> str:
+    """The name of a store that is the same everywhere: a whole path, or the URL itself."""
+    name = fspath(store)
+    return name if "://" in name else str(Path(name).absolute())
+
+
+def open_store(url: str) -> Store:
+    """A store that exists."""
+    return Store(url, _group(url))
+
+
+def _group(url: str) -> zarr.Group:
+    import zarr
+
+    try:
+        return zarr.open_group(url, mode="r+")
+    except FileNotFoundError:
+        raise ArgumentError(f"store {url!r} does not exist: run the sweep first.") from None
+    except (OSError, ValueError, KeyError, ImportError) as error:
+        raise StoreError(f"store {url!r} cannot be opened: {error}") from None
+
+
+@lru_cache(maxsize=8)
+def cached_store(url: str) -> Store:
+    """The same for the many blocks that one process writes."""
+    return open_store(url)
+
+
+def exists(url: str) -> bool:
+    """Whether there is anything at the place of a store."""
+    if "://" not in url:
+        return Path(url).exists()
+    import zarr
+
+    try:
+        zarr.open_group(url, mode="r")
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> Store:
+    """A new store of absent cells; it appears whole or not at all where names can be changed."""
+    if "://" in url:
+        _fill(url, study, layout, facts)
+        return open_store(url)
+    target = Path(url)
+    draft = target.with_name(f".{target.name}.{uuid4().hex}")
+    with writing(url):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _fill(str(draft), study, layout, facts)
+            os.rename(draft, target)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    return open_store(url)
+
+
+def _fill(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> None:
+    """Arrays without chunks, coordinates and attributes."""
+    import zarr
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    group = zarr.create_group(url)
+    axes, laws, scenarios = tuple(study.grid), len(study.laws), study.scenarios
+    dims = (*axes, "law", "scenario")
+
+    def add(name: str, dtype: Any, fill: Any, extent: int, **attributes: Any) -> None:
+        rest = (laws, scenarios)[:extent]
+        group.create_array(
+            name,
+            shape=(*layout.shape, *rest),
+            chunks=(*layout.block, *rest),
+            dtype=dtype,
+            fill_value=fill,
+            compressors=[BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()],
+            dimension_names=dims[: len(axes) + extent],
+            attributes=attributes,
+        )
+
+    for name in study.metrics:
+        unit, long = METRICS[name]
+        add(name, "f8", np.nan, 2, units=unit, long_name=long)
+    add("diverged", "bool", False, 2, long_name=DIVERGED)
+    add("reason", str, "", 1, long_name="what went wrong")
+    add("done", "bool", False, 0, long_name="cell is whole")
+    for name, values in study.grid.items():
+        axis = axis_of(name)
+        _coordinate(group, name, _plain(values), long_name=axis.label, units=axis.unit)
+    _coordinate(group, "law", np.array(study.laws, dtype=object), long_name="law")
+    _coordinate(group, "scenario", np.arange(scenarios), long_name="scenario")
+    group.attrs.update(
+        {
+            "kind": KIND,
+            "title": study.title,
+            "source": study.source,
+            "version": __version__,
+            "seed": study.seed,
+            "scenarios": scenarios,
+            "study": study.text,
+            "definition": json.dumps(study.definition(), ensure_ascii=False),
+            "block": list(layout.block),
+            **facts,
+        }
+    )
+    with warnings.catch_warnings():
+        # Read by xarray and zarr alike, and not yet in the specification of Zarr 3.
+        warnings.filterwarnings("ignore", message="Consolidated metadata")
+        zarr.consolidate_metadata(url)
+
+
+def _coordinate(group: zarr.Group, name: str, values: np.ndarray, **attributes: Any) -> None:
+    dtype = str if values.dtype == object else values.dtype
+    array = group.create_array(
+        name,
+        shape=values.shape,
+        dtype=dtype,
+        chunks=values.shape,
+        dimension_names=(name,),
+        attributes=attributes,
+    )
+    array[...] = values
+
+
+def _plain(values: Sequence[Any]) -> np.ndarray:
+    """The values of an axis as numbers, where they all are, or as texts."""
+    if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
+        return np.array(values)
+    texts = [value if isinstance(value, str) else json.dumps(value) for value in values]
+    return np.array(texts, dtype=object)
+
+
+@contextmanager
+def writing(url: str) -> Iterator[None]:
+    """Say what is wrong with a store that cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _FULL:
+            why, what = "is full", "make room"
+        elif error.errno in _REFUSED:
+            why, what = "may not be written", "change its rights, or choose another store"
+        else:
+            why, what = f"cannot be written ({error.strerror or error})", "see to it"
+        raise StoreError(
+            f"store {url!r} {why}: what is stored is kept; {what} and run the same command again."
+        ) from None
