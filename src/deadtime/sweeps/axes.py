@@ -75,11 +75,10 @@ def _item(items: list, part: str, path: str) -> int:
     """The place in a list that a part of a path names."""
     if part.isdigit() and int(part) < len(items):
         return int(part)
-    found = [
-        i
-        for i, item in enumerate(items)
-        if isinstance(item, dict) and part in (item.get("name"), item.get("kind"))
-    ]
+    tables = [(i, item) for i, item in enumerate(items) if isinstance(item, dict)]
+    named = [i for i, item in tables if item.get("name") == part]
+    plain = [i for i, item in tables if item.get("kind") == part and "name" not in item]
+    found = named or plain or [i for i, item in tables if item.get("kind") == part]
     if len(found) == 1:
         return found[0]
     known = [

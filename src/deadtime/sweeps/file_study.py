@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -21,6 +22,8 @@ from deadtime.sweeps.laws import COARSE, Setting, kinds_of
 from deadtime.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SemiMarkov
 from deadtime.toml_file import SectionError, require_valid, section
+
+_TRIES = 100  # cells that are looked at for one where every law can be built
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,9 +67,15 @@ class FileStudy(Study):
 
     @cached_property
     def own_laws(self) -> tuple[str, ...]:
-        """Names of all laws of the problem file."""
-        file = require_valid(schema.ProblemFile, self.draft(next(self.cells())))
-        return tuple(build_problem(without_signal(file), self.path).laws)
+        """Names of all laws of the problem file, in a cell where all can be built."""
+        fault: ArgumentError | None = None
+        for cell in itertools.islice(self.cells(), _TRIES):
+            try:
+                file = require_valid(schema.ProblemFile, self.draft(cell))
+                return tuple(build_problem(without_signal(file), self.path).laws)
+            except ArgumentError as error:
+                fault = fault or error
+        raise fault or ArgumentError("grid must hold at least one cell.")
 
     def draft(self, cell: Cell) -> Draft:
         """The problem file of a cell."""

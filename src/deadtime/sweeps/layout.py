@@ -85,8 +85,8 @@ def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> Layout:
     cells = min(cells, _BYTES / (8.0 * len(study.laws) * study.scenarios))
     block: list[int] = []
     for size in reversed(study.shape):
-        pieces = max(1, math.ceil(size / max(1.0, cells)))
-        block.append(math.ceil(size / pieces))
+        room = max(1, math.floor(cells))
+        block.append(math.ceil(size / math.ceil(size / room)))
         cells /= block[-1]
     return Layout(study.shape, tuple(reversed(block)))
 
