@@ -13,6 +13,7 @@ import xarray as xr
 import deadtime as dt
 from deadtime.cli import main
 from deadtime.monte_carlo import scenario_seed
+from deadtime.paired.statistics import mean_interval, median_interval
 from deadtime.study import load_study, run_study
 from deadtime.study.answers import answers
 from deadtime.study.cell import run_cell, setting_of, signals_of
@@ -30,7 +31,6 @@ from deadtime.study.laws import LEVELS, kinds_of, within
 from deadtime.study.phrases import region
 from deadtime.study.report import write_study
 from deadtime.study.sojourns import FAMILIES, sojourn_of
-from deadtime.study.statistics import mean_interval, median_interval
 
 SHIPPED = Path(__file__).parents[1] / "studies" / "paper.toml"
 PLAIN = """\
