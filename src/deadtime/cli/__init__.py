@@ -1,5 +1,5 @@
 """The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `design`,
-`robustness`, `monte-carlo`, `fit`, `study`, `init`, `schema`.
+`robustness`, `monte-carlo`, `fit`, `study`, `plot`, `init`, `schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when `verify`
 finds that a file proves nothing or `design` does not reach its margin, 2 when something in the
@@ -13,6 +13,7 @@ from deadtime.cli import (
     files,
     models,
     monte_carlo,
+    plot,
     robustness,
     runs,
     theorem,
@@ -27,6 +28,7 @@ __all__ = [
     "main",
     "models",
     "monte_carlo",
+    "plot",
     "robustness",
     "runs",
     "theorem",

@@ -5,6 +5,7 @@ A cell carries its figure; a hatched cell is a tie.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -70,7 +71,8 @@ def coloured(
         bar = figure.colorbar(colour, ax=axes, extend=scale.extend, aspect=30, pad=0.015)
         bar.set_ticks(list(scale.ticks), labels=list(scale.ticks.values()))
         bar.ax.minorticks_off()
-        bar.set_label(plain(scale.label), fontsize=8.0)
+        room = int(17.0 * figure.get_figheight())
+        bar.set_label(textwrap.fill(plain(scale.label), room), fontsize=8.0)
         bar.outline.set_visible(False)
         keys = [] if waiting is None else keys_of(values.isnull(), waiting)
         if keys:

@@ -29,6 +29,7 @@ NOT_BUILT, NOT_RUN = (0.93, 0.93, 0.93), (0.985, 0.985, 0.985)
 FIGURES = 24  # cells along a side of a panel up to which each has its figure
 _CELL = {"x": 0.32, "y": 0.26}  # inches
 _MANY = {"x": 4.2, "y": 3.2}  # inches of a side with more cells
+_LEAST = 1.5  # inches across of a panel
 _WIDEST = 11.0  # inches of a figure with columns
 _LETTER = 0.062  # inches, in the size of titles
 _MOST = 40  # panels
@@ -47,10 +48,15 @@ class Grid:
     def inner(self) -> dict[str, str | None]:
         return {"x": self.x, "y": self.y}
 
+    def has_figures(self, data: xr.Dataset) -> bool:
+        """Whether cells are few enough for a figure in each."""
+        return all(name is None or data.sizes[name] <= FIGURES for name in (self.x, self.y))
+
     def table(self, values: xr.DataArray, place: Place) -> np.ndarray:
-        """The values of one panel, (y, x)."""
+        """The values of one panel, (y, x); axes that are nowhere have one value."""
         dims = [name for name in (self.y, self.x) if name is not None]
-        cells = values.isel(place).transpose(*dims).values
+        held = {str(name): 0 for name in values.dims if name not in dims}
+        cells = values.isel(held | place).transpose(*dims).values
         return cells.reshape(
             [1 if name is None else values.sizes[name] for name in (self.y, self.x)]
         )
@@ -65,7 +71,7 @@ def grid_of(data: xr.Dataset, sides: tuple[str | None, str | None], rest: Sequen
     count = math.prod(data.sizes[name] for name in rest)
     if count > _MOST:
         raise too_many(data, rest, count, _MOST)
-    width = max(1.5, _length(data, "x", x))
+    width = max(_LEAST, _length(data, "x", x))
     fitting = [name for name in rest if 0.8 + width * data.sizes[name] <= _WIDEST]
     columns = fitting[-1] if fitting else None
     return Grid(x, y, columns, tuple(name for name in rest if name != columns))
@@ -99,7 +105,7 @@ def panels_of(data: xr.Dataset, grid: Grid) -> tuple[Figure, list[tuple[Axes, Pl
     """
     heads = list(places_of(data, [grid.columns] if grid.columns else []))
     rows = list(places_of(data, grid.rows))
-    width = max(1.5, _length(data, "x", grid.x))
+    width = max(_LEAST, _length(data, "x", grid.x))
     span = width if len(heads) > 1 else max(width, WIDTH - 0.8)
     names = [", ".join(words_of(data, row)) for row in rows]
     wrapped = [textwrap.wrap(name, int(span / _LETTER)) for name in names]
@@ -135,7 +141,7 @@ def _frame(panel: Axes, data: xr.Dataset, grid: Grid, labelled: tuple[bool, bool
         limit = panel.set_xlim if side == "x" else panel.set_ylim
         limit(-0.5, max(len(values), 1) - 0.5)
         length = _length(data, side, name)
-        room = length / max(len(chosen), 1) / 0.06
+        room = max(length, _LEAST) / max(len(chosen), 1) / 0.06
         if side == "x" and max(map(len, texts), default=0) > room:
             panel.tick_params("x", rotation=90)
         if name is not None and labelled[side == "x"]:

@@ -16,13 +16,12 @@ from jaxtyping import Float
 
 from deadtime.paired.ranking import winners_of
 from deadtime.paired.statistics import mean_interval, quotient
-from deadtime.sweep_plots.selection import RATES, RUNS, axes_of, laws_of
+from deadtime.sweep_plots.selection import NOT_RUN, RATES, RUNS, axes_of, laws_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
-NOT_RUN = "not_run"
 
 Runs = Float[np.ndarray, "*cell law scenario"]
 
@@ -85,8 +84,9 @@ def reduced(
         winner=best.isel(part=0).fillna(-1.0).astype(int),
         ratio=best.isel(part=1),
         verdict=best.isel(part=2),
-        **{NOT_RUN: _not_run(data, best.isel(part=0, drop=True))},
+        **{NOT_RUN: _not_run(data, best.isel(part=0, drop=True)).transpose(*axes_of(data))},
     )
+    found.attrs = dict(data.attrs)
     found["quantile"].attrs = dict(data[metric].attrs)
     for name in axes_of(data):
         found[name].attrs = dict(data[name].attrs)

@@ -18,12 +18,14 @@ SAME = 1e-9  # relative difference below which a number names a value of an axis
 RUNS = ("law", "scenario")
 # Metrics of which more is better, and which may be negative: a quotient of two says nothing.
 RATES = ("decay_rate",)
+NOT_RUN = "not_run"  # of a reduced sweep: which cells are not done
 Where = Mapping[str, Any]
 
 
 def axes_of(data: xr.Dataset) -> list[str]:
-    """The axes of the grid, in their order."""
-    return [str(name) for name in data["diverged"].dims if name not in RUNS]
+    """The axes of the grid, in their order, of a sweep or of what `reduced` makes of it."""
+    cells = data[NOT_RUN] if NOT_RUN in data else data["diverged"]
+    return [str(name) for name in cells.dims if name not in RUNS]
 
 
 def metrics_of(data: xr.Dataset) -> list[str]:
@@ -59,7 +61,8 @@ def selected(data: xr.Dataset, metric: str, where: Where | None = None) -> xr.Da
     ArgumentError
         If an axis, a value on it or the metric is not there, or no cell is done.
     """
-    missing = {"diverged", *RUNS} - {str(name) for name in data.variables}
+    names = {*map(str, data.variables), *map(str, data.dims)}
+    missing = {"diverged", *RUNS} - names
     if missing:
         raise ArgumentError(
             f"data must be of a sweep, got a dataset without {', '.join(sorted(missing))}: open "
@@ -82,11 +85,9 @@ def _index(axis: str, value: object, values: np.ndarray) -> int:
     """The place of a value on its axis: a number nearly exactly, anything else by its text."""
     number = _number(value)
     for place, one in enumerate(values.tolist()):
-        if text_of(one) == text_of(value):
+        near = isinstance(one, int | float) and number is not None
+        if text_of(one) == str(value) or (near and math.isclose(number, one, rel_tol=SAME)):
             return place
-        if number is not None and isinstance(one, int | float):
-            if math.isclose(number, one, rel_tol=SAME, abs_tol=0.0):
-                return place
     listed = ", ".join(map(text_of, values.tolist()))
     raise ArgumentError(f"where[{axis!r}] must be one of {listed}, got {text_of(value)}.")
 

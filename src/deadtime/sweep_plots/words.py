@@ -59,6 +59,11 @@ def say(axis: xr.DataArray, value: object) -> str:
     return f"{name_of(axis)} {text_of(value)} {axis.attrs.get('units', '')}".rstrip()
 
 
+def unbroken(words: str) -> str:
+    """Words that stay on one line."""
+    return words.replace(" ", "\u00a0")
+
+
 def short(value: float) -> str:
     """A quotient in at most four characters.
 
