@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,7 +19,35 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Kind = Literal["heat", "bands", "wins", "regret", "all"]
-Job = tuple[str, Callable[[], "Figure"]]  # the name of a file without its ending, and its figure
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to draw: the cells, the laws of heat maps and regret, and what laws are held against.
+
+    `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
+    where such maps are not asked for, or the sweep has none.
+    """
+
+    data: xr.Dataset
+    kind: Kind
+    metric: str
+    laws: tuple[str, ...]
+    sides: tuple[str | None, str | None]
+    rivals: tuple[str, ...]
+    oracle: str
+
+    @property
+    def against_oracle(self) -> tuple[str, ...]:
+        """The laws of regret; the oracle's own is 1 everywhere."""
+        return tuple(law for law in self.laws if law != self.oracle) if self.oracle else ()
+
+    @property
+    def count(self) -> int:
+        """How many figures there will be."""
+        heat = len(self.laws) if self.kind in ("heat", "all") else 0
+        bands = self.kind in ("bands", "all")
+        return heat + bands + bool(self.rivals) + len(self.against_oracle)
 
 
 @app.command
@@ -66,22 +94,15 @@ def plot(
     json_output
         Print the paths as JSON instead of text.
     """
-    data = _open(store)
-    held = _where(where or [])
     folder = Path(f"{Path(store).stem}-plots") if out is None else out
-    jobs = list(_jobs(data, kind, metric, law, (x, y), held))
+    plan = _plan(_open(store), kind, metric, law, (x, y), _where(where or []))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArgumentError(
             f"out {str(folder)!r} cannot be written ({error.strerror}): choose another folder."
         ) from None
-    paths = []
-    with progress_bar(len(jobs), quiet=json_output) as advance:
-        for name, draw in jobs:
-            paths.append(folder / f"{name}.png")
-            save_figure(draw(), paths[-1])
-            advance(name)
+    paths = _written(plan, folder, quiet=json_output)
     if json_output:
         print(json.dumps({"store": store, "metric": metric, "figures": list(map(str, paths))}))
         return
@@ -110,47 +131,64 @@ def _where(texts: Sequence[str]) -> dict[str, str]:
     return held
 
 
-def _jobs(
+def _plan(
     data: xr.Dataset,
     kind: Kind,
     metric: str,
     law: str | None,
     sides: tuple[str | None, str | None],
     held: dict[str, str],
-) -> Iterator[Job]:
-    """What to draw, from one pass over the store; all that can be refused is refused before."""
+) -> Plan:
+    """What to draw; all that can be refused is refused here, before the store is read."""
     from deadtime.sweep_plots import selection
-    from deadtime.sweep_plots.bands import bands, panes
-    from deadtime.sweep_plots.heat import grid_for, heat, regret
-    from deadtime.sweep_plots.reduction import reduced
-    from deadtime.sweep_plots.wins import wins
+    from deadtime.sweep_plots.bands import panes
+    from deadtime.sweep_plots.heat import grid_for
 
     kept = selection.selected(data, metric, held)
-    everything, quotients = kind == "all", metric not in selection.RATES
+    laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
     if kind in ("wins", "regret"):
         selection.quotients_of(metric)
     if kind == "regret":
         selection.oracle_or_refuse(kept)
-    oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
-    rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
-    chosen = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
-    if kind == "bands" or everything:
+    if kind in ("bands", "all"):
         panes(kept, sides[0])
     if kind != "bands":
         grid_for(kept, *sides)
-    found = reduced(kept, metric, rivals, oracle)
-    names = _file_names(chosen)
-    if kind == "heat" or everything:
-        for one in chosen:
-            yield f"heat-{metric}-{names[one]}", partial(heat, found, one, metric, *sides)
-    if kind == "bands" or everything:
-        yield f"bands-{metric}", partial(bands, found, metric, sides[0])
-    if rivals:
-        yield f"wins-{metric}", partial(wins, found, rivals, metric, *sides)
-    if oracle:
-        for one in chosen:
-            if one != oracle:
-                yield f"regret-{metric}-{names[one]}", partial(regret, found, one, metric, *sides)
+    quotients = metric not in selection.RATES
+    oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
+    rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
+    return Plan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle)
+
+
+def _written(plan: Plan, folder: Path, quiet: bool) -> list[Path]:
+    """Draw and save; the paths."""
+    paths = []
+    with progress_bar(plan.count, quiet) as advance:
+        for name, figure in _figures(plan):
+            paths.append(folder / f"{name}.png")
+            save_figure(figure, paths[-1])
+            advance(name)
+    return paths
+
+
+def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
+    """Figures with the names of their files, from one pass over the store."""
+    from deadtime.sweep_plots.bands import bands
+    from deadtime.sweep_plots.heat import heat, regret
+    from deadtime.sweep_plots.reduction import reduced
+    from deadtime.sweep_plots.wins import wins
+
+    metric, names = plan.metric, _file_names(plan.laws)
+    found = reduced(plan.data, metric, plan.rivals, plan.oracle)
+    if plan.kind in ("heat", "all"):
+        for law in plan.laws:
+            yield f"heat-{metric}-{names[law]}", heat(found, law, metric, *plan.sides)
+    if plan.kind in ("bands", "all"):
+        yield f"bands-{metric}", bands(found, metric, plan.sides[0])
+    if plan.rivals:
+        yield f"wins-{metric}", wins(found, plan.rivals, metric, *plan.sides)
+    for law in plan.against_oracle:
+        yield f"regret-{metric}-{names[law]}", regret(found, law, metric, *plan.sides)
 
 
 def _file_names(laws: Sequence[str]) -> dict[str, str]:

@@ -81,7 +81,7 @@ def winners_of(runs: Runs) -> Winners:
     >>> first, second = np.array([1.0, 4.0, 9.0]), np.array([1.1, 5.0, 20.0])
     >>> found = winners_of(np.array([second, first]))
     >>> int(found.winner), float(found.ratio.round(3)), float(found.verdict)
-    (1, 0.69, 0.0)
+    (1, 0.689, 0.0)
     """
     least = np.fmin.reduce(runs, axis=-2, keepdims=True)
     ranking = ranking_of(mean_interval(quotient(runs, least))[0])

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING
 
-import numpy as np
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from deadtime.plotting import plain
 from deadtime.sweep_plots.maps import Scale, coloured
 from deadtime.sweep_plots.panels import Grid, grid_of
 from deadtime.sweep_plots.reduction import reduced
+from deadtime.sweep_plots.scales import scale_of
 from deadtime.sweep_plots.selection import (
     NOT_RUN,
     RATES,
     Where,
-    axes_of,
     laws_of,
     long_axes,
     oracle_or_refuse,
@@ -25,21 +22,12 @@ from deadtime.sweep_plots.selection import (
     selected,
     sides,
 )
-from deadtime.sweep_plots.words import figure_of, one_of, say, unbroken
+from deadtime.sweep_plots.titles import headed, measure_of, symbol_of
+from deadtime.sweep_plots.words import figure_of, one_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-SYMBOLS = {
-    "ise": "∫|x|²",
-    "energy": "∫|u|²",
-    "cost": "∫|x|² + |u|²",
-    "peak": "peak of |x|",
-    "final_norm": "|x| at the end",
-}
-WIDE = 10.0  # largest over least figure from which colours follow the logarithm
-_NARROW = 1.5  # the colours of positive figures span this factor at least
-_FAR = 1e3  # figures so many times above or below the median share their colour
 _LOST = 100.0  # regret at which the colours end
 
 
@@ -75,7 +63,7 @@ def plot_heat(
 
     Examples
     --------
-    >>> import xarray as xr
+    >>> import numpy as np, xarray as xr
     >>> dims, values = ("delay", "law", "scenario"), [[[1.0, 2.0, 9.0]], [[3.0, 4.0, 9.0]]]
     >>> variables = {"ise": (dims, values), "diverged": (dims, np.zeros((2, 1, 3), dtype=bool))}
     >>> data = xr.Dataset(variables, {"delay": [0.5, 1.0], "law": ["mean"]})
@@ -113,7 +101,7 @@ def plot_regret(
 
     Examples
     --------
-    >>> import xarray as xr
+    >>> import numpy as np, xarray as xr
     >>> dims, values = ("delay", "law", "scenario"), [[[2.0, 8.0], [1.0, 1.0]]]
     >>> variables = {"ise": (dims, values), "diverged": (dims, np.zeros((1, 2, 2), dtype=bool))}
     >>> names = {"delay": [0.5], "law": ["mean", "oracle"]}
@@ -141,7 +129,7 @@ def heat(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None)
 def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
     """`plot_regret` of what `reduced` gives."""
     ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", _LOST: "100"}
-    label = f"{SYMBOLS.get(metric, metric.replace('_', ' '))} over the oracle's"
+    label = f"{symbol_of(metric)} over the oracle's"
     scale = Scale(LogNorm(1.0, _LOST), "YlOrRd", "max", label, ticks)
     grid, values = grid_for(found, x, y), found["regret"].sel(law=law, drop=True)
     figure = coloured(found, grid, values, scale, waiting=found[NOT_RUN])
@@ -152,64 +140,3 @@ def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> Grid:
     """The panels of a map."""
     across, up = sides(found, x, y)
     return grid_of(found, (across, up), [a for a in long_axes(found) if a not in (across, up)])
-
-
-def measure_of(found: xr.Dataset, metric: str) -> str:
-    """A metric with its unit."""
-    attributes = found["quantile"].attrs
-    name = SYMBOLS.get(metric, metric.replace("_", " "))
-    unit = str(attributes.get("units", "")).replace("^2", "²")
-    return f"{name} ({unit})" if unit else name
-
-
-def headed(figure: Figure, found: xr.Dataset, grid: Grid | None, lead: str = "") -> Figure:
-    """A title: what is shown, and the axes that have one value."""
-    shown = () if grid is None else (grid.x, grid.y)
-    held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]
-    words = ", ".join(unbroken(say(found[axis], found[axis].values[0])) for axis in held)
-    title = ": ".join(part for part in (lead, words) if part)
-    if title:
-        width, height = figure.get_size_inches()
-        lines = textwrap.wrap(plain(title), int(width / 0.068))
-        figure.set_size_inches(width, height + 0.18 * len(lines))
-        figure.suptitle("\n".join(lines), fontsize=9.0, x=0.02, ha="left")
-    return figure
-
-
-def scale_of(values: np.ndarray, label: str, colours: str) -> Scale:
-    """Colours for any figures: along the logarithm where they are positive and differ widely."""
-    finite = values[np.isfinite(values)]
-    finite = finite if finite.size else np.array([1.0])
-    low, high = float(finite.min()), float(finite.max())
-    if low > 0.0 and high > WIDE * low:
-        middle = float(np.exp(np.median(np.log(finite))))
-        ends = max(low, middle / _FAR), min(high, middle * _FAR)
-        norm: Normalize = LogNorm(*ends)
-        ticks = log_ticks(*ends)
-    else:
-        # Figures that hardly differ should not look as if they did.
-        ends = low, max(high, _NARROW * low if low > 0.0 else low + 1e-9)
-        norm = Normalize(*ends)
-        ticks = linear_ticks(*ends)
-    below, above = bool((values < ends[0]).any()), bool((values > ends[1]).any())
-    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
-    return Scale(norm, colours, extend.get((below, above), "neither"), label, ticks)
-
-
-def log_ticks(low: float, high: float) -> dict[float, str]:
-    """At most 7 round numbers from low to high: 1, 2, 5 and so on where they fit."""
-    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    for steps in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
-        ticks = [step * 10.0**power for power in powers for step in steps]
-        ticks = [tick for tick in ticks if low <= tick <= high]
-        if len(ticks) <= 7:
-            break
-    return {tick: f"{tick:g}" for tick in ticks[:: -(-len(ticks) // 7) or 1]}
-
-
-def linear_ticks(low: float, high: float) -> dict[float, str]:
-    """About 5 round numbers from low to high."""
-    from matplotlib.ticker import MaxNLocator
-
-    ticks = MaxNLocator(5).tick_values(low, high)
-    return {float(tick): f"{tick:.6g}".replace("-", "−") for tick in ticks if low <= tick <= high}

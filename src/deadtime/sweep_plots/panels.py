@@ -169,9 +169,10 @@ def draw_cells(
 ) -> None:
     """All cells of a panel; figures and borders only where they are few enough to be read."""
     if max(tied.shape) <= FIGURES:
-        for at in np.ndindex(*tied.shape):
+        for at in itertools.product(*map(range, tied.shape)):
             red, green, blue = map(float, shades[at])
-            draw_cell(panel, at, (red, green, blue), texts[at[0]][at[1]], bool(tied[at]))
+            row, column = at
+            draw_cell(panel, at, (red, green, blue), texts[row][column], bool(tied[at]))
         return
     pale = np.where(tied[..., None], 0.6 + 0.4 * shades, shades)
     ends = (-0.5, tied.shape[1] - 0.5, -0.5, tied.shape[0] - 0.5)

@@ -79,13 +79,11 @@ def reduced(
     )
     found = xr.Dataset(dict(zip(("quantile", "regret", "best"), parts, strict=True))).compute()
     found = found.assign_coords(level=list(LEVELS), law=laws)
-    best = found["best"]
+    winner, ratio, verdict = (found["best"].isel(part=part, drop=True) for part in range(3))
     found = found.drop_vars("best").assign(
-        winner=best.isel(part=0).fillna(-1.0).astype(int),
-        ratio=best.isel(part=1),
-        verdict=best.isel(part=2),
-        **{NOT_RUN: _not_run(data, best.isel(part=0, drop=True)).transpose(*axes_of(data))},
+        winner=winner.fillna(-1.0).astype(int), ratio=ratio, verdict=verdict
     )
+    found[NOT_RUN] = _not_run(data, winner).transpose(*axes_of(data))
     found.attrs = dict(data.attrs)
     found["quantile"].attrs = dict(data[metric].attrs)
     for name in axes_of(data):

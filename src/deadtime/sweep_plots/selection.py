@@ -85,19 +85,19 @@ def _index(axis: str, value: object, values: np.ndarray) -> int:
     """The place of a value on its axis: a number nearly exactly, anything else by its text."""
     number = _number(value)
     for place, one in enumerate(values.tolist()):
-        near = isinstance(one, int | float) and number is not None
-        if text_of(one) == str(value) or (near and math.isclose(number, one, rel_tol=SAME)):
+        near = isinstance(one, int | float) and math.isclose(number, one, rel_tol=SAME)
+        if near or text_of(one) == str(value):
             return place
     listed = ", ".join(map(text_of, values.tolist()))
     raise ArgumentError(f"where[{axis!r}] must be one of {listed}, got {text_of(value)}.")
 
 
-def _number(value: object) -> float | None:
-    """A number, also one that is written as text, as on a command line."""
+def _number(value: object) -> float:
+    """A number, also one that is written as text, as on a command line; NaN for other text."""
     try:
         return float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError):
-        return None
+        return math.nan
 
 
 def long_axes(data: xr.Dataset) -> list[str]:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from deadtime.errors import ArgumentError
 from deadtime.sweep_plots.colours import colours_of
-from deadtime.sweep_plots.heat import SYMBOLS, grid_for, headed
+from deadtime.sweep_plots.heat import grid_for
 from deadtime.sweep_plots.maps import winners
 from deadtime.sweep_plots.reduction import reduced
 from deadtime.sweep_plots.selection import (
@@ -22,6 +22,7 @@ from deadtime.sweep_plots.selection import (
     selected,
     sides,
 )
+from deadtime.sweep_plots.titles import headed, symbol_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -78,6 +79,5 @@ def wins(
     colours = colours_of(laws_of(found))
     grid = grid_for(found, x, y)
     figure = winners(found, grid, found, {law: colours[law] for law in rivals}, found[NOT_RUN])
-    name = SYMBOLS.get(metric, metric.replace("_", " "))
-    lead = f"Least {name}" + ", and the runner-up's over it" * grid.has_figures(found)
+    lead = f"Least {symbol_of(metric)}" + ", and the runner-up's over it" * grid.has_figures(found)
     return headed(figure, found, grid, lead)
