@@ -27,10 +27,10 @@ RINGS = (
     ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
     ("fit_plots", "fit_report", "toml_file", "certificate_table", "tightness"),
     ("margin_plots", "witness_plot", "robustness_plots", "design_plots", "design_table"),
-    ("monte_carlo_table", "monte_carlo_plots"),
+    ("monte_carlo_table", "monte_carlo_plots", "paired"),
     ("certificates_section",),
     ("report", "problem_file"),
-    ("sweeps",),
+    ("sweeps", "sweep_plots"),
     ("study",),
     ("cli",),
 )

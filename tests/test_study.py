@@ -12,6 +12,7 @@ from scipy.stats import expon
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.paired.statistics import mean_interval, median_interval
 from deadtime.problem_file.schema import SemiMarkovSwitching
 from deadtime.problem_file.switching import build_model
 from deadtime.study import load_study, run_study
@@ -29,7 +30,6 @@ from deadtime.study.findings import (
 from deadtime.study.phrases import region
 from deadtime.study.report import write_study
 from deadtime.study.run import failures
-from deadtime.study.statistics import mean_interval, median_interval
 from deadtime.sweeps.cell import run_cell
 from deadtime.sweeps.laws import LEVELS, kinds_of, within
 from deadtime.sweeps.sojourns import FAMILIES, sojourn_section

@@ -58,3 +58,14 @@ def subscript(number: int) -> str:
     '₁₂'
     """
     return str(number).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
+
+
+def file_name(law: str) -> str:
+    """A law's name in names of files.
+
+    Examples
+    --------
+    >>> file_name("mean, dwell-aware")
+    'mean-dwell-aware'
+    """
+    return "-".join("".join(c if c.isalnum() else " " for c in law.lower()).split())

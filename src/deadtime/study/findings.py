@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.audit import Proportion
-from deadtime.study.statistics import (
-    SAME,
+from deadtime.paired.ranking import Ranking, picked, ranking_of, verdict_of
+from deadtime.paired.statistics import (
     mean_interval,
     median_interval,
     quotient,
@@ -87,11 +87,11 @@ def best(data: xr.Dataset, laws: Sequence[str]) -> xr.Dataset:
         winner and runner_up, names of laws, empty where fewer than one or two could be built;
         and `duel` of these two: where its verdict is not 1 they are tied.
     """
-    order, built = _ranking(data, laws)
+    ranking = _ranking(data, laws)
     ise = score(data).sel(law=list(laws))
     names, places, runs = np.array([*laws, ""]), {}, []
     for rank, name in enumerate(("winner", "runner_up")):
-        place = np.where(built > rank, order[..., min(rank, len(laws) - 1)], -1)
+        place = ranking.place(rank)
         runs.append(_picked(ise, place))
         places[name] = (ise.dims[:-2], names[place])
     return _duel(*runs).assign(places)
@@ -99,24 +99,19 @@ def best(data: xr.Dataset, laws: Sequence[str]) -> xr.Dataset:
 
 def against_best(data: xr.Dataset, law: str, rivals: Sequence[str]) -> xr.Dataset:
     """`duel` of a law against whichever of its rivals is `best` in the cell."""
-    order, built = _ranking(data, rivals)
     ise = score(data)
-    rival = _picked(ise.sel(law=list(rivals)), np.where(built > 0, order[..., 0], -1))
+    rival = _picked(ise.sel(law=list(rivals)), _ranking(data, rivals).place(0))
     return _duel(ise.sel(law=law, drop=True), rival)
 
 
-def _ranking(data: xr.Dataset, laws: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Indices into the laws by regret, along the last axis; and how many could be built."""
-    regret = summary(data).regret.sel(law=list(laws)).transpose(..., "law").values
-    missing = np.isnan(regret)
-    return np.argsort(np.where(missing, np.inf, regret), kind="stable"), (~missing).sum(axis=-1)
+def _ranking(data: xr.Dataset, laws: Sequence[str]) -> Ranking:
+    """The laws by regret."""
+    return ranking_of(summary(data).regret.sel(law=list(laws)).transpose(..., "law").values)
 
 
 def _picked(ise: xr.DataArray, place: np.ndarray) -> xr.DataArray:
     """In every cell the score of one law, NaN where its place is −1."""
-    runs = np.take_along_axis(ise.values, place[..., None, None], axis=-2)[..., 0, :]
-    runs = np.where((place >= 0)[..., None], runs, np.nan)
-    return ise.isel(law=0, drop=True).copy(data=runs)
+    return ise.isel(law=0, drop=True).copy(data=picked(ise.values, place))
 
 
 def unbeaten(data: xr.Dataset, laws: Sequence[str]) -> xr.DataArray:
@@ -183,16 +178,14 @@ def _duel(a: xr.DataArray, b: xr.DataArray) -> xr.Dataset:
 
     dims, values = a.dims[:-1], quotient(a.values, b.values)
     middle, low, high = mean_interval(values)
-    missing = np.isnan(middle)
     shares = np.apply_along_axis(share_below, -1, values)
-    shares[missing] = np.nan
-    verdict = (high < 1.0 - SAME) * 1.0 - (low > 1.0 + SAME) * 1.0
+    shares[np.isnan(middle)] = np.nan
     return xr.Dataset(
         {
             **_with_interval("ratio", dims, (middle, low, high)),
             **_with_interval("median_ratio", dims, median_interval(values)),
             **_with_interval("share", dims, np.moveaxis(shares, -1, 0)),
-            "verdict": (dims, np.where(missing, np.nan, verdict)),
+            "verdict": (dims, verdict_of(low, high)),
         },
         {name: a[name] for name in dims},
     )

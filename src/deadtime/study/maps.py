@@ -5,140 +5,67 @@ A cell carries its figure; a hatched cell is a tie. Where a map shows one law, d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm, Normalize, to_rgb
+from matplotlib import rc_context
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
-from deadtime.plotting import COLOURS, STYLE, WIDTH, plain
+from deadtime.plotting import STYLE, WIDTH, plain
 from deadtime.study.findings import LOST, best, duel, summary
-from deadtime.study.panels import (
-    HATCH,
-    draw_cell,
-    draw_missing,
-    panels_of,
-    places_of,
-    short,
-)
 from deadtime.study.phrases import words_of
+from deadtime.sweep_plots.colours import colour_of
+from deadtime.sweep_plots.maps import Scale, coloured, winners
+from deadtime.sweep_plots.panels import Grid
 from deadtime.sweeps.laws import AWARE
 
 if TYPE_CHECKING:
     import xarray as xr
 
 MOST_RATIO = 3.0  # where the colours of a comparison end, in both directions
-MAP_STYLE = {**STYLE, "hatch.linewidth": 0.6}
-HUES = {
-    "averaged": COLOURS[0],
-    "averaged, dwell-aware": COLOURS[5],
-    "mean": COLOURS[1],
-    "mean, dwell-aware": COLOURS[4],
-    "expected": COLOURS[2],
-    "averaged, minimax": COLOURS[3],
-    "averaged, one-gain minimax": "#7a4fa3",
-    "optimal": "#303030",
-}
-OTHER = "#8c8c8c"
 
 
-def colour_of(law: str) -> str:
-    """The colour of a law: warm for the mean laws, blue for the averaged ones."""
-    return HUES.get(law, OTHER)
+def _grid(data: xr.Dataset) -> Grid:
+    """Dwell time across and mode distance up; sojourns side by side, the other axes down."""
+    x, y, columns = "dwell_time", "distance", "sojourn"
+    rows = (str(name) for name in data.ise.dims[:-2])
+    return Grid(x, y, columns, tuple(name for name in rows if name not in (x, y, columns)))
 
 
 def plot_winners(data: xr.Dataset, laws: Sequence[str]) -> Figure:
     """Which of some laws is best in every cell, and the runner-up's ∫|x|² over the winner's."""
     found = best(data, laws)
-    with rc_context(MAP_STYLE):
-        figure, panels = panels_of(data)
-        for panel, place in panels:
-            cells = found.sel(place)
-            for at, inner in places_of(cells):
-                cell = cells.sel(inner)
-                law, ratio = str(cell.winner.item()), float(cell.ratio)
-                if not law:
-                    draw_missing(panel, at)
-                    continue
-                text = "" if np.isnan(ratio) else short(1.0 / ratio if ratio else np.inf)
-                draw_cell(panel, at, to_rgb(colour_of(law)), text, tied=float(cell.verdict) == 0.0)
-        winners = [law for law in laws if (found.winner == law).any()]
-        keys = [Patch(facecolor=colour_of(law), label=plain(law)) for law in winners]
-        keys.append(Patch(facecolor="white", edgecolor=HATCH, hatch="////", lw=0.0, label="tied"))
-        figure.legend(handles=keys, loc="outside lower center", ncols=5, handlelength=1.6)
-    return figure
+    number = {"": -1} | {law: i for i, law in enumerate(laws)}
+    places = np.vectorize(number.__getitem__, otypes=[int])(found.winner.values)
+    found = found.assign(winner=found.winner.copy(data=places))
+    return winners(data, _grid(data), found, {law: colour_of(law) for law in laws})
 
 
 def plot_duel(data: xr.Dataset, first: str, second: str) -> Figure:
     """The mean quotient of two laws' ∫|x|²: blue where the first is better, red the second."""
     found = duel(data, first, second)
-    label = f"∫|x|², {first} over {second}"
-    return _coloured(
-        data,
-        found.ratio,
-        (LogNorm(1.0 / MOST_RATIO, MOST_RATIO), "RdBu_r", "both"),
-        (label, {1.0 / MOST_RATIO: "1/3", 0.5: "1/2", 1.0: "1", 2.0: "2", MOST_RATIO: "3"}),
-        tied=found.verdict == 0.0,
-    )
+    ticks = {1.0 / MOST_RATIO: "1/3", 0.5: "1/2", 1.0: "1", 2.0: "2", MOST_RATIO: "3"}
+    norm, label = LogNorm(1.0 / MOST_RATIO, MOST_RATIO), f"∫|x|², {first} over {second}"
+    scale = Scale(norm, "RdBu_r", "both", label, ticks)
+    return coloured(data, _grid(data), found.ratio, scale, tied=found.verdict == 0.0)
 
 
 def plot_regret(data: xr.Dataset, law: str) -> Figure:
     """The mean ∫|x|² of a law over the oracle's."""
-    return _coloured(
-        data,
-        summary(data).regret.sel(law=law),
-        (LogNorm(1.0, LOST), "YlOrRd", "max"),
-        (f"∫|x|², {law} over oracle", {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", 100.0: "100"}),
-    )
+    ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", 100.0: "100"}
+    scale = Scale(LogNorm(1.0, LOST), "YlOrRd", "max", f"∫|x|², {law} over oracle", ticks)
+    return coloured(data, _grid(data), summary(data).regret.sel(law=law), scale)
 
 
 def plot_stabilised(data: xr.Dataset, law: str) -> Figure:
     """The share of the signals on which |x| ends below where it started."""
-    return _coloured(
-        data,
-        100.0 * summary(data).stabilised.sel(law=law),
-        (Normalize(0.0, 100.0), "YlOrRd_r", "neither"),
-        (f"signals stabilised, {law} (%)", {share: f"{share:g}" for share in (0, 25, 50, 75, 100)}),
-        write=_share,
-    )
-
-
-def _coloured(
-    data: xr.Dataset,
-    values: xr.DataArray,
-    colours: tuple[Normalize, str, str],
-    scale: tuple[str, dict[float, str]],
-    write: Callable[[float], str] = short,
-    tied: xr.DataArray | None = None,
-) -> Figure:
-    """Values in every cell, coloured along (norm, colour map, open ends), with a colour bar."""
-    norm, name, extend = colours
-    colour = ScalarMappable(norm, colormaps[name])
-    with rc_context(MAP_STYLE):
-        figure, panels = panels_of(data)
-        for panel, place in panels:
-            cells = values.sel(place)
-            for at, inner in places_of(cells):
-                value = float(cells.sel(inner))
-                if np.isnan(value):
-                    draw_missing(panel, at)
-                    continue
-                shade = to_rgb(colour.to_rgba(np.clip(value, norm.vmin, norm.vmax)))  # pyright: ignore
-                same = tied is not None and bool(tied.sel(place).sel(inner))
-                draw_cell(panel, at, shade, write(value), same)
-        label, ticks = scale
-        bar = figure.colorbar(
-            colour, ax=[panel for panel, _ in panels], extend=extend, aspect=30, pad=0.015
-        )
-        bar.set_ticks(list(ticks), labels=list(ticks.values()))
-        bar.ax.minorticks_off()
-        bar.set_label(plain(label), fontsize=8.0)
-        bar.outline.set_visible(False)
-    return figure
+    shares = 100.0 * summary(data).stabilised.sel(law=law)
+    ticks = {share: f"{share:g}" for share in (0.0, 25.0, 50.0, 75.0, 100.0)}
+    label = f"signals stabilised, {law} (%)"
+    scale = Scale(Normalize(0.0, 100.0), "YlOrRd_r", "neither", label, ticks)
+    return coloured(data, _grid(data), shares, scale, write=_share)
 
 
 def _share(value: float) -> str:

@@ -22,6 +22,7 @@ from deadtime.sweeps.laws import LEVELS, ORACLE, knowledge_of, within
 from deadtime.sweeps.run import Report
 from deadtime.sweeps.sojourns import FAMILIES
 from deadtime.version import __version__
+from deadtime.wording import file_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -152,17 +153,6 @@ def _alone(data: xr.Dataset, law: str, folder: Path) -> Iterator[dict[str, str]]
     caption = f"Signals that {the_law(law)} stabilises, %."
     figure = maps.plot_stabilised(data, law)
     yield save_figure(figure, folder, f"stabilised-{file_name(law)}", caption)
-
-
-def file_name(law: str) -> str:
-    """A law's name in names of files.
-
-    Examples
-    --------
-    >>> file_name("mean, dwell-aware")
-    'mean-dwell-aware'
-    """
-    return "-".join("".join(c if c.isalnum() else " " for c in law.lower()).split())
 
 
 def _page(study: FileStudy, **parts: Any) -> str:

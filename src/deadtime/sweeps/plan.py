@@ -61,10 +61,14 @@ def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
     Examples
     --------
     >>> import deadtime as dt
-    >>> from deadtime.sweeps import load_study
-    >>> plan = plan_of(load_study("studies/paper.toml"), "nowhere.zarr")  # doctest: +SKIP
-    >>> plan.cells, plan.done  # doctest: +SKIP
-    (160, 0)
+    >>> problem = dt.problems.paper()
+    >>> def loop(horizon):
+    ...     laws, model = [problem.laws["averaged"]], dt.Markov([[0, 2], [2, 0]])
+    ...     return dict(plant=problem.plant, laws=laws, model=model, x0=[1, 0], horizon=horizon,
+    ...                 step=0.01)
+    >>> plan = plan_of(dt.function_study(loop, {"horizon": [5.0, 50.0]}, scenarios=1000), "no.zarr")
+    >>> plan.exists, plan.cells, plan.runs, plan.size
+    (False, 2, 2000, 114000)
     """
     url, costs = place_of(store), costs_of(study)
     there = exists(url)

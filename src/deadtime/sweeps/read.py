@@ -40,7 +40,7 @@ def open_sweep(store: str | PathLike[str]) -> xr.Dataset:
 
     Examples
     --------
-    >>> open_sweep("nowhere.zarr")
+    >>> open_sweep("nowhere.zarr")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     deadtime.errors.ArgumentError: store '...nowhere.zarr' does not exist: run the sweep first.
     """

@@ -108,9 +108,21 @@ def sweep(
 
     Examples
     --------
+    >>> import tempfile
     >>> import deadtime as dt
-    >>> data = dt.sweep("studies/paper.toml", "paper.zarr")  # doctest: +SKIP
-    >>> data.ise.median("scenario").sel(law="averaged")  # doctest: +SKIP
+    >>> problem = dt.problems.paper()
+    >>> def loop(delay):
+    ...     plant = dt.SwitchedSystem(problem.plant.A, problem.plant.B, delay)
+    ...     laws = [dt.AveragedPredictor(plant, problem.gains), dt.ExactPredictor(plant, problem.gains)]
+    ...     model = dt.Markov([[0, 2], [2, 0]])
+    ...     return dict(plant=plant, laws=laws, model=model, x0=[1, 0], horizon=5, step=0.02)
+    >>> study = dt.function_study(loop, {"delay": [0.5, 1.0]}, scenarios=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     data = dt.sweep(study, folder + "/mine.zarr", workers=1).load()
+    >>> dict(data.sizes)
+    {'delay': 2, 'law': 2, 'scenario': 20}
+    >>> bool((data.ise.sel(delay=1.0) > data.ise.sel(delay=0.5)).mean() > 0.9)
+    True
     """
     if not isinstance(study, Study):
         if not isinstance(study, (str, PathLike)):

@@ -1,0 +1,204 @@
+"""`deadtime plot`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from deadtime.cli.entry import AsJson, app
+from deadtime.cli.printing import progress_bar, save_figure
+from deadtime.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+Kind = Literal["heat", "bands", "wins", "regret", "all"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to draw: the cells, the laws of heat maps and regret, and what laws are held against.
+
+    `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
+    where such maps are not asked for, or the sweep has none.
+    """
+
+    data: xr.Dataset
+    kind: Kind
+    metric: str
+    laws: tuple[str, ...]
+    sides: tuple[str | None, str | None]
+    rivals: tuple[str, ...]
+    oracle: str
+
+    @property
+    def against_oracle(self) -> tuple[str, ...]:
+        """The laws of regret; the oracle's own is 1 everywhere."""
+        return tuple(law for law in self.laws if law != self.oracle) if self.oracle else ()
+
+    @property
+    def count(self) -> int:
+        """How many figures there will be."""
+        heat = len(self.laws) if self.kind in ("heat", "all") else 0
+        bands = self.kind in ("bands", "all")
+        return heat + bands + bool(self.rivals) + len(self.against_oracle)
+
+
+@app.command
+def plot(
+    store: str,
+    *,
+    kind: Kind = "all",
+    metric: str = "ise",
+    law: str | None = None,
+    x: str | None = None,
+    y: str | None = None,
+    where: Annotated[list[str] | None, Parameter(negative="")] = None,
+    out: Annotated[Path | None, Parameter(alias="-o")] = None,
+    json_output: AsJson = False,
+) -> None:
+    """Draw a sweep's store: heat maps, quantile bands, the best law, regret against the oracle.
+
+    Two axes span a panel, the others tell panels apart, and axes with one value stand in the
+    title. What is not run yet is left out, so a sweep can be looked at while it runs.
+
+    Examples: `deadtime plot sweep.zarr`, `deadtime plot sweep.zarr --kind bands --x delay`,
+    `deadtime plot sweep.zarr --kind heat --law mean --where delay=0.5 --where sojourn=uniform`.
+
+    Parameters
+    ----------
+    store
+        The store of a sweep.
+    kind
+        heat: the median of a metric under a law. bands: its median, 25 to 75 % and 5 to 95 % under
+        every law, along one axis. wins: the best law, and how much the runner-up is worse. regret:
+        a law over the oracle on the same signals. all: whatever of these the sweep has.
+    metric
+        ise, energy, cost, peak, settling_time, decay_rate or final_norm.
+    law
+        The law of heat and regret; every law, a file for each, by default.
+    x
+        The axis across; the last with more than one value by default.
+    y
+        The axis up; the last but one by default.
+    where
+        An axis and the value to hold it at, such as delay=0.5; may be given several times.
+    out
+        Folder for the PNG files; next to where you are, named after the store, by default.
+    json_output
+        Print the paths as JSON instead of text.
+    """
+    folder = Path(f"{Path(store).stem}-plots") if out is None else out
+    plan = _plan(_open(store), kind, metric, law, (x, y), _where(where or []))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(
+            f"out {str(folder)!r} cannot be written ({error.strerror}): choose another folder."
+        ) from None
+    paths = _written(plan, folder, quiet=json_output)
+    if json_output:
+        print(json.dumps({"store": store, "metric": metric, "figures": list(map(str, paths))}))
+        return
+    print("\n".join(map(str, paths)))
+
+
+def _open(store: str) -> xr.Dataset:
+    """The store as a dataset, lazily."""
+    from deadtime.sweeps import open_sweep
+
+    return open_sweep(store)
+
+
+def _where(texts: Sequence[str]) -> dict[str, str]:
+    """Axes and what they are held at; values are text, which the selection understands."""
+    held: dict[str, str] = {}
+    for text in texts:
+        axis, sign, value = map(str.strip, text.partition("="))
+        if not (axis and sign and value):
+            raise ArgumentError(f"where must be axis=value, such as delay=0.5, got {text!r}.")
+        if axis in held:
+            raise ArgumentError(
+                f"where must hold an axis at one value, got {axis!r} twice: draw them one by one."
+            )
+        held[axis] = value
+    return held
+
+
+def _plan(
+    data: xr.Dataset,
+    kind: Kind,
+    metric: str,
+    law: str | None,
+    sides: tuple[str | None, str | None],
+    held: dict[str, str],
+) -> Plan:
+    """What to draw; all that can be refused is refused here, before the store is read."""
+    from deadtime.sweep_plots import selection
+    from deadtime.sweep_plots.bands import panes
+    from deadtime.sweep_plots.heat import grid_for
+
+    kept = selection.selected(data, metric, held)
+    laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
+    if kind in ("wins", "regret"):
+        selection.quotients_of(metric)
+    if kind == "regret":
+        selection.oracle_or_refuse(kept)
+    if kind in ("bands", "all"):
+        panes(kept, sides[0])
+    if kind != "bands":
+        grid_for(kept, *sides)
+    quotients = metric not in selection.RATES
+    oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
+    rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
+    return Plan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle)
+
+
+def _written(plan: Plan, folder: Path, quiet: bool) -> list[Path]:
+    """Draw and save; the paths."""
+    paths = []
+    with progress_bar(plan.count, quiet) as advance:
+        for name, figure in _figures(plan):
+            paths.append(folder / f"{name}.png")
+            save_figure(figure, paths[-1])
+            advance(name)
+    return paths
+
+
+def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
+    """Figures with the names of their files, from one pass over the store."""
+    from deadtime.sweep_plots.bands import bands
+    from deadtime.sweep_plots.heat import heat, regret
+    from deadtime.sweep_plots.reduction import reduced
+    from deadtime.sweep_plots.wins import wins
+
+    metric, names = plan.metric, _file_names(plan.laws)
+    found = reduced(plan.data, metric, plan.rivals, plan.oracle)
+    if plan.kind in ("heat", "all"):
+        for law in plan.laws:
+            yield f"heat-{metric}-{names[law]}", heat(found, law, metric, *plan.sides)
+    if plan.kind in ("bands", "all"):
+        yield f"bands-{metric}", bands(found, metric, plan.sides[0])
+    if plan.rivals:
+        yield f"wins-{metric}", wins(found, plan.rivals, metric, *plan.sides)
+    for law in plan.against_oracle:
+        yield f"regret-{metric}-{names[law]}", regret(found, law, metric, *plan.sides)
+
+
+def _file_names(laws: Sequence[str]) -> dict[str, str]:
+    """Laws in the names of files, no two the same."""
+    from deadtime.wording import file_name
+
+    names: dict[str, str] = {}
+    for law in laws:
+        name, count = file_name(law) or "law", 2
+        while name in names.values():
+            name, count = f"{file_name(law) or 'law'}-{count}", count + 1
+        names[law] = name
+    return names
