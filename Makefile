@@ -11,7 +11,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
 
-# Which law, when: maps and answers, 5 minutes on two cores.
+# Which law, when: maps and answers, 15 minutes on two cores.
 study: .venv/installed .venv/compiled
 	$(BIN)/deadtime study studies/paper.toml --out study-report
 
@@ -37,6 +37,7 @@ long: .venv/installed-test .venv/compiled
 bench: .venv/installed .venv/compiled
 	$(BIN)/python benchmarks/single_run.py
 	$(BIN)/python benchmarks/batch.py
+	$(BIN)/python benchmarks/sweep.py
 
 examples: .venv/installed
 	for script in examples/*.py; do $(BIN)/python $$script || exit 1; done
@@ -51,7 +52,7 @@ schema: .venv/installed
 		{ echo "python -m venv failed: install your system's venv package (Debian: python3-venv)"; rm -rf .venv; exit 1; }
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --editable ".[sweep]"
 	@touch $@
 
 .venv/installed-test: pyproject.toml constraints.txt | .venv/bin/python

@@ -11,6 +11,7 @@ import deadtime as dt
 from deadtime import imperfections
 from deadtime.controller import Status
 from deadtime.study import load_study
+from deadtime.sweeps.axes import AXES
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))
@@ -55,6 +56,15 @@ def test_python_of_the_page_on_many_signals_runs(capsys):
     assert (
         "trajectories of 10,000,000 scenarios of 1,001 samples under 3 laws would take" in printed
     )
+
+
+def test_python_and_axes_of_the_page_on_sweeps_are_there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page, names = run_page("sweeps.md")
+    assert names["data"].sizes == {"delay": 3, "weight": 3, "law": 2, "scenario": 100}
+    assert (names["regret"].median("scenario") < 1.5).all()
+    table = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \|", page, re.M)
+    assert {name.strip("`") for row in table for name in row.split(", ")} >= set(AXES)
 
 
 def test_python_of_the_page_on_the_controller_runs(capsys):
@@ -108,9 +118,12 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 12
+    assert len(commands) == 14
     dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
     (study,) = (command.split()[1] for command in commands if command.startswith("study"))
+    (tmp_path / "studies").mkdir()
+    quick = (ROOT / study).read_text(encoding="utf-8").replace("[0.1, 0.2, 0.4, 0.8, 1.6]", "0.8")
+    (tmp_path / study).write_text(quick.replace("[0.25, 0.5, 1.0, 1.5]", "[0.5, 1]"), "utf-8")
     load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones
     for command in commands:
         if command.startswith("study"):
@@ -121,6 +134,10 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
             command += " --scenarios 2"
         if command.startswith("design"):
             command += " --budget 100"
+        if command.startswith("sweep"):
+            command += " --scenarios 3 --workers 1"
+        if command.startswith("plot"):
+            command += " --kind wins"
         if command.startswith("monte-carlo"):
             command += " --scenarios 50"
         with pytest.raises(SystemExit) as stopped:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.checks import read_only
 from deadtime.plant import SwitchedSystem
 
 WIDE = 8  # entries of a map come in vectors of so many
@@ -149,12 +150,15 @@ def _series(
     return _stack(result)
 
 
+@lru_cache(1)
 def _chebyshev(count: int) -> Float[np.ndarray, "power polynomial"]:
     """Chebyshev's polynomials T_0, …, T_{count − 1} as columns of powers."""
     columns = [
         np.polynomial.chebyshev.cheb2poly(row[: d + 1]) for d, row in enumerate(np.eye(count))
     ]
-    return np.stack([np.pad(column, (0, count - column.size)) for column in columns], axis=1)
+    return read_only(
+        np.stack([np.pad(column, (0, count - column.size)) for column in columns], axis=1)
+    )
 
 
 def _stack(parts: Sequence) -> np.ndarray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import marshal
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -130,7 +132,11 @@ def _loop(made: Any) -> Loop:
 
 
 def _text(function: Callable[..., Any]) -> str:
+    """The source text; of a function that has none, its name and a digest of what it does."""
     try:
         return textwrap.dedent(inspect.getsource(function))
     except (OSError, TypeError):
-        return getattr(function, "__qualname__", repr(function))
+        name = getattr(function, "__qualname__", type(function).__name__)
+        code = getattr(function, "__code__", None)
+        digest = "" if code is None else hashlib.sha256(marshal.dumps(code)).hexdigest()
+        return f"{name} {digest}".strip()

@@ -41,6 +41,8 @@ class Progress:
         Cells of this run.
     seconds : float
         Since the first block was handed over.
+    busy : float
+        That workers spent on blocks, summed over them.
     threads : int
         That the cluster has.
     cost, whole_cost : float
@@ -51,6 +53,7 @@ class Progress:
     total: int
     computed: int
     seconds: float
+    busy: float
     threads: int
     cost: float
     whole_cost: float
@@ -113,7 +116,8 @@ def sweep(
     >>> problem = dt.problems.paper()
     >>> def loop(delay):
     ...     plant = dt.SwitchedSystem(problem.plant.A, problem.plant.B, delay)
-    ...     laws = [dt.AveragedPredictor(plant, problem.gains), dt.ExactPredictor(plant, problem.gains)]
+    ...     kinds = dt.AveragedPredictor, dt.ExactPredictor
+    ...     laws = [kind(plant, problem.gains) for kind in kinds]
     ...     model = dt.Markov([[0, 2], [2, 0]])
     ...     return dict(plant=plant, laws=laws, model=model, x0=[1, 0], horizon=5, step=0.02)
     >>> study = dt.function_study(loop, {"delay": [0.5, 1.0]}, scenarios=20)
@@ -174,7 +178,7 @@ def _compute(
     waiting = [(-costs[number], number) for number in missing]
     heapq.heapify(waiting)
     done = total - sum(len(list(target.layout.cells(number))) for number in missing)
-    computed, spent, lost, began = 0, 0.0, [], time.monotonic()
+    computed, busy, spent, lost, began = 0, 0.0, 0.0, [], time.monotonic()
     threads = Threads(client)
     futures = as_completed()
     numbers: dict[str, int] = {}
@@ -188,13 +192,14 @@ def _compute(
             future = next(futures)
             number = numbers.pop(future.key)
             try:
-                cells, _ = future.result()
+                cells, took = future.result()
             except KilledWorker:
                 lost.append(number)
                 continue
-            computed, spent = computed + cells, spent + float(costs[number])
-            seconds = time.monotonic() - began
-            report(Progress(done + computed, total, computed, seconds, threads.now(), spent, whole))
+            computed, busy = computed + cells, busy + took
+            spent += float(costs[number])
+            now = done + computed, total, computed, time.monotonic() - began, busy
+            report(Progress(*now, threads.now(), spent, whole))
     finally:
         client.cancel(list(futures.futures), force=True)
     if lost:
