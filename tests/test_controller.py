@@ -50,7 +50,7 @@ def test_a_long_delay_loses_no_digits_over_many_windows(name):
     law = plants.LAWS[name](GENERIC)
     table = law.digital(0.234 / 1000)
     assert table.factor is not None
-    x, modes, applied = recorded(GENERIC, 12_000)
+    x, modes, applied = recorded(GENERIC, 4500)
     u, scale = plants.expected_inputs(table, x, modes, applied)
     found = run(dt.Controller(law, 0.234 / 1000), x, modes, applied)
     assert (np.abs(found - u) <= 1e-12 * scale).all()

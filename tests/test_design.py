@@ -196,7 +196,9 @@ def test_the_paper_s_mode_is_designed_for_twice_its_margin_at_a_price():
     assert found.message.startswith("Every constant mode stays stable while the true delay errs")
 
 
-@pytest.mark.parametrize(("mode", "asked"), [(0, 0.03), (1, 0.02)])
+@pytest.mark.parametrize(
+    ("mode", "asked"), [pytest.param(0, 0.03, marks=pytest.mark.long), (1, 0.02)]
+)
 def test_what_no_gains_reach_is_the_largest_found_beside_the_limit(mode, asked):
     plant = alone(mode)
     found = dt.design(plant, delay_margin=asked, budget=120)

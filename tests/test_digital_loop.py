@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -64,11 +65,8 @@ def random_plant(rng, modes, n, m, time):
     return A, rng.normal(size=(modes, n, m))
 
 
-@settings(
-    max_examples=1000, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
-)
-@given(loops())
-def test_simulate_equals_an_independent_propagation_to_round_off(case):
+def require_agreement(case):
+    """`simulate` and the second method on one random loop."""
     rng = np.random.default_rng(case["seed"])
     modes, n, m, step = case["modes"], case["n"], case["m"], case["step"]
     delay = meant(case["ratio"]) * step
@@ -135,3 +133,25 @@ def test_simulate_equals_an_independent_propagation_to_round_off(case):
     assert run.time.size == samples
     assert np.abs(run.states.T - states).max() <= 1e-12 * scale
     assert np.abs(run.inputs.T - inputs).max() <= 1e-12 * scale
+
+
+def random_loops(count):
+    return settings(
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+@random_loops(250)
+@given(loops())
+def test_simulate_equals_an_independent_propagation_to_round_off(case):
+    require_agreement(case)
+
+
+@pytest.mark.long
+@random_loops(1000)
+@given(loops())
+def test_simulate_equals_an_independent_propagation_on_a_thousand_loops(case):
+    require_agreement(case)

@@ -131,9 +131,9 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
         if command.startswith("reproduce"):
             command += " --no-certificates"  # tests/test_cli.py runs it whole
         if command.startswith("robustness"):
-            command += " --scenarios 2"
+            command += " --scenarios 1"
         if command.startswith("design"):
-            command += " --budget 100"
+            command += " --budget 30"
         if command.startswith("sweep"):
             command += " --scenarios 3 --workers 1"
         if command.startswith("plot"):
