@@ -31,14 +31,14 @@ from deadtime.sweeps.store import create, open_store
 
 SECOND = 400_000  # scenarios of a cell of about a second
 WORKERS = (1, 2)
+PROBLEM = dt.problems.paper()
 WARM = 3  # blocks after which rates are measured
 
 
 def loop(delay: float, share: float) -> dict:
     """The paper's plant under a weighted law."""
-    problem = dt.problems.paper()
-    plant = dt.SwitchedSystem(problem.plant.A, problem.plant.B, delay)
-    law = dt.AveragedPredictor(plant, problem.gains, [share, 1.0 - share])
+    plant = dt.SwitchedSystem(PROBLEM.plant.A, PROBLEM.plant.B, delay)
+    law = dt.AveragedPredictor(plant, PROBLEM.gains, [share, 1.0 - share])
     model = dt.Markov([[0.0, 2.0], [2.0, 0.0]])
     return {
         "plant": plant,

@@ -93,7 +93,7 @@ def study(
     json_output
         Print the findings as JSON instead of text.
     """
-    from deadtime.cli.sweep import shown, with_scenarios
+    from deadtime.cli.sweep import progress_of, with_scenarios
     from deadtime.study import load_study
     from deadtime.study.report import write_study
     from deadtime.sweeps.plan import plan_of
@@ -103,7 +103,7 @@ def study(
         chosen = with_scenarios(chosen, scenarios)
         command += f" --scenarios {scenarios}"
     plan = plan_of(chosen, out / "data" / "study.zarr")
-    with shown(plan, quiet=json_output, remote=scheduler is not None) as report:
+    with progress_of(plan, quiet=json_output, remote=scheduler is not None) as report:
         result = write_study(chosen, out, workers, report, command, scheduler)
     if json_output:
         print((out / "metrics.json").read_text(encoding="utf-8"), end="")

@@ -26,7 +26,8 @@ class Plan:
     """What to draw: the cells, the laws of heat maps and regret, and what laws are held against.
 
     `rivals` are the laws to choose the best of, `oracle` the law of the future; both are empty
-    where such maps are not asked for, or the sweep has none.
+    where such maps are not asked for, or the sweep has none. `left_out` says why bands cannot be
+    drawn.
     """
 
     data: xr.Dataset
@@ -36,6 +37,7 @@ class Plan:
     sides: tuple[str | None, str | None]
     rivals: tuple[str, ...]
     oracle: str
+    left_out: str
 
     @property
     def against_oracle(self) -> tuple[str, ...]:
@@ -43,11 +45,15 @@ class Plan:
         return tuple(law for law in self.laws if law != self.oracle) if self.oracle else ()
 
     @property
+    def bands(self) -> bool:
+        """Whether bands are drawn; with all kinds, only if they have not too many panels."""
+        return self.kind == "bands" or (self.kind == "all" and not self.left_out)
+
+    @property
     def count(self) -> int:
         """How many figures there will be."""
         heat = len(self.laws) if self.kind in ("heat", "all") else 0
-        bands = self.kind in ("bands", "all")
-        return heat + bands + bool(self.rivals) + len(self.against_oracle)
+        return heat + self.bands + bool(self.rivals) + len(self.against_oracle)
 
 
 @app.command
@@ -107,6 +113,8 @@ def plot(
         print(json.dumps({"store": store, "metric": metric, "figures": list(map(str, paths))}))
         return
     print("\n".join(map(str, paths)))
+    if plan.kind == "all" and plan.left_out:
+        print(plan.left_out)
 
 
 def _open(store: str) -> xr.Dataset:
@@ -150,14 +158,19 @@ def _plan(
         selection.quotients_of(metric)
     if kind == "regret":
         selection.oracle_or_refuse(kept)
-    if kind in ("bands", "all"):
+    if kind == "bands":
         panes(kept, sides[0])
     if kind != "bands":
         grid_for(kept, *sides)
     quotients = metric not in selection.RATES
     oracle = selection.oracle_of(kept) if quotients and kind in ("regret", "all") else ""
     rivals = selection.causal(kept) if quotients and kind in ("wins", "all") else []
-    return Plan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle)
+    left_out = ""
+    try:
+        panes(kept, sides[0])
+    except ArgumentError as error:
+        left_out = f"bands are left out: {error}"
+    return Plan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle, left_out)
 
 
 def _written(plan: Plan, folder: Path, quiet: bool) -> list[Path]:
@@ -183,7 +196,7 @@ def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
     if plan.kind in ("heat", "all"):
         for law in plan.laws:
             yield f"heat-{metric}-{names[law]}", heat(found, law, metric, *plan.sides)
-    if plan.kind in ("bands", "all"):
+    if plan.bands:
         yield f"bands-{metric}", bands(found, metric, plan.sides[0])
     if plan.rivals:
         yield f"wins-{metric}", wins(found, plan.rivals, metric, *plan.sides)

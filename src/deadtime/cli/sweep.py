@@ -83,7 +83,7 @@ def sweep(
     for one in damaged:
         print(f"deadtime: {one}", file=sys.stderr)
     try:
-        with shown(plan, quiet=json_output, remote=scheduler is not None) as report:
+        with progress_of(plan, quiet=json_output, remote=scheduler is not None) as report:
             data = run(chosen, url, scheduler, workers=workers, progress=report)
     except KeyboardInterrupt:
         left = plan_of(chosen, url)
@@ -158,7 +158,7 @@ def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     if dry_run:
         print(
             f"To do: {plan.runs:,} runs in {plan.missing:,} blocks of cells, about "
-            f"{_duration(plan.seconds)} of one core\n"
+            f"{duration(plan.seconds)} of one core\n"
             f"Size: at most {_bytes(plan.size)} before compression, {plan.objects:,} objects"
         )
 
@@ -171,12 +171,12 @@ def _bytes(size: float) -> str:
     return f"{size:,.3g} TB"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Seconds in words.
 
     Examples
     --------
-    >>> _duration(3.2), _duration(300.0), _duration(80_000.0), _duration(1e6)
+    >>> duration(3.2), duration(300.0), duration(80_000.0), duration(1e6)
     ('3 s', '5 min', '22.2 h', '11.6 days')
     """
     if seconds < 100.0:
@@ -187,7 +187,7 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def shown(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress], None]]:
+def progress_of(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress], None]]:
     """Progress on stderr: a bar on a terminal; a line now and then about a cluster elsewhere."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -198,7 +198,7 @@ def shown(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress]
         yield lambda _: None
         return
     if remote:
-        yield _Lines(_EVERY)
+        yield Lines(_EVERY)
         return
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("cells"), TimeRemainingColumn())
     with Bar(*columns, console=console, transient=True) as bar:
@@ -206,7 +206,7 @@ def shown(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress]
         yield lambda state: bar.update(task, completed=state.done)
 
 
-class _Lines:
+class Lines:
     """Counts, rate and time left, a line every so many seconds."""
 
     def __init__(self, every: float) -> None:
@@ -218,8 +218,10 @@ class _Lines:
         self._next = state.seconds + self._every
         rate = state.computed / max(state.seconds, 1e-9)
         left = state.seconds * (state.whole_cost / max(state.cost, 1e-9) - 1.0)
+        over = state.done == state.total
+        when = f"done in {duration(state.seconds)}" if over else f"about {duration(left)} left"
         print(
             f"{state.done:,} of {state.total:,} cells, {rate:.3g} cells/s on {state.threads} "
-            f"threads, about {_duration(left)} left",
+            f"threads, {when}",
             file=sys.stderr,
         )

@@ -27,7 +27,8 @@ _DOTS = 15  # values across up to which each has a dot
 _SPREAD = 8.0  # largest over least value from which the axis across is
 _NARROW = 1.5  # a logarithmic axis spans this factor at least
 _FAR = 1e3  # times the median of medians, where it ends
-_DEEP = 1e9  # a logarithmic axis goes down to so much below its top
+_DEEP = 1e9  # a logarithmic axis spans this factor at most
+_LETTER = 0.042  # width of a letter of a tick, of that of a narrow panel
 
 
 Quantiles = Float[np.ndarray, "x level"]
@@ -118,9 +119,10 @@ def _ticks(panel: Axes, values: np.ndarray) -> None:
     ends = places[0] - air, places[-1] + air
     panel.set_xlim(*(np.exp(ends) if logarithmic else ends))
     places = (places - places[0]) / (places[-1] - places[0])
+    gap = max(0.1, _LETTER * max(len(text_of(value)) for value in values))
     shown, last = [], -1.0
     for value, place in zip(values, places, strict=True):
-        if place - last >= 0.1:
+        if place - last >= gap:
             shown.append(value)
             last = place
     panel.set_xticks(shown, [text_of(value) for value in shown])
@@ -148,7 +150,9 @@ def set_scale(panel: Axes, cells: np.ndarray, logarithmic: bool) -> float:
         return high + air
     medians = cells[..., 2][np.isfinite(cells[..., 2])]
     middle = float(np.exp(np.median(np.log(medians)))) if medians.size else high
-    high = max(min(high, _FAR * middle), _NARROW * low)
+    least = float(medians.min()) if medians.size else low
+    # Where some cells grow beyond all measure it is the others that are to be seen.
+    high = max(min(high, _FAR * middle, _DEEP * least), _NARROW * low)
     low = max(low, high / _DEEP)
     air = (high / low) ** 0.05
     low, high = low / air, high * air
