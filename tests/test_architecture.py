@@ -21,7 +21,7 @@ RINGS = (
         *("output_feedback", "spectrum", "lmi", "lyapunov", "stabilization"),
     ),
     ("simulation",),
-    ("certificates", "backstepping", "controller", "design"),
+    ("certificates", "backstepping", "controller", "export", "design"),
     ("monte_carlo", "robustness"),
     ("problems",),
     ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
