@@ -21,7 +21,7 @@ from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 if TYPE_CHECKING:
-    from deadtime.export import Exported
+    from deadtime.export import Exported, ExportedFmu
 
 
 class Controller:
@@ -337,6 +337,38 @@ class Controller:
             rom_budget=rom_budget,
             name=name,
         )
+
+    def export_fmu(
+        self,
+        path: str | Path,
+        *,
+        version: Literal["3.0", "2.0"] = "3.0",
+        precision: Literal["double", "float"] = "double",
+        accuracy: float | None = None,
+    ) -> ExportedFmu:
+        """Write this controller as an FMU for co-simulation, around the C of `export_c`.
+
+        Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
+        outputs u and the status. Samples fall on the start and every period after it; a sample at
+        the beginning of a step is taken in that step, with the inputs that hold there. The FMU has
+        sources and, where there is a compiler, a binary for this machine.
+
+        Parameters
+        ----------
+        path : path of the FMU
+        version : "3.0" or "2.0"
+            Of FMI.
+        precision, accuracy
+            As in `export_c`.
+
+        Raises
+        ------
+        ArgumentError
+            If the file cannot be written, or the law measures outputs.
+        """
+        from deadtime.export import export_fmu
+
+        return export_fmu(self, path, version=version, precision=precision, accuracy=accuracy)
 
     def __repr__(self) -> str:
         return f"Controller({self.law.label}; step={self.step:g}, {self.table!r})"

@@ -17,6 +17,7 @@ from deadtime.version import __version__
 
 if TYPE_CHECKING:
     import numpy as np
+    from jinja2 import Environment
 
     from deadtime.controller import Controller
 
@@ -102,8 +103,6 @@ def c_sources(
     name: str,
 ) -> tuple[dict[str, str], Form]:
     """The text of every file, and the form that the table took."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
     from deadtime.export.vectors import vectors
 
     _require(controller, precision, name)
@@ -119,18 +118,25 @@ def c_sources(
         "tolerance": literal(_TOLERANCE[precision] + accuracy, "double"),
         "line": longest + 80,
     }
-    pages = Environment(
-        loader=PackageLoader("deadtime", "templates/c"),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-    )
+    pages = environment("c")
     texts = {
         file.format(name): pages.get_template(f"{template}.j2").render(values)
         for template, file in _FILES.items()
     }
     return texts | {f"{name}_vectors.csv": csv}, form
+
+
+def environment(folder: str) -> Environment:
+    """The templates of a folder, for C: whitespace as it stands, nothing escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("deadtime", f"templates/{folder}"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
 
 
 def description(form: Form) -> str:
