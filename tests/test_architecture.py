@@ -20,7 +20,7 @@ RINGS = (
         *("pole_placement", "sampled", "gains", "observers", "tracking", "laws"),
         *("output_feedback", "spectrum", "lmi", "lyapunov", "stabilization"),
     ),
-    ("simulation",),
+    ("simulation", "interop"),
     ("certificates", "backstepping", "controller", "export", "design"),
     ("monte_carlo", "robustness"),
     ("problems",),

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import zipfile
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,7 @@ def closed_loop(law_path, plant_path, folder, signal, cuts, step, horizon):
         inputs.append(controller.get("u", 2))
         plant.set(u=inputs[-1])
         edges = [time, *(cut for cut in cuts if time < cut < end), end]
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             plant.set(mode=int(signal(a)))
             plant.step(a, b - a)
         states.append(plant.get("x", 3))
@@ -211,7 +212,7 @@ def test_without_a_compiler_there_are_sources_and_it_says_so(tmp_path, monkeypat
 
 
 def test_an_unwritable_path_is_refused_by_name(tmp_path):
-    with pytest.raises(dt.ArgumentError, match="path '/proc/x.fmu' cannot be written"):
+    with pytest.raises(dt.ArgumentError, match=r"path '/proc/x\.fmu' cannot be written"):
         export_plant_fmu(GENERIC, "/proc/x.fmu")
 
 

@@ -68,10 +68,7 @@ def description(model: Model, variables: Sequence[Variable], version: Version) -
     for reference, variable in enumerate(variables):
         (_variable2 if version == "2.0" else _variable3)(listed, variable, reference)
     _structure(root, variables, version)
-    xml.indent(root)
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n' + xml.tostring(root, encoding="unicode") + "\n"
-    )
+    return _text(root)
 
 
 def build_description(model: Model) -> str:
@@ -81,10 +78,13 @@ def build_description(model: Model) -> str:
     files = xml.SubElement(build, "SourceFileSet", {"language": "C99"})
     for name in model.sources:
         xml.SubElement(files, "SourceFile", {"name": name})
+    return _text(root)
+
+
+def _text(root: xml.Element) -> str:
     xml.indent(root)
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n' + xml.tostring(root, encoding="unicode") + "\n"
-    )
+    heading = '<?xml version="1.0" encoding="UTF-8"?>'
+    return f"{heading}\n{xml.tostring(root, encoding='unicode')}\n"
 
 
 def _common(variable: Variable, reference: int) -> dict[str, str]:

@@ -144,7 +144,7 @@ def export_plant_fmu(
         "delay": literal(plant.delay, "double"),
         "include": (
             f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
-            "typedef struct {\n    int first, count;       /* of the inputs that have not passed */\n"
+            "typedef struct {\n    int first, count; /* of the inputs that have not passed */\n"
             "    double began[CHANGES];\n    double u[CHANGES][M];\n} memory;"
         ),
         "tables": [
