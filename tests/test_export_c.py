@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import deadtime as dt
 import plants
@@ -73,8 +74,8 @@ def test_block_sums_hold_at_every_length_of_the_window(tmp_path, taps):
     equals_rows(tmp_path, plants.LAWS["averaged"](plant), step, 300 + 5 * taps, 1e-13)
 
 
-def test_semi_markov_rows_are_followed(tmp_path):
-    model = dt.SemiMarkov([0.35, 0.4, 0.55])
+def test_rows_of_sojourns_that_vary_are_of_low_rank_and_lose_no_digits(tmp_path):
+    model = dt.SemiMarkov(scipy.stats.gamma(3.0, scale=0.2), modes=3)
     equals_rows(tmp_path, dt.ExpectedPredictor(GENERIC, plants.gains(GENERIC), model), 0.06, 1000)
 
 

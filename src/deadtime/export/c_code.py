@@ -109,8 +109,8 @@ def c_sources(
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if accuracy < 0.0:
         raise ArgumentError(f"accuracy must be at least 0, got {accuracy:g}.")
-    form = form_of(controller.table, accuracy)
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
+    form = form_of(controller.table, accuracy, precision, budget)
     require_budget(controller.table, form, precision, budget)
     csv, scale, longest = vectors(controller)
     values = _values(controller, form, precision, name) | {

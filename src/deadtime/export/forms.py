@@ -65,16 +65,18 @@ def low_ranks(table: Feedback) -> Iterator[Form]:
     scale = np.where(sums > 0.0, sums, 1.0)
     # A row counts relative to its own sum.
     left, values, right = np.linalg.svd(G / scale[:, None], full_matrices=False)
+    missing = G / scale[:, None]
     for rank in range(1, len(values) + 1):
         if rank * (rows + columns) >= G.size:
             return
         root = np.sqrt(values[:rank])
+        missing = missing - np.outer(left[:, rank - 1] * values[rank - 1], right[rank - 1])
         L, R = scale[:, None] * left[:, :rank] * root, root[:, None] * right[:rank]
         arrays = {
             "LEFT": (L.reshape(contexts, m, rank), "the taps of a row are LEFT RIGHT"),
             "RIGHT": (R, "the oldest input first"),
         }
-        error = float((np.abs(L @ R - G).sum(axis=1) / scale).max())
+        error = float(np.abs(missing).sum(axis=1).max())
         yield Form("low rank", arrays, 2 * taps * m, error, {"rank": rank})
 
 
@@ -95,14 +97,24 @@ def factorised(table: Feedback) -> Form:
     return Form("factorised", arrays, state, 0.0, {"order": order, "block": block})
 
 
-def form_of(table: Feedback, accuracy: float) -> Form:
-    """The form that the C takes: as the controller does, and of low rank where that is smaller."""
+def form_of(
+    table: Feedback, accuracy: float, precision: Precision, budget: int | None = None
+) -> Form:
+    """The form that the C takes: as the controller does, or of low rank.
+
+    A product of rank r costs r sums over the past inputs a period where a dense row costs m, so it
+    is taken where it halves the room, or where the budget needs it.
+    """
     if table.factor is not None and table.taps > FEW:
         return factorised(table)
+    whole = dense(table)
+    within = budget is None or rom_bytes(table, whole, precision) <= budget
     for form in low_ranks(table):
+        if within and 2 * form.numbers > whole.numbers:
+            return whole
         if form.error <= accuracy:
             return form
-    return dense(table)
+    return whole
 
 
 def rom_bytes(table: Feedback, form: Form, precision: Precision) -> int:
