@@ -61,17 +61,22 @@ def equals_rows(folder, law, step, count, tolerance=1e-12, **export):
     return worst
 
 
-@pytest.mark.parametrize("step", [0.1, 0.003], ids=["3 taps", "78 taps"])
-@pytest.mark.parametrize("name", RUNNING)
+FEW_TAPS = ("averaged", "expected", "mean, dwell-aware")
+
+
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [*((name, 0.0066) for name in RUNNING), *((name, 0.1) for name in FEW_TAPS)],
+)
 def test_every_law_gives_what_its_table_says_whatever_was_applied(tmp_path, name, step):
     equals_rows(tmp_path, plants.LAWS[name](GENERIC), step, 2000, 1e-14)
 
 
-@pytest.mark.parametrize("taps", [1, 2, 33, 34, 35, 36, 1000])
+@pytest.mark.parametrize("taps", [1, 33, 34, 400])
 def test_block_sums_hold_at_every_length_of_the_window(tmp_path, taps):
-    plant = plants.generic(taps * 0.004 if taps < 1000 else 0.234)
-    step = 0.004 if taps < 1000 else 0.234 / taps
-    equals_rows(tmp_path, plants.LAWS["averaged"](plant), step, 300 + 5 * taps, 1e-13)
+    step = min(0.004, 0.234 / taps)
+    law = plants.LAWS["averaged"](plants.generic(taps * step))
+    equals_rows(tmp_path, law, step, 300 + 5 * taps, 1e-13)
 
 
 def test_rows_of_sojourns_that_vary_are_of_low_rank_and_lose_no_digits(tmp_path):
@@ -79,36 +84,56 @@ def test_rows_of_sojourns_that_vary_are_of_low_rank_and_lose_no_digits(tmp_path)
     equals_rows(tmp_path, dt.ExpectedPredictor(GENERIC, plants.gains(GENERIC), model), 0.06, 1000)
 
 
-@pytest.mark.parametrize("step", [0.1, 0.003])
+@pytest.mark.parametrize("step", [0.1, 0.0066])
 def test_in_single_precision_it_is_as_exact_as_that_allows(tmp_path, step):
     law = plants.LAWS["averaged"](GENERIC)
     assert equals_rows(tmp_path, law, step, 2000, 3e-6, precision="float") > 1e-9
+
+
+def worst_of(table, x, modes, applied, found, past, start, every):
+    """The largest error of one in so many periods from `start` on, relative to Σ|terms|."""
+    whole = np.concatenate((past, applied[start : start + len(found) - 1]))
+    windows = np.lib.stride_tricks.sliding_window_view(whole, table.taps, axis=0)[::every, :, ::-1]
+    at = np.arange(start, start + len(found))[::every]
+    rows, worst = table.rows(modes)[at], 0.0
+    for row in np.unique(rows):
+        mine = rows == row
+        F, G = table.state_gain[row], table.input_gain[row].transpose(1, 2, 0)
+        G, seen = G.reshape(len(F), -1), windows[mine].reshape(mine.sum(), -1)
+        u = x[at[mine]] @ F.T + seen @ G.T
+        scale = np.abs(x[at[mine]]) @ np.abs(F).T + np.abs(seen) @ np.abs(G).T
+        worst = max(worst, float((np.abs(found[::every][mine] - u) / scale).max()))
+    return worst
+
+
+def laws_of(problem, step, taps):
+    """Every table law but the oracle; of 10,000 taps a table of ages would take gigabytes."""
+    plant, options = problem.plant, {"allow_unstable": True}
+    laws = {n: law for n, law in problem.laws.items() if not isinstance(law, dt.ExactPredictor)}
+    rates = dt.Markov(0.8 * (np.ones((plant.modes, plant.modes)) - np.eye(plant.modes)))
+    laws["expected"] = dt.ExpectedPredictor(plant, problem.gains, rates, **options)
+    if taps <= 1000:
+        time = min(0.3, 60 * step)
+        laws["dwell"] = dt.AveragedPredictor(plant, problem.gains, None, time, **options)
+    return laws.values()
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("taps", [1, 10, 100, 1000, 10_000])
 @pytest.mark.parametrize("problem", [*dt.problems.NAMED])
 def test_a_million_periods_of_every_law_lose_no_digits(tmp_path, problem, taps):
+    """Every period up to N = 100, one in 50 beyond; the delay is no multiple of the period."""
     chosen = dt.problems.NAMED[problem]()
-    plant = chosen.plant
-    step = plant.delay / (taps - 0.3 if taps > 1 else 1.0)
-    rates = dt.Markov(0.8 * (np.ones((plant.modes, plant.modes)) - np.eye(plant.modes)))
-    laws = {n: law for n, law in chosen.laws.items() if not isinstance(law, dt.ExactPredictor)}
-    laws["expected"] = dt.ExpectedPredictor(plant, chosen.gains, rates, allow_unstable=True)
-    if taps <= 1000:  # of 10,000 a table of ages takes gigabytes
-        laws["dwell"] = dt.AveragedPredictor(
-            plant, chosen.gains, None, min(0.3, 60 * step), allow_unstable=True
-        )
-    for number, law in enumerate(laws.values()):
+    plant, step = chosen.plant, chosen.plant.delay / (taps - 0.3)
+    for number, law in enumerate(laws_of(chosen, step, taps)):
         folder = tmp_path / str(number)
-        controller, library = compiled(folder, law, step)
-        table, worst = law.digital(step), 0.0
-        past = np.zeros((table.taps, plant.inputs))
-        heavy = table.factor is None and table.taps > 1000
+        controller, library = compiled(folder, law, step, ("-O2",))
+        table, worst = controller.table, 0.0
+        assert table.taps == taps
+        past = np.zeros((taps, plant.inputs))
+        heavy = table.factor is None and taps > 1000
         count, chunk = (20_000, 2000) if heavy else (1_000_000, 20_000)
         x, modes, applied = recorded(plant, count)
-        rows = table.rows(modes)
-        assert controller.table.taps == taps
         for start in range(0, count, chunk):
             part = slice(start, start + chunk)
             told = before(applied[part])
@@ -116,17 +141,9 @@ def test_a_million_periods_of_every_law_lose_no_digits(tmp_path, problem, taps):
                 told[0] = applied[start - 1]
             found, status = library.run(x[part], modes[part], told)
             assert (status == Status.OK).all()
-            # A sample of the rows, by sums of another order.
-            for k in range(0, chunk, max(1, chunk // 400)):
-                at = start + k
-                window = np.concatenate((past, applied[part][:k]))[-table.taps :][::-1]
-                F, G = table.state_gain[rows[at]], table.input_gain[rows[at]]
-                u = F @ x[at] + np.einsum("jab,jb->a", G, window)
-                scale = np.abs(F) @ np.abs(x[at]) + np.einsum(
-                    "jab,jb->a", np.abs(G), np.abs(window)
-                )
-                worst = max(worst, float((np.abs(found[k] - u) / scale).max()))
-            past = np.concatenate((past, applied[part]))[-table.taps :]
+            every = 1 if taps <= 100 else 50
+            worst = max(worst, worst_of(table, x, modes, applied, found, past, start, every))
+            past = np.concatenate((past, applied[part]))[-taps:]
         assert worst <= 1e-12, (law.label, worst)
 
 
@@ -147,7 +164,7 @@ def hostile(law, count, seed=1):
         if kind == 2:
             told = np.full(plant.inputs, bad[k % 3])
         clock += rng.choice([0.0, 1.0, 1.0, 1.0, 1.0, 3.0, 40.0])
-        when = None if k < count // 2 else (clock + 0.4 * rng.uniform(-1.0, 1.0)) * 0.01
+        when = None if k < count // 2 else (clock + 0.4 * rng.uniform(-1.0, 1.0)) * 0.0066
         if kind == 3 and when is not None:
             when = rng.choice([math.nan, math.inf, -1e300, 1e300, when - 1.0])
         applied.append(told)
@@ -155,13 +172,11 @@ def hostile(law, count, seed=1):
     return x, modes, applied, times
 
 
-@pytest.mark.parametrize(
-    "name", ["averaged", "averaged, dwell-aware", "mean", "expected", "delayed"]
-)
+@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
 def test_hostile_calls_get_the_answers_of_the_controller(tmp_path, name):
-    law, step = plants.LAWS[name](GENERIC), 0.004
+    law, step = plants.LAWS[name](GENERIC), 0.0066
     controller, library = compiled(tmp_path, law, step, limits=([-3.0, -0.5], 2.0))
-    x, modes, applied, times = hostile(law, 1500)
+    x, modes, applied, times = hostile(law, 1000)
     found, status = library.run(x, modes, applied, times)
     seen = set()
     for k in range(len(x)):
@@ -195,7 +210,7 @@ def any_bits(plant, count, seed):
     "count", [10_000, pytest.param(1_000_000, marks=pytest.mark.long)], ids=["few", "million"]
 )
 def test_any_bits_at_all_get_a_finite_input_and_a_status(tmp_path, name, count):
-    _, library = compiled(tmp_path, plants.LAWS[name](GENERIC), 0.004, ("-O2",))
+    _, library = compiled(tmp_path, plants.LAWS[name](GENERIC), 0.0066)
     with np.errstate(over="ignore", invalid="ignore"):
         calls = any_bits(GENERIC, count, 5)
     found, status = library.run(*calls)
@@ -206,7 +221,7 @@ def test_any_bits_at_all_get_a_finite_input_and_a_status(tmp_path, name, count):
     x, _, applied = recorded(GENERIC, 400)
     modes = np.arange(400) // 100 % 3
     later, status = library.run(x, modes, applied)
-    table = plants.LAWS[name](GENERIC).digital(0.004)
+    table = plants.LAWS[name](GENERIC).digital(0.0066)
     u, scale = plants.expected_inputs(table, x, modes, applied[1:])
     assert (status[300:] == Status.OK).all()
     assert (np.abs(later - u) <= 1e-12 * scale)[300:].all()
@@ -231,7 +246,7 @@ def test_before_a_reset_and_after_damage_it_says_not_ready_and_rests(tmp_path):
 
 def test_a_copy_of_the_state_is_a_warm_restart_to_the_last_bit(tmp_path):
     for name in ("averaged", "averaged, dwell-aware"):
-        _, library = compiled(tmp_path, plants.LAWS[name](GENERIC), 0.003)
+        _, library = compiled(tmp_path, plants.LAWS[name](GENERIC), 0.0066)
         x, modes, applied = recorded(GENERIC, 400)
         whole, _ = library.run(x, modes, applied)
         library.reset()
@@ -294,8 +309,7 @@ def eva(folder, law, step, precision="double"):
 @needs_frama_c
 @pytest.mark.parametrize(("name", "step"), [("averaged", 0.007), ("averaged, dwell-aware", 0.05)])
 def test_frama_c_finds_no_alarm_from_any_state(tmp_path, name, step):
-    plant = plants.paper(0.234) if name == "averaged" else GENERIC
-    eva(tmp_path, plants.LAWS[name](plant), step)
+    eva(tmp_path, plants.LAWS[name](plants.paper(0.234)), step)
 
 
 @needs_frama_c
