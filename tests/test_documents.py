@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import deadtime as dt
+from c_code import needs_compiler
 from deadtime import imperfections
 from deadtime.controller import Status
 from deadtime.study import load_study
@@ -72,6 +73,20 @@ def test_python_of_the_page_on_the_controller_runs(capsys):
     assert capsys.readouterr().out.splitlines()[-1] == "True"
     for status in Status:
         assert f"| {status.value} `{status.name}` |" in page
+
+
+@needs_compiler
+def test_python_of_the_page_on_the_export_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    page, names = run_page("export.md")
+    assert names["exported"].check.passed
+    assert names["close"]
+    header = (tmp_path / "out" / "controller.h").read_text()
+    for number, name in re.findall(r"^\| (\d+) `(\w+)` \|", page, re.M):
+        assert f"CONTROLLER_{name} = {number}," in header or f"_{name} = {number} " in header
+    for name in re.findall(r"^\| `(\S+)` \|", page, re.M):
+        assert (tmp_path / "out" / name).exists(), name
+    assert f"ROM {names['exported'].rom} bytes" in capsys.readouterr().out
 
 
 def test_python_of_the_page_on_imperfections_runs_and_names_them_all():
@@ -151,8 +166,9 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
 # docs/design.md, which runs always, does the same with a smaller budget; rules have own tests.
 LONG = ("design", "state_dependent")
+MARKS = dict.fromkeys(LONG, pytest.mark.long) | {"processor_in_the_loop": needs_compiler}
 SCRIPTS = [
-    pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem in LONG else ())
+    pytest.param(path, id=path.stem, marks=MARKS.get(path.stem, ()))
     for path in sorted((ROOT / "examples").glob("*.py"))
 ]
 

@@ -1,8 +1,9 @@
 """The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `design`,
-`robustness`, `monte-carlo`, `sweep`, `plot`, `fit`, `study`, `init`, `schema`.
+`robustness`, `monte-carlo`, `sweep`, `plot`, `export`, `fit`, `study`, `init`, `schema`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when `verify`
-finds that a file proves nothing or `design` does not reach its margin, 2 when something in the
+finds that a file proves nothing, `design` does not reach its margin or the C of `export` fails its
+self-check, 2 when something in the
 request is wrong, 130 when interrupted (`monte-carlo` then prints and
 saves what is done). Errors are one line on stderr.
 """
@@ -10,6 +11,7 @@ saves what is done). Errors are one line on stderr.
 from deadtime.cli import (
     certificates,
     design,
+    export,
     files,
     models,
     monte_carlo,
@@ -25,6 +27,7 @@ __all__ = [
     "app",
     "certificates",
     "design",
+    "export",
     "files",
     "main",
     "models",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,9 @@ from deadtime.laws import ExactPredictor
 from deadtime.laws.base import Law, TableLaw
 from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.initial_input import InitialInput, held_samples
+
+if TYPE_CHECKING:
+    from deadtime.export import Exported, ExportedFmu
 
 
 class Controller:
@@ -288,6 +292,83 @@ class Controller:
         self.late, self._clock.state[:] = int(state["late"]), state["clock"]
         self._u[:] = state["input"]
         self.status = Status.OK
+
+    def export_c(
+        self,
+        folder: str | Path,
+        *,
+        precision: Literal["double", "float"] = "double",
+        accuracy: float | None = None,
+        rom_budget: int | None = None,
+        name: str = "controller",
+    ) -> Exported:
+        """Write this controller as self-contained C99, with a check of itself.
+
+        The C does what `update` does: limits, applied inputs, modes and their age, refusals, clock
+        and status. It begins anew (its `reset` takes inputs before the first call).
+
+        Parameters
+        ----------
+        folder : path
+            Made if it is not there; files of the same names are replaced.
+        precision : "double" or "float"
+            Of all numbers but times.
+        accuracy : float
+            What a dense table may lose to take less room, of the sum of the moduli of a row's taps;
+            1e-13 by default, 1e-7 in `float`; 0 loses nothing.
+        rom_budget : int, optional
+            Bytes that the tables may take.
+        name : str
+            Of the files, and the prefix of all names in them.
+
+        Raises
+        ------
+        ArgumentError
+            If the folder cannot be written, the tables exceed the budget (it says what fits), or
+            the law measures outputs: observers have no C.
+        """
+        from deadtime.export import export_c
+
+        return export_c(
+            self,
+            folder,
+            precision=precision,
+            accuracy=accuracy,
+            rom_budget=rom_budget,
+            name=name,
+        )
+
+    def export_fmu(
+        self,
+        path: str | Path,
+        *,
+        version: Literal["3.0", "2.0"] = "3.0",
+        precision: Literal["double", "float"] = "double",
+        accuracy: float | None = None,
+    ) -> ExportedFmu:
+        """Write this controller as an FMU for co-simulation, around the C of `export_c`.
+
+        Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
+        outputs u and the status. Samples fall on the start and every period after it; a sample at
+        the beginning of a step is taken in that step, with the inputs that hold there. The FMU has
+        sources and, where there is a compiler, a binary for this machine.
+
+        Parameters
+        ----------
+        path : path of the FMU
+        version : "3.0" or "2.0"
+            Of FMI.
+        precision, accuracy
+            As in `export_c`.
+
+        Raises
+        ------
+        ArgumentError
+            If the file cannot be written, or the law measures outputs.
+        """
+        from deadtime.export import export_fmu
+
+        return export_fmu(self, path, version=version, precision=precision, accuracy=accuracy)
 
     def __repr__(self) -> str:
         return f"Controller({self.law.label}; step={self.step:g}, {self.table!r})"

@@ -1,0 +1,145 @@
+"""`deadtime export`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from deadtime.cli.entry import AsJson, app
+from deadtime.cli.problems import problem_of
+from deadtime.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from deadtime.controller import Controller
+    from deadtime.export import Exported, ExportedFmu
+    from deadtime.problems import Problem
+
+
+@app.command
+def export(
+    problem: str,
+    *,
+    c: Path | None = None,
+    fmu: Path | None = None,
+    plant_fmu: Path | None = None,
+    law: str | None = None,
+    step: float | None = None,
+    single: Annotated[bool, Parameter(name="--float", negative="")] = False,
+    accuracy: float | None = None,
+    rom_budget: int | None = None,
+    name: str = "controller",
+    fmi: Literal["3.0", "2.0"] = "3.0",
+    json_output: AsJson = False,
+) -> int:
+    """Write a law of a problem as C99, as an FMU, or both.
+
+    Examples: `deadtime export problem.toml --c out/`,
+    `deadtime export paper --law mean --c out/ --float --fmu law.fmu --plant-fmu plant.fmu`.
+    The inputs are limited where the problem has a saturation. Exit code 1 if the C fails its
+    self-check.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    c
+        Folder for the C: made if it is not there.
+    fmu
+        FMU of the controller.
+    plant_fmu
+        FMU of the plant with its delay, from the problem's x0.
+    law
+        Which of the problem's laws; the first by default.
+    step
+        Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
+    single
+        Single precision.
+    accuracy
+        What a dense table may lose to take less room, of the sum of the moduli of a row's taps.
+    rom_budget
+        Bytes that the tables may take.
+    name
+        Prefix of names and files in the C.
+    fmi
+        Version of FMI.
+    json_output
+        Print what was written as JSON instead of text.
+    """
+    if c is None and fmu is None and plant_fmu is None:
+        raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
+    chosen = problem_of(problem)
+    controller = _controller(chosen, law, step)
+    precision = "float" if single else "double"
+    lines = [f"{chosen.title}: law {controller.law.label}, {_limited(controller)}"]
+    record: dict[str, Any] = {"law": controller.law.label, "step": controller.step}
+    passed = True
+    if c is not None:
+        written = controller.export_c(
+            c, precision=precision, accuracy=accuracy, rom_budget=rom_budget, name=name
+        )
+        passed = written.check.passed is not False
+        lines += _c_lines(written, precision)
+        record["c"] = _c_record(written)
+    if fmu is not None:
+        made = controller.export_fmu(fmu, version=fmi, precision=precision, accuracy=accuracy)
+        lines.append(f"FMU of the controller: {made}")
+        record["fmu"] = _fmu_record(made)
+    if plant_fmu is not None:
+        from deadtime.export import export_plant_fmu
+
+        made = export_plant_fmu(chosen.plant, plant_fmu, x0=chosen.x0, version=fmi)
+        lines.append(f"FMU of the plant: {made}")
+        record["plant_fmu"] = _fmu_record(made)
+    print(json.dumps(record, indent=2, ensure_ascii=False) if json_output else "\n".join(lines))
+    return 0 if passed else 1
+
+
+def _c_lines(written: Exported, precision: str) -> list[str]:
+    return [
+        f"C, {precision}: {written.folder}: {', '.join(written.files)}",
+        f"  {written.form}",
+        f"  ROM {written.rom:,} bytes, RAM {written.ram:,} bytes",
+        f"  self-check: {written.check.message}",
+    ]
+
+
+def _c_record(written: Exported) -> dict[str, Any]:
+    return {
+        "folder": str(written.folder),
+        "files": written.files,
+        "form": written.form,
+        "rom": written.rom,
+        "ram": written.ram,
+        "error": written.error,
+        "passed": written.check.passed,
+        "check": written.check.message,
+    }
+
+
+def _fmu_record(made: ExportedFmu) -> dict[str, Any]:
+    return {"path": str(made.path), "version": made.version, "binary": made.binary}
+
+
+def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:
+    """The controller of a law of the problem, within the limits of its saturation."""
+    from deadtime.controller import Controller
+    from deadtime.imperfections import Saturation
+
+    name = next(iter(problem.laws)) if law is None else law
+    if name not in problem.laws:
+        raise ArgumentError(f"law must be one of {', '.join(problem.laws)}, got {law!r}.")
+    found = [one for one in problem.imperfections if isinstance(one, Saturation)]
+    limits = (found[0].low, found[0].high) if found else None
+    period = problem.step or 0.01 if step is None else step
+    return Controller(problem.laws[name], period, limits=limits)
+
+
+def _limited(controller: Controller) -> str:
+    import numpy as np
+
+    if np.isinf(controller.low).all() and np.isinf(controller.high).all():
+        return "no limits of the inputs"
+    return f"inputs within {controller.low.tolist()} and {controller.high.tolist()}"

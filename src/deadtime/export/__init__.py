@@ -1,0 +1,6 @@
+"""A law for the target: C99 of a controller, FMUs of controller and plant."""
+
+from deadtime.export.c_code import Exported, export_c
+from deadtime.export.fmu import ExportedFmu, export_fmu, export_plant_fmu
+
+__all__ = ["Exported", "ExportedFmu", "export_c", "export_fmu", "export_plant_fmu"]

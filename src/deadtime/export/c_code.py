@@ -1,0 +1,227 @@
+"""`export_c`: a controller as self-contained C99."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deadtime.checks import count, number
+from deadtime.errors import ArgumentError
+from deadtime.export.bounds import bounds, largest
+from deadtime.export.compiler import Check, self_check
+from deadtime.export.forms import Form, Precision, form_of, ram_bytes, require_budget, rom_bytes
+from deadtime.export.literals import brackets, hexadecimal, initializer, literal
+from deadtime.version import __version__
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jinja2 import Environment
+
+    from deadtime.controller import Controller
+
+_ACCURACY = {"double": 1e-13, "float": 1e-7}
+_TOLERANCE = {"double": 1e-12, "float": 2e-5}
+_FILES = {
+    "controller.h": "{}.h",
+    "controller.c": "{}.c",
+    "tables.h": "{}_tables.h",
+    "main.c": "main.c",
+    "check.c": "{}_check.c",
+    "eva.c": "{}_eva.c",
+    "Makefile": "Makefile",
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What `export_c` wrote (immutable).
+
+    Attributes
+    ----------
+    folder : Path
+    files : names in it
+    form : "dense", "low rank" or "factorised", with its size
+    rom, ram : bytes of constants, and of one controller (about)
+    error : of a table of low rank, relative to the sum of the moduli of a row's taps
+    check : what came of compiling it and running its vectors
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    form: str
+    rom: int
+    ram: int
+    error: float
+    check: Check
+
+    def __str__(self) -> str:
+        return (
+            f"{self.folder}: {', '.join(self.files)}; {self.form}; ROM {self.rom} bytes, "
+            f"RAM {self.ram} bytes; {self.check.message}"
+        )
+
+
+def export_c(
+    controller: Controller,
+    folder: str | Path,
+    *,
+    precision: Precision = "double",
+    accuracy: float | None = None,
+    rom_budget: int | None = None,
+    name: str = "controller",
+) -> Exported:
+    """See `Controller.export_c`."""
+    texts, form = c_sources(controller, precision, accuracy, rom_budget, name)
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise ArgumentError(
+            f"folder {str(folder)!r} cannot be written: {error.strerror}."
+        ) from None
+    table = controller.table
+    return Exported(
+        folder,
+        tuple(texts),
+        description(form),
+        rom_bytes(table, form, precision),
+        ram_bytes(table, form, precision),
+        form.error,
+        self_check(folder, name),
+    )
+
+
+def c_sources(
+    controller: Controller,
+    precision: Precision,
+    accuracy: float | None,
+    rom_budget: int | None,
+    name: str,
+) -> tuple[dict[str, str], Form]:
+    """The text of every file, and the form that the table took."""
+    from deadtime.export.vectors import vectors
+
+    _require(controller, precision, name)
+    accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
+    if accuracy < 0.0:
+        raise ArgumentError(f"accuracy must be at least 0, got {accuracy:g}.")
+    budget = None if rom_budget is None else count("rom_budget", rom_budget)
+    form = form_of(controller.table, accuracy, precision, budget)
+    require_budget(controller.table, form, precision, budget)
+    csv, scale, longest = vectors(controller)
+    values = _values(controller, form, precision, name) | {
+        "scale": literal(scale, "double"),
+        "tolerance": literal(_TOLERANCE[precision] + accuracy, "double"),
+        "line": longest + 80,
+    }
+    pages = environment("c")
+    texts = {
+        file.format(name): pages.get_template(f"{template}.j2").render(values)
+        for template, file in _FILES.items()
+    }
+    return texts | {f"{name}_vectors.csv": csv}, form
+
+
+def environment(folder: str) -> Environment:
+    """The templates of a folder, for C: whitespace as it stands, nothing escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("deadtime", f"templates/{folder}"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+
+
+def description(form: Form) -> str:
+    """A form in a few words."""
+    if form.kind == "factorised":
+        return (
+            f"factorised, order {form.sizes['order']}: a period costs the same whatever the delay"
+        )
+    if form.kind == "low rank":
+        return f"low rank {form.sizes['rank']}: off by {form.error:.0e} of the sum of |taps|"
+    return "dense: a period costs one product a past input"
+
+
+def _require(controller: Controller, precision: str, name: str) -> None:
+    """Refuse what has no C."""
+    if precision not in _ACCURACY:
+        raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
+    if not re.fullmatch("[a-z][a-z0-9_]{0,30}", name):
+        raise ArgumentError(
+            f"name must be a C name of lower-case letters, digits and _, got {name!r}."
+        )
+    if controller.law.outputs is not None:
+        raise ArgumentError(
+            f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
+            "which has no C: export its law, and run the observer before it."
+        )
+
+
+def _values(controller: Controller, form: Form, precision: Precision, name: str) -> dict[str, Any]:
+    """What the templates are filled with."""
+    import numpy as np
+
+    table, plant = controller.table, controller.law.plant
+    limits = bounds(table, form, precision)
+    low = np.clip(controller.low, -limits["bound"], limits["bound"])
+    high = np.clip(controller.high, -limits["bound"], limits["bound"])
+    arrays = {
+        "F": (table.state_gain, "gains of the state"),
+        **form.arrays,
+        "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
+        "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
+    }
+    return {
+        **{key: hexadecimal(value, precision) for key, value in limits.items()},
+        **form.sizes,
+        "decimal": f"{limits['bound']:.0e}",
+        "title": f'Controller of the law "{controller.law.label}"',
+        "version": __version__,
+        "p": name,
+        "P": name.upper(),
+        "magic": "d7a1c0de",
+        "kind": form.kind,
+        "form": description(form)[:1].upper() + description(form)[1:] + ".",
+        "real": precision,
+        "largest": literal(largest(precision), precision),
+        "step": literal(controller.step, "double"),
+        "delay": literal(plant.delay, "double"),
+        "n": plant.states,
+        "m": plant.inputs,
+        "modes": plant.modes,
+        "reads": int(table.context != "none"),
+        "ages": table.ages,
+        "rows": len(table.state_gain),
+        "taps": table.taps,
+        "rom": rom_bytes(table, form, precision),
+        "ram": ram_bytes(table, form, precision),
+        "unroll": 2 * form.state + 10,
+        "tables": [
+            {
+                "name": key,
+                "comment": comment,
+                "shape": brackets(array),
+                "text": initializer(array, precision),
+            }
+            for key, (array, comment) in arrays.items()
+        ],
+    }
+
+
+def _inside(limit: np.ndarray, precision: Precision, towards: float) -> np.ndarray:
+    """The limit as the C holds it, rounded inwards."""
+    import numpy as np
+
+    if precision == "double":
+        return limit
+    single = limit.astype(np.float32)
+    outside = single < limit if towards > 0 else single > limit
+    return np.where(outside, np.nextafter(single, np.float32(towards)), single)

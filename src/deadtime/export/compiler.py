@@ -1,0 +1,78 @@
+"""A C compiler of this machine, and the check that a controller's C makes of itself."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+WARNINGS = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion")
+_PATIENCE = 300.0  # seconds
+
+
+class Check(NamedTuple):
+    """What came of a self-check: `passed` is None where there was none."""
+
+    passed: bool | None
+    message: str
+
+
+def compiler() -> list[str] | None:
+    """The command that compiles C: $CC, or cc, gcc or clang where there is one."""
+    asked = os.environ.get("CC")
+    for command in [asked] if asked else ["cc", "gcc", "clang"]:
+        words = shlex.split(command)
+        if words and shutil.which(words[0]):
+            return words
+    return None
+
+
+def compiled(sources: list[Path], target: Path, *options: str) -> str | None:
+    """Compile and link; what the compiler complains of, or None."""
+    command = compiler()
+    if command is None:
+        return "no C compiler was found (set CC)"
+    files = [str(path) for path in sources]
+    try:
+        result = subprocess.run(
+            [*command, *WARNINGS, "-O2", *options, *files, "-o", str(target)],
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
+    return result.stderr.strip() or f"exit code {result.returncode}" if result.returncode else None
+
+
+def self_check(folder: Path, name: str) -> Check:
+    """Compile the controller with its check, outside the folder, and run the vectors."""
+    command = compiler()
+    if command is None:
+        return Check(None, "not checked: no C compiler was found (set CC)")
+    with tempfile.TemporaryDirectory() as place:
+        program = Path(place) / "check"
+        sources = [folder / f"{name}.c", folder / f"{name}_check.c"]
+        complaint = compiled(sources, program)
+        if complaint is not None:
+            return Check(False, f"{command[0]} does not compile it: {complaint}")
+        vectors = str(folder / f"{name}_vectors.csv")
+        try:
+            run = subprocess.run(
+                [str(program), vectors],
+                capture_output=True,
+                text=True,
+                timeout=_PATIENCE,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return Check(
+                None, f"not checked: what {command[0]} compiled does not run here: {error}"
+            )
+    last = (run.stdout.splitlines() or ["no answer"])[-1]
+    return Check(run.returncode == 0, f"compiled with {command[0]}: {last}")

@@ -1,0 +1,140 @@
+"""modelDescription.xml of FMI 2.0 and 3.0, from one list of variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+from xml.etree import ElementTree as xml
+
+from deadtime.version import __version__
+
+Version = Literal["2.0", "3.0"]
+
+
+class Variable(NamedTuple):
+    """A scalar variable; its value reference is its place in the list: reals first, then integers,
+    then Booleans."""
+
+    name: str
+    kind: Literal["Real", "Integer", "Boolean"]
+    causality: Literal["independent", "input", "output", "parameter"]
+    description: str
+    start: float | int | bool | None = None
+
+
+class Model(NamedTuple):
+    """What a description says of an FMU as a whole."""
+
+    identifier: str
+    title: str
+    token: str
+    step: float | None
+    sources: Sequence[str]
+
+
+_KINDS = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}
+
+
+def description(model: Model, variables: Sequence[Variable], version: Version) -> str:
+    """The text of modelDescription.xml."""
+    token = {"2.0": "guid", "3.0": "instantiationToken"}[version]
+    attributes = {
+        "fmiVersion": version,
+        "modelName": model.title,
+        token: model.token,
+        "generationTool": f"deadtime {__version__}",
+        "variableNamingConvention": "structured",
+    }
+    root = xml.Element("fmiModelDescription", attributes)
+    state = "FMUstate" if version == "2.0" else "FMUState"
+    abilities = {
+        "modelIdentifier": model.identifier,
+        "canHandleVariableCommunicationStepSize": "true",
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+    }
+    if version == "2.0":
+        abilities["canNotUseMemoryManagementFunctions"] = "true"
+    elif model.step is not None:
+        abilities["fixedInternalStepSize"] = repr(model.step)
+    simulation = xml.SubElement(root, "CoSimulation", abilities)
+    if version == "2.0":
+        files = xml.SubElement(simulation, "SourceFiles")
+        for name in model.sources:
+            xml.SubElement(files, "File", {"name": name})
+    experiment = {"startTime": "0"} | ({} if model.step is None else {"stepSize": repr(model.step)})
+    xml.SubElement(root, "DefaultExperiment", experiment)
+    listed = xml.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        (_variable2 if version == "2.0" else _variable3)(listed, variable, reference)
+    _structure(root, variables, version)
+    return _text(root)
+
+
+def build_description(model: Model) -> str:
+    """The text of sources/buildDescription.xml, of FMI 3.0."""
+    root = xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    build = xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": model.identifier})
+    files = xml.SubElement(build, "SourceFileSet", {"language": "C99"})
+    for name in model.sources:
+        xml.SubElement(files, "SourceFile", {"name": name})
+    return _text(root)
+
+
+def _text(root: xml.Element) -> str:
+    xml.indent(root)
+    heading = '<?xml version="1.0" encoding="UTF-8"?>'
+    return f"{heading}\n{xml.tostring(root, encoding='unicode')}\n"
+
+
+def _common(variable: Variable, reference: int) -> dict[str, str]:
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.description,
+        "causality": variable.causality,
+        "variability": _variability(variable),
+    }
+    if variable.causality == "output":
+        attributes["initial"] = "calculated"
+    elif variable.causality == "parameter":
+        attributes["initial"] = "exact"
+    return attributes
+
+
+def _variability(variable: Variable) -> str:
+    """Continuous for reals but parameters; what a controller gives changes at its samples."""
+    if variable.causality == "parameter":
+        return "fixed"
+    return "continuous" if variable.kind == "Real" else "discrete"
+
+
+def _start(variable: Variable) -> dict[str, str]:
+    if variable.start is None:
+        return {}
+    start = variable.start
+    return {"start": str(start).lower() if isinstance(start, bool) else repr(start)}
+
+
+def _variable2(listed: xml.Element, variable: Variable, reference: int) -> None:
+    scalar = xml.SubElement(listed, "ScalarVariable", _common(variable, reference))
+    xml.SubElement(scalar, variable.kind, _start(variable))
+
+
+def _variable3(listed: xml.Element, variable: Variable, reference: int) -> None:
+    attributes = _common(variable, reference) | _start(variable)
+    xml.SubElement(listed, _KINDS[variable.kind], attributes)
+
+
+def _structure(root: xml.Element, variables: Sequence[Variable], version: Version) -> None:
+    structure = xml.SubElement(root, "ModelStructure")
+    outputs = [i for i, variable in enumerate(variables) if variable.causality == "output"]
+    if version == "3.0":
+        for name in ("Output", "InitialUnknown"):
+            for i in outputs:
+                xml.SubElement(structure, name, {"valueReference": str(i)})
+        return
+    for name in ("Outputs", "InitialUnknowns"):
+        group = xml.SubElement(structure, name)
+        for i in outputs:
+            xml.SubElement(group, "Unknown", {"index": str(i + 1)})

@@ -1,0 +1,228 @@
+"""FMUs: valid, and in co-simulation the loop that `simulate` gives."""
+
+import shutil
+import subprocess
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+from c_code import needs_compiler
+from deadtime.export import export_plant_fmu
+from deadtime.export.compiler import compiler
+
+fmpy = pytest.importorskip("fmpy")
+fmi2, fmi3 = pytest.importorskip("fmpy.fmi2"), pytest.importorskip("fmpy.fmi3")
+validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
+
+pytestmark = needs_compiler
+GENERIC = plants.generic()
+VERSIONS = ("2.0", "3.0")
+X0 = [1.0, -1.0, 0.5]
+
+
+class Slave:
+    """An FMU under FMPy, with variables by name."""
+
+    def __init__(self, path, folder, start=None):
+        self.description = fmpy.read_model_description(str(path))
+        self.version = self.description.fmiVersion
+        where = fmpy.extract(str(path), unzipdir=str(folder))
+        kind = fmi2.FMU2Slave if self.version == "2.0" else fmi3.FMU3Slave
+        self.fmu = kind(
+            guid=self.description.guid,
+            unzipDirectory=where,
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+            instanceName="one",
+        )
+        self.variables = {v.name: v for v in self.description.modelVariables}
+        self.fmu.instantiate()
+        self.set(**(start or {}))
+        if self.version == "2.0":
+            self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+
+    def set(self, **values):
+        for name, value in values.items():
+            for i, one in enumerate(np.atleast_1d(value)):
+                variable = self.variables[name if np.ndim(value) == 0 else f"{name}[{i + 1}]"]
+                cast = float if variable.type in ("Real", "Float64") else int
+                put = getattr(self.fmu, f"set{variable.type}")
+                put([variable.valueReference], [cast(one)])
+
+    def get(self, name, size=None):
+        names = [name] if size is None else [f"{name}[{i + 1}]" for i in range(size)]
+        found = [self.variables[one] for one in names]
+        read = getattr(self.fmu, f"get{found[0].type}")
+        values = read([variable.valueReference for variable in found])
+        return list(values) if size else values[0]
+
+    def step(self, time, size):
+        self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=size)
+
+    def close(self):
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+
+
+def closed_loop(law_path, plant_path, folder, signal, cuts, step, horizon):
+    """u and x at the samples; the plant is stepped from cut to cut, the controller by periods."""
+    controller = Slave(law_path, folder / "law")
+    plant = Slave(plant_path, folder / "plant", {"x0": X0})
+    states, inputs = [plant.get("x", 3)], []
+    for k in range(round(horizon / step)):
+        time, end = k * step, (k + 1) * step
+        controller.set(x=states[-1], mode=int(signal(time)))
+        controller.step(time, step)
+        inputs.append(controller.get("u", 2))
+        plant.set(u=inputs[-1])
+        edges = [time, *(cut for cut in cuts if time < cut < end), end]
+        for a, b in pairwise(edges):
+            plant.set(mode=int(signal(a)))
+            plant.step(a, b - a)
+        states.append(plant.get("x", 3))
+    assert controller.get("status") == 0
+    controller.close()
+    plant.close()
+    return np.array(states).T, np.array(inputs).T
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
+def test_controller_and_plant_in_co_simulation_are_the_loop_of_simulate(tmp_path, name, version):
+    """The delay is no multiple of the period, the plant is not the model, switches off the grid."""
+    law, signal = plants.LAWS[name](GENERIC), plants.off_grid()
+    truth = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, 0.251)
+    paths = tmp_path / "law.fmu", tmp_path / "plant.fmu"
+    exported = dt.Controller(law, 0.01).export_fmu(paths[0], version=version)
+    assert "binaries/" in str(exported)
+    export_plant_fmu(truth, paths[1], version=version)
+    for path in paths:
+        assert validate_fmu(str(path)) == []
+    cuts = signal.times[signal.times < 2.0].tolist()
+    states, inputs = closed_loop(*paths, tmp_path, signal, cuts, 0.01, 2.0)
+    run = dt.simulate(truth, law, signal, X0, 2.0, 0.01)
+    plants.close(states, run.states, 1e-11)
+    plants.close(inputs, run.inputs[:, :-1], 1e-11)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_plant_alone_follows_inputs_of_any_length(tmp_path, version):
+    """fmpy.simulate_fmu with steps that have nothing to do with the delay, against exponentials."""
+    plant = plants.scalar([-0.7], 1.3, delay=0.3)
+    path = tmp_path / "plant.fmu"
+    export_plant_fmu(plant, path, x0=[2.0], version=version)
+    result = fmpy.simulate_fmu(
+        str(path),
+        stop_time=1.0,
+        step_size=0.0625,
+        output_interval=0.0625,
+        input=np.array([(0.0, 1.0)], dtype=[("time", "f8"), ("u[1]", "f8")]),
+        start_values={"u0[1]": -1.0},
+        output=["x[1]"],
+    )
+    t = result["time"]
+    before = 2.0 * np.exp(-0.7 * t) - 1.3 / 0.7 * (1.0 - np.exp(-0.7 * t))
+    after = 2.0 * 1.3 / 0.7 * (1.0 - np.exp(-0.7 * np.maximum(t - 0.3, 0.0)))
+    plants.close(result["x[1]"], before + after, 1e-14)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_states_of_both_can_be_kept_and_put_back(tmp_path, version):
+    law = plants.LAWS["averaged"](GENERIC)
+    path = tmp_path / "law.fmu"
+    dt.Controller(law, 0.01).export_fmu(path, version=version)
+    slave = Slave(path, tmp_path / "law")
+    get, put, free = (
+        getattr(slave.fmu, name.format("s" if version == "2.0" else "S"))
+        for name in ("getFMU{}tate", "setFMU{}tate", "freeFMU{}tate")
+    )
+    rng, answers = np.random.default_rng(0), []
+    x = rng.normal(size=(40, 3)).tolist()
+    for k in range(20):
+        slave.set(x=x[k])
+        slave.step(0.01 * k, 0.01)
+    state = get()
+    for _ in range(2):
+        put(state)
+        for k in range(20, 40):
+            slave.set(x=x[k])
+            slave.step(0.01 * k, 0.01)
+        answers.append(slave.get("u", 2))
+    free(state)
+    slave.close()
+    assert answers[0] == answers[1]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_bad_inputs_get_a_status_and_applied_is_read_if_told(tmp_path, version):
+    law, path = plants.LAWS["averaged, dwell-aware"](GENERIC), tmp_path / "law.fmu"
+    dt.Controller(law, 0.01).export_fmu(path, version=version)
+    slave = Slave(path, tmp_path / "law", {"report_applied": 1, "mode_age": 3})
+    controller = dt.Controller(law, 0.01, mode_age=3)
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        x, applied, mode = rng.normal(size=3), rng.normal(size=2), k // 9 % 4
+        if k == 30:
+            x[1] = np.nan
+        slave.set(x=x.tolist(), applied=applied.tolist(), mode=mode)
+        slave.step(0.01 * k, 0.01)
+        u = controller.update(x, mode, applied)
+        plants.close(np.array(slave.get("u", 2)), u, 1e-12, 10.0)
+        assert slave.get("status") == controller.status
+    slave.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_functions_are_those_of_the_standard_s_own_headers(tmp_path, version):
+    headers = Path(fmpy.__file__).parent / "c-code"
+    path = tmp_path / "plant.fmu"
+    export_plant_fmu(GENERIC, path, version=version)
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    source = str(tmp_path / "sources" / f"fmi{version[0]}.c")
+    command = [*compiler(), "-std=c99", "-Werror", "-DFMI_HEADERS", f"-I{headers}"]
+    command += ["-fsyntax-only", "-Wno-strict-prototypes", source]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_the_same_fmu_twice_is_the_same_file(tmp_path):
+    for name in ("a.fmu", "b.fmu"):
+        dt.Controller(plants.LAWS["mean"](GENERIC), 0.05).export_fmu(tmp_path / name)
+    first, second = (zipfile.ZipFile(tmp_path / name) for name in ("a.fmu", "b.fmu"))
+    with first, second:
+        for name in first.namelist():
+            if not name.startswith("binaries"):
+                assert first.read(name) == second.read(name)
+
+
+def test_without_a_compiler_there_are_sources_and_it_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    exported = export_plant_fmu(GENERIC, tmp_path / "plant.fmu")
+    assert exported.binary is None
+    assert exported.message == "sources only: no C compiler was found (set CC)"
+    assert validate_fmu(str(tmp_path / "plant.fmu")) == []
+
+
+def test_an_unwritable_path_is_refused_by_name(tmp_path):
+    with pytest.raises(dt.ArgumentError, match=r"path '/proc/x\.fmu' cannot be written"):
+        export_plant_fmu(GENERIC, "/proc/x.fmu")
+
+
+def test_sources_build_without_deadtime(tmp_path):
+    """What FMPy compiles from the sources alone would be a binary of any platform."""
+    assert shutil.which(compiler()[0])
+    path = tmp_path / "law.fmu"
+    dt.Controller(plants.LAWS["averaged"](GENERIC), 0.01).export_fmu(path)
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    sources = sorted(map(str, (tmp_path / "sources").glob("*.c")))
+    command = [*compiler(), "-std=c99", "-shared", "-fPIC", *sources, "-o", str(tmp_path / "x.so")]
+    subprocess.run(command, check=True)

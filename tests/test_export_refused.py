@@ -1,0 +1,122 @@
+"""What cannot be exported is refused by name, and what cannot be checked is said."""
+
+import re
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+from c_code import needs_compiler
+from deadtime.export.forms import dense, low_ranks
+
+GENERIC = plants.generic()
+
+
+def controller(name="averaged", step=0.05, plant=GENERIC):
+    return dt.Controller(plants.LAWS[name](plant), step)
+
+
+@needs_compiler
+def test_the_export_checks_itself_and_a_changed_table_is_found(tmp_path):
+    exported = controller().export_c(tmp_path, name="law")
+    assert exported.check.passed
+    assert re.search(r"compiled with \S+: \d+ vectors, 0 differ, worst error", str(exported))
+    assert set(exported.files) == {path.name for path in tmp_path.iterdir()}
+    from deadtime.export.compiler import self_check
+
+    tables = tmp_path / "law_tables.h"
+    text = tables.read_text()
+    F = re.search(r"F\[1\]\[2\]\[3\] =\n\{\n *\{\n *\{(-?\d\.\d+)", text)
+    tables.write_text(text.replace(F.group(1), repr(float(F.group(1)) * (1.0 + 1e-9)), 1))
+    check = self_check(tmp_path, "law")
+    assert check.passed is False
+    assert " 0 differ" not in check.message
+    tables.write_text(text.replace("static", "statik", 1))
+    assert "does not compile it" in self_check(tmp_path, "law").message
+
+
+def test_without_a_compiler_it_exports_and_says_that_nothing_was_checked(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    exported = controller().export_c(tmp_path / "c")
+    assert exported.check.passed is None
+    assert exported.check.message == "not checked: no C compiler was found (set CC)"
+    assert (tmp_path / "c" / "controller.c").exists()
+
+
+def test_the_rom_said_is_that_of_the_tables(tmp_path):
+    for name, precision, size in (("averaged", "double", 8), ("expected", "float", 4)):
+        exported = controller(name, 0.004).export_c(tmp_path, precision=precision)
+        text = (tmp_path / "controller_tables.h").read_text()
+        shapes = re.findall(r"static const controller_real \w+((?:\[\d+\])+)", text)
+        numbers = sum(np.prod([int(n) for n in re.findall(r"\d+", shape)]) for shape in shapes)
+        assert exported.rom == size * numbers
+
+
+def slow_modes():
+    """Rows that resemble each other: modes that differ little, over a long window."""
+    plant = plants.scalar([0.3, 0.31, 0.32], delay=1.0)
+    return dt.AveragedPredictor(plant, dt.place(plant, [-1.0]), None, 0.9)
+
+
+def test_low_rank_is_as_exact_as_it_says_and_taken_where_it_is_smaller(tmp_path):
+    table = slow_modes().digital(0.01)
+    G = dense(table).arrays["G"][0].reshape(-1, 100)
+    forms = list(low_ranks(table))
+    for form in forms:
+        L, R = (array for array, _ in form.arrays.values())
+        product = L.reshape(-1, L.shape[-1]) @ R
+        error = (np.abs(product - G).sum(axis=1) / np.abs(G).sum(axis=1)).max()
+        assert error == pytest.approx(form.error, rel=1e-6, abs=1e-15)
+        assert form.numbers < G.size
+    exported = dt.Controller(slow_modes(), 0.01).export_c(tmp_path, accuracy=1e-4)
+    assert exported.form.startswith("low rank")
+    assert exported.error <= 1e-4
+    assert exported.rom < 8 * G.size / 2
+
+
+def test_beyond_the_budget_it_says_what_fits_and_that_does(tmp_path):
+    run = dt.Controller(slow_modes(), 0.01)
+    with pytest.raises(dt.ArgumentError) as refused:
+        run.export_c(tmp_path, rom_budget=30_000)
+    message = str(refused.value)
+    assert message.startswith("rom_budget = 30000 bytes is too small: the tables take ")
+    accuracy, rank, size = re.search(
+        r"accuracy=(\S+) \(rank (\d+), (\d+) bytes\)", message
+    ).groups()
+    exported = run.export_c(tmp_path, rom_budget=30_000, accuracy=float(accuracy))
+    assert f"low rank {rank}" in exported.form
+    assert exported.rom == int(size) <= 30_000
+    with pytest.raises(dt.ArgumentError, match=r'precision="float" \(848 bytes\)'):
+        controller("averaged", 0.004).export_c(tmp_path, rom_budget=1000)
+    with pytest.raises(dt.ArgumentError, match="nothing of this law fits"):
+        controller("averaged", 0.004).export_c(tmp_path, rom_budget=10)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"accuracy": -1.0}, "accuracy must be at least 0"),
+        ({"rom_budget": 0}, "rom_budget must be an integer of at least 1"),
+        ({"name": "My law"}, "name must be a C name of lower-case letters"),
+        ({"folder": "/proc/c"}, "folder '/proc/c' cannot be written"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(tmp_path, arguments, message):
+    with pytest.raises(dt.ArgumentError, match=message):
+        controller().export_c(**{"folder": tmp_path, **arguments})
+
+
+def test_an_observer_has_no_c(tmp_path):
+    observer = dt.luenberger(GENERIC, np.eye(3)[:2], [-2.0, -3.0, -4.0], 0.05)
+    law = dt.OutputFeedback(plants.LAWS["averaged"](GENERIC), observer)
+    with pytest.raises(dt.ArgumentError, match="OutputFeedback has an observer, which has no C"):
+        dt.Controller(law, 0.05).export_c(tmp_path)
+
+
+def test_a_law_too_steep_for_single_precision_is_refused(tmp_path):
+    plant = plants.scalar([40.0], delay=1.5)
+    law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]))
+    with pytest.raises(dt.ArgumentError, match='Use precision="double"'):
+        dt.Controller(law, 0.01).export_c(tmp_path, precision="float")

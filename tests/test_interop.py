@@ -1,0 +1,59 @@
+"""Laws in python-control: its simulator gives the loop that ours gives."""
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+
+control = pytest.importorskip("control")
+interop = pytest.importorskip("deadtime.interop")
+
+GENERIC = plants.generic()
+STEP = 0.05
+TIMES = STEP * np.arange(61)
+
+
+@pytest.mark.parametrize("name", [name for name in plants.LAWS if name != "exact"])
+def test_python_control_closes_the_loop_as_simulate_does(name):
+    """A plant that is not the model, its delay no multiple of the period."""
+    plant = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, 0.251)
+    law = plants.LAWS[name](GENERIC)
+    signal = dt.SwitchingSignal([0.0, 0.45, 0.6, 1.1, 1.9], [0, 2, 1, 0, 2])
+    loop, initial = interop.loop_to_control(plant, law, STEP)
+    initial[:3] = 1.0, -1.0, 0.5
+    modes = np.array([signal(t + 1e-9) for t in TIMES], float)
+    found = control.input_output_response(loop, TIMES, modes, initial)
+    run = dt.simulate(plant, law, signal, initial[:3], TIMES[-1], STEP)
+    plants.close(found.outputs[:3], run.states, 1e-12)
+    plants.close(found.outputs[3:, :-1], run.inputs[:, :-1], 1e-12)
+
+
+def test_the_age_of_the_first_mode_is_the_one_given():
+    law = plants.LAWS["mean, dwell-aware"](GENERIC)
+    signal = dt.SwitchingSignal([0.0], [1], initial_age=0.2)
+    loop, initial = interop.loop_to_control(GENERIC, law, STEP, mode_age=4)
+    initial[:3] = 1.0, -1.0, 0.5
+    found = control.input_output_response(loop, TIMES, np.ones(TIMES.size), initial)
+    run = dt.simulate(GENERIC, law, signal, initial[:3], TIMES[-1], STEP)
+    plants.close(found.outputs[:3], run.states, 1e-12)
+
+
+def test_without_an_input_the_plant_is_its_exponential():
+    from scipy.linalg import expm
+
+    system = interop.plant_to_control(GENERIC, 0.1)
+    given = np.vstack((np.zeros((2, 11)), np.full((1, 11), 1.0)))
+    initial = np.concatenate(([1.0, -1.0, 0.5], np.zeros(6)))
+    found = control.input_output_response(system, 0.1 * np.arange(11), given, initial)
+    plants.close(found.outputs[:, -1], expm(GENERIC.A[1]) @ initial[:3], 1e-13)
+
+
+def test_what_is_no_table_and_what_is_no_mode_are_refused_by_name():
+    rule = dt.StateDependentPredictor(GENERIC, plants.gains(GENERIC), lambda x: int(x[0] > 0.0))
+    for law, why in ((plants.LAWS["exact"](GENERIC), "foresees"), (rule, "is no table")):
+        with pytest.raises(dt.ArgumentError, match=why):
+            interop.law_to_control(law, STEP)
+    system = interop.plant_to_control(GENERIC, STEP)
+    with pytest.raises(dt.ArgumentError, match=r"mode must be in 0\.\.2 at every sample, got 7"):
+        system.dynamics(0.0, np.zeros(system.nstates), np.array([0.0, 0.0, 7.0]))
