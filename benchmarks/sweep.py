@@ -89,8 +89,8 @@ def swept(study: dt.Study, store: Path, workers: int) -> tuple[list[Progress], f
 def speed_up(folder: Path, cells: int, scenarios: int) -> None:
     """One worker and two on the same cells."""
     study = dt.function_study(loop, grid(cells, 4), scenarios, metrics=["ise"])
-    create(str(folder / "plain.zarr"), study, Layout(study.shape, (1, 1)), {})
-    alone = [run_block(study, str(folder / "plain.zarr"), number)[1] for number in range(cells)]
+    plain = create(str(folder / "plain.zarr"), study, Layout(study.shape, (1, 1)), {})
+    alone = [run_block(study, plain.url, plain.key, number)[1] for number in range(cells)]
     print(
         f"| one block after the other, no cluster | {sum(alone):.1f} s | | {cells} cells, median "
         f"{statistics.median(alone):.2f} s |"

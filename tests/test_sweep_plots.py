@@ -366,7 +366,7 @@ def test_json_and_files_of_laws_that_are_spelled_alike(run):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--kind", "regret"), "data must hold a law that knows the future, got none: add law"),
+        (("--kind", "regret"), "data must hold a law that knows the future, got none: sweep"),
         (("--kind", "wins", "--metric", "decay_rate"), "metric must not be 'decay_rate'"),
         (("--law", "meen"), "did you mean 'mean'?"),
         (("--where", "delay"), "where must be axis=value, such as delay=0.5, got 'delay'."),

@@ -1,13 +1,16 @@
 """Sweeps: studies, their cells, the store, resuming, and the command."""
 
+import functools
 import importlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +100,7 @@ def filled(study, store):
     """The store of a study, its blocks computed one by one without a cluster."""
     target = prepare(study, str(store))
     for number in target.missing():
-        run_block(study, target.url, number)
+        run_block(study, target.url, target.key, number)
     return dt.open_sweep(store)
 
 
@@ -168,7 +171,16 @@ BAD = [
     ("scenarios = 12", 'laws = ["told", "orcle"]', r"laws: law 'orcle' is not known: .*'oracle'"),
     ("scenarios = 12", 'metrics = ["isse"]', r"line 3: .*'isse' is not known: did you mean 'ise'"),
     ("seed = 3", "horizn = 3.0", r"line 4: horizn is not known: did you mean horizon\?"),
-    ("[grid]", "[grid]\nspeed = [2.0]\ntitel = 3", r"line 8, .*titel is not known: .*title"),
+    ("[grid]", "[grid]\nspeed = [2.0]\ntitel = 3", r"line 8, .*titel is not known: known are"),
+    ("plant.delay = [0.234, 0.3]", "plant.delay = [0.3]\ndelay = [0.4]",
+     r"line 7, .*plant\.delay is overwritten by delay: keep one"),
+    ("plant.delay = [0.234, 0.3]", "dwell_time = [0.3, 0.4]",
+     r"line 8, .*law\.told\.dwell_time is overwritten by dwell_time: keep one"),
+    ("plant.delay = [0.234, 0.3]", '"plant.delay" = [0.3]\nplant.delay = [0.4]',
+     r"line 7, .*plant\.delay is given twice: keep one of them"),
+    ("plant.delay = [0.234, 0.3]", 'law.told.kind = ["mean"]', r"line 7, .*changes no result"),
+    ("plant.delay = [0.234, 0.3]", "run.seed = [1, 2]", r"line 7, .*run\.seed changes no result"),
+    ("plant.delay = [0.234, 0.3]", "signal.mode = [0, 1]", r"line 7, .*mode changes no result"),
 ]  # fmt: skip
 
 
@@ -271,8 +283,29 @@ def test_cells_can_be_made_in_python(tmp_path):
         ({"grid": {"delay": [None]}}, r"grid\['delay'\] must hold numbers or texts, got None"),
         ({"metrics": ["isee"]}, r"metrics must be some of .*, got 'isee'"),
         ({"scenarios": 0}, r"scenarios must be an integer of at least 1"),
-        ({"function": 3}, r"function must be callable, got int"),
+        ({"function": 3}, r"function must be a function, got int: write one by def"),
         ({"function": lambda delay: {"plant": 1}}, r"function must return a mapping with plant"),
+        (
+            {"function": functools.partial(make_loop, weight=0.5)},
+            r"a function, got partial",
+        ),
+        ({"function": lambda delay: 1 / 0}, r"function failed: ZeroDivisionError: division"),
+        (
+            {"function": lambda delay: make_loop(delay, 0.5) | {"step": 0.0}},
+            r"step must be positive",
+        ),
+        ({"function": lambda delay: make_loop(delay, 0.5) | {"x0": [1.0]}}, r"x0 must have shape"),
+        (
+            {"function": lambda delay: make_loop(delay, 0.5) | {"model": 3}},
+            r"model must have",
+        ),
+        (
+            {"function": lambda delay: make_loop(delay, 0.5) | {"plant": 3}},
+            r"plant must be",
+        ),
+        ({"grid": {"law": [1]}}, r"'law' cannot be the name of an axis"),
+        ({"grid": {"a/b": [1]}}, r"'a/b' cannot be the name of an axis"),
+        ({"metrics": ["ise", "ise"]}, r"each once, got 'ise'"),
     ],
 )
 def test_a_bad_study_in_python_is_refused(change, message):
@@ -281,7 +314,68 @@ def test_a_bad_study_in_python_is_refused(change, message):
         dt.function_study(function, **{"grid": {"delay": [0.1]}, **change})
 
 
+def failing(delay, weight):
+    made = make_loop(delay, 0.5)
+    if weight == 1:
+        raise ValueError("no such weight")
+    if weight == 2:
+        made["laws"] = {"other": made["laws"]["mine"]}
+    if weight == 3:
+        made["laws"] = {}
+    return made | ({"step": None} if weight == 4 else {})
+
+
+def test_whatever_fails_in_a_cell_is_its_reason_and_the_others_run(tmp_path):
+    study = dt.function_study(failing, {"delay": [0.1], "weight": [0, 1, 2, 3, 4]}, scenarios=3)
+    data = filled(study, tmp_path / "x.zarr").load().squeeze()
+    assert data.ise.notnull().all("scenario").values.tolist() == [True, *[False] * 4]
+    for reason, start in zip(
+        data.reason.values,
+        ["", "function failed: ValueError: no such", "laws must be named alike", "laws must hold",
+         "step must be a number"],
+        strict=True,
+    ):  # fmt: skip
+        assert reason.startswith(start)
+        assert bool(reason) == bool(start)
+
+
+def weighted(weight):
+    def loop(delay):
+        return make_loop(delay, weight)
+
+    return dt.function_study(loop, {"delay": [0.1]}, scenarios=3)
+
+
+def test_values_around_a_function_tell_studies_apart(tmp_path):
+    filled(weighted(0.3), tmp_path / "x.zarr")
+    with pytest.raises(dt.ArgumentError, match=r"values\.weight was 0\.3, is 0\.4"):
+        dt.sweep(weighted(0.4), tmp_path / "x.zarr")
+
+
+def test_an_axis_of_one_s_own_keeps_its_name(tmp_path):
+    study = dt.function_study(
+        lambda speed: make_loop(0.1, speed), {"speed": [0.2, 0.4]}, scenarios=2
+    )
+    data = filled(study, tmp_path / "x.zarr")
+    assert data.speed.attrs == {"long_name": "speed"}
+    assert str(study.cell((1,))) == "speed 0.4"
+
+
 # The store
+
+
+def test_a_store_made_anew_under_the_same_name_is_not_taken_for_the_old_one(tmp_path):
+    first = dt.function_study(lambda delay: make_loop(delay, 0.5), {"delay": [0.1]}, scenarios=2)
+    second = dt.function_study(
+        lambda delay: make_loop(delay, 0.5), {"delay": [0.1, 0.2, 0.3]}, scenarios=2
+    )
+    old = filled(first, tmp_path / "x.zarr")
+    assert old.ise.load().notnull().all()
+    old = dt.open_sweep(tmp_path / "x.zarr")
+    shutil.rmtree(tmp_path / "x.zarr")
+    assert filled(second, tmp_path / "x.zarr").ise.load().notnull().all()
+    with pytest.raises(dt.StoreError):
+        old.ise.load()
 
 
 def test_a_store_opens_with_plain_xarray_and_carries_the_study(own, tmp_path):
@@ -291,6 +385,7 @@ def test_a_store_opens_with_plain_xarray_and_carries_the_study(own, tmp_path):
         np.testing.assert_array_equal(plain.ise, data.ise)
         assert plain.ise.attrs == {"units": "x^2 s", "long_name": "integral of |x|^2"}
         assert plain.delay_error.attrs["long_name"] == "delay error"
+        assert plain.diverged.dtype == bool
         assert plain["plant.delay"].values.tolist() == [0.234, 0.3]
         assert plain.attrs["study"] == STUDY
         assert (plain.attrs["version"], plain.attrs["seed"]) == (dt.__version__, 3)
@@ -353,8 +448,15 @@ def test_what_is_no_store_is_refused(tmp_path):
         dt.open_sweep(tmp_path / "none.zarr")
     (tmp_path / "folder.zarr").mkdir()
     (tmp_path / "folder.zarr" / "mine.txt").write_text("kept")
-    with pytest.raises(dt.DeadtimeError, match=r"folder\.zarr"):
-        dt.sweep(study, tmp_path / "folder.zarr")
+    for name in ("folder.zarr", "study.toml"):
+        with pytest.raises(dt.ArgumentError, match=rf"{name}' is there, but is no Zarr store"):
+            dt.sweep(study, tmp_path / name)
+    with pytest.raises(dt.StoreError, match=r"s3://none.* cannot be opened: .*s3fs"):
+        dt.sweep(study, "s3://none/x.zarr")
+    with pytest.raises(dt.ArgumentError, match="workers are those of the scheduler"):
+        dt.sweep(study, tmp_path / "x.zarr", "tcp://127.0.0.1:9", workers=2)
+    with pytest.raises(dt.ArgumentError, match="scenarios must be at most 33,554,432 with 4 laws"):
+        dt.sweep(replace(study, scenarios=10**9), tmp_path / "x.zarr", workers=1)
     assert (tmp_path / "folder.zarr" / "mine.txt").read_text() == "kept"
     xr.Dataset({"a": 1}).to_zarr(tmp_path / "other.zarr", consolidated=False)
     with pytest.raises(dt.ArgumentError, match="is Zarr, but not made by deadtime sweep"):
@@ -374,14 +476,24 @@ def test_a_damaged_chunk_is_named_and_computed_again_on_request(own, tmp_path, m
     with pytest.raises(dt.StoreError, match=rf"damaged chunk, .*{chunk}.*--verify"):
         dt.open_sweep("x.zarr").energy.load()
     np.testing.assert_array_equal(dt.open_sweep("x.zarr").ise, data.ise)
-    gone = next(p for p in Path("x.zarr/peak/c").rglob("0") if p.is_file())
-    gone.unlink()
+    for name in ("peak", "diverged", "reason"):
+        gone = next(p for p in Path(f"x.zarr/{name}/c").rglob("0") if p.is_file())
+        kept = gone.read_bytes()
+        gone.unlink()
+        with pytest.raises(dt.StoreError, match=rf"lacks the chunk .*{gone}"):
+            dt.open_sweep("x.zarr")[name].load()
+        if name != "peak":
+            gone.write_bytes(kept)
+    shutil.rmtree("x.zarr/delay_error/c")
+    assert dt.open_sweep("x.zarr").delay_error.values.tolist() == [-0.1, 0.0, 0.1]
     found = [fault for _, fault in open_store(str(Path("x.zarr").absolute())).faults()]
     assert len(found) == 1  # both belong to the one block that there is
     with pytest.raises(SystemExit) as stopped:
         main(["sweep", "study.toml", "--store", "x.zarr", "--workers", "1", "--verify", "--json"])
     assert stopped.value.code == 0
-    assert str(chunk) in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert str(chunk) in said
+    assert "the values of delay_error were damaged" in said
     assert tree("x.zarr") == before
     xr.testing.assert_identical(dt.open_sweep("x.zarr").load(), whole)
 
@@ -570,7 +682,7 @@ def test_the_command_says_what_there_is_to_do_and_does_it(capsys):
     said = capsys.readouterr().out
     assert "12 cells (2 plant.delay × 2 law.told.dwell_time × 3 delay_error), 3 signals" in said
     assert "not there yet" in said
-    assert "To do: 144 runs in 1 blocks of cells, about 1 s of one core" in said
+    assert "To do: 144 runs in 1 block of cells, about 1 s of one core" in said
     assert not Path("study.zarr").exists()
     assert ran("study.toml", "--workers", "1") == 0
     captured = capsys.readouterr()

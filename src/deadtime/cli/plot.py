@@ -156,8 +156,10 @@ def _plan(
     laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
     if kind in ("wins", "regret"):
         selection.quotients_of(metric)
-    if kind == "regret":
-        selection.oracle_or_refuse(kept)
+    if kind == "regret" and selection.oracle_or_refuse(kept) == law:
+        raise ArgumentError(f"law must be another one than the oracle, got {law!r}.")
+    if kind == "wins" and law is not None:
+        raise ArgumentError("law is of heat and regret: wins compare all laws.")
     if kind == "bands":
         panes(kept, sides[0])
     if kind != "bands":

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from deadtime.cli.entry import AsJson, app
+from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.sweeps import FileStudy, Progress
@@ -26,7 +27,7 @@ Flag = Annotated[bool, Parameter(negative="")]
 def sweep(
     file: Path,
     *,
-    store: Path | None = None,
+    store: str | None = None,
     scenarios: int | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -66,6 +67,7 @@ def sweep(
     json_output
         Print the result as JSON instead of text.
     """
+    from deadtime.checks import count
     from deadtime.sweeps import load_study, open_sweep
     from deadtime.sweeps import sweep as run
     from deadtime.sweeps.plan import plan_of
@@ -73,35 +75,38 @@ def sweep(
     chosen = load_study(file)
     if scenarios is not None:
         chosen = with_scenarios(chosen, scenarios)
-    place = Path(f"{file.stem}.zarr") if store is None else store
-    url = _url(place)
-    plan = plan_of(chosen, url)
+    place = f"{file.stem}.zarr" if store is None else store
+    if not place:
+        raise ArgumentError("store must be the name of a folder, or a URL, got ''.")
+    if workers is not None:
+        count("workers", workers)
+    plan = plan_of(chosen, place)
     if status or dry_run:
         _say(chosen, plan, dry_run, json_output)
         return 0
-    damaged = _verified(url) if verify and plan.exists else []
+    damaged = _verified(place) if verify and plan.exists else []
     for one in damaged:
         print(f"deadtime: {one}", file=sys.stderr)
     try:
         with progress_of(plan, quiet=json_output, remote=scheduler is not None) as report:
-            data = run(chosen, url, scheduler, workers=workers, progress=report)
+            data = run(chosen, place, scheduler, workers=workers, progress=report)
     except KeyboardInterrupt:
-        left = plan_of(chosen, url)
+        left = plan_of(chosen, place)
         print(
             f"deadtime: interrupted after {left.done:,} of {left.cells:,} cells; the same command "
             "goes on",
             file=sys.stderr,
         )
         return 130
-    reasons = _reasons(open_sweep(url))
+    reasons = _reasons(open_sweep(place))
     if json_output:
-        record = {**dataclasses.asdict(plan_of(chosen, url)), "damaged": damaged}
+        record = {**dataclasses.asdict(plan_of(chosen, place)), "damaged": damaged}
         print(json.dumps({**record, "reasons": reasons}, indent=2, ensure_ascii=False))
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
     print(f"{chosen.title}\n{plan.cells:,} cells: {sizes}")
-    for law, (count, example) in reasons.items():
-        print(f"• {law}: in {count:,} of {plan.cells:,} cells, such as: {example}")
+    for law, (cells, example) in reasons.items():
+        print(f"• {law}: in {cells:,} of {plan.cells:,} cells, such as: {example}")
     print(f"\nStore: {place}. Next: deadtime plot {place}")
     return 0
 
@@ -113,18 +118,12 @@ def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
     return dataclasses.replace(study, scenarios=count("scenarios", scenarios))
 
 
-def _url(place: Path) -> str:
-    """A path as it is; a URL, which a path has shortened, in its own form."""
-    text = str(place)
-    head, colon, rest = text.partition(":/")
-    return f"{head}://{rest.lstrip('/')}" if colon and "/" not in head and len(head) > 1 else text
+def _verified(place: str) -> list[str]:
+    """What of the store is damaged, now absent; coordinates are written anew."""
+    from deadtime.sweeps.store import open_store, place_of
 
-
-def _verified(url: str) -> list[str]:
-    """What of the store is damaged, now absent."""
-    from deadtime.sweeps.store import open_store
-
-    target, found = open_store(url), []
+    target = open_store(place_of(place))
+    found = [f"the values of {name} were damaged" for name in target.restore_coordinates()]
     for number, fault in target.faults():
         target.forget(number)
         found.append(fault)
@@ -156,11 +155,15 @@ def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     state = f"{plan.done:,} cells are whole, {plan.cells - plan.done:,} to do"
     print(f"Store {plan.store}: {state if plan.exists else 'not there yet'}")
     if dry_run:
+        blocks = "1 block" if plan.missing == 1 else f"{plan.missing:,} blocks"
         print(
-            f"To do: {plan.runs:,} runs in {plan.missing:,} blocks of cells, about "
+            f"To do: {plan.runs:,} runs in {blocks} of cells, about "
             f"{duration(plan.seconds)} of one core\n"
-            f"Size: at most {_bytes(plan.size)} before compression, {plan.objects:,} objects"
+            if plan.missing
+            else "Nothing to do\n",
+            end="",
         )
+        print(f"Size: at most {_bytes(plan.size)} before compression, {plan.objects:,} objects")
 
 
 def _bytes(size: float) -> str:

@@ -117,7 +117,8 @@ def panels_of(data: xr.Dataset, grid: Grid) -> tuple[Figure, list[tuple[Axes, Pl
     for (row, place), (column, head) in itertools.product(enumerate(rows), enumerate(heads)):
         panel = panes[row, column]
         _frame(panel, data, grid, (column == 0, row == len(rows) - 1))
-        above = words_of(data, head) if row == 0 else []
+        above = [textwrap.fill(word, int(width / _LETTER)) for word in words_of(data, head)]
+        above = above if row == 0 else []
         beside = "\n".join(wrapped[row]) if column == 0 else ""
         panel.set_title("\n".join([*above, beside] if grid.rows else above), fontsize=8.5)
         panels.append((panel, head | place))

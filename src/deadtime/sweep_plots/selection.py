@@ -142,7 +142,7 @@ def oracle_or_refuse(data: xr.Dataset) -> str:
     """The law that knows the future, which regret is held against."""
     if not oracle_of(data):
         raise ArgumentError(
-            'data must hold a law that knows the future, got none: add law "oracle" to the sweep '
-            "and run it again, or draw plot_wins, which needs none."
+            "data must hold a law that knows the future, got none: sweep a problem file with a "
+            '[[law]] of kind = "exact", or a study with poles; or draw wins, which need none.'
         )
     return oracle_of(data)

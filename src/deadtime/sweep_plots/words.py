@@ -51,11 +51,14 @@ def say(axis: xr.DataArray, value: object) -> str:
     --------
     >>> import xarray as xr
     >>> delay = xr.DataArray([0.5], dims="delay", name="delay", attrs={"units": "s"})
-    >>> say(delay, 0.5), say(delay.rename("sojourns"), "uniform")
-    ('delay 0.5 s', 'uniform sojourns')
+    >>> kind = xr.DataArray([""], dims="k", name="sojourn", attrs={"long_name": "sojourns"})
+    >>> say(delay, 0.5), say(kind, "uniform"), say(delay.rename("plant.tyre"), "old")
+    ('delay 0.5 s', 'uniform sojourns', 'plant.tyre old')
     """
     if isinstance(value, str):
-        return f"{value} {name_of(axis)}"
+        name = name_of(axis)
+        # Of a path or a name of one's own the value comes last, as on the other axes.
+        return f"{name} {value}" if name == str(axis.name).replace("_", " ") else f"{value} {name}"
     return f"{name_of(axis)} {text_of(value)} {axis.attrs.get('units', '')}".rstrip()
 
 

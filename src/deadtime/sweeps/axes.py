@@ -156,6 +156,10 @@ def _dwell_time(draft: Draft, dwell_time: float) -> None:
     }
 
 
+def no_write(draft: Draft, value: Any) -> None:
+    """Of an axis that is in no problem file."""
+
+
 # In the order in which they are written: what reads the plant comes after what changes it.
 AXES: Mapping[str, Axis] = {
     axis.name: axis
@@ -194,8 +198,19 @@ AXES: Mapping[str, Axis] = {
             "x^2/s",
             _imperfect("white-disturbance", intensity=_same),
         ),
-        Axis("seed", "seed", "", lambda draft, value: None),
+        Axis("seed", "seed", "", no_write),
     )
+}
+
+
+# Paths of the problem file that an axis replaces, whatever stood there.
+OVERWRITES: Mapping[str, tuple[str, ...]] = {
+    "delay": ("plant.delay",),
+    "step": ("run.step",),
+    "horizon": ("run.horizon",),
+    "delay_error": ("truth.delay",),
+    "gain_error": ("truth.B",),
+    "dwell_time": ("switching", "law.*.dwell_time"),
 }
 
 

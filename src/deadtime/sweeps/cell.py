@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.errors import DeadtimeError
+from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import Law
 from deadtime.laws.base import TableLaw
 from deadtime.monte_carlo import draw_signals, monte_carlo
@@ -58,6 +58,11 @@ def run_cell(study: Study, cell: Cell) -> Outcome:
             diverged[rows] = data.diverged.values
     except DeadtimeError as error:
         reasons = dict.fromkeys(study.laws, str(error))
+    except MemoryError:
+        raise
+    except Exception as error:
+        # Whatever a cell's function or a library makes of odd values, the other cells go on.
+        reasons = dict.fromkeys(study.laws, f"failed: {type(error).__name__}: {error}")
     for law, lost in zip(study.laws, diverged, strict=True):
         if lost.any():
             reasons[law] = f"diverged on {lost.sum():,} of {study.scenarios:,} scenarios"
@@ -67,6 +72,14 @@ def run_cell(study: Study, cell: Cell) -> Outcome:
 def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
     """The laws whose tables can be filled; why the others cannot goes to `reasons`."""
     reasons |= loop.reasons
+    strange = [name for name in loop.laws if name not in reasons]
+    if strange:
+        raise ArgumentError(
+            f"laws must be named alike in every cell, {', '.join(reasons)}, got {strange[0]!r}."
+        )
+    for name in reasons:
+        if name not in loop.laws and not reasons[name]:
+            reasons[name] = f"no law {name!r} was made here"
     laws = {}
     for name, law in loop.laws.items():
         try:

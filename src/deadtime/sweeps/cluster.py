@@ -32,17 +32,23 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             yield client
         return
     count = processors() if workers is None else workers
-    local = distributed.LocalCluster(
-        n_workers=count,
-        threads_per_worker=1,
-        processes=count > 1,
-        host="127.0.0.1",
-        protocol="tcp",
-        dashboard_address="127.0.0.1:0",
-        memory_limit=0,
-        silence_logs=logging.CRITICAL,
-    )
-    with local, distributed.Client(local) as client:
+    try:
+        local = distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=count > 1,
+            host="127.0.0.1",
+            protocol="tcp",
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
+    except RuntimeError as error:
+        raise ClusterError(
+            f"workers cannot be started ({error}): a script must call sweep under "
+            'if __name__ == "__main__":, or with workers=1.'
+        ) from None
+    with local, distributed.Client(local, set_as_default=False) as client:
         # Ctrl-C reaches every process of the terminal: here it ends the sweep in good order.
         if count > 1:
             client.run(_ignore_interrupts)
@@ -55,7 +61,7 @@ def _remote(scheduler: str) -> Iterator[Client]:
     import distributed
 
     try:
-        client = distributed.Client(scheduler, timeout=_PATIENCE)
+        client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(
             f"scheduler {scheduler!r} cannot be reached ({error or type(error).__name__}): start "

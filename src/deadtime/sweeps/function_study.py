@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.checks import count, instance
-from deadtime.errors import ArgumentError
+from deadtime.checks import count, instance, positive, real_array, shaped
+from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.monte_carlo.dataset import METRICS
 from deadtime.monte_carlo.named import named_laws
-from deadtime.sweeps.study import Cell, Loop, Study
+from deadtime.monte_carlo.source import SwitchingModel
+from deadtime.plant import SwitchedSystem
+from deadtime.sweeps.axes import Axis, no_write
+from deadtime.sweeps.study import Cell, Loop, Study, require_axis
 
 _KEYS = ("plant", "laws", "model", "x0", "horizon", "step")
 
@@ -28,11 +31,20 @@ class FunctionStudy(Study):
     function: Callable[..., Mapping[str, Any]]
 
     def particulars(self) -> dict[str, Any]:
-        return {"function": _text(self.function)}
+        return {"function": _text(self.function), "values": _bound_values(self.function)}
 
     def loop(self, cell: Cell) -> Loop:
         given = {name: value for name, value in cell.values.items() if name != "seed"}
-        return _loop(self.function(**given))
+        try:
+            made = self.function(**given)
+        except DeadtimeError:
+            raise
+        except Exception as error:
+            raise ArgumentError(f"function failed: {type(error).__name__}: {error}.") from None
+        return _loop(made)
+
+    def axis(self, name: str) -> Axis:
+        return Axis(name, name, "", no_write)
 
 
 def function_study(
@@ -51,7 +63,8 @@ def function_study(
         Called with a cell's values as keyword arguments (but for ``seed``); returns a mapping with
         ``plant``, ``laws`` (named alike in every cell), ``model``, ``x0``, ``horizon``, ``step``
         and perhaps ``imperfections``, as `monte_carlo` takes them. It runs on the workers; its
-        source text is part of what tells studies apart, values that it reads from outside are not.
+        source text, its defaults and the values around it are part of what tells studies apart,
+        globals that it reads are not.
     grid : mapping
         From names to values, numbers or texts. ``seed`` stands for that of the signals.
     scenarios, seed : int
@@ -79,13 +92,20 @@ def function_study(
     >>> study.size, study.laws
     (6, ('mine',))
     """
-    if not callable(function):
-        raise ArgumentError(f"function must be callable, got {type(function).__name__}.")
+    if not inspect.isfunction(function):
+        raise ArgumentError(
+            f"function must be a function, got {type(function).__name__}: write one by def."
+        )
     instance("grid", grid, Mapping)
-    axes = {str(name): _axis(str(name), values) for name, values in grid.items()}
+    axes: dict[str, tuple[Any, ...]] = {}
+    for name, values in grid.items():
+        require_axis(str(name), list(axes))
+        axes[str(name)] = _axis(str(name), values)
     for metric in metrics:
-        if metric not in METRICS:
-            raise ArgumentError(f"metrics must be some of {list(METRICS)}, got {metric!r}.")
+        if metric not in METRICS or list(metrics).count(metric) > 1:
+            raise ArgumentError(
+                f"metrics must be some of {list(METRICS)}, each once, got {metric!r}."
+            )
     study = FunctionStudy(
         grid=axes,
         laws=(),
@@ -125,9 +145,17 @@ def _loop(made: Any) -> Loop:
             f"got {got}."
         )
     parts = dict(made)
+    instance("plant", parts["plant"], SwitchedSystem)
+    if not isinstance(parts["model"], SwitchingModel):
+        raise ArgumentError(
+            "model must have a method sample(horizon, seed), such as Markov and SemiMarkov, got "
+            f"{type(parts['model']).__name__}."
+        )
     parts["laws"] = named_laws(parts["laws"])
-    parts["x0"] = np.asarray(parts["x0"], dtype=float)
-    parts["horizon"], parts["step"] = float(parts["horizon"]), float(parts["step"])
+    parts["x0"] = real_array("x0", parts["x0"], "(n,)", 1)
+    shaped("x0", parts["x0"], (parts["plant"].states,), "(n,)")
+    parts["horizon"] = positive("horizon", parts["horizon"])
+    parts["step"] = positive("step", parts["step"])
     return Loop(**parts)
 
 
@@ -136,7 +164,21 @@ def _text(function: Callable[..., Any]) -> str:
     try:
         return textwrap.dedent(inspect.getsource(function))
     except (OSError, TypeError):
-        name = getattr(function, "__qualname__", type(function).__name__)
-        code = getattr(function, "__code__", None)
-        digest = "" if code is None else hashlib.sha256(marshal.dumps(code)).hexdigest()
-        return f"{name} {digest}".strip()
+        code = hashlib.sha256(marshal.dumps(function.__code__)).hexdigest()
+        return f"{function.__qualname__} {code}"
+
+
+def _bound_values(function: Callable[..., Any]) -> dict[str, Any]:
+    """Defaults, and values of the functions around it, as far as they are numbers or texts."""
+    names = inspect.signature(function).parameters.items()
+    values = {name: one.default for name, one in names if one.default is not one.empty}
+    values |= inspect.getclosurevars(function).nonlocals
+    return {name: _for_json(value) for name, value in values.items()}
+
+
+def _for_json(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_for_json(one) for one in value]
+    return value if isinstance(value, (int, float, str, type(None))) else type(value).__name__

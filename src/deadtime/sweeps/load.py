@@ -17,11 +17,12 @@ from deadtime.errors import ArgumentError, ProblemFileError, StudyFileError
 from deadtime.problem_file import schema
 from deadtime.problem_file.build import as_numbers, build_problem
 from deadtime.problems import NAMED, Problem
-from deadtime.sweeps.axes import AXES, Draft, write_path
+from deadtime.sweeps.axes import AXES, OVERWRITES, Draft, write_path
 from deadtime.sweeps.file_study import FileStudy, without_signal
 from deadtime.sweeps.laws import DEFAULT, ORACLE, kinds_of
 from deadtime.sweeps.schema import StudyFile, distinct, known
-from deadtime.toml_file import SectionError, read_toml, require_valid
+from deadtime.sweeps.study import require_axis
+from deadtime.toml_file import SectionError, read_toml, require_valid, section
 
 
 class _Base(NamedTuple):
@@ -128,7 +129,12 @@ def _require(file: StudyFile, base: _Base, grid: Mapping[str, tuple]) -> None:
     """Refuse problems that no sweep can run, and grids that contradict the problem."""
     problem, signal = base.problem, base.draft["signal"].get("kind")
     placed = file.poles is not None
-    fixed = {"distance": ("A", "B"), "delay": ("delay",)}
+    fixed = {
+        "distance": ("A", "B"),
+        "delay": ("delay",),
+        "delay_error": ("delay",),
+        "gain_error": ("B",),
+    }
     overruled = [
         name
         for name, keys in fixed.items()
@@ -146,8 +152,13 @@ def _require(file: StudyFile, base: _Base, grid: Mapping[str, tuple]) -> None:
         ),
         (
             bool(overruled),
-            f"its [truth] fixes what grid.{(overruled or [''])[0]} changes: remove it, or use "
-            "delay_error and gain_error.",
+            f"its [truth] fixes what grid.{(overruled or [''])[0]} changes: remove it.",
+        ),
+        (
+            "switching" not in base.draft
+            and "dwell_time" not in grid
+            and base.draft["signal"].get("dwell_time") is None,
+            "it does not say how modes switch: give grid.dwell_time, or the file a [switching].",
         ),
     ):
         if wrong:
@@ -178,7 +189,13 @@ def _poles(given: list | None) -> tuple[complex, ...] | None:
 def _laws(names: list[str] | None, study: FileStudy, modes: int) -> tuple[str, ...]:
     """The laws in their order; with poles the oracle is the last: regret is measured against it."""
     placed = study.poles is not None
-    able = tuple(kinds_of(modes)) if placed else study.own_laws
+    try:
+        able = tuple(kinds_of(modes)) if placed else study.own_laws
+    except SectionError as error:
+        where = f"[{'.'.join(map(str, error.path))}] of " if error.path else ""
+        raise SectionError(f"problem: {where}{study.path.name}: {error}", ()) from None
+    except ArgumentError as error:
+        raise SectionError(str(error), ("grid",)) from None
     chosen = (DEFAULT if placed else able) if names is None else names
     try:
         laws = [known("law", name, able) for name in chosen]
@@ -198,8 +215,28 @@ def _grid(raw: Draft, file: StudyFile, draft: Draft) -> dict[str, tuple]:
             grid[name] = tuple(checked[name])
             continue
         for path, values in _flat(name, given):
+            where = ("grid", *path.split("."))
+            with section(*where):
+                require_axis(path, list(grid))
             grid[path] = _values(path, values, draft)
+    _require_no_overlap(grid, draft)
     return grid
+
+
+def _require_no_overlap(grid: Mapping[str, tuple], draft: Draft) -> None:
+    """Refuse axes that overwrite what another one writes, and paths that change nothing."""
+    for path in (name for name in grid if name not in AXES):
+        parts, where = path.split("."), ("grid", *path.split("."))
+        vain = parts[0] in ("title", "source") or path == "run.seed"
+        vain |= parts[0] == "law" and parts[-1] in ("kind", "name")
+        vain |= parts[0] == "signal" and ("switching" in draft or "dwell_time" in grid)
+        if vain:
+            raise SectionError(f"{path} changes no result: remove it.", where)
+        for name in grid:
+            for own in OVERWRITES.get(name, ()):
+                wide = own.split(".")
+                if all(a in (b, "*") for a, b in zip(wide, parts, strict=False)):
+                    raise SectionError(f"{path} is overwritten by {name}: keep one of them.", where)
 
 
 def _flat(name: str, given: Any) -> list[tuple[str, Any]]:
@@ -213,7 +250,8 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
     """The values of an axis that is a path into the problem file, each of them checked there."""
     where = ("grid", *path.split("."))
     if "." not in path:
-        near = difflib.get_close_matches(path, [*AXES, *_leaves(draft)], 1, 0.5)
+        known_paths = [leaf for leaf in _leaves(draft) if "." in leaf]
+        near = difflib.get_close_matches(path, [*AXES, *known_paths], 1)
         advice = f"did you mean {near[0]}?" if near else f"known are {', '.join(AXES)}"
         raise SectionError(
             f"{path} is not known: {advice}; or a path into the problem file, such as run.horizon.",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deadtime.sweeps.store import Store, cached_store, open_store, place_of
+from deadtime.sweeps.store import Store, cached_store, coordinates_of, open_store, place_of
 
 if TYPE_CHECKING:
     import dask.array
@@ -55,15 +55,10 @@ def open_sweep(store: str | PathLike[str]) -> xr.Dataset:
     }
     variables["done"] = (axes, target.done(), dict(target.array("done").attrs))
     coordinates = {
-        name: ((name,), _values(array[...]), dict(array.attrs))
-        for name, array in ((name, target.array(name)) for name in (*axes, "law", "scenario"))
+        name: ((name,), values, dict(target.array(name).attrs))
+        for name, values in coordinates_of(target.definition).items()
     }
     return xr.Dataset(variables, coordinates, dict(target.group.attrs))
-
-
-def _values(array: np.ndarray) -> np.ndarray:
-    """Texts as objects, which every version of pandas knows."""
-    return array if array.dtype.kind in "if" else array.astype(object)
 
 
 def _lazy(target: Store, name: str) -> dask.array.Array:
@@ -75,18 +70,20 @@ def _lazy(target: Store, name: str) -> dask.array.Array:
     dtype = np.dtype(object) if name == "reason" else array.dtype
     chunks = normalize_chunks(array.chunks, array.shape)
     nothing = np.empty((0,) * array.ndim, dtype)
-    return da.map_blocks(_read, target.url, name, chunks=chunks, dtype=dtype, meta=nothing)
+    where = target.url, target.key, name
+    return da.map_blocks(_read, *where, chunks=chunks, dtype=dtype, meta=nothing)
 
 
-def _read(url: str, name: str, block_id: tuple[int, ...]) -> np.ndarray:
+def _read(url: str, key: str, name: str, block_id: tuple[int, ...]) -> np.ndarray:
     """A block of a variable, as if its cells that are not whole were absent."""
-    target = cached_store(url)
+    target = cached_store(url, key)
     layout = target.layout
     where = block_id[: len(layout.shape)]
     number = int(np.ravel_multi_index(where, layout.counts)) if where else 0
-    values = target.read(name, number)
     done = target.read("done", number)
     if done.all():
-        return values
-    values[~done] = {"f": np.nan, "b": False}.get(values.dtype.kind, "")
-    return values
+        return target.read(name, number)
+    array = target.array(name)
+    absent = {"f": np.nan, "b": False}.get(array.dtype.kind, "")
+    values = np.full((*done.shape, *array.shape[done.ndim :]), absent)
+    return values.astype(object) if name == "reason" else values

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _AHEAD = 3  # blocks that are handed over for every thread of the cluster
+_LARGEST = 2.0**30  # bytes of a variable in a cell
 _LOOK = 2.0  # seconds between looks at how many threads there are
 
 
@@ -133,12 +135,15 @@ def sweep(
             raise ArgumentError(f"study must be a Study or a file, got {type(study).__name__}.")
         study = load_study(study)
     workers = None if workers is None else count("workers", workers)
+    if scheduler is not None and workers is not None:
+        raise ArgumentError("workers are those of the scheduler: give one of the two.")
     url = place_of(store)
-    target = prepare(study, url)
-    missing = target.missing()
-    if missing:
+    # A new store is made when there is something to compute it with.
+    target = prepare(study, url) if exists(url) else None
+    if target is None or target.missing():
         with cluster(scheduler, workers) as client:
-            _compute(study, target, missing, client, progress or (lambda _: None))
+            target = target or prepare(study, url)
+            _compute(study, target, client, progress or (lambda _: None))
     return open_sweep(url)
 
 
@@ -148,6 +153,11 @@ def prepare(study: Study, url: str) -> Store:
         target = open_store(url)
         target.require(study)
         return target
+    if 8.0 * len(study.laws) * study.scenarios > _LARGEST:
+        raise ArgumentError(
+            f"scenarios must be at most {int(_LARGEST / 8 / len(study.laws)):,} with "
+            f"{len(study.laws)} laws, got {study.scenarios:,}: put seeds on the grid instead."
+        )
     layout = layout_of(study, costs_of(study))
     return create(url, study, layout, facts_of(study, study.laws))
 
@@ -158,35 +168,34 @@ def block_costs(study: Study, layout: Layout) -> np.ndarray:
     return np.array([costs[layout.slices(number)].sum() for number in range(layout.size)])
 
 
-def run_block(study: Study, url: str, number: int) -> tuple[int, float]:
+def run_block(study: Study, url: str, key: str, number: int) -> tuple[int, float]:
     """Compute a block's cells and store them: what a worker does. Its cells, and its seconds."""
     began = time.perf_counter()
-    store = cached_store(url)
+    store = cached_store(url, key)
     outcomes = [run_cell(study, study.cell(index)) for index in store.layout.cells(number)]
     store.write(number, outcomes)
     return len(outcomes), time.perf_counter() - began
 
 
-def _compute(
-    study: Study, target: Store, missing: Sequence[int], client: Client, report: Report
-) -> None:
+def _compute(study: Study, target: Store, client: Client, report: Report) -> None:
     """Hand over the missing blocks, dear ones first, a few for each thread at a time."""
     from distributed import KilledWorker, as_completed
 
+    missing, run = target.missing(), uuid4().hex
     costs = block_costs(study, target.layout)
     total, whole = study.size, float(costs[list(missing)].sum())
     waiting = [(-costs[number], number) for number in missing]
     heapq.heapify(waiting)
     done = total - sum(len(list(target.layout.cells(number))) for number in missing)
-    computed, busy, spent, lost, began = 0, 0.0, 0.0, [], time.monotonic()
+    computed, busy, spent, began = 0, 0.0, 0.0, time.monotonic()
     threads = Threads(client)
-    futures = as_completed()
+    futures = as_completed(loop=client.loop)
     numbers: dict[str, int] = {}
     try:
         while waiting or numbers:
             for number in _next(waiting, _AHEAD * threads.now() - len(numbers)):
-                key = f"block-{number}-of-{id(target)}"
-                future = client.submit(run_block, study, target.url, number, key=key, pure=False)
+                key, what = f"block-{number}-{run}", (study, target.url, target.key, number)
+                future = client.submit(run_block, *what, key=key, pure=False)
                 numbers[key] = number
                 futures.add(future)
             future = next(futures)
@@ -194,14 +203,14 @@ def _compute(
             try:
                 cells, took = future.result()
             except KilledWorker:
-                lost.append(number)
-                continue
+                continue  # it is missing at the end
             computed, busy = computed + cells, busy + took
             spent += float(costs[number])
             now = done + computed, total, computed, time.monotonic() - began, busy
             report(Progress(*now, threads.now(), spent, whole))
     finally:
         client.cancel(list(futures.futures), force=True)
+    lost = target.missing()
     if lost:
         cells = [str(study.cell(next(target.layout.cells(number)))) for number in lost[:3]]
         raise WorkerError(

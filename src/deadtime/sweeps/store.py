@@ -9,12 +9,13 @@ killed in between counts as absent, and is computed again.
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import lru_cache
 from os import PathLike, fspath
 from pathlib import Path
@@ -25,7 +26,7 @@ import numpy as np
 
 from deadtime.errors import ArgumentError, StoreError
 from deadtime.monte_carlo.dataset import DIVERGED, METRICS
-from deadtime.sweeps.axes import axis_of
+from deadtime.sweeps.axes import Axis, no_write
 from deadtime.sweeps.cell import Outcome
 from deadtime.sweeps.layout import Layout
 from deadtime.sweeps.study import Study, differences
@@ -53,10 +54,15 @@ class Store:
         self.definition: dict[str, Any] = json.loads(str(attributes["definition"]))
         block: Any = attributes["block"]
         self.layout = Layout(self.array("done").shape, tuple(map(int, block)))
+        whole = json.dumps([self.definition, self.layout.block])
+        self.key = hashlib.sha256(whole.encode()).hexdigest()
 
     def array(self, name: str) -> Any:
-        """A variable or coordinate, a Zarr array."""
-        return self.group[name]
+        """A variable or coordinate, a Zarr array that stores every chunk: none is left out."""
+        import zarr
+
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            return self.group[name]
 
     def require(self, study: Study) -> None:
         """Refuse to mix the results of different studies."""
@@ -115,40 +121,53 @@ class Store:
 
     def read(self, name: str, number: int) -> np.ndarray:
         """A block of a variable; `StoreError` that names its chunk if it cannot be read."""
-        array, place = self.array(name), self.layout.slices(number)
+        from zarr.core.sync import sync
+
+        array, place, chunk = self.array(name), self.layout.slices(number), self.chunk(name, number)
+        advice = "find all such by `deadtime sweep … --verify`, which computes them again."
         try:
+            there = sync(self.group.store.exists(chunk))
             values = array[place]
         except UNREADABLE as error:
             raise StoreError(
-                f"store {self.url!r} has a damaged chunk, {self.chunk(name, number)} ({error}): "
-                "find all by `deadtime sweep … --verify`, which computes them again."
+                f"store {self.url!r} has a damaged chunk, {self.url}/{chunk} ({error}): {advice}"
             ) from None
+        if not there and name != "done":
+            raise StoreError(f"store {self.url!r} lacks the chunk {self.url}/{chunk}: {advice}")
         return values.astype(object) if name == "reason" else values
 
     def faults(self) -> Iterator[tuple[int, str]]:
         """Whole blocks of which something cannot be read or is gone, and what that is."""
-        done = self.done()
+        done, names = self.done(), [*self.definition["metrics"], "diverged", "reason"]
         for number in range(self.layout.size):
             if not done[self.layout.slices(number)].all():
                 continue
             try:
-                reasons = self.read("reason", number)
-                self.read("diverged", number)
-                for name in self.definition["metrics"]:
-                    gone = np.isnan(self.read(name, number)).all(axis=-1) & (reasons == "")
-                    if gone.any():
-                        raise StoreError(
-                            f"store {self.url!r} lacks a chunk, {self.chunk(name, number)}."
-                        )
+                for name in names:
+                    self.read(name, number)
             except StoreError as error:
                 yield number, str(error)
 
+    def restore_coordinates(self) -> list[str]:
+        """Write coordinates anew that are not what the definition says; their names."""
+        wrong = []
+        for name, values in coordinates_of(self.definition).items():
+            try:
+                fine = (self.array(name)[...] == values).all()
+            except UNREADABLE:
+                fine = False
+            if not fine:
+                wrong.append(name)
+                with writing(self.url):
+                    self.array(name)[...] = values
+        return wrong
+
     def chunk(self, name: str, number: int) -> str:
-        """The object that holds a block of a variable."""
-        counts = self.layout.counts
-        where = [str(int(i)) for i in np.unravel_index(number, counts)] if counts else []
-        rest = ["0"] * (self.array(name).ndim - len(counts))
-        return "/".join([self.url, name, "c", *where, *rest])
+        """The object that holds a block of a variable, as its place in the store."""
+        counts, array = self.layout.counts, self.array(name)
+        where = [int(i) for i in np.unravel_index(number, counts)] if counts else []
+        places = (*where, *[0] * (array.ndim - len(counts)))
+        return f"{name}/{array.metadata.encode_chunk_key(places)}"
 
 
 def place_of(store: str | PathLike[str]) -> str:
@@ -167,16 +186,23 @@ def _group(url: str) -> zarr.Group:
 
     try:
         return zarr.open_group(url, mode="r+")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError, FileExistsError):
+        if "://" not in url and Path(url).exists():
+            raise ArgumentError(
+                f"store {url!r} is there, but is no Zarr store: choose another name."
+            ) from None
         raise ArgumentError(f"store {url!r} does not exist: run the sweep first.") from None
     except (OSError, ValueError, KeyError, ImportError) as error:
         raise StoreError(f"store {url!r} cannot be opened: {error}") from None
 
 
 @lru_cache(maxsize=8)
-def cached_store(url: str) -> Store:
-    """The same for the many blocks that one process writes."""
-    return open_store(url)
+def cached_store(url: str, key: str) -> Store:
+    """The same for the many blocks that one process reads or writes, of a store with this key."""
+    store = open_store(url)
+    if store.key != key:
+        raise StoreError(f"store {url!r} was replaced by another one meanwhile: open it again.")
+    return store
 
 
 def exists(url: str) -> bool:
@@ -189,6 +215,8 @@ def exists(url: str) -> bool:
         zarr.open_group(url, mode="r")
     except FileNotFoundError:
         return False
+    except (ImportError, ValueError, OSError) as error:
+        raise StoreError(f"store {url!r} cannot be opened: {error}") from None
     return True
 
 
@@ -203,7 +231,8 @@ def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> 
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             _fill(str(draft), study, layout, facts)
-            os.rename(draft, target)
+            with suppress(FileExistsError, OSError) if target.exists() else nullcontext():
+                os.rename(draft, target)
         finally:
             shutil.rmtree(draft, ignore_errors=True)
     return open_store(url)
@@ -237,11 +266,19 @@ def _fill(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> N
     add("diverged", "bool", False, 2, long_name=DIVERGED)
     add("reason", str, "", 1, long_name="what went wrong")
     add("done", "bool", False, 0, long_name="cell is whole")
-    for name, values in study.grid.items():
-        axis = axis_of(name)
-        _coordinate(group, name, _plain(values), long_name=axis.label, units=axis.unit)
-    _coordinate(group, "law", np.array(study.laws, dtype=object), long_name="law")
-    _coordinate(group, "scenario", np.arange(scenarios), long_name="scenario")
+    for name, values in coordinates_of(study.definition()).items():
+        axis = study.axis(name) if name in study.grid else Axis(name, name, "", no_write)
+        dtype = str if values.dtype == object else values.dtype
+        array = group.create_array(
+            name,
+            shape=values.shape,
+            chunks=values.shape,
+            dtype=dtype,
+            compressors=[BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()],
+            dimension_names=(name,),
+            attributes={"long_name": axis.label, **({"units": axis.unit} if axis.unit else {})},
+        )
+        array[...] = values
     group.attrs.update(
         {
             "kind": KIND,
@@ -262,17 +299,13 @@ def _fill(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> N
         zarr.consolidate_metadata(url)
 
 
-def _coordinate(group: zarr.Group, name: str, values: np.ndarray, **attributes: Any) -> None:
-    dtype = str if values.dtype == object else values.dtype
-    array = group.create_array(
-        name,
-        shape=values.shape,
-        dtype=dtype,
-        chunks=values.shape,
-        dimension_names=(name,),
-        attributes=attributes,
-    )
-    array[...] = values
+def coordinates_of(definition: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The values of all dimensions by name."""
+    return {
+        **{name: _plain(values) for name, values in definition["grid"].items()},
+        "law": np.array(definition["laws"], dtype=object),
+        "scenario": np.arange(definition["scenarios"]),
+    }
 
 
 def _plain(values: Sequence[Any]) -> np.ndarray:
@@ -294,7 +327,10 @@ def writing(url: str) -> Iterator[None]:
         elif error.errno in _REFUSED:
             why, what = "may not be written", "change its rights, or choose another store"
         else:
-            why, what = f"cannot be written ({error.strerror or error})", "see to it"
+            reason = error.strerror or error
+            raise StoreError(
+                f"store {url!r} cannot be written ({reason}): choose another store."
+            ) from None
         raise StoreError(
             f"store {url!r} {why}: what is stored is kept; {what} and run the same command again."
         ) from None

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.errors import ArgumentError
 from deadtime.imperfections import Imperfection
 from deadtime.laws import Law
+from deadtime.monte_carlo.dataset import METRICS
 from deadtime.plant import SwitchedSystem
-from deadtime.sweeps.axes import axis_of
+from deadtime.sweeps.axes import Axis, axis_of
 from deadtime.version import __version__
 
 
@@ -25,9 +27,12 @@ class Cell:
 
     index: tuple[int, ...]
     values: Mapping[str, Any]
+    axes: Mapping[str, Axis] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return ", ".join(axis_of(name).say(value) for name, value in self.values.items())
+        return ", ".join(
+            self.axes.get(name, axis_of(name)).say(value) for name, value in self.values.items()
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +117,12 @@ class Study(ABC):
     def cell(self, index: tuple[int, ...]) -> Cell:
         """The cell at a place."""
         axes = zip(self.grid.items(), index, strict=True)
-        return Cell(index, {name: values[i] for (name, values), i in axes})
+        values = {name: values[i] for (name, values), i in axes}
+        return Cell(index, values, {name: self.axis(name) for name in values})
+
+    def axis(self, name: str) -> Axis:
+        """What is said of an axis."""
+        return axis_of(name)
 
     def definition(self) -> dict[str, Any]:
         """All that the results depend on: two studies with equal ones have equal results."""
@@ -141,13 +151,28 @@ def differences(old: Any, new: Any, name: str = "") -> list[str]:
     found = []
     for key in [*old, *(key for key in new if key not in old)]:
         inner = f"{name}.{key}" if name else str(key)
-        if key not in old:
+        if name == "files" and key in old and key in new and old[key] != new[key]:
+            found.append(f"{key} has changed")
+        elif key not in old:
             found.append(f"{inner} is new")
         elif key not in new:
             found.append(f"{inner} is gone")
         else:
             found += differences(old[key], new[key], inner)
     return found
+
+
+def require_axis(name: str, taken: Sequence[str]) -> None:
+    """Refuse names that an axis of a dataset in a store cannot have."""
+    reserved = ("law", "scenario", "done", "reason", "diverged", "zarr.json", *METRICS)
+    bad = not name or "/" in name or "\\" in name or name.startswith((".", "__"))
+    if name in reserved or bad:
+        raise ArgumentError(
+            f"{name!r} cannot be the name of an axis: use letters, digits, dots and underscores, "
+            f"and none of {', '.join(reserved)}."
+        )
+    if name in taken:
+        raise ArgumentError(f"{name} is given twice: keep one of them.")
 
 
 def _short(value: Any) -> str:
