@@ -29,7 +29,7 @@ from deadtime.sweeps.layout import Layout
 from deadtime.sweeps.run import run_block
 from deadtime.sweeps.store import create, open_store
 
-SECOND = 400_000  # scenarios of a cell of about a second
+SECOND = 180_000  # scenarios of a cell of about a second
 WORKERS = (1, 2)
 PROBLEM = dt.problems.paper()
 WARM = 3  # blocks after which rates are measured

@@ -94,7 +94,7 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
         np.testing.assert_allclose(move, z[:3], rtol=0, atol=2e-14 * np.abs(z).max())
 
 
-@pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.parametrize("fast", [pytest.param(False, marks=pytest.mark.long), True])
 def test_plants_of_any_speed_and_any_number_of_modes_agree_with_single_runs(fast):
     # Fast: a period of several time constants, so in many cells; otherwise more modes than pairs
     # of them are tabulated for.

@@ -197,7 +197,8 @@ def test_the_paper_s_mode_is_designed_for_twice_its_margin_at_a_price():
 
 
 @pytest.mark.parametrize(
-    ("mode", "asked"), [pytest.param(0, 0.03, marks=pytest.mark.long), (1, 0.02)]
+    ("mode", "asked"),
+    [pytest.param(0, 0.03, marks=pytest.mark.long), pytest.param(1, 0.02, marks=pytest.mark.long)],
 )
 def test_what_no_gains_reach_is_the_largest_found_beside_the_limit(mode, asked):
     plant = alone(mode)
@@ -231,7 +232,7 @@ def test_the_follower_has_margin_to_spare():
     assert found.message.endswith("Nothing in the plant limits the margin below 100 %.")
 
 
-@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("filtered", [pytest.param(False, marks=pytest.mark.long), True])
 def test_three_modes_with_two_inputs_are_designed_by_weights(filtered):
     plain = dt.delay_margin(PLANT, LAW, 0.02).relative
     asked = 1.15 * plain

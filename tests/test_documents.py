@@ -164,8 +164,9 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
 
 
-# docs/design.md, which runs always, does the same with a smaller budget; rules have own tests.
-LONG = ("design", "state_dependent")
+# Pages and the README's commands, which run always, do the same with smaller budgets; rules have
+# own tests.
+LONG = ("design", "robustness", "state_dependent")
 MARKS = dict.fromkeys(LONG, pytest.mark.long) | {"processor_in_the_loop": needs_compiler}
 SCRIPTS = [
     pytest.param(path, id=path.stem, marks=MARKS.get(path.stem, ()))

@@ -575,7 +575,11 @@ def nodes(seed, alike):
 
 
 @pytest.mark.parametrize("alike", [True, False], ids=["one mode twice", "two modes"])
-@pytest.mark.parametrize("as_function", [False, True], ids=["half-space", "function"])
+@pytest.mark.parametrize(
+    "as_function",
+    [pytest.param(False, marks=pytest.mark.long), True],
+    ids=["half-space", "function"],
+)
 def test_a_plant_that_moves_along_a_boundary_does_not_chatter(alike, as_function):
     for seed in range(10 if as_function else 30):
         plant, V, normal = nodes(seed, alike)
