@@ -79,8 +79,10 @@ def _build(file: StudyFile, source: Path, text: str) -> FileStudy:
 
 def _base(file: StudyFile, source: Path) -> _Base:
     """The problem file that cells are made from, what the study says otherwise written into it."""
+    before = 0  # imperfections of the problem, which stand before the study's
     try:
         draft, path = _problem_file(file.problem, source)
+        before = len(draft.get("imperfection", []))
         for name in ("horizon", "step"):
             if (value := getattr(file, name)) is not None:
                 draft["run"][name] = value
@@ -93,19 +95,18 @@ def _base(file: StudyFile, source: Path) -> _Base:
             draft["imperfection"] = [*draft.get("imperfection", []), *own]
         return _Base(draft, path, build_problem(_checked(draft), path))
     except SectionError as error:
-        raise _own_fault(error, file) from None
+        raise _own_fault(error, file, before) from None
     except ValueError as error:
         raise SectionError(f"problem: {error}", ()) from None
 
 
-def _own_fault(error: SectionError, file: StudyFile) -> SectionError:
+def _own_fault(error: SectionError, file: StudyFile, before: int) -> SectionError:
     """A fault of the problem, told of the key of the study that it comes from."""
-    message, section = str(error), error.path[:1]
-    if file.poles is not None and section == ("gains",):
+    message, table = str(error), error.path[:1]
+    if file.poles is not None and table == ("gains",):
         return SectionError(message if message.startswith("poles") else f"poles: {message}", ())
-    if file.imperfection and section == ("imperfection",):
-        first = int(error.path[1])
-        return SectionError(message, ("imperfection", first % len(file.imperfection)))
+    if table == ("imperfection",) and int(error.path[1]) >= before:
+        return SectionError(message, ("imperfection", int(error.path[1]) - before))
     where = f"[{'.'.join(map(str, error.path))}] of " if error.path else ""
     return SectionError(f"problem: {where}{file.problem}: {message}", ())
 
