@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,6 +81,7 @@ def export_fmu(
     ]
     values = {
         "p": name,
+        "slack": literal(1e-3 * controller.step, "double"),
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
             "    double start, next; /* of the samples */\n} memory;"
@@ -142,6 +143,7 @@ def export_plant_fmu(
     size = count("changes", changes, 2)
     values = {
         "delay": literal(plant.delay, "double"),
+        "slack": literal(1e-6 * plant.delay, "double"),
         "include": (
             f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
             "typedef struct {\n    int first, count; /* of the inputs that have not passed */\n"
@@ -181,7 +183,9 @@ def _write(
     wrapper = f"fmi{version[0]}.c"
     sources = sources | {wrapper: _rendered(wrapper, {})}
     kinds = {"reals": "Real", "integers": "Integer", "booleans": "Boolean"}
-    counts = {key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()}
+    counts: dict[str, Any] = {key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()}
+    setters = {"input": "INPUT", "parameter": "PARAMETER"}
+    counts["setters"] = ", ".join(setters.get(v.causality, "FIXED") for v in variables)
     told = repr((title, variables, sorted(sources.items()))).encode()
     token = "{" + hashlib.sha256(told).hexdigest()[:32] + "}"
     sources["model.h"] = _rendered("model.h.j2", {**values, **counts, "token": token})
