@@ -36,6 +36,44 @@ def test_the_export_checks_itself_and_a_changed_table_is_found(tmp_path):
     assert "does not compile it" in self_check(tmp_path, "law").message
 
 
+def spoilt(tmp_path, name, factor=1.01):
+    """The self-check with the last number of a table changed."""
+    from deadtime.export.compiler import self_check
+
+    tables = tmp_path / "controller_tables.h"
+    text = tables.read_text()
+    start = re.search(rf"controller_real {name}[\[\d\]]+ =", text).end()
+    end = text.index(";", start)
+    number = re.findall(r"[-\d.e]+", text[start:end])[-1]
+    at = text.rindex(number, start, end)
+    changed = repr(float(number) * factor + (number == "0.0"))
+    tables.write_text(text[:at] + changed + text[at + len(number) :])
+    check = self_check(tmp_path, "controller")
+    tables.write_text(text)
+    return check
+
+
+@needs_compiler
+@pytest.mark.parametrize(("ages", "tables"), [(0, ["LAST", "WHOLE"]), (1, ["G"])])
+def test_a_spoilt_number_is_found_however_long_the_window_and_whichever_row(
+    tmp_path, ages, tables
+):
+    """Of 2,500 past inputs the oldest; of the ages the last, within tight limits."""
+    plant = plants.paper(0.5)
+    law, step = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0])), 0.0002
+    if ages:
+        law, step = plants.LAWS["averaged, dwell-aware"](GENERIC), 0.002
+    run = dt.Controller(law, step, limits=(-0.1, 0.1))
+    exported = run.export_c(tmp_path, accuracy=0.0)
+    assert exported.check.passed
+    rows, taps = len(run.table.state_gain), run.table.taps
+    assert exported.check.message.endswith(f"{rows} of {rows} rows, all {taps} past inputs")
+    assert int(re.search(r"(\d+) calls", exported.check.message).group(1)) > 2 * taps
+    assert (tmp_path / "controller_vectors.csv").stat().st_size < 400_000
+    for name in tables:
+        assert spoilt(tmp_path, name).passed is False, name
+
+
 def test_without_a_compiler_it_exports_and_says_that_nothing_was_checked(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
@@ -98,6 +136,7 @@ def test_beyond_the_budget_it_says_what_fits_and_that_does(tmp_path):
     ("arguments", "message"),
     [
         ({"accuracy": -1.0}, "accuracy must be at least 0"),
+        ({"accuracy": 1.0}, "accuracy must be at least 0 and below 1"),
         ({"rom_budget": 0}, "rom_budget must be an integer of at least 1"),
         ({"name": "My law"}, "name must be a C name of lower-case letters"),
         ({"folder": "/proc/c"}, "folder '/proc/c' cannot be written"),

@@ -107,23 +107,26 @@ def c_sources(
 
     _require(controller, precision, name)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
-    if accuracy < 0.0:
-        raise ArgumentError(f"accuracy must be at least 0, got {accuracy:g}.")
+    if not 0.0 <= accuracy < 1.0:
+        raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
     form = form_of(controller.table, accuracy, precision, budget)
     require_budget(controller.table, form, precision, budget)
-    csv, scale, longest = vectors(controller)
+    made = vectors(controller)
     values = _values(controller, form, precision, name) | {
-        "scale": literal(scale, "double"),
-        "tolerance": literal(_TOLERANCE[precision] + accuracy, "double"),
-        "line": longest + 80,
+        "scale": literal(made.scale, "double"),
+        "tolerance": literal(_TOLERANCE[precision] + form.error, "double"),
+        "line": made.line + 80,
+        "amplitude": literal(made.amplitude, "double"),
+        "mode_age": made.mode_age,
+        "visited": made.rows,
     }
     pages = environment("c")
     texts = {
         file.format(name): pages.get_template(f"{template}.j2").render(values)
         for template, file in _FILES.items()
     }
-    return texts | {f"{name}_vectors.csv": csv}, form
+    return texts | {f"{name}_vectors.csv": made.csv}, form
 
 
 def environment(folder: str) -> Environment:
