@@ -132,12 +132,57 @@ def test_beyond_the_budget_it_says_what_fits_and_that_does(tmp_path):
         controller("averaged", 0.004).export_c(tmp_path, rom_budget=10)
 
 
+def test_a_longer_period_fits_as_promised(tmp_path, monkeypatch):
+    """Of two inputs, whose taps are 2 x 2; and with rows by the age, which shrink with the taps."""
+    monkeypatch.setenv("CC", "none")
+    for name, budget in (("expected", 1200), ("mean, dwell-aware", 9000)):
+        run = dt.Controller(plants.LAWS[name](GENERIC), 0.01)
+        with pytest.raises(dt.ArgumentError) as refused:
+            run.export_c(tmp_path, rom_budget=budget)
+        found = re.search(r"(\d+) past inputs, a period of (\S+) s", str(refused.value))
+        taps, period = int(found.group(1)), float(found.group(2))
+        assert taps < run.table.taps
+        longer = dt.Controller(plants.LAWS[name](GENERIC), period)
+        exported = longer.export_c(tmp_path, rom_budget=budget)
+        assert longer.table.taps == taps
+        assert budget / 2 < exported.rom <= budget
+    with pytest.raises(dt.ArgumentError) as refused:
+        dt.Controller(slow_modes(), 0.01).export_c(tmp_path, rom_budget=900)
+    assert "e-01" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["Makefile", "main.c", "controller_vectors.csv"])
+def test_a_file_of_the_user_s_is_never_replaced(tmp_path, monkeypatch, name):
+    monkeypatch.setenv("CC", "none")
+    exported = controller().export_c(tmp_path)
+    controller().export_c(tmp_path)
+    for file in exported.files:
+        assert "Written by deadtime" in (tmp_path / file).read_text(), file
+    (tmp_path / name).write_text("mine")
+    (tmp_path / "controller.h").write_text("Written by deadtime, old")
+    with pytest.raises(dt.ArgumentError, match=f"has a {name} that deadtime did not write"):
+        controller().export_c(tmp_path)
+    assert (tmp_path / name).read_text() == "mine"
+    assert (tmp_path / "controller.h").read_text() == "Written by deadtime, old"
+    with pytest.raises(dt.ArgumentError, match="path must end in .fmu, got"):
+        controller().export_fmu(tmp_path / name)
+
+
+@pytest.mark.parametrize("asked", ["gcc 'a", "no-such-compiler -O2"])
+def test_a_compiler_that_is_none_is_named(tmp_path, monkeypatch, asked):
+    monkeypatch.setenv("CC", asked)
+    message = controller().export_c(tmp_path).check.message
+    assert message == f"not checked: the compiler CC={asked!r} was not found"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"accuracy": -1.0}, "accuracy must be at least 0"),
         ({"accuracy": 1.0}, "accuracy must be at least 0 and below 1"),
         ({"rom_budget": 0}, "rom_budget must be an integer of at least 1"),
+        ({"name": "main"}, "name must not be 'main'"),
+        ({"name": "stdint"}, "name must not be 'stdint'"),
         ({"name": "My law"}, "name must be a C name of lower-case letters"),
         ({"folder": "/proc/c"}, "folder '/proc/c' cannot be written"),
     ],

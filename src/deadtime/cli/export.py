@@ -46,11 +46,12 @@ def export(
     problem
         A problem file, or paper, three-mode, follower.
     c
-        Folder for the C: made if it is not there.
+        Folder for the C: made if it is not there. Files in it that deadtime wrote are replaced;
+        one that lacks "Written by deadtime" is not, and nothing is written.
     fmu
-        FMU of the controller.
+        FMU of the controller, a path in .fmu; replaced if it is there.
     plant_fmu
-        FMU of the plant with its delay, from the problem's x0.
+        FMU of the plant with its delay, from the problem's x0 and u0; the same holds.
     law
         Which of the problem's laws; the first by default.
     step

@@ -310,7 +310,8 @@ class Controller:
         Parameters
         ----------
         folder : path
-            Made if it is not there; files of the same names are replaced.
+            Made if it is not there. Files of the same names are replaced if deadtime wrote
+            them; one that lacks "Written by deadtime" is refused.
         precision : "double" or "float"
             Of all numbers but times.
         accuracy : float
@@ -355,7 +356,7 @@ class Controller:
 
         Parameters
         ----------
-        path : path of the FMU
+        path : path of the FMU, in .fmu
         version : "3.0" or "2.0"
             Of FMI.
         precision, accuracy

@@ -11,6 +11,7 @@ from deadtime.checks import count, number
 from deadtime.errors import ArgumentError
 from deadtime.export.bounds import bounds, largest
 from deadtime.export.compiler import Check, self_check
+from deadtime.export.files import require_own
 from deadtime.export.forms import Form, Precision, form_of, ram_bytes, require_budget, rom_bytes
 from deadtime.export.literals import brackets, hexadecimal, initializer, literal
 from deadtime.version import __version__
@@ -23,6 +24,12 @@ if TYPE_CHECKING:
 
 _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
+_TAKEN = frozenset(
+    # `name.h` must hide no header of the standard library, `name.c` not be main.c
+    "main assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal "
+    "stdalign stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath "
+    "threads time uchar wchar wctype".split()
+)
 _FILES = {
     "controller.h": "{}.h",
     "controller.c": "{}.c",
@@ -75,6 +82,7 @@ def export_c(
     """See `Controller.export_c`."""
     texts, form = c_sources(controller, precision, accuracy, rom_budget, name)
     folder = Path(folder)
+    require_own(folder, texts)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for file, text in texts.items():
@@ -161,6 +169,8 @@ def _require(controller: Controller, precision: str, name: str) -> None:
         raise ArgumentError(
             f"name must be a C name of lower-case letters, digits and _, got {name!r}."
         )
+    if name in _TAKEN:
+        raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
     if controller.law.outputs is not None:
         raise ArgumentError(
             f"law must be a table of the state; {type(controller.law).__name__} has an observer, "

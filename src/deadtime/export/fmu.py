@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import sys
 import tempfile
@@ -19,6 +20,7 @@ from deadtime.checks import count, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.export.c_code import c_sources, environment
 from deadtime.export.compiler import compiled
+from deadtime.export.files import require_suffix
 from deadtime.export.fmi_description import (
     Model,
     Variable,
@@ -180,6 +182,7 @@ def _write(
     """Zip description, sources and, where there is a compiler, a binary for this machine."""
     if version not in ("2.0", "3.0"):
         raise ArgumentError(f"version must be '2.0' or '3.0', got {version!r}.")
+    require_suffix(path, ".fmu")
     wrapper = f"fmi{version[0]}.c"
     sources = sources | {wrapper: _rendered(wrapper, {})}
     kinds = {"reals": "Real", "integers": "Integer", "booleans": "Boolean"}
@@ -198,11 +201,14 @@ def _write(
     if version == "3.0":
         entries["sources/buildDescription.xml"] = build_description(model).encode()
     binary, message = _binary(sources, name, version, entries)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")  # a half-written FMU is never seen
     try:
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
             for file, content in entries.items():
                 archive.writestr(zipfile.ZipInfo(file, _LONG_AGO), content, zipfile.ZIP_DEFLATED)
+        beside.replace(path)
     except OSError as error:
+        beside.unlink(missing_ok=True)
         why = error.strerror
         raise ArgumentError(f"path {str(path)!r} cannot be written: {why}.") from None
     return ExportedFmu(path, version, binary, message)
