@@ -12,7 +12,7 @@ import pytest
 import deadtime as dt
 import plants
 from c_code import needs_compiler
-from deadtime.export import export_plant_fmu
+from deadtime.export import Names, export_plant_fmu
 from deadtime.export.compiler import compiler
 
 fmpy = pytest.importorskip("fmpy")
@@ -284,3 +284,45 @@ def test_calls_that_the_standard_forbids_are_refused_and_change_nothing(tmp_path
             assert slave.get("x[1]") == pytest.approx(expected, rel=1e-14)
         slave.step(0.1 * (1.0 + 1e-15), 0.1)
         slave.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_descriptions_tell_names_units_dependencies_and_inputs_before_the_start(tmp_path, version):
+    names = Names("mine <&>", ("position (m)", "speed", "angle"), ("up", "down", "off"))
+    law, path, u0 = plants.LAWS["mean"](GENERIC), tmp_path / "law.fmu", [0.5, -2.0]
+    run = dt.Controller(law, 0.05, u0=u0)
+    run.export_fmu(path, version=version, u0=u0, names=names)
+    export_plant_fmu(GENERIC, tmp_path / "plant.fmu", version=version, u0=u0, names=names)
+    for file in (path, tmp_path / "plant.fmu"):
+        assert validate_fmu(str(file)) == []
+        found = fmpy.read_model_description(str(file))
+        variables = {v.name: v for v in found.modelVariables}
+        assert variables["time"].unit == "s"
+        assert variables["x[1]"].description.endswith(": position (m)")
+        assert variables["mode"].description.endswith(": 0: up, 1: down, 2: off")
+        assert float(variables["u0[2]"].start) == -2.0
+        assert "mine <&>" in found.modelName
+        assert [one.dependencies for one in found.outputs] == [[]] * len(found.outputs)
+        outputs = {one.variable.name: one.dependencies for one in found.initialUnknowns}
+        name, of = ("u[2]", "u0[2]") if file == path else ("x[2]", "x0[2]")
+        assert [one.name for one in outputs[name]] == [of]
+    slave = Slave(path, tmp_path / "law")
+    assert slave.get("u", 2) == u0
+    rng = np.random.default_rng(1)
+    for k in range(10):
+        x = rng.normal(size=3)
+        slave.set(x=x.tolist())
+        slave.step(0.05 * k, 0.05)
+        plants.close(np.array(slave.get("u", 2)), run.update(x, 0), 1e-12, 10.0)
+    slave.close()
+    with pytest.raises(dt.ArgumentError, match=r"names\.states must be 3 names, got 1"):
+        run.export_fmu(path, names=Names(states=("x",)))
+    with pytest.raises(dt.ArgumentError, match="plant must be a SwitchedSystem, got"):
+        export_plant_fmu(law, path)
+
+
+def test_a_plant_whose_input_changes_too_often_names_the_argument(tmp_path):
+    path = tmp_path / "plant.fmu"
+    export_plant_fmu(plants.scalar([-0.7], delay=1.0), path, changes=4, version="2.0")
+    with zipfile.ZipFile(path) as archive:
+        assert b"with more `changes`" in archive.read("sources/model.c")

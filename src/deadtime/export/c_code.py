@@ -14,6 +14,7 @@ from deadtime.export.compiler import Check, self_check
 from deadtime.export.files import require_own
 from deadtime.export.forms import Form, Precision, form_of, ram_bytes, require_budget, rom_bytes
 from deadtime.export.literals import brackets, hexadecimal, initializer, literal
+from deadtime.export.names import Names, plain
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
@@ -26,9 +27,38 @@ _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
 _TAKEN = frozenset(
     # `name.h` must hide no header of the standard library, `name.c` not be main.c
-    "main assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal "
-    "stdalign stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath "
-    "threads time uchar wchar wctype".split()
+    [
+        "main",
+        "assert",
+        "complex",
+        "ctype",
+        "errno",
+        "fenv",
+        "float",
+        "inttypes",
+        "iso646",
+        "limits",
+        "locale",
+        "math",
+        "setjmp",
+        "signal",
+        "stdalign",
+        "stdarg",
+        "stdatomic",
+        "stdbool",
+        "stddef",
+        "stdint",
+        "stdio",
+        "stdlib",
+        "stdnoreturn",
+        "string",
+        "tgmath",
+        "threads",
+        "time",
+        "uchar",
+        "wchar",
+        "wctype",
+    ]
 )
 _FILES = {
     "controller.h": "{}.h",
@@ -78,9 +108,10 @@ def export_c(
     accuracy: float | None = None,
     rom_budget: int | None = None,
     name: str = "controller",
+    names: Names | None = None,
 ) -> Exported:
     """See `Controller.export_c`."""
-    texts, form = c_sources(controller, precision, accuracy, rom_budget, name)
+    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names or Names())
     folder = Path(folder)
     require_own(folder, texts)
     try:
@@ -109,11 +140,13 @@ def c_sources(
     accuracy: float | None,
     rom_budget: int | None,
     name: str,
+    names: Names,
 ) -> tuple[dict[str, str], Form]:
     """The text of every file, and the form that the table took."""
     from deadtime.export.vectors import vectors
 
     _require(controller, precision, name)
+    names.require(controller.law.plant.states, controller.law.plant.modes)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
@@ -121,14 +154,18 @@ def c_sources(
     form = form_of(controller.table, accuracy, precision, budget)
     require_budget(controller.table, form, precision, budget)
     made = vectors(controller)
-    values = _values(controller, form, precision, name) | {
-        "scale": literal(made.scale, "double"),
-        "tolerance": literal(_TOLERANCE[precision] + form.error, "double"),
-        "line": made.line + 80,
-        "amplitude": literal(made.amplitude, "double"),
-        "mode_age": made.mode_age,
-        "visited": made.rows,
-    }
+    values = (
+        _values(controller, form, precision, name)
+        | _words(controller, names)
+        | {
+            "scale": literal(made.scale, "double"),
+            "tolerance": literal(_TOLERANCE[precision] + form.error, "double"),
+            "line": made.line + 80,
+            "amplitude": literal(made.amplitude, "double"),
+            "mode_age": made.mode_age,
+            "visited": made.rows,
+        }
+    )
     pages = environment("c")
     texts = {
         file.format(name): pages.get_template(f"{template}.j2").render(values)
@@ -196,7 +233,6 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
         "decimal": f"{limits['bound']:.0e}",
-        "title": f'Controller of the law "{controller.law.label}"',
         "version": __version__,
         "p": name,
         "P": name.upper(),
@@ -226,6 +262,21 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
             }
             for key, (array, comment) in arrays.items()
         ],
+    }
+
+
+def _words(controller: Controller, names: Names) -> dict[str, Any]:
+    """What the header's comment says."""
+    import numpy as np
+
+    law, limits = names.title or controller.law.label, "none"
+    if np.isfinite(controller.low).any() or np.isfinite(controller.high).any():
+        limits = f"{controller.low.tolist()} to {controller.high.tolist()}"
+    return {
+        "title": plain(f'Controller of the law "{law}"'),
+        "limits": limits,
+        "state_names": plain(", ".join(f"x[{i}]: {one}" for i, one in enumerate(names.states))),
+        "mode_names": plain(names.all_modes()),
     }
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, real_array, shaped
+from deadtime.checks import bound, count, instance, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.export.c_code import c_sources, environment
 from deadtime.export.compiler import compiled
@@ -30,6 +30,7 @@ from deadtime.export.fmi_description import (
 )
 from deadtime.export.forms import Precision
 from deadtime.export.literals import brackets, initializer, literal
+from deadtime.export.names import Names
 from deadtime.plant import SwitchedSystem
 from deadtime.version import __version__
 
@@ -62,35 +63,54 @@ def export_fmu(
     version: Version = "3.0",
     precision: Precision = "double",
     accuracy: float | None = None,
+    u0: ArrayLike = 0.0,
+    names: Names | None = None,
 ) -> ExportedFmu:
     """See `Controller.export_fmu`."""
     name, plant = "controller", controller.law.plant
-    texts, _ = c_sources(controller, precision, accuracy, None, name)
+    past, names = _finite(u0, plant.inputs), names or Names()
+    texts, _ = c_sources(controller, precision, accuracy, None, name, names)
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
     n, m = plant.states, plant.inputs
     variables = [
         Variable("time", "Real", "independent", "time, s"),
-        *(Variable(f"x[{i}]", "Real", "input", "state at the sample", 0.0) for i in _from1(n)),
+        *(
+            Variable(
+                f"x[{i}]", "Real", "input", _called("state at the sample", names.state(i - 1)), 0.0
+            )
+            for i in _from1(n)
+        ),
         *(
             Variable(f"applied[{i}]", "Real", "input", "what the actuator had", 0.0)
             for i in _from1(m)
         ),
-        *(Variable(f"u[{i}]", "Real", "output", "input, held") for i in _from1(m)),
-        Variable("mode", "Integer", "input", "mode at the sample, from 0", 0),
+        *(
+            Variable(f"u[{i}]", "Real", "output", "input, held", follows=f"u0[{i}]")
+            for i in _from1(m)
+        ),
+        *(
+            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", float(past[i - 1]))
+            for i in _from1(m)
+        ),
+        Variable(
+            "mode", "Integer", "input", _called("mode at the sample, from 0", names.all_modes()), 0
+        ),
         Variable("status", "Integer", "output", "what became of the last sample, 0: all is well"),
         Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
         Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
     ]
     values = {
         "p": name,
+        "begun": initializer(past, "double"),
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
-            "    double start, next; /* of the samples */\n} memory;"
+            "    double start, next; /* of the samples */\n"
+            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} memory;"
         ),
     }
     sources = kept | {"model.c": _rendered("controller_model.c.j2", values)}
-    title = f"Controller: {controller.law.label}"
+    title = f"Controller: {names.title or controller.law.label}"
     return _write(Path(path), version, name, title, controller.step, variables, sources, values)
 
 
@@ -99,8 +119,10 @@ def export_plant_fmu(
     path: str | Path,
     *,
     x0: ArrayLike | None = None,
+    u0: ArrayLike = 0.0,
     version: Version = "3.0",
     changes: int = 4096,
+    names: Names | None = None,
 ) -> ExportedFmu:
     """Write a plant with its input delay as an FMU for co-simulation.
 
@@ -111,36 +133,50 @@ def export_plant_fmu(
     Parameters
     ----------
     plant : SwitchedSystem
-    path : path of the FMU
+    path : path of the FMU, in .fmu
     x0 : (n,), optional
         The state at the start, 0 by default; a parameter of the FMU, too.
+    u0 : number or (m,)
+        The constant input before the start; parameters, too.
     version : "3.0" or "2.0"
         Of FMI.
     changes : int
-        How often the input may change within the delay.
+        How often the input may change within the delay: more than D / h.
+    names : Names, optional
+        Of states and modes, for the descriptions.
 
     Raises
     ------
     ArgumentError
         If the file cannot be written.
     """
-    n, m, name = plant.states, plant.inputs, "plant"
+    instance("plant", plant, SwitchedSystem)
+    n, m, name, names = plant.states, plant.inputs, "plant", names or Names()
+    names.require(n, plant.modes)
+    past = _finite(u0, m)
     start = (
         np.zeros(n) if x0 is None else shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
     )
     variables = [
         Variable("time", "Real", "independent", "time, s"),
         *(Variable(f"u[{i}]", "Real", "input", "input, held over a step", 0.0) for i in _from1(m)),
-        *(Variable(f"x[{i}]", "Real", "output", "state") for i in _from1(n)),
+        *(
+            Variable(
+                f"x[{i}]", "Real", "output", _called("state", names.state(i - 1)), None, f"x0[{i}]"
+            )
+            for i in _from1(n)
+        ),
         *(
             Variable(f"x0[{i}]", "Real", "parameter", "state at the start", float(start[i - 1]))
             for i in _from1(n)
         ),
         *(
-            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", 0.0)
+            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", float(past[i - 1]))
             for i in _from1(m)
         ),
-        Variable("mode", "Integer", "input", "mode over a step, from 0", 0),
+        Variable(
+            "mode", "Integer", "input", _called("mode over a step, from 0", names.all_modes()), 0
+        ),
     ]
     size = count("changes", changes, 2)
     values = {
@@ -153,11 +189,11 @@ def export_plant_fmu(
         ),
         "tables": [
             {"name": key, "shape": brackets(array), "text": initializer(array, "double")}
-            for key, array in (("A", plant.A), ("B", plant.B), ("START", start))
+            for key, array in (("A", plant.A), ("B", plant.B), ("START", start), ("PAST", past))
         ],
     }
     sources = {"model.c": _rendered("plant_model.c.j2", values)}
-    title = f"Plant with a delay of {plant.delay:g} s"
+    title = names.title or f"Plant with a delay of {plant.delay:g} s"
     return _write(Path(path), version, name, title, None, variables, sources, values)
 
 
@@ -165,8 +201,18 @@ def _from1(size: int) -> range:
     return range(1, size + 1)
 
 
+def _called(what: str, name: str) -> str:
+    return f"{what}: {name}" if name else what
+
+
 def _rendered(template: str, values: dict) -> str:
     return environment("fmu").get_template(template).render(values | {"version": __version__})
+
+
+def _finite(u0: ArrayLike, m: int) -> np.ndarray:
+    """A constant input for each of m."""
+    past = bound("u0", u0, m)
+    return real_array("u0", past, "(m,)", 1)
 
 
 def _write(
@@ -186,7 +232,9 @@ def _write(
     wrapper = f"fmi{version[0]}.c"
     sources = sources | {wrapper: _rendered(wrapper, {})}
     kinds = {"reals": "Real", "integers": "Integer", "booleans": "Boolean"}
-    counts: dict[str, Any] = {key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()}
+    counts: dict[str, Any] = {
+        key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()
+    }
     setters = {"input": "INPUT", "parameter": "PARAMETER"}
     counts["setters"] = ", ".join(setters.get(v.causality, "FIXED") for v in variables)
     told = repr((title, variables, sorted(sources.items()))).encode()
