@@ -202,3 +202,12 @@ def test_a_law_too_steep_for_single_precision_is_refused(tmp_path):
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]))
     with pytest.raises(dt.ArgumentError, match='Use precision="double"'):
         dt.Controller(law, 0.01).export_c(tmp_path, precision="float")
+
+
+@needs_compiler
+def test_limits_beyond_the_bound_and_fast_mathematics_are_refused(tmp_path, monkeypatch):
+    run = dt.Controller(plants.LAWS["averaged"](GENERIC), 0.05, limits=(1e20, 1e21))
+    with pytest.raises(dt.ArgumentError, match="limits must leave inputs within"):
+        run.export_c(tmp_path, precision="float")
+    monkeypatch.setenv("CC", "gcc -ffast-math")
+    assert "compile this file without it" in controller().export_c(tmp_path).check.message

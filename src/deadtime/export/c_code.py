@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -221,6 +222,7 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
 
     table, plant = controller.table, controller.law.plant
     limits = bounds(table, form, precision)
+    _require_limits(controller, limits["bound"])
     low = np.clip(controller.low, -limits["bound"], limits["bound"])
     high = np.clip(controller.high, -limits["bound"], limits["bound"])
     arrays = {
@@ -229,6 +231,15 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
     }
+    tables = [
+        {
+            "name": key,
+            "comment": comment,
+            "shape": brackets(array),
+            "text": initializer(array, precision),
+        }
+        for key, (array, comment) in arrays.items()
+    ]
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
@@ -236,7 +247,6 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         "version": __version__,
         "p": name,
         "P": name.upper(),
-        "magic": "d7a1c0de",
         "kind": form.kind,
         "form": description(form)[:1].upper() + description(form)[1:] + ".",
         "real": precision,
@@ -253,16 +263,23 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         "rom": rom_bytes(table, form, precision),
         "ram": ram_bytes(table, form, precision),
         "unroll": 2 * form.state + 10,
-        "tables": [
-            {
-                "name": key,
-                "comment": comment,
-                "shape": brackets(array),
-                "text": initializer(array, precision),
-            }
-            for key, (array, comment) in arrays.items()
-        ],
+        "tables": tables,
+        "magic": _magic(repr((tables, controller.step, table.ages, __version__))),
     }
+
+
+def _require_limits(controller: Controller, most: float) -> None:
+    """Refuse limits that leave nothing of what the C can count."""
+    if (controller.low > most).any() or (controller.high < -most).any():
+        raise ArgumentError(
+            f"limits must leave inputs within {most:.0e}, the bound of the C, got "
+            f"{controller.low.tolist()} and {controller.high.tolist()}."
+        )
+
+
+def _magic(told: str) -> str:
+    """32 bits that tell a law's state from that of another, and from memory that is cleared."""
+    return hashlib.sha256(told.encode()).hexdigest()[:7] + "d"
 
 
 def _words(controller: Controller, names: Names) -> dict[str, Any]:
