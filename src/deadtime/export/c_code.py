@@ -26,40 +26,15 @@ if TYPE_CHECKING:
 
 _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
+# `name.h` must hide no header of the standard library, and `name.c` not be main.c.
 _TAKEN = frozenset(
-    # `name.h` must hide no header of the standard library, `name.c` not be main.c
-    [
+    (
         "main",
-        "assert",
-        "complex",
-        "ctype",
-        "errno",
-        "fenv",
-        "float",
-        "inttypes",
-        "iso646",
-        "limits",
-        "locale",
-        "math",
-        "setjmp",
-        "signal",
-        "stdalign",
-        "stdarg",
-        "stdatomic",
-        "stdbool",
-        "stddef",
-        "stdint",
-        "stdio",
-        "stdlib",
-        "stdnoreturn",
-        "string",
-        "tgmath",
-        "threads",
-        "time",
-        "uchar",
-        "wchar",
-        "wctype",
-    ]
+        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646"),
+        *("limits", "locale", "math", "setjmp", "signal", "stdalign", "stdarg", "stdatomic"),
+        *("stdbool", "stddef", "stdint", "stdio", "stdlib", "stdnoreturn", "string", "tgmath"),
+        *("threads", "time", "uchar", "wchar", "wctype"),
+    )
 )
 _FILES = {
     "controller.h": "{}.h",

@@ -83,7 +83,7 @@ def vectors(controller: Controller) -> Vectors:
 
 
 def _calls(run: Controller, amplitude: float) -> Iterator[_Call]:
-    """(skip, time, mode, x, applied): hostile ones, then good ones through all rows, then clocks."""
+    """(skip, time, mode, x, applied): hostile ones, good ones through all rows, clocks."""
     plant, rng = run.law.plant, np.random.default_rng(0)
     modes = np.repeat(rng.integers(0, plant.modes, _HOSTILE), rng.integers(1, 30, _HOSTILE))
     half, time = _HOSTILE // 2, 0.0
