@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from deadtime.export.files import require_own
 from deadtime.export.forms import Form, Precision, form_of, ram_bytes, require_budget, rom_bytes
 from deadtime.export.literals import brackets, hexadecimal, initializer, literal
 from deadtime.export.names import Names, plain
+from deadtime.export.refusals import require_exportable, require_limits
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
@@ -26,16 +26,6 @@ if TYPE_CHECKING:
 
 _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
-# `name.h` must hide no header of the standard library, and `name.c` not be main.c.
-_TAKEN = frozenset(
-    (
-        "main",
-        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646"),
-        *("limits", "locale", "math", "setjmp", "signal", "stdalign", "stdarg", "stdatomic"),
-        *("stdbool", "stddef", "stdint", "stdio", "stdlib", "stdnoreturn", "string", "tgmath"),
-        *("threads", "time", "uchar", "wchar", "wctype"),
-    )
-)
 _FILES = {
     "controller.h": "{}.h",
     "controller.c": "{}.c",
@@ -121,7 +111,7 @@ def c_sources(
     """The text of every file, and the form that the table took."""
     from deadtime.export.vectors import vectors
 
-    _require(controller, precision, name)
+    require_exportable(controller, precision, name)
     names.require(controller.law.plant.states, controller.law.plant.modes)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if not 0.0 <= accuracy < 1.0:
@@ -174,30 +164,13 @@ def description(form: Form) -> str:
     return "dense: a period costs one product a past input"
 
 
-def _require(controller: Controller, precision: str, name: str) -> None:
-    """Refuse what has no C."""
-    if precision not in _ACCURACY:
-        raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
-    if not re.fullmatch("[a-z][a-z0-9_]{0,30}", name):
-        raise ArgumentError(
-            f"name must be a C name of lower-case letters, digits and _, got {name!r}."
-        )
-    if name in _TAKEN:
-        raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
-    if controller.law.outputs is not None:
-        raise ArgumentError(
-            f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
-            "which has no C: export its law, and run the observer before it."
-        )
-
-
 def _values(controller: Controller, form: Form, precision: Precision, name: str) -> dict[str, Any]:
     """What the templates are filled with."""
     import numpy as np
 
     table, plant = controller.table, controller.law.plant
     limits = bounds(table, form, precision)
-    _require_limits(controller, limits["bound"])
+    require_limits(controller, limits["bound"])
     low = np.clip(controller.low, -limits["bound"], limits["bound"])
     high = np.clip(controller.high, -limits["bound"], limits["bound"])
     arrays = {
@@ -241,15 +214,6 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         "tables": tables,
         "magic": _magic(repr((tables, controller.step, table.ages, __version__))),
     }
-
-
-def _require_limits(controller: Controller, most: float) -> None:
-    """Refuse limits that leave nothing of what the C can count."""
-    if (controller.low > most).any() or (controller.high < -most).any():
-        raise ArgumentError(
-            f"limits must leave inputs within {most:.0e}, the bound of the C, got "
-            f"{controller.low.tolist()} and {controller.high.tolist()}."
-        )
 
 
 def _magic(told: str) -> str:
