@@ -8,7 +8,8 @@ from c_code import needs_compiler
 from deadtime.cli import main
 from deadtime.export import compiler
 
-SATURATION = '\n[[imperfection]]\nkind = "saturation"\nlow = -20.0\nhigh = 20.0\n'
+SATURATION = '\n[[imperfection]]\nkind = "saturation"\nlow = -20.0\nhigh = 30.0\n'
+SATURATION += '\n[[imperfection]]\nkind = "saturation"\nlow = -25.0\nhigh = 20.0\n'
 
 
 def run(capsys, *arguments):
@@ -45,6 +46,11 @@ def test_json_says_what_was_written(tmp_path, monkeypatch, capsys):
     assert (code, err) == (0, "")
     record = json.loads(out)
     assert record["step"] == 0.01
+    assert record["law"] == "mode 0 only"
+    header = (tmp_path / "out" / "law.h").read_text()
+    assert 'Controller of the law "mode 0 only"' in header
+    assert "   States: x[0]: x" in header
+    assert "   Limits of the inputs: none." in header
     assert record["c"]["passed"] is None
     assert "typedef float law_real;" in (tmp_path / "out" / "law.h").read_text()
     assert record["c"]["rom"] < 200

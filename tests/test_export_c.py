@@ -250,6 +250,36 @@ def test_before_a_reset_and_after_damage_it_says_not_ready_and_rests(tmp_path):
     assert (library.run(x, modes)[1] == 10).all()
 
 
+@pytest.mark.parametrize("step", [0.0066, 0.05])
+def test_damaged_inputs_are_said_and_pass(tmp_path, step):
+    """NaN in the input in force, or in the ring: u stays finite and within the limits."""
+    law, limits = plants.LAWS["averaged"](GENERIC), (0.25, 20.0)
+    _, library = compiled(tmp_path, law, step, limits=limits)
+    taps = law.digital(step).taps
+    x, modes, applied = recorded(GENERIC, 3 * taps)
+    u, status = library.run(np.full((1, 3), math.nan), modes[:1])
+    assert (u.tolist(), status.tolist()) == ([[0.25, 0.25]], [Status.BAD_STATE])
+    held = 64
+    for first, last in ((held, held + 16), (held + 16, held + 16 + 8 * 2 * taps)):
+        library.run(x, modes, applied)
+        damaged = bytearray(library.state.raw)
+        damaged[first:last] = np.full((last - first) // 8, np.nan).tobytes()
+        library.state.raw = bytes(damaged)
+        found, status = library.run(x, modes, [None, *applied[1:]])
+        assert np.isfinite(found).all()
+        assert (found >= 0.25).all()
+        assert (found <= 20.0).all()
+        assert status[0] == 9
+        assert set(status.tolist()) <= {0, 1, 9}
+        assert (status[-taps:] <= Status.SATURATED).all()
+        library.reset()
+    kept = library.state.raw
+    (tmp_path / "other").mkdir()
+    other = dt.AveragedPredictor(GENERIC, 1.01 * plants.gains(GENERIC), allow_unstable=True)
+    _, another = compiled(tmp_path / "other", other, step, limits=limits)
+    assert another.call("restore", kept) == 10
+
+
 def test_a_copy_of_the_state_is_a_warm_restart_to_the_last_bit(tmp_path):
     for name in ("averaged", "averaged, dwell-aware"):
         _, library = compiled(tmp_path, plants.LAWS[name](GENERIC), 0.0066)

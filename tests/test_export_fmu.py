@@ -12,7 +12,7 @@ import pytest
 import deadtime as dt
 import plants
 from c_code import needs_compiler
-from deadtime.export import export_plant_fmu
+from deadtime.export import Names, export_plant_fmu
 from deadtime.export.compiler import compiler
 
 fmpy = pytest.importorskip("fmpy")
@@ -28,7 +28,7 @@ X0 = [1.0, -1.0, 0.5]
 class Slave:
     """An FMU under FMPy, with variables by name."""
 
-    def __init__(self, path, folder, start=None):
+    def __init__(self, path, folder, start=None, begin=0.0, ready=True):
         self.description = fmpy.read_model_description(str(path))
         self.version = self.description.fmiVersion
         where = fmpy.extract(str(path), unzipdir=str(folder))
@@ -42,9 +42,19 @@ class Slave:
         self.variables = {v.name: v for v in self.description.modelVariables}
         self.fmu.instantiate()
         self.set(**(start or {}))
+        if ready:
+            self.initialize(begin, {})
+
+    def initialize(self, begin, start):
+        """Values set in initialization mode are seen in it."""
         if self.version == "2.0":
-            self.fmu.setupExperiment(startTime=0.0)
-        self.fmu.enterInitializationMode()
+            self.fmu.setupExperiment(startTime=begin)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=begin)
+        if start:
+            self.set(x0=[4.0], **start)
+            assert self.get("x[1]") == 4.0
         self.fmu.exitInitializationMode()
 
     def set(self, **values):
@@ -226,3 +236,93 @@ def test_sources_build_without_deadtime(tmp_path):
     sources = sorted(map(str, (tmp_path / "sources").glob("*.c")))
     command = [*compiler(), "-std=c99", "-shared", "-fPIC", *sources, "-o", str(tmp_path / "x.so")]
     subprocess.run(command, check=True)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize(("begin", "count"), [(1e3, 300), (1e6, 3000)])
+def test_a_master_that_adds_up_its_time_gets_a_sample_a_step(tmp_path, version, begin, count):
+    """Round-off of the sum is far above that of k h, and at 1e6 s above 1e-7 h."""
+    law, path, step = plants.LAWS["averaged"](GENERIC), tmp_path / "law.fmu", 0.001
+    dt.Controller(law, step).export_fmu(path, version=version)
+    slave = Slave(path, tmp_path / "law", begin=begin)
+    controller, time = dt.Controller(law, step), begin
+    x = np.random.default_rng(4).normal(size=(count, 3)).round(3)
+    for k in range(count):
+        slave.set(x=x[k].tolist())
+        slave.step(time, step)
+        time += step
+        u = controller.update(x[k])
+        plants.close(np.array(slave.get("u", 2)), u, 1e-9, np.abs(u).max())
+    assert abs(time - begin - count * step) > 1e-12
+    slave.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_calls_that_the_standard_forbids_are_refused_and_change_nothing(tmp_path, version):
+    plant, law = plants.scalar([-0.7], 1.3, delay=0.3), tmp_path / "law.fmu"
+    dt.Controller(plants.LAWS["averaged"](GENERIC), 0.01).export_fmu(law, version=version)
+    path = tmp_path / "plant.fmu"
+    export_plant_fmu(plant, path, x0=[2.0], version=version)
+    for file, first in ((path, 2.0), (law, None)):
+        slave = Slave(file, tmp_path / file.stem, ready=False)
+        if first:
+            slave.set(x0=[3.0])
+        with pytest.raises(Exception, match="status 3"):
+            slave.step(0.0, 0.1)
+        slave.initialize(0.0, {"u0": [1.0]} if first else {})
+        if first:
+            assert slave.get("x", 1) == [4.0]
+        slave.step(0.0, 0.1)
+        for time, size in ((0.2, 0.1), (0.1, np.inf), (0.1, np.nan), (np.nan, 0.1), (0.1, -0.1)):
+            with pytest.raises(Exception, match="status 3"):
+                slave.step(time, size)
+        for name in ("time", "x0[1]" if first else "u[1]", "x[1]" if first else "status"):
+            with pytest.raises(Exception, match="status 3"):
+                slave.set(**{name: 1})
+        if first:
+            expected = 4.0 * np.exp(-0.07) + 1.3 / 0.7 * (1.0 - np.exp(-0.07))
+            assert slave.get("x[1]") == pytest.approx(expected, rel=1e-14)
+        slave.step(0.1 * (1.0 + 1e-15), 0.1)
+        slave.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_descriptions_tell_names_units_dependencies_and_inputs_before_the_start(tmp_path, version):
+    names = Names("mine <&>", ("position (m)", "speed", "angle"), ("up", "down", "off"))
+    law, path, u0 = plants.LAWS["mean"](GENERIC), tmp_path / "law.fmu", [0.5, -2.0]
+    run = dt.Controller(law, 0.05, u0=u0)
+    run.export_fmu(path, version=version, u0=u0, names=names)
+    export_plant_fmu(GENERIC, tmp_path / "plant.fmu", version=version, u0=u0, names=names)
+    for file in (path, tmp_path / "plant.fmu"):
+        assert validate_fmu(str(file)) == []
+        found = fmpy.read_model_description(str(file))
+        variables = {v.name: v for v in found.modelVariables}
+        assert variables["time"].unit == "s"
+        assert variables["x[1]"].description.endswith(": position (m)")
+        assert variables["mode"].description.endswith(": 0: up, 1: down, 2: off")
+        assert float(variables["u0[2]"].start) == -2.0
+        assert "mine <&>" in found.modelName
+        assert [one.dependencies for one in found.outputs] == [[]] * len(found.outputs)
+        outputs = {one.variable.name: one.dependencies for one in found.initialUnknowns}
+        name, of = ("u[2]", "u0[2]") if file == path else ("x[2]", "x0[2]")
+        assert [one.name for one in outputs[name]] == [of]
+    slave = Slave(path, tmp_path / "law")
+    assert slave.get("u", 2) == u0
+    rng = np.random.default_rng(1)
+    for k in range(10):
+        x = rng.normal(size=3)
+        slave.set(x=x.tolist())
+        slave.step(0.05 * k, 0.05)
+        plants.close(np.array(slave.get("u", 2)), run.update(x, 0), 1e-12, 10.0)
+    slave.close()
+    with pytest.raises(dt.ArgumentError, match=r"names\.states must be 3 names, got 1"):
+        run.export_fmu(path, names=Names(states=("x",)))
+    with pytest.raises(dt.ArgumentError, match="plant must be a SwitchedSystem, got"):
+        export_plant_fmu(law, path)
+
+
+def test_a_plant_whose_input_changes_too_often_names_the_argument(tmp_path):
+    path = tmp_path / "plant.fmu"
+    export_plant_fmu(plants.scalar([-0.7], delay=1.0), path, changes=4, version="2.0")
+    with zipfile.ZipFile(path) as archive:
+        assert b"with more `changes`" in archive.read("sources/model.c")

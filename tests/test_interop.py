@@ -57,3 +57,9 @@ def test_what_is_no_table_and_what_is_no_mode_are_refused_by_name():
     system = interop.plant_to_control(GENERIC, STEP)
     with pytest.raises(dt.ArgumentError, match=r"mode must be in 0\.\.2 at every sample, got 7"):
         system.dynamics(0.0, np.zeros(system.nstates), np.array([0.0, 0.0, 7.0]))
+
+
+def test_a_law_of_another_plant_is_refused_before_anything_runs():
+    law = plants.LAWS["averaged"](GENERIC)
+    with pytest.raises(dt.ArgumentError, match="law"):
+        interop.loop_to_control(plants.scalar([0.3, 0.2, 0.1]), law, STEP)

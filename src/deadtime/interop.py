@@ -15,7 +15,7 @@ from jaxtyping import Float
 from deadtime.checks import count, instance, positive
 from deadtime.errors import ArgumentError
 from deadtime.laws import ExactPredictor
-from deadtime.laws.base import Law, TableLaw
+from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
 
@@ -106,6 +106,7 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
 
     from deadtime.exponential import held_modes
 
+    instance("plant", plant, SwitchedSystem)
     window = Window.of(plant.delay, positive("step", step))
     rest = window.step - window.phase
     n, m, N = plant.states, plant.inputs, window.count
@@ -159,6 +160,9 @@ def loop_to_control(
     """
     import control
 
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    require_match(plant, law)
     one, other = plant_to_control(plant, step), law_to_control(law, step)
     signals = [*one.output_labels, *other.output_labels]
     loop = control.interconnect(

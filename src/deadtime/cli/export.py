@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -46,11 +47,12 @@ def export(
     problem
         A problem file, or paper, three-mode, follower.
     c
-        Folder for the C: made if it is not there.
+        Folder for the C: made if it is not there. Files in it that deadtime wrote are replaced;
+        one that lacks "Written by deadtime" is not, and nothing is written.
     fmu
-        FMU of the controller.
+        FMU of the controller, a path in .fmu; replaced if it is there.
     plant_fmu
-        FMU of the plant with its delay, from the problem's x0.
+        FMU of the plant with its delay, from the problem's x0 and u0; the same holds.
     law
         Which of the problem's laws; the first by default.
     step
@@ -70,27 +72,46 @@ def export(
     """
     if c is None and fmu is None and plant_fmu is None:
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
+    from deadtime.export import Names
+
     chosen = problem_of(problem)
     controller = _controller(chosen, law, step)
     precision = "float" if single else "double"
-    lines = [f"{chosen.title}: law {controller.law.label}, {_limited(controller)}"]
-    record: dict[str, Any] = {"law": controller.law.label, "step": controller.step}
+    called = next(iter(chosen.laws)) if law is None else law
+    names = Names(called, chosen.states, chosen.modes)
+    lines = [f"{chosen.title}: law {called}, {_limited(controller)}"]
+    record: dict[str, Any] = {"law": called, "step": controller.step}
     passed = True
     if c is not None:
         written = controller.export_c(
-            c, precision=precision, accuracy=accuracy, rom_budget=rom_budget, name=name
+            c,
+            precision=precision,
+            accuracy=accuracy,
+            rom_budget=rom_budget,
+            name=name,
+            names=names,
         )
         passed = written.check.passed is not False
         lines += _c_lines(written, precision)
         record["c"] = _c_record(written)
     if fmu is not None:
-        made = controller.export_fmu(fmu, version=fmi, precision=precision, accuracy=accuracy)
+        made = controller.export_fmu(
+            fmu, version=fmi, precision=precision, accuracy=accuracy, u0=chosen.u0, names=names
+        )
         lines.append(f"FMU of the controller: {made}")
         record["fmu"] = _fmu_record(made)
     if plant_fmu is not None:
         from deadtime.export import export_plant_fmu
 
-        made = export_plant_fmu(chosen.plant, plant_fmu, x0=chosen.x0, version=fmi)
+        made = export_plant_fmu(
+            chosen.plant,
+            plant_fmu,
+            x0=chosen.x0,
+            u0=chosen.u0,
+            version=fmi,
+            changes=max(4096, 2 * math.ceil(chosen.plant.delay / controller.step)),
+            names=Names(f"Plant: {chosen.title}", chosen.states, chosen.modes),
+        )
         lines.append(f"FMU of the plant: {made}")
         record["plant_fmu"] = _fmu_record(made)
     print(json.dumps(record, indent=2, ensure_ascii=False) if json_output else "\n".join(lines))
@@ -125,6 +146,9 @@ def _fmu_record(made: ExportedFmu) -> dict[str, Any]:
 
 def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:
     """The controller of a law of the problem, within the limits of its saturation."""
+    import numpy as np
+
+    from deadtime.checks import bound
     from deadtime.controller import Controller
     from deadtime.imperfections import Saturation
 
@@ -132,7 +156,14 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     if name not in problem.laws:
         raise ArgumentError(f"law must be one of {', '.join(problem.laws)}, got {law!r}.")
     found = [one for one in problem.imperfections if isinstance(one, Saturation)]
-    limits = (found[0].low, found[0].high) if found else None
+    m = problem.plant.inputs
+    limits = None
+    if found:  # one after the other: what all of them allow
+        low = np.max([bound("low", one.low, m) for one in found], axis=0)
+        high = np.min([bound("high", one.high, m) for one in found], axis=0)
+        if (low > high).any():
+            raise ArgumentError("the problem's saturations have no input in common.")
+        limits = (low, high)
     period = problem.step or 0.01 if step is None else step
     return Controller(problem.laws[name], period, limits=limits)
 

@@ -21,7 +21,7 @@ from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 if TYPE_CHECKING:
-    from deadtime.export import Exported, ExportedFmu
+    from deadtime.export import Exported, ExportedFmu, Names
 
 
 class Controller:
@@ -301,16 +301,19 @@ class Controller:
         accuracy: float | None = None,
         rom_budget: int | None = None,
         name: str = "controller",
+        names: Names | None = None,
     ) -> Exported:
         """Write this controller as self-contained C99, with a check of itself.
 
         The C does what `update` does: limits, applied inputs, modes and their age, refusals, clock
-        and status. It begins anew (its `reset` takes inputs before the first call).
+        and status. It begins anew : u0 and mode_age are not written, its `reset`
+        takes the inputs before the first call and the age.
 
         Parameters
         ----------
         folder : path
-            Made if it is not there; files of the same names are replaced.
+            Made if it is not there. Files of the same names are replaced if deadtime wrote
+            them; one that lacks "Written by deadtime" is refused.
         precision : "double" or "float"
             Of all numbers but times.
         accuracy : float
@@ -320,6 +323,8 @@ class Controller:
             Bytes that the tables may take.
         name : str
             Of the files, and the prefix of all names in them.
+        names : deadtime.export.Names, optional
+            Of the law, its states and modes, for the header's comment.
 
         Raises
         ------
@@ -336,6 +341,7 @@ class Controller:
             accuracy=accuracy,
             rom_budget=rom_budget,
             name=name,
+            names=names,
         )
 
     def export_fmu(
@@ -345,6 +351,8 @@ class Controller:
         version: Literal["3.0", "2.0"] = "3.0",
         precision: Literal["double", "float"] = "double",
         accuracy: float | None = None,
+        u0: ArrayLike = 0.0,
+        names: Names | None = None,
     ) -> ExportedFmu:
         """Write this controller as an FMU for co-simulation, around the C of `export_c`.
 
@@ -355,11 +363,13 @@ class Controller:
 
         Parameters
         ----------
-        path : path of the FMU
+        path : path of the FMU, in .fmu
         version : "3.0" or "2.0"
             Of FMI.
-        precision, accuracy
+        precision, accuracy, names
             As in `export_c`.
+        u0 : number or (m,)
+            The constant input before the start; parameters u0[i] of the FMU, too.
 
         Raises
         ------
@@ -368,7 +378,15 @@ class Controller:
         """
         from deadtime.export import export_fmu
 
-        return export_fmu(self, path, version=version, precision=precision, accuracy=accuracy)
+        return export_fmu(
+            self,
+            path,
+            version=version,
+            precision=precision,
+            accuracy=accuracy,
+            u0=u0,
+            names=names,
+        )
 
     def __repr__(self) -> str:
         return f"Controller({self.law.label}; step={self.step:g}, {self.table!r})"

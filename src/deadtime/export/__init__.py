@@ -2,5 +2,6 @@
 
 from deadtime.export.c_code import Exported, export_c
 from deadtime.export.fmu import ExportedFmu, export_fmu, export_plant_fmu
+from deadtime.export.names import Names
 
-__all__ = ["Exported", "ExportedFmu", "export_c", "export_fmu", "export_plant_fmu"]
+__all__ = ["Exported", "ExportedFmu", "Names", "export_c", "export_fmu", "export_plant_fmu"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +11,11 @@ from deadtime.checks import count, number
 from deadtime.errors import ArgumentError
 from deadtime.export.bounds import bounds, largest
 from deadtime.export.compiler import Check, self_check
+from deadtime.export.files import require_own
 from deadtime.export.forms import Form, Precision, form_of, ram_bytes, require_budget, rom_bytes
 from deadtime.export.literals import brackets, hexadecimal, initializer, literal
+from deadtime.export.names import Names, plain
+from deadtime.export.refusals import require_exportable, require_limits
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
@@ -71,10 +74,12 @@ def export_c(
     accuracy: float | None = None,
     rom_budget: int | None = None,
     name: str = "controller",
+    names: Names | None = None,
 ) -> Exported:
     """See `Controller.export_c`."""
-    texts, form = c_sources(controller, precision, accuracy, rom_budget, name)
+    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names or Names())
     folder = Path(folder)
+    require_own(folder, texts)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for file, text in texts.items():
@@ -101,29 +106,38 @@ def c_sources(
     accuracy: float | None,
     rom_budget: int | None,
     name: str,
+    names: Names,
 ) -> tuple[dict[str, str], Form]:
     """The text of every file, and the form that the table took."""
     from deadtime.export.vectors import vectors
 
-    _require(controller, precision, name)
+    require_exportable(controller, precision, name)
+    names.require(controller.law.plant.states, controller.law.plant.modes)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
-    if accuracy < 0.0:
-        raise ArgumentError(f"accuracy must be at least 0, got {accuracy:g}.")
+    if not 0.0 <= accuracy < 1.0:
+        raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
     form = form_of(controller.table, accuracy, precision, budget)
     require_budget(controller.table, form, precision, budget)
-    csv, scale, longest = vectors(controller)
-    values = _values(controller, form, precision, name) | {
-        "scale": literal(scale, "double"),
-        "tolerance": literal(_TOLERANCE[precision] + accuracy, "double"),
-        "line": longest + 80,
-    }
+    made = vectors(controller)
+    values = (
+        _values(controller, form, precision, name)
+        | _words(controller, names)
+        | {
+            "scale": literal(made.scale, "double"),
+            "tolerance": literal(_TOLERANCE[precision] + form.error, "double"),
+            "line": made.line + 80,
+            "amplitude": literal(made.amplitude, "double"),
+            "mode_age": made.mode_age,
+            "visited": made.rows,
+        }
+    )
     pages = environment("c")
     texts = {
         file.format(name): pages.get_template(f"{template}.j2").render(values)
         for template, file in _FILES.items()
     }
-    return texts | {f"{name}_vectors.csv": csv}, form
+    return texts | {f"{name}_vectors.csv": made.csv}, form
 
 
 def environment(folder: str) -> Environment:
@@ -150,27 +164,13 @@ def description(form: Form) -> str:
     return "dense: a period costs one product a past input"
 
 
-def _require(controller: Controller, precision: str, name: str) -> None:
-    """Refuse what has no C."""
-    if precision not in _ACCURACY:
-        raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
-    if not re.fullmatch("[a-z][a-z0-9_]{0,30}", name):
-        raise ArgumentError(
-            f"name must be a C name of lower-case letters, digits and _, got {name!r}."
-        )
-    if controller.law.outputs is not None:
-        raise ArgumentError(
-            f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
-            "which has no C: export its law, and run the observer before it."
-        )
-
-
 def _values(controller: Controller, form: Form, precision: Precision, name: str) -> dict[str, Any]:
     """What the templates are filled with."""
     import numpy as np
 
     table, plant = controller.table, controller.law.plant
     limits = bounds(table, form, precision)
+    require_limits(controller, limits["bound"])
     low = np.clip(controller.low, -limits["bound"], limits["bound"])
     high = np.clip(controller.high, -limits["bound"], limits["bound"])
     arrays = {
@@ -179,15 +179,22 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
     }
+    tables = [
+        {
+            "name": key,
+            "comment": comment,
+            "shape": brackets(array),
+            "text": initializer(array, precision),
+        }
+        for key, (array, comment) in arrays.items()
+    ]
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
         "decimal": f"{limits['bound']:.0e}",
-        "title": f'Controller of the law "{controller.law.label}"',
         "version": __version__,
         "p": name,
         "P": name.upper(),
-        "magic": "d7a1c0de",
         "kind": form.kind,
         "form": description(form)[:1].upper() + description(form)[1:] + ".",
         "real": precision,
@@ -204,15 +211,28 @@ def _values(controller: Controller, form: Form, precision: Precision, name: str)
         "rom": rom_bytes(table, form, precision),
         "ram": ram_bytes(table, form, precision),
         "unroll": 2 * form.state + 10,
-        "tables": [
-            {
-                "name": key,
-                "comment": comment,
-                "shape": brackets(array),
-                "text": initializer(array, precision),
-            }
-            for key, (array, comment) in arrays.items()
-        ],
+        "tables": tables,
+        "magic": _magic(repr((tables, controller.step, table.ages, __version__))),
+    }
+
+
+def _magic(told: str) -> str:
+    """32 bits that tell a law's state from that of another, and from memory that is cleared."""
+    return hashlib.sha256(told.encode()).hexdigest()[:7] + "d"
+
+
+def _words(controller: Controller, names: Names) -> dict[str, Any]:
+    """What the header's comment says."""
+    import numpy as np
+
+    law, limits = names.title or controller.law.label, "none"
+    if np.isfinite(controller.low).any() or np.isfinite(controller.high).any():
+        limits = f"{controller.low.tolist()} to {controller.high.tolist()}"
+    return {
+        "title": plain(f'Controller of the law "{law}"'),
+        "limits": limits,
+        "state_names": plain(", ".join(f"x[{i}]: {one}" for i, one in enumerate(names.states))),
+        "mode_names": plain(names.all_modes()),
     }
 
 

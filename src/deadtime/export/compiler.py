@@ -23,19 +23,30 @@ class Check(NamedTuple):
 
 def compiler() -> list[str] | None:
     """The command that compiles C: $CC, or cc, gcc or clang where there is one."""
-    asked = os.environ.get("CC")
+    asked = os.environ.get("CC", "").strip()
     for command in [asked] if asked else ["cc", "gcc", "clang"]:
-        words = shlex.split(command)
+        try:
+            words = shlex.split(command)
+        except ValueError:  # a quotation that does not end
+            return None
         if words and shutil.which(words[0]):
             return words
     return None
+
+
+def no_compiler() -> str:
+    """Why there is none."""
+    asked = os.environ.get("CC", "").strip()
+    if asked:
+        return f"the compiler CC={asked!r} was not found"
+    return "no C compiler was found (set CC)"
 
 
 def compiled(sources: list[Path], target: Path, *options: str) -> str | None:
     """Compile and link; what the compiler complains of, or None."""
     command = compiler()
     if command is None:
-        return "no C compiler was found (set CC)"
+        return no_compiler()
     files = [str(path) for path in sources]
     try:
         result = subprocess.run(
@@ -54,7 +65,7 @@ def self_check(folder: Path, name: str) -> Check:
     """Compile the controller with its check, outside the folder, and run the vectors."""
     command = compiler()
     if command is None:
-        return Check(None, "not checked: no C compiler was found (set CC)")
+        return Check(None, f"not checked: {no_compiler()}")
     with tempfile.TemporaryDirectory() as place:
         program = Path(place) / "check"
         sources = [folder / f"{name}.c", folder / f"{name}_check.c"]

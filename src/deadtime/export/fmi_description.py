@@ -20,6 +20,7 @@ class Variable(NamedTuple):
     causality: Literal["independent", "input", "output", "parameter"]
     description: str
     start: float | int | bool | None = None
+    follows: str | None = None  # the parameter that gives an output's initial value
 
 
 class Model(NamedTuple):
@@ -62,6 +63,8 @@ def description(model: Model, variables: Sequence[Variable], version: Version) -
         files = xml.SubElement(simulation, "SourceFiles")
         for name in model.sources:
             xml.SubElement(files, "File", {"name": name})
+    units = xml.SubElement(root, "UnitDefinitions")
+    xml.SubElement(xml.SubElement(units, "Unit", {"name": "s"}), "BaseUnit", {"s": "1"})
     experiment = {"startTime": "0"} | ({} if model.step is None else {"stepSize": repr(model.step)})
     xml.SubElement(root, "DefaultExperiment", experiment)
     listed = xml.SubElement(root, "ModelVariables")
@@ -116,25 +119,32 @@ def _start(variable: Variable) -> dict[str, str]:
     return {"start": str(start).lower() if isinstance(start, bool) else repr(start)}
 
 
+def _unit(variable: Variable) -> dict[str, str]:
+    """Of time alone: of states and inputs the descriptions say what the problem says."""
+    return {"unit": "s"} if variable.causality == "independent" else {}
+
+
 def _variable2(listed: xml.Element, variable: Variable, reference: int) -> None:
     scalar = xml.SubElement(listed, "ScalarVariable", _common(variable, reference))
-    xml.SubElement(scalar, variable.kind, _start(variable))
+    xml.SubElement(scalar, variable.kind, _start(variable) | _unit(variable))
 
 
 def _variable3(listed: xml.Element, variable: Variable, reference: int) -> None:
-    attributes = _common(variable, reference) | _start(variable)
+    attributes = _common(variable, reference) | _start(variable) | _unit(variable)
     xml.SubElement(listed, _KINDS[variable.kind], attributes)
 
 
 def _structure(root: xml.Element, variables: Sequence[Variable], version: Version) -> None:
+    """Outputs depend on no input directly: what is set works in the step that follows."""
     structure = xml.SubElement(root, "ModelStructure")
     outputs = [i for i, variable in enumerate(variables) if variable.causality == "output"]
-    if version == "3.0":
-        for name in ("Output", "InitialUnknown"):
-            for i in outputs:
-                xml.SubElement(structure, name, {"valueReference": str(i)})
-        return
-    for name in ("Outputs", "InitialUnknowns"):
-        group = xml.SubElement(structure, name)
+    names = [variable.name for variable in variables]
+    first = 1 if version == "2.0" else 0  # an index, or a value reference
+    key = "index" if version == "2.0" else "valueReference"
+    for group in ("Output", "InitialUnknown"):
+        parent = structure if version == "3.0" else xml.SubElement(structure, f"{group}s")
         for i in outputs:
-            xml.SubElement(group, "Unknown", {"index": str(i + 1)})
+            of = variables[i].follows if group == "InitialUnknown" else None
+            depends = "" if of is None else str(names.index(of) + first)
+            attributes = {key: str(i + first), "dependencies": depends}
+            xml.SubElement(parent, group if version == "3.0" else "Unknown", attributes)

@@ -24,6 +24,7 @@ from deadtime.feedback import Feedback
 Precision = Literal["double", "float"]
 BYTES = {"double": 8, "float": 4}
 DTYPE = {"double": np.float64, "float": np.float32}
+_MOST_ERROR = 1e-2  # that is offered
 _COUNTERS = 80  # bytes of integers and clock in a controller's state
 
 
@@ -137,17 +138,20 @@ def require_budget(table: Feedback, form: Form, precision: Precision, budget: in
     if precision == "double" and rom_bytes(table, form, "float") <= budget:
         fits.append(f'precision="float" ({rom_bytes(table, form, "float")} bytes)')
     if form.kind != "factorised":
-        kept = [one for one in low_ranks(table) if rom_bytes(table, one, precision) <= budget]
+        kept = [
+            one
+            for one in low_ranks(table)
+            if rom_bytes(table, one, precision) <= budget and one.error <= _MOST_ERROR
+        ]
         if kept:
             best = min(kept, key=lambda one: one.error)
             fits.append(
                 f"accuracy={_rounded_up(best.error):.0e} (rank {best.sizes['rank']}, "
                 f"{rom_bytes(table, best, precision)} bytes)"
             )
-        each = needed / (table.taps * table.input_gain.shape[2])
-        taps = int(budget / each)
+        taps = _fewer_taps(table, precision, budget)
         if taps:
-            fits.append(f"about {taps} past inputs, a period of {_period(table, taps):.2g} s")
+            fits.append(f"{taps} past inputs, a period of {_period(table, taps)} s")
     raise ArgumentError(
         f"rom_budget = {budget} bytes is too small: the tables take {needed} ({form.kind}, "
         f"{table.taps} past inputs, {len(table.state_gain)} rows); "
@@ -157,9 +161,26 @@ def require_budget(table: Feedback, form: Form, precision: Precision, budget: in
 
 def _rounded_up(error: float) -> float:
     """To one digit, never below."""
+    if error == 0.0:
+        return 0.0
     unit = 10.0 ** np.floor(np.log10(error))
     return float(np.ceil(error / unit * (1.0 + 1e-9)) * unit)
 
 
-def _period(table: Feedback, taps: int) -> float:
-    return table.step * table.taps / taps
+def _fewer_taps(table: Feedback, precision: Precision, budget: int) -> int:
+    """The most past inputs whose dense table fits; ages of a mode shrink with the window."""
+    contexts, taps, m, _ = table.input_gain.shape
+    n = table.state_gain.shape[2]
+    for fewer in range(taps - 1, 0, -1):
+        ages = min(table.ages, table.ages * fewer // taps + 2)
+        rows = contexts // table.ages * ages
+        if BYTES[precision] * (rows * m * (fewer * m + n) + 2 * m) <= budget:
+            return fewer
+    return 0
+
+
+def _period(table: Feedback, taps: int) -> str:
+    """The period of so many past inputs, to four digits, never below."""
+    period = table.step * table.taps / taps
+    unit = 10.0 ** (np.floor(np.log10(period)) - 3)
+    return f"{np.ceil(period / unit) * unit:.4g}"

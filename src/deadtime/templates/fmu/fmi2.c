@@ -36,7 +36,6 @@ typedef struct {
 
 typedef struct {
     model m;
-    double start, time;
     fmi2CallbackFunctions callbacks;
     char name[64];
 } instance;
@@ -51,6 +50,38 @@ static fmi2Status answer(instance *c, const char *complaint)
                             "%s", complaint);
     }
     return fmi2Error;
+}
+
+static const char setters[] = MODEL_SETTERS;
+
+/* Whether a variable may be set now. */
+static int settable(const instance *c, fmi2ValueReference vr)
+{
+    return setters[vr] == INPUT || (setters[vr] == PARAMETER && c->m.phase < STEPPING);
+}
+
+/* What is read in initialization mode follows what has been set. */
+static void follow(instance *c)
+{
+    if (c->m.phase == INITIALIZING) {
+        (void)model_begin(&c->m, c->m.start);
+    }
+}
+
+/* The model is ready in the next phase. */
+static fmi2Status begin(instance *c, int32_t phase)
+{
+    if (c->m.phase != phase - 1) {
+        return answer(c, "initialization mode is entered once, and left once");
+    }
+    c->m.phase = phase;
+    return answer(c, model_begin(&c->m, c->m.start));
+}
+
+static fmi2Status step(instance *c, double time, double size)
+{
+    const char *refusal = model_refuses(&c->m, time, size);
+    return answer(c, refusal != 0 ? refusal : model_step(&c->m, time, size));
 }
 
 EXPORT const char *fmi2GetTypesPlatform(void)
@@ -100,22 +131,26 @@ EXPORT void fmi2FreeInstance(fmi2Component c)
 EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance,
                                       fmi2Real start, fmi2Boolean ends, fmi2Real stop)
 {
-    ((instance *)c)->start = ((instance *)c)->time = start;
+    if (!(start >= -1e17 && start <= 1e17)) {
+        return answer(c, "the start must be a finite time");
+    }
+    ((instance *)c)->m.start = ((instance *)c)->m.real[0] = start;
     return fmi2OK;
 }
 
 EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
-    return answer(c, model_begin(&((instance *)c)->m, ((instance *)c)->start));
+    return begin(c, INITIALIZING);
 }
 
 EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
-    return answer(c, model_begin(&((instance *)c)->m, ((instance *)c)->start));
+    return begin(c, STEPPING);
 }
 
 EXPORT fmi2Status fmi2Terminate(fmi2Component c)
 {
+    ((instance *)c)->m.phase = TERMINATED;
     return fmi2OK;
 }
 
@@ -131,6 +166,7 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c)
                                     type value[])                                               \
     {                                                                                           \
         size_t i;                                                                               \
+        follow(c);                                                                              \
         for (i = 0; i < n; i++) {                                                               \
             if (vr[i] < (first) || vr[i] >= (first) + (count)) {                                \
                 return answer(c, "no such value reference");                                    \
@@ -147,6 +183,9 @@ EXPORT fmi2Status fmi2Reset(fmi2Component c)
             if (vr[i] < (first) || vr[i] >= (first) + (count)) {                                \
                 return answer(c, "no such value reference");                                    \
             }                                                                                   \
+            if (!settable(c, vr[i])) {                                                          \
+                return answer(c, "this variable cannot be set now");                            \
+            }                                                                                   \
             ((instance *)c)->m.field[vr[i] - (first)] = value[i];                               \
         }                                                                                       \
         return fmi2OK;                                                                          \
@@ -159,6 +198,7 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], si
                               fmi2Real value[])
 {
     size_t i;
+    follow(c);
     for (i = 0; i < n; i++) {
         if (vr[i] >= (unsigned)REALS) {
             return answer(c, "no such value reference");
@@ -175,6 +215,9 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], si
     for (i = 0; i < n; i++) {
         if (vr[i] >= (unsigned)REALS) {
             return answer(c, "no such value reference");
+        }
+        if (!settable(c, vr[i])) {
+            return answer(c, "this variable cannot be set now");
         }
         ((instance *)c)->m.real[vr[i]] = value[i];
     }
@@ -195,11 +238,7 @@ EXPORT fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], 
 
 EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean keep)
 {
-    fmi2Status status = answer(c, model_step(&((instance *)c)->m, time, size));
-    if (status == fmi2OK) {
-        ((instance *)c)->time = time + size;
-    }
-    return status;
+    return step(c, time, size);
 }
 
 EXPORT fmi2Status fmi2CancelStep(fmi2Component c)
@@ -294,7 +333,7 @@ EXPORT fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, 
     if (kind != fmi2LastSuccessfulTime) {
         return fmi2Discard;
     }
-    *value = ((instance *)c)->time;
+    *value = ((instance *)c)->m.real[0];
     return fmi2OK;
 }
 

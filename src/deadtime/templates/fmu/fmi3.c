@@ -49,7 +49,6 @@ typedef const fmi3ValueReference References[];
 
 typedef struct {
     model m;
-    double start;
     fmi3LogMessageCallback log;
     fmi3InstanceEnvironment environment;
 } instance;
@@ -63,6 +62,38 @@ static fmi3Status answer(instance *c, const char *complaint)
         c->log(c->environment, fmi3Error, "logStatusError", complaint);
     }
     return fmi3Error;
+}
+
+static const char setters[] = MODEL_SETTERS;
+
+/* Whether a variable may be set now. */
+static int settable(const instance *c, fmi3ValueReference vr)
+{
+    return setters[vr] == INPUT || (setters[vr] == PARAMETER && c->m.phase < STEPPING);
+}
+
+/* What is read in initialization mode follows what has been set. */
+static void follow(instance *c)
+{
+    if (c->m.phase == INITIALIZING) {
+        (void)model_begin(&c->m, c->m.start);
+    }
+}
+
+/* The model is ready in the next phase. */
+static fmi3Status begin(instance *c, int32_t phase)
+{
+    if (c->m.phase != phase - 1) {
+        return answer(c, "initialization mode is entered once, and left once");
+    }
+    c->m.phase = phase;
+    return answer(c, model_begin(&c->m, c->m.start));
+}
+
+static fmi3Status step(instance *c, double time, double size)
+{
+    const char *refusal = model_refuses(&c->m, time, size);
+    return answer(c, refusal != 0 ? refusal : model_step(&c->m, time, size));
 }
 
 EXPORT const char *fmi3GetVersion(void)
@@ -123,17 +154,21 @@ EXPORT fmi3Status fmi3EnterInitializationMode(Self c, fmi3Boolean defined, fmi3F
                                               fmi3Float64 start, fmi3Boolean ends,
                                               fmi3Float64 stop)
 {
-    ((instance *)c)->start = start;
-    return answer(c, model_begin(&((instance *)c)->m, start));
+    if (!(start >= -1e17 && start <= 1e17)) {
+        return answer(c, "the start must be a finite time");
+    }
+    ((instance *)c)->m.start = start;
+    return begin(c, INITIALIZING);
 }
 
 EXPORT fmi3Status fmi3ExitInitializationMode(Self c)
 {
-    return answer(c, model_begin(&((instance *)c)->m, ((instance *)c)->start));
+    return begin(c, STEPPING);
 }
 
 EXPORT fmi3Status fmi3Terminate(Self c)
 {
+    ((instance *)c)->m.phase = TERMINATED;
     return fmi3OK;
 }
 
@@ -146,6 +181,7 @@ EXPORT fmi3Status fmi3Reset(Self c)
 EXPORT fmi3Status fmi3GetFloat64(Self c, References vr, size_t n, fmi3Float64 values[], size_t nv)
 {
     size_t i;
+    follow(c);
     for (i = 0; i < n; i++) {
         if (vr[i] >= (unsigned)REALS || i >= nv) {
             return answer(c, "no such value reference");
@@ -163,6 +199,9 @@ EXPORT fmi3Status fmi3SetFloat64(Self c, References vr, size_t n, const fmi3Floa
         if (vr[i] >= (unsigned)REALS || i >= nv) {
             return answer(c, "no such value reference");
         }
+        if (!settable(c, vr[i])) {
+            return answer(c, "this variable cannot be set now");
+        }
         ((instance *)c)->m.real[vr[i]] = values[i];
     }
     return fmi3OK;
@@ -173,6 +212,7 @@ EXPORT fmi3Status fmi3SetFloat64(Self c, References vr, size_t n, const fmi3Floa
     EXPORT fmi3Status fmi3Get##Kind(Self c, References vr, size_t n, type values[], size_t nv)  \
     {                                                                                           \
         size_t i;                                                                               \
+        follow(c);                                                                              \
         for (i = 0; i < n; i++) {                                                               \
             if (vr[i] < (first) || vr[i] >= (first) + (count) || i >= nv) {                     \
                 return answer(c, "no such value reference");                                    \
@@ -188,6 +228,9 @@ EXPORT fmi3Status fmi3SetFloat64(Self c, References vr, size_t n, const fmi3Floa
         for (i = 0; i < n; i++) {                                                               \
             if (vr[i] < (first) || vr[i] >= (first) + (count) || i >= nv) {                     \
                 return answer(c, "no such value reference");                                    \
+            }                                                                                   \
+            if (!settable(c, vr[i])) {                                                          \
+                return answer(c, "this variable cannot be set now");                            \
             }                                                                                   \
             ((instance *)c)->m.field[vr[i] - (first)] = values[i];                              \
         }                                                                                       \
@@ -224,9 +267,9 @@ EXPORT fmi3Status fmi3DoStep(Self c, fmi3Float64 time, fmi3Float64 size, fmi3Boo
                              fmi3Boolean *event, fmi3Boolean *terminate, fmi3Boolean *early,
                              fmi3Float64 *last)
 {
-    fmi3Status status = answer(c, model_step(&((instance *)c)->m, time, size));
+    fmi3Status status = step(c, time, size);
     *event = *terminate = *early = false;
-    *last = status == fmi3OK ? time + size : time;
+    *last = ((instance *)c)->m.real[0];
     return status;
 }
 
