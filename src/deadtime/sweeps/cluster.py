@@ -15,6 +15,13 @@ from deadtime.version import __version__
 if TYPE_CHECKING:
     from distributed import Client
 
+# Of workers here. Dask's own also has the allocator hand all memory back at once, which doubles the
+# time of cells that ask for some megabytes again and again.
+_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
+    "distributed.worker.profile.enabled": False,  # it looks at every thread 100 times a second
+}
 _PATIENCE = 20.0  # seconds to wait for a scheduler, or for the first worker
 
 
@@ -22,6 +29,7 @@ _PATIENCE = 20.0  # seconds to wait for a scheduler, or for the first worker
 def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of the scheduler at an address; without one, of a cluster on this machine."""
     try:
+        import dask
         import distributed
     except ImportError:
         raise ArgumentError(
@@ -33,16 +41,17 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         return
     count = processors() if workers is None else workers
     try:
-        local = distributed.LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            processes=count > 1,
-            host="127.0.0.1",
-            protocol="tcp",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-        )
+        with dask.config.set(_SETTINGS):
+            local = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=count > 1,
+                host="127.0.0.1",
+                protocol="tcp",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
     except RuntimeError as error:
         raise ClusterError(
             f"workers cannot be started ({error}): a script must call sweep under "
