@@ -29,7 +29,7 @@ _PATIENCE = 20.0  # seconds to wait for a scheduler, or for the first worker
 def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of the scheduler at an address; without one, of a cluster on this machine."""
     try:
-        import dask
+        import dask.config as settings
         import distributed
     except ImportError:
         raise ArgumentError(
@@ -41,7 +41,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         return
     count = processors() if workers is None else workers
     try:
-        with dask.config.set(_SETTINGS):
+        with settings.set(_SETTINGS):
             local = distributed.LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
