@@ -166,7 +166,7 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
 
 # Pages and the README's commands, which run always, do the same with smaller budgets; rules have
 # own tests.
-LONG = ("design", "robustness", "state_dependent")
+LONG = ("design", "known_switching", "output_feedback", "robustness", "state_dependent")
 MARKS = dict.fromkeys(LONG, pytest.mark.long) | {"processor_in_the_loop": needs_compiler}
 SCRIPTS = [
     pytest.param(path, id=path.stem, marks=MARKS.get(path.stem, ()))
