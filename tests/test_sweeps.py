@@ -22,7 +22,7 @@ from scipy.stats import expon
 import deadtime as dt
 from deadtime.cli import main
 from deadtime.cli.sweep import Lines
-from deadtime.sweeps import Progress, load_study
+from deadtime.sweeps import Progress, load_study, store
 from deadtime.sweeps.axes import AXES
 from deadtime.sweeps.cell import run_cell
 from deadtime.sweeps.layout import Layout, layout_of
@@ -440,6 +440,21 @@ def test_a_store_of_another_version_is_refused(own, tmp_path, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(dt.ArgumentError, match=r"version was .0\.0\.1., is .*Choose another store"):
         dt.sweep(study, tmp_path / "x.zarr")
+
+
+def test_two_sweeps_that_make_one_store_at_once_do_not_mix(own, tmp_path, monkeypatch):
+    study, _ = own
+    fill, place = store._fill, str(tmp_path / "x.zarr")
+
+    def slowly(*given):
+        fill(*given)
+        monkeypatch.undo()
+        prepare(replace(study, seed=9), place)
+
+    monkeypatch.setattr(store, "_fill", slowly)
+    with pytest.raises(dt.ArgumentError, match="holds another study: seed was 9, is 3"):
+        prepare(study, place)
+    assert [path.name for path in tmp_path.iterdir()] == ["x.zarr"]
 
 
 def test_what_is_no_store_is_refused(tmp_path):

@@ -68,7 +68,7 @@ def sweep(
         Print the result as JSON instead of text.
     """
     from deadtime.checks import count
-    from deadtime.sweeps import load_study, open_sweep
+    from deadtime.sweeps import load_study
     from deadtime.sweeps import sweep as run
     from deadtime.sweeps.plan import plan_of
 
@@ -98,7 +98,7 @@ def sweep(
             file=sys.stderr,
         )
         return 130
-    reasons = _reasons(open_sweep(place))
+    reasons = _reasons(data)
     if json_output:
         record = {**dataclasses.asdict(plan_of(chosen, place)), "damaged": damaged}
         print(json.dumps({**record, "reasons": reasons}, indent=2, ensure_ascii=False))

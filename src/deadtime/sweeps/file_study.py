@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -60,10 +60,6 @@ class FileStudy(Study):
         return build_problem(
             without_signal(require_valid(schema.ProblemFile, dict(self.problem))), self.path
         )
-
-    def with_laws(self, laws: tuple[str, ...]) -> FileStudy:
-        """The same study of other laws."""
-        return replace(self, laws=laws)
 
     @cached_property
     def own_laws(self) -> tuple[str, ...]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.checks import read_only
 from deadtime.errors import DeadtimeError
 from deadtime.imperfections import RateLimit, Saturation
 from deadtime.laws import ExactPredictor
@@ -91,15 +93,16 @@ def layout_of(study: Study, costs: Float[np.ndarray, ...]) -> Layout:
     return Layout(study.shape, tuple(reversed(block)))
 
 
+@lru_cache(4)
 def costs_of(study: Study) -> Float[np.ndarray, ...]:
-    """Estimated seconds of every cell on one core.
+    """Estimated seconds of every cell on one core, estimated once for a study.
 
     Of a large grid some cells are looked at, along each axis by itself, and the others' costs are
     products of what the axes do; NaN nowhere: a cell that cannot be built costs next to nothing.
     """
     if study.size <= _LOOKED_AT:
         found = [_cost(study, index) for index in np.ndindex(study.shape)]
-        return np.array(found).reshape(study.shape)
+        return read_only(np.array(found).reshape(study.shape))
     middle = tuple(size // 2 for size in study.shape)
     base = _cost(study, middle)
     whole = np.full(study.shape, base)
@@ -108,7 +111,7 @@ def costs_of(study: Study) -> Float[np.ndarray, ...]:
         seen = [_cost(study, (*middle[:axis], int(i), *middle[axis + 1 :])) for i in places]
         along = np.interp(np.arange(size), places, seen) / base
         whole *= along.reshape([-1 if i == axis else 1 for i in range(len(study.shape))])
-    return whole
+    return read_only(whole)
 
 
 def _cost(study: Study, index: tuple[int, ...]) -> float:
@@ -146,10 +149,10 @@ def example_loop(study: Study, tries: int = 20) -> Loop | None:
     return None
 
 
-def facts_of(study: Study, laws: Sequence[str]) -> dict[str, Any]:
+def facts_of(study: Study) -> dict[str, Any]:
     """What the store's attributes say about the loops: the oracle's name, and |x(0)|."""
     loop = example_loop(study)
     if loop is None:
         return {"oracle": "", "start": float("nan")}
-    oracles = [name for name in laws if isinstance(loop.laws.get(name), ExactPredictor)]
+    oracles = [name for name in study.laws if isinstance(loop.laws.get(name), ExactPredictor)]
     return {"oracle": oracles[0] if oracles else "", "start": float(np.linalg.norm(loop.x0))}

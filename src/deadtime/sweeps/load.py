@@ -6,6 +6,8 @@ import difflib
 import hashlib
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -74,7 +76,7 @@ def _build(file: StudyFile, source: Path, text: str) -> FileStudy:
         poles=poles,
         files=_digests(base),
     )
-    return study.with_laws(_laws(file.laws, study, base.problem.plant.modes))
+    return replace(study, laws=_laws(file.laws, study, base.problem.plant.modes))
 
 
 def _base(file: StudyFile, source: Path) -> _Base:
@@ -274,8 +276,6 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
 
 def _copied(draft: Draft, path: str) -> Draft:
     """A copy of the section that a path leads into."""
-    from copy import deepcopy
-
     head = path.split(".")[0]
     return {head: deepcopy(draft[head])} if head in draft else {}
 

@@ -11,7 +11,7 @@ from deadtime.sweeps.layout import costs_of, layout_of
 from deadtime.sweeps.store import exists, open_store, place_of
 from deadtime.sweeps.study import Study
 
-_SMALL = 4  # objects of a block that are there whatever happened: one per metric comes on top
+_FLAGS = 3  # objects of a block beside one per metric: diverged, reason, done
 
 
 @dataclass(frozen=True)
@@ -89,5 +89,5 @@ def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
         runs=int((~done).sum()) * runs,
         seconds=float(costs[~done].sum()),
         size=study.size * runs * (8 * len(study.metrics) + 1),
-        objects=layout.size * (len(study.metrics) + _SMALL),
+        objects=layout.size * (len(study.metrics) + _FLAGS),
     )

@@ -159,7 +159,9 @@ def prepare(study: Study, url: str) -> Store:
             f"{len(study.laws)} laws, got {study.scenarios:,}: put seeds on the grid instead."
         )
     layout = layout_of(study, costs_of(study))
-    return create(url, study, layout, facts_of(study, study.laws))
+    target = create(url, study, layout, facts_of(study))
+    target.require(study)  # another sweep may have made one at the same time
+    return target
 
 
 def block_costs(study: Study, layout: Layout) -> np.ndarray:

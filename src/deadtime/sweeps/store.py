@@ -15,7 +15,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from os import PathLike, fspath
 from pathlib import Path
@@ -221,7 +221,10 @@ def exists(url: str) -> bool:
 
 
 def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> Store:
-    """A new store of absent cells; it appears whole or not at all where names can be changed."""
+    """A new store of absent cells; it appears whole or not at all where names can be changed.
+
+    Where another sweep makes one at the same time, it is the one that is there first.
+    """
     if "://" in url:
         _fill(url, study, layout, facts)
         return open_store(url)
@@ -231,8 +234,10 @@ def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> 
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             _fill(str(draft), study, layout, facts)
-            with suppress(FileExistsError, OSError) if target.exists() else nullcontext():
-                os.rename(draft, target)
+            os.rename(draft, target)
+        except OSError:
+            if not target.exists():  # otherwise another sweep was quicker
+                raise
         finally:
             shutil.rmtree(draft, ignore_errors=True)
     return open_store(url)
