@@ -62,7 +62,7 @@ def relative_cost(law, delay):
     return runs[0].metrics()["cost"] / runs[1].metrics()["cost"]
 
 
-delays = np.linspace(0.0, 0.7, 29)[1:]
+delays = np.linspace(0.0, 0.7, 15)[1:]
 kinds = {"averaged": dt.AveragedPredictor, "delay ignored": dt.DelayedStateFeedback}
 ratios = {name: [relative_cost(law, D) for D in delays] for name, law in kinds.items()}
 limit = dt.delay_margin(plant, problem.laws["delay ignored"], step).upper
