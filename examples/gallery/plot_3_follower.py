@@ -4,8 +4,8 @@ A car that follows: is prediction worth it?
 
 A car keeps its distance by throttle or by brake; the two answer with different lags, and both
 late. What one learns: a delay of 0.2 s is no disaster for a law that ignores it, only dear. The
-picture says where dear becomes unstable, and the certificate that the predictor is safe whatever
-the driver's right foot does.
+picture says where dear becomes unstable, and the certificate that the predictor is stable however
+throttle and brake take turns, if each lasts for a second.
 
 **Source.** Lag of the engine 0.5 s: R. Rajamani, *Vehicle Dynamics and Control*, 2nd edition,
 Springer 2012. Lag of the brake 0.2 s: brake time constant of the Plexe engine model in SUMO (M.

@@ -90,7 +90,7 @@ print(f"the signal that grows: {margin.witness.message}")
 #
 # The operator sees whether the gripper holds something. The expected law uses that, with a guess
 # of how long it will stay so: each state for two seconds on average. Averaged and blind, the loop
-# is lost at 4 kg; the same gains, told the mode, hold the arm.
+# is lost at 4 kg; the same gains, told the mode, hold the arm on the signal below.
 
 model = dt.Markov([[0.0, 0.5], [0.5, 0.0]])
 
