@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import panel as pn
@@ -12,15 +12,17 @@ import panel_material_ui as pmui
 
 from deadtime.app.chart import BOUNDS, KEY, Chart
 from deadtime.app.controls import WIDE
-from deadtime.app.jobs import margin, worst_signal
+from deadtime.app.jobs import (
+    growth_elsewhere,
+    growth_rates,
+    lifted_order,
+    margin,
+    worst_signal,
+)
 from deadtime.app.script import script_of
 from deadtime.app.settings import Given
 from deadtime.app.table import csv_of
-from deadtime.errors import DeadtimeError
-from deadtime.laws.base import TableLaw
-from deadtime.problems import Problem
 from deadtime.run_plots import plot_laws
-from deadtime.spectrum import growth_rate
 from deadtime.wording import signed
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
 _LIMIT = 120.0  # seconds that a search may take
 _REST = 250  # milliseconds after which a hand that moved something rests
-_MOST_TAPS = 400  # periods of delay for which growth rates come at once
+_AT_ONCE = 210  # order of the lifted loop whose growth rates come at once
 _PLAY = """
 const frames = 120; let i = 0;
 cursor.visible = true;
@@ -50,8 +52,8 @@ class Actions:
         self.chart = Chart()
         self.law = pmui.Select(label="Law in question", options=[""], **WIDE)
         self.worst = pmui.Button(label="Worst signal", **WIDE)
-        self.fill = pmui.Button(label="Compute the chart", button_style="outlined", **WIDE)
-        self.play = pmui.Button(label="Watch", button_style="outlined", icon="play_arrow", **WIDE)
+        self.fill = pmui.Button(label="Compute the chart", variant="outlined", **WIDE)
+        self.play = pmui.Button(label="Watch", variant="outlined", icon="play_arrow", **WIDE)
         self.verdict = pn.pane.HTML("", sizing_mode="stretch_width", margin=(2, 10))
         self.state = pn.pane.HTML(
             "", css_classes=["search"], sizing_mode="stretch_width", margin=(2, 10)
@@ -88,7 +90,7 @@ class Actions:
 
         def button(label: str, ending: str, make: Callable[[], bytes]) -> pmui.FileDownload:
             return pmui.FileDownload(
-                label=label, filename=f"deadtime{ending}", button_style="outlined", size="small",
+                label=label, filename=f"deadtime{ending}", variant="outlined", size="small",
                 callback=lambda: io.BytesIO(make()), margin=4,
             )  # fmt: skip
 
@@ -145,14 +147,36 @@ class Actions:
         self._moves += 1
         mine, document = self._moves, pn.state.curdoc
 
-        def judged() -> None:
+        def rest() -> None:
             if mine == self._moves:
-                self.verdict.object = verdict_of(self.page.outcome.problem, self.law.value)
+                self._grow(mine)
 
         if document is None:
-            judged()
+            rest()
         else:
-            document.add_timeout_callback(judged, _REST)
+            document.add_timeout_callback(rest, _REST)
+
+    def _grow(self, mine: int) -> None:
+        """Find the growth in every mode, here where that takes a moment."""
+        page, law = self.page, self.law.value
+        problem = page.outcome.problem
+
+        def grown(rates: list[float]) -> None:
+            if mine == self._moves:
+                self.verdict.object = verdict(law, problem.modes, rates)
+
+        def unknown(_: str) -> None:
+            if mine == self._moves:
+                self.verdict.object = ""
+
+        if lifted_order(problem) <= _AT_ONCE:
+            rates = growth_rates(problem, law)
+            grown(rates) if rates else unknown("")
+        else:
+            unknown("")
+            page.elsewhere(
+                _LIMIT, grown, unknown, growth_elsewhere, page.draft(), page.document.source, law
+            )
 
     def _switch(self, _: Any) -> None:
         mode = self.page.figures.modes.index(self.to.value)
@@ -218,21 +242,12 @@ class Actions:
         return page.outcome.problem.plant.delay
 
 
-def verdict_of(problem: Problem, law: str) -> str:
-    """What a law's loop does if switching stops, in a sentence; empty where that takes long."""
-    chosen = problem.laws.get(law)
-    if chosen is None or problem.step is None or not isinstance(chosen, TableLaw):
-        return ""
-    if problem.plant.delay / problem.step > _MOST_TAPS:
-        return ""
-    modes = range(problem.plant.modes)
-    try:
-        rates = [growth_rate(problem.plant, chosen, i, step=problem.step) for i in modes]
-    except DeadtimeError:
+def verdict(law: str, modes: Sequence[str], rates: Sequence[float]) -> str:
+    """What a law's loop does if switching stops, in a sentence."""
+    if not rates:
         return ""
     said = ", ".join(
-        f"{html.escape(name)} {signed(rate)} /s"
-        for name, rate in zip(problem.modes, rates, strict=True)
+        f"{html.escape(name)} {signed(rate)} /s" for name, rate in zip(modes, rates, strict=True)
     )
     judged = "stable" if max(rates) < 0.0 else "<b>unstable</b>"
     return (

@@ -53,8 +53,8 @@ class Controls:
             label="Sojourns", options=[FROM_FILE, *FAMILIES], value=FROM_FILE, **WIDE
         )
         self.seed = pmui.IntInput(label="Seed of the signal", value=0, start=0, step=1, **WIDE)
-        self.redraw = pmui.Button(label="Another signal", button_style="outlined", **WIDE)
-        self.original = pmui.Button(label="The file's signal", button_style="outlined", **WIDE)
+        self.redraw = pmui.Button(label="Another signal", variant="outlined", **WIDE)
+        self.original = pmui.Button(label="The file's signal", variant="outlined", **WIDE)
         for widget in [*self.sliders.values(), self.step, self.laws]:
             widget.param.watch(self._moved, "value")
         drawing = [self.sojourn, self.seed]

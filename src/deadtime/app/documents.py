@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from deadtime.errors import ArgumentError, ProblemFileError
-from deadtime.problem_file import schema
+from deadtime.problem_file import load_problem, schema
 from deadtime.problems import NAMED
 from deadtime.sweeps.axes import Draft
-from deadtime.toml_file import read_toml
+from deadtime.toml_file import SectionError, TomlText, read_toml
 
 MOST_BYTES = 1_000_000
 _READS_FILES = {"signal": "log", "switching": "fitted"}
@@ -58,6 +58,7 @@ def open_named(name: str) -> Document:
         )
     source = Path(name)
     _, read = read_toml(source, schema.ProblemFile, ProblemFileError, "`deadtime init` writes one")
+    load_problem(source)  # what does not hold together is refused with its line
     return Document(source.stem, read.text, tomllib.loads(read.text), source)
 
 
@@ -102,6 +103,11 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
                 "cannot be given: open it with `deadtime app` and the file's name."
             )
     return Document(stem, read.text, draft, Path(f"{stem}.toml"))
+
+
+def complaint(document: Document, error: SectionError) -> ArgumentError:
+    """An error about what the document means, with its line."""
+    return TomlText(document.source, document.text, ProblemFileError).complaint(error)
 
 
 def to_toml(document: Document, draft: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -9,23 +10,30 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.app.documents import Document, complaint
 from deadtime.app.outcome import run_draft
 from deadtime.certificates import falsify, stability_margin
-from deadtime.errors import ArgumentError
+from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import Law
+from deadtime.laws.base import TableLaw
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file.lenient import build_what_can
 from deadtime.problems import Problem
+from deadtime.spectrum import growth_rate
 from deadtime.sweeps.axes import AXES
+from deadtime.toml_file import SectionError
 
 RATIO = 1.02  # of the values between which a margin of the chart lies
 _BUDGET = 20_000  # cycles that the search for the worst signal looks at
 
 
-def try_problem(draft: Mapping[str, Any], source: Path) -> float:
+def try_problem(document: Document) -> float:
     """Run an opened problem once; how many seconds the second run took."""
-    run_draft(draft, source)
-    return run_draft(draft, source).seconds
+    try:
+        run_draft(document.draft, document.source)
+    except SectionError as error:
+        raise complaint(document, error) from None
+    return run_draft(document.draft, document.source).seconds
 
 
 def worst_signal(
@@ -43,6 +51,30 @@ def worst_signal(
         "growth_rate": worst.growth_rate,
         "message": worst.message,
     }
+
+
+def lifted_order(problem: Problem) -> int:
+    """States and inputs in the pipe of a digital loop; 0 for an ideal one."""
+    plant = problem.plant
+    taps = 0.0 if problem.step is None else plant.delay / problem.step
+    return plant.states + math.ceil(taps) * plant.inputs
+
+
+def growth_rates(problem: Problem, law: str) -> list[float]:
+    """Growth of a law's loop in every mode for ever, 1/s; none where that is not defined."""
+    chosen = problem.laws.get(law)
+    if chosen is None or problem.step is None or not isinstance(chosen, TableLaw):
+        return []
+    modes = range(problem.plant.modes)
+    try:
+        return [growth_rate(problem.plant, chosen, i, step=problem.step) for i in modes]
+    except DeadtimeError:
+        return []
+
+
+def growth_elsewhere(draft: Mapping[str, Any], source: Path, law: str) -> list[float]:
+    """The same of a problem as plain data."""
+    return growth_rates(_problem(draft, source, law)[0], law)
 
 
 def margin(

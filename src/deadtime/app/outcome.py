@@ -19,6 +19,7 @@ from deadtime.switching import SwitchingSignal
 MOST_SAMPLES = 20_000
 MOST_TAPS = 2_000
 MOST_STATES, MOST_MODES, MOST_LAWS = 12, 12, 16
+_DEAR = {"optimal": 100}  # periods of delay up to which a law is tabulated in a moment
 _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 
@@ -66,13 +67,13 @@ class Outcome:
 def require_size(draft: Mapping[str, Any]) -> None:
     """Refuse a problem that a page could not keep up with, before anything of it is built."""
     plant, run = draft["plant"], draft["run"]
-    step = run.get("step", 0.01)
+    step, sizes = run.get("step", 0.01), []
     if isinstance(step, (int, float)) and step > 0.0:
         sizes = [
             ("run.horizon", run["horizon"] / step, MOST_SAMPLES, "periods"),
             ("plant.delay", plant["delay"] / step, MOST_TAPS, "periods"),
         ]
-    else:
+    elif step == "ideal" and plant["delay"] > 0.0:
         sizes = [("run.horizon", run["horizon"] / plant["delay"], MOST_TAPS, "delays")]
     sizes += [
         ("plant.A", len(plant["A"]), MOST_MODES, "modes"),
@@ -97,16 +98,34 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
     """
     began = time.perf_counter()
     require_size(draft)
+    draft, reasons = _affordable(draft)
     names = [law.get("name") or law["kind"] for law in draft.get("law", [])]
     _, problem, failed = build_what_can(draft, source)
     runs = {name: problem.simulate(name) for name in problem.laws}
     return Outcome(
         problem,
         runs,
-        {names[i]: why for i, why in failed.items()},
+        reasons | {names[i]: why for i, why in failed.items()},
         _oracle_cost(problem, runs),
         time.perf_counter() - began,
     )
+
+
+def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, str]]:
+    """The problem without the laws that would keep a page waiting, and why they do not run."""
+    step, delay = draft["run"].get("step", 0.01), draft["plant"]["delay"]
+    taps = delay / step if isinstance(step, (int, float)) and step > 0.0 else 0.0
+    dear = [law for law in draft.get("law", []) if taps > _DEAR.get(law["kind"], taps)]
+    if not dear:
+        return draft, {}
+    if len(dear) == len(draft["law"]):
+        raise ArgumentError(
+            f"a delay of {taps:.0f} periods is too long for this law on a page: lengthen h, or use "
+            "`deadtime simulate`."
+        )
+    why = f"takes long where the delay is above {min(_DEAR.values())} periods: lengthen h"
+    kept = [law for law in draft["law"] if law not in dear]
+    return {**draft, "law": kept}, {law.get("name") or law["kind"]: why for law in dear}
 
 
 def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | None:

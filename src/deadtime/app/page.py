@@ -121,7 +121,7 @@ class Page:
                 self.say(f"Opened {document.name}.toml.")
 
         self.say(f"Trying {document.name}.toml …")
-        self.elsewhere(_TRIAL, tried, self.refuse, try_problem, document.draft, document.source)
+        self.elsewhere(_TRIAL, tried, self.refuse, try_problem, document)
 
     def elsewhere(
         self,

@@ -58,7 +58,7 @@ def script_of(problem: Problem) -> str:
         "x0": problem.x0,
         "horizon": problem.horizon,
         "step": problem.step,
-        "u0": np.asarray(problem.u0, dtype=float),
+        "u0": np.broadcast_to(np.asarray(problem.u0, dtype=float), (problem.plant.inputs,)),
     }
     if problem.imperfections:
         arguments |= {
@@ -121,6 +121,8 @@ class _Writer:
             return self._distribution(value)
         if isinstance(value, np.ndarray):
             return self._expression(value.tolist())
+        if isinstance(value, tuple) and len(value) > 1:
+            return f"({', '.join(self.code(one) for one in value)})"
         if isinstance(value, (tuple, list)):
             return f"[{', '.join(self.code(one) for one in value)}]"
         if isinstance(value, float) and np.isinf(value):

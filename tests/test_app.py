@@ -1,0 +1,381 @@
+"""The explorer without a browser: problem files in and out, what is run, what is refused."""
+
+import csv
+import io
+import math
+import os
+import re
+import time
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.app import jobs
+from deadtime.app.costs import table_of
+from deadtime.app.documents import MOST_BYTES, open_named, open_upload, to_toml
+from deadtime.app.drawing import MOST, switched
+from deadtime.app.laws import offered
+from deadtime.app.outcome import run_draft
+from deadtime.app.page import Page
+from deadtime.app.ranges import ranges_of, steps_of
+from deadtime.app.script import script_of
+from deadtime.app.settings import Drawn, Given, Settings, draft_of
+from deadtime.app.table import csv_of
+from deadtime.app.workers import Workers
+from deadtime.problem_file import load_problem
+
+# Three modes, two inputs, a delay of 7.3 periods, a plant that is not the laws' model.
+OWN = """# my plant
+title = "Mixer"
+
+[plant]
+delay = 0.365   # measured
+A = [[[0.2, 1.0], [0.0, -0.5]], [[0.3, 1.1], [0.1, -0.4]], [[0.1, 0.9], [0.0, -0.6]]]
+B = [[[0.1, 1.0], [1.0, 0.0]], [[0.1, 1.1], [1.1, 0.0]], [[0.0, 0.9], [0.9, 0.1]]]
+states = ["level", "flow"]
+
+[gains]
+poles = [-1.0, -1.5]
+
+[signal]
+kind = "switches"
+times = [0.0, 0.613, 1.287, 2.004]
+modes = [0, 2, 1, 0]
+
+[run]
+x0 = [1.0, -0.5]
+horizon = 4.0
+step = 0.05
+
+[truth]
+delay = 0.37
+
+[[law]]
+kind = "averaged"
+
+[[law]]
+kind = "mean"
+name = "middle"
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    path = tmp_path / "mixer.toml"
+    path.write_text(OWN, encoding="utf-8")
+    return open_named(str(path))
+
+
+@pytest.fixture(scope="module")
+def workers():
+    team = Workers(1)
+    yield team
+    team.close()
+
+
+def shown(page, law):
+    return float(page.costs.object.split(f"data-law='{law}' data-cost='")[1].split("'")[0])
+
+
+# -- problem files -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", list(dt.problems.NAMED))
+def test_an_untouched_problem_is_saved_as_it_was_opened(name):
+    document = open_named(name)
+    offer, _ = offered(document)
+    assert to_toml(document, draft_of(document, offer, Settings())) == document.text
+
+
+def test_what_is_saved_is_what_is_shown_and_keeps_comments(own, tmp_path):
+    offer, _ = offered(own)
+    settings = Settings(
+        {"delay": 0.4, "noise": 0.01, "dwell_time": 0.3, "run.x0.1": 0.25, "step": 0.04},
+        laws=("averaged", "middle", "expected", "oracle"),
+        signal=Drawn(5),
+    )
+    draft = draft_of(own, offer, settings)
+    text = to_toml(own, draft)
+    assert tomllib.loads(text) == draft
+    assert text.startswith("# my plant\n")
+    assert "delay = 0.4   # measured" in text
+    path = tmp_path / "saved.toml"
+    path.write_text(text, encoding="utf-8")
+    saved, here = load_problem(path), run_draft(draft, own.source)
+    assert list(saved.laws) == list(here.runs)
+    for law, run in here.runs.items():
+        np.testing.assert_array_equal(saved.simulate(law).states, run.states)
+
+
+def test_a_parameter_moved_back_leaves_no_trace(own):
+    page = Page(own, None)
+    slider = page.controls.sliders["delay"]
+    slider.value = 0.5
+    assert page.outcome.problem.model.delay == 0.5
+    slider.value = page.controls.ranges["delay"].value
+    assert page.toml() == OWN
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"x" * (MOST_BYTES + 1), "has 1.0 MB, a problem file at most 1 MB"),
+        (b"[plant\n", "is not valid TOML"),
+        (b"\xff\xfe\x00", "is not UTF-8 text"),
+        (b"a = 1\n", "a is not known"),
+        (b"x = " + b"[" * 5000, "not valid TOML|nested too deeply"),
+        (OWN.replace('kind = "switches"', 'kind = "log"\nfile = "/etc/passwd"\n#').encode(),
+         "missing|reads other files|not known"),
+    ],
+)  # fmt: skip
+def test_hostile_uploads_are_refused_by_name(content, message, tmp_path):
+    with pytest.raises(dt.ProblemFileError, match=message):
+        open_upload("../../evil.toml", content, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_uploads_cannot_read_files_of_this_machine(tmp_path):
+    log = (
+        OWN.split("[signal]")[0]
+        + '[signal]\nkind = "log"\nfile = "/etc/passwd"\n[run]'
+        + (OWN.split("[run]")[1])
+    )
+    with pytest.raises(dt.ProblemFileError, match="reads other files"):
+        open_upload("a.toml", log.encode(), tmp_path)
+    fitted = OWN + '\n[switching]\nkind = "fitted"\nlogs = ["/etc/passwd"]\n'
+    with pytest.raises(dt.ProblemFileError, match="reads other files"):
+        open_upload("a.toml", fitted.encode(), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("horizon = 4.0", "horizon = nan", "horizon makes nan periods"),
+        ("horizon = 4.0", "horizon = 1e9", "horizon makes 20,000,000,000 periods"),
+        ("step = 0.05", "step = 0.0", "step must be positive"),
+        ("delay = 0.365", "delay = nan", "delay makes nan periods"),
+        ("x0 = [1.0, -0.5]", "x0 = [nan, 0.0]", r"line 19, \[run\]: x0\[0\] must be finite"),
+        ("[[0.2, 1.0], [0.0, -0.5]]", "[[nan, 1.0], [0.0, -0.5]]", "A.* must .*finite"),
+        ("poles = [-1.0, -1.5]", "poles = [1.0, -1.5]", "mode 0"),
+    ],
+)
+def test_an_upload_that_does_not_hold_together_changes_nothing(own, workers, old, new, message):
+    page = Page(own, workers)
+    before = page.outcome
+    assert old in OWN
+    page.upload("bad.toml", OWN.replace(old, new).encode())
+    wait(lambda: page.message.severity == "error")
+    assert page.outcome is before
+    assert page.message.object.endswith("Nothing was changed.")
+    assert re.search(message, page.message.object), page.message.object
+
+
+def wait(done, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_an_upload_is_tried_elsewhere_and_opened(own, workers):
+    page = Page(open_named("paper"), workers)
+    page.upload("mixer.toml", OWN.encode())
+    wait(lambda: "Opened" in page.message.object)
+    assert list(page.outcome.runs) == ["averaged", "middle"]
+
+
+# -- numbers -------------------------------------------------------------------------------
+
+
+def test_the_costs_on_the_page_are_those_of_simulate(own):
+    page = Page(own, None)
+    page.controls.sliders["delay"].value = 0.41
+    page.controls.sliders["noise"].value = 0.02
+    page.controls.laws.value = ["averaged", "middle", "mode 2 only"]
+    believed = dt.SwitchedSystem(
+        tomllib.loads(OWN)["plant"]["A"], tomllib.loads(OWN)["plant"]["B"], 0.41
+    )
+    gains = dt.place(believed, [-1.0, -1.5])
+    gain = dt.place(believed.mean(), [-1.0, -1.5])[0]
+    truth = dt.SwitchedSystem(believed.A, believed.B, 0.37)
+    signal = dt.SwitchingSignal([0.0, 0.613, 1.287, 2.004], [0, 2, 1, 0])
+    laws = {
+        "averaged": dt.AveragedPredictor(believed, gains),
+        "middle": dt.MeanPredictor(believed, gain, gains),
+        "mode 2 only": dt.SingleModePredictor(believed, gains, 2),
+    }
+    noise = [dt.imperfections.Noise(0.02)]
+    for name, law in laws.items():
+        run = dt.simulate(truth, law, signal, [1.0, -0.5], 4.0, step=0.05, imperfections=noise)
+        assert shown(page, name) == pytest.approx(run.metrics()["cost"], rel=1e-12)
+
+
+def test_the_oracle_is_compared_with_though_it_is_not_chosen(own):
+    offer, _ = offered(own)
+    without = run_draft(draft_of(own, offer, Settings()), own.source)
+    among = run_draft(draft_of(own, offer, Settings(laws=("averaged", "oracle"))), own.source)
+    assert without.oracle == among.metrics["oracle"]["cost"]
+    assert among.ratio("oracle") == 1.0
+    assert without.ratio("averaged") == among.ratio("averaged")
+
+
+def test_a_law_that_cannot_run_says_why_and_the_others_do(own, workers):
+    page = Page(own, workers)
+    page.controls.sliders["dwell_time"].value = 0.3
+    page.controls.step.value = 0.002
+    page.controls.laws.value = ["averaged", "optimal"]
+    assert list(page.outcome.runs) == ["averaged"]
+    assert "takes long" in page.outcome.reasons["optimal"]
+    assert "takes long" in page.costs.object
+
+
+def test_a_law_that_diverges_is_shown_as_growing():
+    paper = open_named("paper")
+    offer, chosen = offered(paper)
+    outcome = run_draft(draft_of(paper, offer, Settings()), paper.source)
+    assert math.isinf(outcome.ratio("delay ignored"))
+    assert ">grows<" in table_of(outcome, list(offer))
+    assert len(chosen) == len(outcome.runs) == 6
+
+
+def test_the_csv_holds_every_sample_of_every_law(own):
+    outcome = run_draft(own.draft, own.source)
+    rows = list(csv.DictReader(io.StringIO(csv_of(outcome.runs))))
+    assert len(rows) == 81
+    for law, run in outcome.runs.items():
+        for i in range(2):
+            np.testing.assert_array_equal([float(r[f"{law}: x[{i}]"]) for r in rows], run.states[i])
+            np.testing.assert_array_equal([float(r[f"{law}: u[{i}]"]) for r in rows], run.inputs[i])
+
+
+@pytest.mark.parametrize("name", ["own", "paper"])
+def test_the_script_makes_the_same_runs_and_a_figure(name, own, tmp_path, monkeypatch, capsys):
+    document = own if name == "own" else open_named("paper")
+    offer, _ = offered(document)
+    settings = Settings({"noise": 0.01, "saturation": 30.0}, tuple(offer), Drawn(1))
+    outcome = run_draft(draft_of(document, offer, settings), document.source)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(compile(script_of(outcome.problem), "script.py", "exec"), names)
+    assert list(names["runs"]) == list(outcome.runs)
+    printed = capsys.readouterr().out
+    for law, run in outcome.runs.items():
+        np.testing.assert_array_equal(names["runs"][law].states, run.states)
+        assert f"{law} {run.metrics()['cost']}" in printed
+    assert (tmp_path / f"{outcome.problem.name}.png").stat().st_size > 20_000
+
+
+# -- signals -------------------------------------------------------------------------------
+
+
+def test_a_signal_drawn_by_hand_is_the_one_that_runs(own):
+    page = Page(own, None)
+    page.draw_by_hand(3.0004, 2)
+    page.draw_by_hand(0.7, 2)  # in mode 2 already: its beginning goes
+    np.testing.assert_array_equal(page.outcome.signal.times, [0.0, 1.287, 2.004, 3.0])
+    np.testing.assert_array_equal(page.outcome.signal.modes, [0, 1, 0, 2])
+    assert "drawn by hand" in page.about.object
+    page.controls.choose(None)
+    assert page.toml() == OWN
+
+
+def test_drawing_refuses_what_is_no_switch():
+    with pytest.raises(dt.ArgumentError, match=r"mode must be in 0\.\.1, got 2"):
+        switched([0.0], [0], 1.0, 2, 2)
+    with pytest.raises(dt.ArgumentError, match="time of a switch must be ≥ 0"):
+        switched([0.0], [0], -1.0, 1, 2)
+    with pytest.raises(dt.ArgumentError, match="time of a switch must be ≥ 0"):
+        switched([0.0], [0], float("nan"), 1, 2)
+    with pytest.raises(dt.ArgumentError, match=f"at most {MOST} sojourns"):
+        switched(np.arange(MOST) * 1.0, np.arange(MOST) % 2, 5.5, 2, 3)
+
+
+def test_the_worst_signal_of_the_page_is_that_of_falsify(own):
+    offer, _ = offered(own)
+    draft = draft_of(own, offer, Settings({"distance": 1.5}))
+    found = jobs.worst_signal(draft, own.source, "averaged", 0.6)
+    problem = run_draft(draft, own.source).problem
+    worst = dt.falsify(problem.plant, problem.laws["averaged"], 0.6, step=0.05, budget=20_000)
+    assert found["growth_rate"] == worst.growth_rate
+    assert found["message"] == worst.message
+    signal = dt.SwitchingSignal(found["times"], found["modes"])
+    inner = signal.times[1:]
+    assert (np.diff(inner) > 0.6 * (1.0 - 1e-9)).all()
+
+
+def test_a_column_of_the_chart_is_a_stability_margin():
+    paper = open_named("paper")
+    draft = draft_of(paper, {}, Settings({"step": 0.05}))
+    certified, refuted = jobs.margin(draft, paper.source, "averaged", (0.02, 2.0), 0.2)
+    assert certified < refuted < certified * jobs.RATIO
+    assert certified < 0.6565 < refuted * 1.02  # unstable from 0.6565 on at h = 0.1, 0.639 at 0.01
+
+
+# -- what moves ----------------------------------------------------------------------------
+
+
+def test_every_slider_runs_at_both_ends(own):
+    for document in (own, open_named("follower")):
+        page = Page(document, None)
+        for name, slider in page.controls.sliders.items():
+            before = slider.value
+            for end in (slider.start, slider.end):
+                slider.value = end
+                assert page.message.severity != "error" or "horizon" in page.message.object, (
+                    name, end, page.message.object,
+                )  # fmt: skip
+            slider.value = before
+        page.controls.choose(None)
+        assert page.toml() == document.text
+
+
+def test_periods_on_offer_are_those_that_a_page_can_keep_up_with(own):
+    assert steps_of(own) == [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, "ideal"]
+    assert {one.group for one in ranges_of(own)} == {"Plant", "Switching", "Run", "Imperfections"}
+
+
+def test_the_seed_draws_another_signal_and_the_file_is_a_click_away(own):
+    page = Page(own, None)
+    page.controls.redraw.clicks += 1
+    first = page.outcome.signal.times
+    page.controls.redraw.clicks += 1
+    assert page.controls.seed.value == 1
+    assert not np.array_equal(first, page.outcome.signal.times)
+    page.controls.original.clicks += 1
+    np.testing.assert_array_equal(page.outcome.signal.times, [0.0, 0.613, 1.287, 2.004])
+
+
+def test_the_verdict_names_the_growth_of_every_mode_for_ever():
+    page = Page(open_named("paper"), None)
+    assert "mode 0 +0.13 /s, mode 1 +0.28 /s" in page.actions.verdict.object
+    assert "<b>unstable</b>" in page.actions.verdict.object
+
+
+# -- workers -------------------------------------------------------------------------------
+
+
+def test_a_job_that_takes_too_long_is_stopped_and_the_next_one_runs(workers):
+    began = time.monotonic()
+    with pytest.raises(dt.ArgumentError, match=r"takes longer than 0\.5 s, and was stopped"):
+        workers.submit(0.5, time.sleep, 60.0).result()
+    assert time.monotonic() - began < 30.0
+    assert workers.submit(5.0, math.sqrt, 4.0).result() == 2.0
+
+
+def test_a_process_that_dies_is_replaced(workers):
+    with pytest.raises(dt.ArgumentError, match="ended its process"):
+        workers.submit(5.0, os._exit, 1).result()
+    assert workers.submit(5.0, math.sqrt, 9.0).result() == 3.0
+
+
+def test_errors_of_jobs_come_back(workers):
+    with pytest.raises(dt.ArgumentError, match=r"ValueError: (math|expected)"):
+        workers.submit(5.0, math.sqrt, -1.0).result()
+
+
+def test_given_signals_and_seeds_are_plain_data():
+    assert Given((0.0,), (0,)).about == ""
+    assert Path(open_named("paper").source).name == "paper.toml"
