@@ -1,22 +1,19 @@
-"""Links that work on a code host work here: files outside docs/ that the site has as pages."""
+"""Links that work on a code host work here: pages that are files outside docs/."""
 
 from __future__ import annotations
 
 import re
 
 PAGES = {
-    "../benchmarks/README.md": "/benchmarks.md",
-    "../CHANGELOG.md": "/changelog.md",
-    "../CONTRIBUTING.md": "/contributing.md",
+    "benchmarks/README.md": "/benchmarks.md",
+    "CHANGELOG.md": "/changelog.md",
+    "CONTRIBUTING.md": "/contributing.md",
 }
-
-UP = re.compile(r"\]\(((?:\.\./)+)([A-Za-z][^)#]*\.md)")
+UP = re.compile(r"\]\((?:\.\./)+([A-Za-z][^)#]*\.md)")
 
 
 def to_pages(app, docname: str, source: list[str]) -> None:
-    source[0] = UP.sub(
-        lambda m: f"]({PAGES[f'../{m[2]}']}" if f"../{m[2]}" in PAGES else m[0], source[0]
-    )
+    source[0] = UP.sub(lambda m: f"]({PAGES.get(m[1], m[0][2:])}", source[0])
 
 
 def setup(app) -> dict[str, bool]:
