@@ -40,7 +40,7 @@ bench: .venv/installed .venv/compiled
 	$(BIN)/python benchmarks/sweep.py
 
 examples: .venv/installed
-	for script in examples/*.py; do $(BIN)/python $$script || exit 1; done
+	for script in examples/gallery/*.py examples/howto/*.py; do $(BIN)/python $$script || exit 1; done
 
 schema: .venv/installed
 	$(BIN)/deadtime schema > docs/problem.schema.json

@@ -1,4 +1,4 @@
-"""What the documents say is run: the README's Python, its commands, and every example."""
+"""What the documents say is run: the README's Python, its commands, the how-to scripts."""
 
 import re
 import subprocess
@@ -164,18 +164,17 @@ def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
     assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
 
 
-# Pages and the README's commands, which run always, do the same with smaller budgets; rules have
-# own tests.
-LONG = ("design", "known_switching", "output_feedback", "robustness", "state_dependent")
+# Pages and the README's commands, which run always, do the same with smaller budgets.
+LONG = ("design", "known_switching", "output_feedback", "robustness")
 MARKS = dict.fromkeys(LONG, pytest.mark.long) | {"processor_in_the_loop": needs_compiler}
 SCRIPTS = [
     pytest.param(path, id=path.stem, marks=MARKS.get(path.stem, ()))
-    for path in sorted((ROOT / "examples").glob("*.py"))
+    for path in sorted((ROOT / "examples" / "howto").glob("*.py"))
 ]
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_example_runs_without_a_word_on_stderr_and_leaves_a_picture(tmp_path, script):
+def test_how_to_script_runs_without_a_word_on_stderr_and_leaves_a_picture(tmp_path, script):
     result = subprocess.run(
         [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True
     )

@@ -1,4 +1,8 @@
-"""A plant of which two of three states are measured: observer, disturbance, reference.
+"""
+Outputs instead of states
+=========================
+
+A plant of which two of three states are measured: observer, disturbance, reference.
 
 A made-up reactor with three settings of its coolant pump, two heaters and a dead time that is no
 multiple of the period. What one learns: a law on estimates becomes the law on states, and a switch

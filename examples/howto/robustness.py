@@ -1,4 +1,9 @@
-"""What does a loop stand? Three modes, two inputs, a delay that is no multiple of the period."""
+"""
+What does a loop stand?
+=======================
+
+Three modes, two inputs, a delay that is no multiple of the period.
+"""
 
 import deadtime as dt
 from deadtime.robustness_plots import plot_robustness

@@ -1,4 +1,8 @@
-"""What does a wider delay margin cost, and how wide can it be at all?
+"""
+What a wider delay margin costs
+===============================
+
+How wide can it be at all, and at what cost?
 
 The law of the paper's example, designed for cost alone, is lost when the delay is about 1 % off.
 What one learns: gains alone bring that to 2 % for half as much cost again; near what small gain

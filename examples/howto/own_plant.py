@@ -1,4 +1,8 @@
-"""A plant of one's own: three modes, two inputs, a delay that is no multiple of the period.
+"""
+A plant of one's own
+====================
+
+Three modes, two inputs, a delay that is no multiple of the period.
 
 The numbers are made up. What one learns: the whole path from matrices to a figure, with a law
 whose model has the wrong delay beside one that has the right one.

@@ -1,6 +1,9 @@
-"""Learn how a plant switches from a log, and use it: three unstable modes, one second of delay.
+"""
+Learn from a log how a plant switches
+=====================================
 
-Writes known_switching.png: |x| under laws that know nothing, the dwell time, and the statistics.
+Three unstable modes, one second of delay, and a law that uses what a log of some 200 sojourns
+tells. The picture: ``|x|`` under laws that know nothing, the dwell time, and the statistics.
 """
 
 from scipy import stats

@@ -1,11 +1,15 @@
-"""The compiled controller in a process of its own, the plant in this one, UDP between them.
+"""
+The compiled controller in the loop
+===================================
+
+The compiled controller in a process of its own, the plant in this one, UDP between them.
 
 The car follower under a designed law. Every period the plant sends what it measures to the
-controller, which is the C that `export_c` writes behind a socket, and applies what comes back, when
-it comes back. Packets with measurements are lost, answers are lost, some come twice, time stamps
-are off by up to 0.4 periods, and inputs are applied up to 0.4 periods late. What one learns: with
-the time stamps and the inputs as applied, the controller keeps its predictions right through all of
-it, and the loop stays stable.
+controller, which is the C that ``export_c`` writes behind a socket, and applies what comes back,
+when it comes back. Packets with measurements are lost, answers are lost, some come twice, time
+stamps are off by up to 0.4 periods, and inputs are applied up to 0.4 periods late. What one
+learns: with the time stamps and the inputs as applied, the controller keeps its predictions right
+through all of it, and the loop stays stable.
 """
 
 import shutil
