@@ -46,7 +46,7 @@ for mode, (rate, run) in enumerate(zip(rates, held, strict=True)):
     measured = -run.metrics()["decay_rate"]
     print(f"mode {mode} for ever: growth {rate:+.3f} /s, in a run {measured:+.3f} /s")
 
-worst = dt.falsify(problem.plant, law, problem.dwell_time, step=0.05)
+worst = dt.falsify(problem.plant, law, problem.dwell_time, step=0.1)
 print(f"worst of all signals that were tried ({worst.evaluated}): {worst.message}")
 
 with rc_context(STYLE):
