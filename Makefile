@@ -75,5 +75,5 @@ docs: .venv/installed-docs .venv/compiled
 	@touch $@
 
 clean:
-	rm -rf .venv report study-report build dist docs/_build docs/gallery .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv report study-report build dist docs/_build docs/gallery docs/howto/scripts .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -exec rm -rf {} +

@@ -6,7 +6,6 @@ or a network. Pages read on a file system without either.
 
 import os
 import sys
-import warnings
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -30,7 +29,7 @@ extensions = [
     "links",
     "names",
 ]
-exclude_patterns = ["_build", "gallery/**/*.ipynb", "gallery/**/*.py", "gallery/**/*.md5"]
+exclude_patterns = ["_build"]
 highlight_language = "none"
 nitpicky = True
 
@@ -43,26 +42,22 @@ autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 88
 
-# The gallery's scripts; a page that says where they are, in a checkout without them.
-GALLERY = HERE.parent / "examples" / "gallery"
-if not GALLERY.exists():
-    extensions.remove("sphinx_gallery.gen_gallery")
-    (HERE / "gallery").mkdir(exist_ok=True)
-    text = "# Gallery\n\nScripts that draw: the folder `examples` of the repository.\n"
-    (HERE / "gallery" / "index.md").write_text(text, encoding="utf-8")
+EXAMPLES = HERE.parent / "examples"
+sys.path.append(str(EXAMPLES))  # for the scraper
 sphinx_gallery_conf = {
-    "examples_dirs": os.path.relpath(GALLERY, HERE),
-    "gallery_dirs": "gallery",
-    "filename_pattern": r"\.py$",
-    "ignore_pattern": r"__init__\.py|processor_in_the_loop\.py",
+    "examples_dirs": [os.path.relpath(EXAMPLES / name, HERE) for name in ("gallery", "howto")],
+    "gallery_dirs": ["gallery", "howto/scripts"],
+    "filename_pattern": r"/gallery/",  # the others take too long, or need a compiler
+    "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": ("pictures.written",),
     "download_all_examples": False,
     "show_memory": False,
+    "write_computation_times": False,
     "show_signature": False,
     "remove_config_comments": True,
     "min_reported_time": 1e9,
     "abort_on_example_error": True,
 }
-warnings.filterwarnings("ignore", message=".*non-interactive.*", category=UserWarning)
 
 html_theme = "pydata_sphinx_theme"
 html_title = "deadtime"
@@ -76,13 +71,12 @@ html_theme_options = {
     "navigation_depth": 2,
     "show_toc_level": 2,
     "secondary_sidebar_items": ["page-toc"],
-    "article_footer_items": ["prev-next"],
     "footer_start": ["copyright"],
     "footer_end": ["theme-version"],
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "tutorial": []}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 copybutton_exclude = ".linenos, .gp, .go"

@@ -52,6 +52,10 @@ def external(link: str) -> bool:
     return bool(urlsplit(link).scheme or urlsplit(link).netloc)
 
 
+def _has(target: Path, anchor: str) -> bool:
+    return target.suffix != ".html" or anchor in page(target).anchors
+
+
 def broken(site: Path) -> list[str]:
     """Links and loaded files of all pages that lead nowhere on the site."""
     found = []
@@ -64,9 +68,8 @@ def broken(site: Path) -> list[str]:
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.is_file():
                 found.append(f"{path.relative_to(site)}: {link}")
-            elif parts.fragment and target.suffix == ".html":
-                if unquote(parts.fragment) not in page(target).anchors:
-                    found.append(f"{path.relative_to(site)}: {link} (no such anchor)")
+            elif parts.fragment and not _has(target, unquote(parts.fragment)):
+                found.append(f"{path.relative_to(site)}: {link} (no such anchor)")
     return found
 
 

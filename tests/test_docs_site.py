@@ -1,4 +1,4 @@
-"""The documentation site: it builds without a warning, every link leads somewhere, it reads offline.
+"""The documentation site: it builds without a warning, links lead somewhere, it reads offline.
 
 The gallery's scripts are not run here: tests of their own run them, and `make docs` does.
 """
@@ -17,6 +17,7 @@ pytest.importorskip("sphinx_gallery", reason="the extra docs is not installed")
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+GENERATED = {"_build", "gallery", "scripts", "__pycache__"}
 LINK = re.compile(r'<a class="reference internal" href="([^"]*)"')
 
 
@@ -28,10 +29,9 @@ def site(tmp_path_factory):
         (place / name).symlink_to(ROOT / name)
     # The gallery is written beside the pages: they are copied.
     (place / "docs").unlink()
-    skipped = {"_build", "gallery", "__pycache__"}
     for path in DOCS.rglob("*"):
         parts = path.relative_to(DOCS).parts
-        if path.is_file() and not skipped & set(parts):
+        if path.is_file() and not GENERATED & set(parts):
             copy = place / "docs" / Path(*parts)
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.write_bytes(path.read_bytes())
@@ -39,17 +39,17 @@ def site(tmp_path_factory):
         (place / name).write_bytes((ROOT / name).read_bytes())
     out = place / "html"
     # In a process of its own: there no import hook checks shapes.
-    command = [sys.executable, "-m", "sphinx", "-n", "-W", "--keep-going", "-q", "-b", "html"]
-    if (ROOT / "examples" / "gallery").exists():
-        command += ["-D", "plot_gallery=0"]
-    built = subprocess.run([*command, "docs", str(out)], cwd=place, capture_output=True, text=True)
+    options = ["-n", "-W", "--keep-going", "-q", "-b", "html", "-D", "plot_gallery=0"]
+    command = [sys.executable, "-m", "sphinx", *options, "docs", str(out)]
+    built = subprocess.run(command, cwd=place, capture_output=True, text=True)
     assert (built.returncode, built.stderr) == (0, ""), built.stderr[-4000:]
     return out
 
 
 def test_every_page_of_the_docs_is_on_the_site(site):
     pages = {p.relative_to(DOCS).with_suffix(".html") for p in DOCS.rglob("*.md")}
-    pages = {p for p in pages if p.parts[0] not in ("_build", "gallery")}
+    pages = {p for p in pages if not GENERATED & set(p.parts)}
+    pages |= {Path("gallery", p.stem + ".html") for p in (ROOT / "examples/gallery").glob("*.py")}
     assert {p for p in pages if not (site / p).exists()} == set()
 
 
@@ -69,6 +69,13 @@ def test_a_broken_link_and_a_foreign_script_are_found(tmp_path):
     (tmp_path / "b.html").write_text('<p id="yes">')
     assert site_pages.broken(tmp_path) == ["a.html: b.html#no (no such anchor)", "a.html: c.html"]
     assert site_pages.fetched(tmp_path) == ["a.html: https://example.org/x.js"]
+
+
+def test_no_formula_is_taken_for_emphasis(site):
+    for path in site_pages.pages(site):
+        text = path.read_text(encoding="utf-8")
+        found = re.findall(r"<(?:em|strong)>([^<]*[{}^∫∏²≤][^<]*)</", text)
+        assert found == [], path.name
 
 
 def entries(site):
@@ -104,7 +111,12 @@ def test_every_name_of_the_outer_modules_links_to_its_entry(site):
     text = (site / "api.html").read_text(encoding="utf-8")
     codes = r'(<a [^>]*>)?<code class="[^"]*literal[^"]*"><span class="pre">(deadtime\.[\w.]+)<'
     names = {name: link for link, name in re.findall(codes, text)}
-    packages = {"deadtime.study", "deadtime.sweeps", "deadtime.sweep_plots", "deadtime.margin_plots"}
+    packages = {
+        "deadtime.study",
+        "deadtime.sweeps",
+        "deadtime.sweep_plots",
+        "deadtime.margin_plots",
+    }
     assert len(names) > 20
     assert {name for name, link in names.items() if not link} <= packages
 
@@ -145,6 +157,6 @@ def test_numbers_in_docstrings_of_the_public_names_link_to_their_equations(site)
 
 
 def test_committed_figures_are_small():
-    pictures = [p for p in DOCS.rglob("*.png") if not {"_build", "gallery"} & set(p.parts)]
+    pictures = [p for p in DOCS.rglob("*.png") if not GENERATED & set(p.parts)]
     assert len(pictures) > 10
     assert {p.name for p in pictures if p.stat().st_size > 200_000} == set()

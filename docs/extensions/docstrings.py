@@ -10,8 +10,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-import deadtime
 import equations
+
+import deadtime
 
 RULE = re.compile(r"^-{3,}$")
 CODE = re.compile(r"``[^`]+``|`[^`]+`")
@@ -162,7 +163,8 @@ def convert(what: str, name: str, owner: object, lines: list[str]) -> list[str]:
             examples += [".. rubric:: Example", "", *prose(body)]
         else:
             fields += [f":{heading}:", *indented(prose(body)), ""]
-    numbers = equations.links_of(name)
+    cited = "\n".join(fields)
+    numbers = [link for link in equations.links_of(name) if link.split("<")[1] not in cited]
     if numbers:
         fields += [f"{_heading(numbers)} {', '.join(numbers)}", ""]
     return [*out, "", *fields, *examples, *own]

@@ -18,7 +18,9 @@ TABLE = Path(__file__).parents[1] / f"{PAGE}.md"
 NUMBER = re.compile(r"\((\d+)\)")
 STATEMENT = re.compile(r"\b(Theorem|Lemma) (\d\.\d)\b")
 # "equation (5)", "equations (14) to (19), (64)", "inequality (4)" of a docstring, "the law (80)".
-CITED = re.compile(r"\b((?:in)?equalit(?:y|ies)|equations?|law) (\(\d+\)(?:(?:,| and| to) \(\d+\))*)")
+CITED = re.compile(
+    r"\b((?:in)?equalit(?:y|ies)|equations?|law) (\(\d+\)(?:(?:,| and| to) \(\d+\))*)"
+)
 LEMMAS = re.compile(r"\b(Theorem|Lemma)(s?) (2\.\d)( (?:to|and) 2\.\d)?")
 
 
