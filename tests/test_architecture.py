@@ -26,12 +26,13 @@ RINGS = (
     ("problems",),
     ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
     ("fit_plots", "fit_report", "toml_file", "certificate_table", "tightness"),
-    ("margin_plots", "witness_plot", "robustness_plots", "design_plots", "design_table"),
+    ("margin_plots", "run_plots", "witness_plot", "robustness_plots", "design_plots", "design_table"),
     ("monte_carlo_table", "monte_carlo_plots", "paired"),
     ("certificates_section",),
     ("report", "problem_file"),
     ("sweeps", "sweep_plots"),
     ("study",),
+    ("app",),
     ("cli",),
 )
 RING_OF = {name: level for level, ring in enumerate(RINGS) for name in ring}
@@ -77,7 +78,7 @@ def test_import_loads_numpy_and_little_else():
         "import sys, deadtime; "
         "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pandas', 'pydantic', 'rich', "
         "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'jax', "
-        "'dask', 'distributed', 'zarr'}; "
+        "'dask', 'distributed', 'zarr', 'panel', 'bokeh', 'tomlkit'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

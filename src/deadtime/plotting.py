@@ -56,7 +56,7 @@ def plain(text: str) -> str:
     return f"\u200b{text}" if text.startswith("_") else text
 
 
-def _mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
+def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
     """σ as steps, with the modes' names on the axis."""
     axes.step(time, mode, where="post", color=COLOURS[6], linewidth=1.0)
     axes.set_yticks(range(len(names)), names)
@@ -64,7 +64,7 @@ def _mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[
     axes.grid(False)
 
 
-def _steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.ndarray]:
+def signal_steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the signal on [0, end] for a step plot."""
     inside = signal.times < end
     times, modes = signal.times[inside], signal.modes[inside]
@@ -99,7 +99,7 @@ def plot_run(
         middle.set_ylabel("input")
         # A run that ended at once still needs an axis.
         end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
-        _mode_strip(lower, *_steps(run.signal, end), modes)
+        mode_strip(lower, *signal_steps(run.signal, end), modes)
         lower.set_xlabel("time (s)")
         lower.set_xlim(run.time[0], end)
         figure.align_ylabels()
@@ -116,7 +116,7 @@ def _columns(count: int, labels: Sequence[str]) -> int:
 
 def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Figure:
     """The switching signal on [0, end]: the active mode in blue, switching instants in black."""
-    times, visited = _steps(signal, end)
+    times, visited = signal_steps(signal, end)
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 1.0 + 0.3 * len(modes)))
         axes = figure.subplots()
@@ -143,7 +143,7 @@ def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequen
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 1.3 + 0.3 * len(modes)))
         axes = figure.subplots()
-        times, visited = _steps(signal, t + 1.15 * delay)
+        times, visited = signal_steps(signal, t + 1.15 * delay)
         axes.step(times, visited, where="post", color=COLOURS[0], linewidth=1.8)
         axes.axvspan(t, t + delay, color=COLOURS[0], alpha=0.08, linewidth=0)
         axes.vlines(cuts, -0.6, len(modes) - 0.5, color="black", linewidth=0.6, linestyle="--")

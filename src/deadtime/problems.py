@@ -133,9 +133,13 @@ class Problem:
         """
         if law not in self.laws:
             raise ArgumentError(f"law must be one of {sorted(self.laws)}, got {law!r}.")
+        return self.run(self.laws[law], signal)
+
+    def run(self, law: Law, signal: SwitchingSignal | None = None) -> Trajectory:
+        """Run any law in the problem's setting."""
         return simulate(
             self.plant,
-            self.laws[law],
+            law,
             self.signal if signal is None else signal,
             self.x0,
             self.horizon,

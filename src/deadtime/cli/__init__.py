@@ -11,6 +11,7 @@ saves what is done). Errors are one line on stderr.
 from deadtime.cli import (
     certificates,
     design,
+    explorer,
     export,
     files,
     models,
@@ -27,6 +28,7 @@ __all__ = [
     "app",
     "certificates",
     "design",
+    "explorer",
     "export",
     "files",
     "main",

@@ -15,13 +15,14 @@ from deadtime.gains import place
 from deadtime.laws import Law
 from deadtime.problem_file import schema
 from deadtime.problem_file.build import as_numbers, build_problem
+from deadtime.problem_file.lenient import build_what_can
 from deadtime.problem_file.switching import Model, build_model
 from deadtime.problems import Problem
 from deadtime.sweeps.axes import AXES, Draft, axis_of
 from deadtime.sweeps.laws import COARSE, Setting, kinds_of
 from deadtime.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SemiMarkov
-from deadtime.toml_file import SectionError, require_valid, section
+from deadtime.toml_file import require_valid, section
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
 
@@ -83,22 +84,10 @@ class FileStudy(Study):
         return draft
 
     def loop(self, cell: Cell) -> Loop:
-        draft = self.draft(cell)
-        reasons: dict[str, str] = {}
+        file, problem, failed = build_what_can(self.draft(cell), self.path, without_signal)
         names = list(self.own_laws if self.poles is None else self.laws)
-        while True:
-            file = require_valid(schema.ProblemFile, draft)
-            try:
-                problem = build_problem(without_signal(file), self.path)
-            except SectionError as error:
-                # A law that cannot be built does not keep the others from running.
-                if error.path[:1] != ("law",) or len(draft["law"]) == 1:
-                    raise
-                where = int(error.path[1])
-                del draft["law"][where]
-                reasons[names.pop(where)] = str(error)
-            else:
-                break
+        reasons = {names[i]: why for i, why in failed.items()}
+        names = [name for i, name in enumerate(names) if i not in failed]
         model = _model(file, problem.plant.modes, self.path.parent)
         if self.poles is None:
             laws = dict(zip(names, problem.laws.values(), strict=True))

@@ -1,0 +1,241 @@
+"""What buttons of a page do: downloads, drawing by keyboard, the worst signal, the chart."""
+
+from __future__ import annotations
+
+import html
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import panel as pn
+import panel_material_ui as pmui
+
+from deadtime.app.chart import BOUNDS, KEY, Chart
+from deadtime.app.controls import WIDE
+from deadtime.app.jobs import margin, worst_signal
+from deadtime.app.script import script_of
+from deadtime.app.settings import Given
+from deadtime.app.table import csv_of
+from deadtime.errors import DeadtimeError
+from deadtime.laws.base import TableLaw
+from deadtime.problems import Problem
+from deadtime.run_plots import plot_laws
+from deadtime.spectrum import growth_rate
+from deadtime.wording import signed
+
+if TYPE_CHECKING:
+    from deadtime.app.page import Page
+
+_LIMIT = 120.0  # seconds that a search may take
+_REST = 250  # milliseconds after which a hand that moved something rests
+_MOST_TAPS = 400  # periods of delay for which growth rates come at once
+_PLAY = """
+const frames = 120; let i = 0;
+cursor.visible = true;
+if (cursor.tags.length) { clearInterval(cursor.tags[0]); }
+const timer = setInterval(() => {
+  cursor.location = range.start + (range.end - range.start) * i / frames;
+  i += 1;
+  if (i > frames) { clearInterval(timer); cursor.visible = false; cursor.tags = []; }
+}, 40);
+cursor.tags = [timer];
+"""
+
+
+class Actions:
+    """The buttons of a page and the chart."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.chart = Chart()
+        self.law = pmui.Select(label="Law in question", options=[""], **WIDE)
+        self.worst = pmui.Button(label="Worst signal", **WIDE)
+        self.fill = pmui.Button(label="Compute the chart", button_style="outlined", **WIDE)
+        self.play = pmui.Button(label="Watch", button_style="outlined", icon="play_arrow", **WIDE)
+        self.verdict = pn.pane.HTML("", sizing_mode="stretch_width", margin=(2, 10))
+        self.state = pn.pane.HTML(
+            "", css_classes=["search"], sizing_mode="stretch_width", margin=(2, 10)
+        )
+        self.at = pmui.FloatInput(label="at (s)", value=1.0, start=0.0, step=0.1, width=110)
+        self.to = pmui.Select(label="switch to", options=["mode 0"], width=150)
+        self.switch = pmui.Button(label="Switch", margin=(14, 5))
+        self.worst.on_click(self._find_worst)
+        self.fill.on_click(self._fill_chart)
+        self.switch.on_click(self._switch)
+        self.law.param.watch(self._judge, "value")
+        self._moves = self._round = 0
+
+    # -- layout ----------------------------------------------------------------------------
+
+    def drawing(self) -> list[Any]:
+        """Below the curves: watch, and draw the signal without a mouse."""
+        row = pmui.FlexBox(self.at, self.to, self.switch, self.play, margin=(0, 10))
+        hint = pn.pane.HTML(
+            "Draw the signal: click a mode at an instant in the strip, or switch here.",
+            margin=(0, 10),
+        )
+        return [hint, row]
+
+    def judging(self) -> list[Any]:
+        """Beside the curves: the worst signal and the chart."""
+        buttons = pmui.Row(self.worst, self.fill, sizing_mode="stretch_width", margin=0)
+        chart = pn.pane.Bokeh(self.chart.panel, sizing_mode="stretch_width")
+        key = pn.pane.HTML(KEY, sizing_mode="stretch_width", margin=(0, 10))
+        return [self.law, self.verdict, buttons, self.state, key, chart]
+
+    def downloads(self) -> list[Any]:
+        """The problem, the figure, the data and the script, each as a file."""
+
+        def button(label: str, ending: str, make: Callable[[], bytes]) -> pmui.FileDownload:
+            return pmui.FileDownload(
+                label=label, filename=f"deadtime{ending}", button_style="outlined", size="small",
+                callback=lambda: io.BytesIO(make()), margin=4,
+            )  # fmt: skip
+
+        page = self.page
+        return [
+            pmui.FlexBox(
+                button("Problem", ".toml", lambda: page.toml().encode()),
+                button("Figure", ".png", self.figure),
+                button("Data", ".csv", lambda: csv_of(page.outcome.runs).encode()),
+                button("Script", ".py", lambda: script_of(page.outcome.problem).encode()),
+                margin=(5, 6),
+            )
+        ]
+
+    def figure(self) -> bytes:
+        """The figure of what is shown, PNG."""
+        outcome = self.page.outcome
+        problem = outcome.problem
+        file = io.BytesIO()
+        plot_laws(outcome.runs, problem.states, problem.modes).savefig(file, format="png")
+        return file.getvalue()
+
+    # -- what happens ----------------------------------------------------------------------
+
+    def opened(self) -> None:
+        """Another problem was opened."""
+        page = self.page
+        modes = page.figures.modes
+        self.to.param.update(options=modes, value=modes[-1])
+        self.fill.disabled = len(modes) == 1
+        self._round += 1
+        if not self.fill.disabled:
+            self.chart.clear(page.controls.value("dwell_time"))
+        self.state.object = ""
+
+    def drawn(self) -> None:
+        """The panels were made anew."""
+        figures = self.page.figures
+        self.play.js_on_click(code=_PLAY, args={"cursor": figures.cursor, "range": figures.x_range})
+
+    def shown(self) -> None:
+        """Something else is shown: the point moves, the verdict follows when the hand rests."""
+        page = self.page
+        names = list(page.outcome.problem.laws)
+        if self.law.options != names:
+            value = self.law.value if self.law.value in names else names[0]
+            self.law.param.update(options=names, value=value)
+        if "dwell_time" in page.controls.ranges:
+            self.chart.place(page.controls.value("dwell_time"), page.controls.value("distance"))
+        self._judge()
+
+    def _judge(self, _: Any = None) -> None:
+        """Say soon what the loop does in each mode for ever."""
+        self._moves += 1
+        mine, document = self._moves, pn.state.curdoc
+
+        def judged() -> None:
+            if mine == self._moves:
+                self.verdict.object = verdict_of(self.page.outcome.problem, self.law.value)
+
+        if document is None:
+            judged()
+        else:
+            document.add_timeout_callback(judged, _REST)
+
+    def _switch(self, _: Any) -> None:
+        mode = self.page.figures.modes.index(self.to.value)
+        self.page.draw_by_hand(float(self.at.value or 0.0), mode)
+
+    def _find_worst(self, _: Any) -> None:
+        page, law = self.page, self.law.value
+
+        def found(result: dict[str, Any]) -> None:
+            self.state.object = html.escape(result["message"])
+            about = f"the worst found for {law} ({signed(result['growth_rate'])} /s)"
+            page.controls.choose(Given(tuple(result["times"]), tuple(result["modes"]), about))
+
+        self._search(
+            self.worst, f"Looking for the worst signal of {law} …", found,
+            worst_signal, page.draft(), page.document.source, law, self._dwell_time(),
+        )  # fmt: skip
+
+    def _fill_chart(self, _: Any) -> None:
+        self._round += 1
+        page, law = self.page, self.law.value
+        draft = page.draft(without=("distance",))
+        times = self.chart.clear(self._dwell_time())
+        given = (draft, page.document.source, law, BOUNDS)
+        self._fill_column(self._round, law, times, 0, given)
+
+    def _fill_column(self, mine: int, law: str, times: list[float], i: int, given: tuple) -> None:
+        """Compute a column of the chart, then the next, unless another was begun meanwhile."""
+
+        def found(margin: tuple[float, float]) -> None:
+            if mine != self._round:
+                return
+            self.chart.add(times[i], *margin)
+            if i + 1 < len(times):
+                self._fill_column(mine, law, times, i + 1, given)
+            else:
+                self.state.object = f"{html.escape(law)}: the chart is complete."
+
+        text = f"{law}: column {i + 1} of {len(times)}, τ_d = {times[i]:.3g} s …"
+        self._search(self.fill, text, found, margin, *given, times[i])
+
+    def _search(
+        self, button: Any, text: str, found: Callable[[Any], None], job: Any, *given: Any
+    ) -> None:
+        """Run a job elsewhere, its button busy until it is done."""
+
+        def failed(error: str) -> None:
+            button.loading = False
+            self.state.object = html.escape(error)
+
+        def done(result: Any) -> None:
+            button.loading = False
+            found(result)
+
+        button.loading = True
+        self.state.object = html.escape(text)
+        self.page.elsewhere(_LIMIT, done, failed, job, *given)
+
+    def _dwell_time(self) -> float:
+        page = self.page
+        if "dwell_time" in page.controls.ranges:
+            return page.controls.value("dwell_time")
+        return page.outcome.problem.plant.delay
+
+
+def verdict_of(problem: Problem, law: str) -> str:
+    """What a law's loop does if switching stops, in a sentence; empty where that takes long."""
+    chosen = problem.laws.get(law)
+    if chosen is None or problem.step is None or not isinstance(chosen, TableLaw):
+        return ""
+    if problem.plant.delay / problem.step > _MOST_TAPS:
+        return ""
+    modes = range(problem.plant.modes)
+    try:
+        rates = [growth_rate(problem.plant, chosen, i, step=problem.step) for i in modes]
+    except DeadtimeError:
+        return ""
+    said = ", ".join(
+        f"{html.escape(name)} {signed(rate)} /s"
+        for name, rate in zip(problem.modes, rates, strict=True)
+    )
+    judged = "stable" if max(rates) < 0.0 else "<b>unstable</b>"
+    return (
+        f"<div class='verdict'>If switching stops, {html.escape(law)} is {judged}. "
+        f"Growth: {said}.</div>"
+    )

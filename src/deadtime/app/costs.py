@@ -1,0 +1,69 @@
+"""The table of costs: each law against the oracle, as HTML that a screen reader can read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+from deadtime.app.outcome import Outcome
+from deadtime.app.style import colour_of, dash_of
+from deadtime.wording import compact
+
+_HEAD = (
+    "<table class='costs'><caption>Cost ∫ |x|² + |u|² dt, and against the oracle</caption>"
+    "<thead><tr><th scope='col'>law</th><th scope='col'>cost</th><th scope='col'>× oracle</th>"
+    "<th scope='col'>settles (s)</th><th scope='col'>max |x|</th></tr></thead><tbody>"
+)
+_BORDERS = {"solid": "solid", "dashed": "dashed", "dashdot": "dashed", "dotted": "dotted"}
+CSS = """
+.costs { border-collapse: collapse; width: 100%; font-size: 0.9rem; color: inherit; }
+.costs caption { text-align: left; font-size: 0.85rem; padding-bottom: 4px; }
+.costs th, .costs td { text-align: right; padding: 3px 5px; white-space: nowrap; }
+.costs th:first-child, .costs td:first-child { text-align: left; white-space: normal; }
+.costs tbody tr { border-top: 1px solid rgba(128, 128, 128, 0.35); }
+.costs .swatch { display: inline-block; width: 18px; margin-right: 5px; vertical-align: middle;
+                 border-top-width: 3px; }
+.costs .why { text-align: left; white-space: normal; opacity: 0.85; }
+"""
+
+
+def table_of(outcome: Outcome, laws: Sequence[str]) -> str:
+    """The table; `laws` are all on offer, whose order makes the colours.
+
+    Full figures are in the `data-` attributes of the rows.
+    """
+    rows = []
+    for law in outcome.runs:
+        place = laws.index(law) if law in laws else len(laws)
+        rows.append(_row(outcome, law, place))
+    for law, why in outcome.reasons.items():
+        rows.append(
+            f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
+        )
+    return f"{_HEAD}{''.join(rows)}</tbody></table>"
+
+
+def _row(outcome: Outcome, law: str, place: int) -> str:
+    metrics, ratio = outcome.metrics[law], outcome.ratio(law)
+    colour = colour_of(place)
+    swatch = f"<span class='swatch' style='border-top-style: {_BORDERS[dash_of(place)]}; " + (
+        f"border-top-color: {colour}'></span>"
+    )
+    grows = outcome.runs[law].diverged or (ratio is not None and math.isinf(ratio))
+    bar = 0.0 if ratio is None else 100.0 if grows else _bar(ratio)
+    shade = f"background: linear-gradient(to right, {colour}55 {bar:.0f}%, transparent {bar:.0f}%)"
+    relative = "–" if ratio is None else "grows" if grows else f"{compact(ratio)}"
+    settling = metrics["settling_time"]
+    settles = "no" if not math.isfinite(settling) else f"{settling:.2f}"
+    return (
+        f"<tr data-law='{escape(law, quote=True)}' data-cost='{metrics['cost']!r}' "
+        f"data-peak='{metrics['peak']!r}'><td>{swatch}{escape(law)}</td>"
+        f"<td>{compact(metrics['cost'])}</td><td style='{shade}'>{relative}</td>"
+        f"<td>{settles}</td><td>{compact(metrics['peak'])}</td></tr>"
+    )
+
+
+def _bar(ratio: float) -> float:
+    """Per cent of a cell, growing with the logarithm of the ratio: all of it at 1,000."""
+    return min(100.0, 100.0 * math.log10(max(ratio, 1.02)) / 3.0)

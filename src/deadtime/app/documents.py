@@ -1,0 +1,150 @@
+"""The problem file behind a page: read without trust, written back with its comments."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from deadtime.errors import ArgumentError, ProblemFileError
+from deadtime.problem_file import schema
+from deadtime.problems import NAMED
+from deadtime.sweeps.axes import Draft
+from deadtime.toml_file import read_toml
+
+MOST_BYTES = 1_000_000
+_READS_FILES = {"signal": "log", "switching": "fitted"}
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A problem file as it was opened (immutable).
+
+    Attributes
+    ----------
+    name : str
+        Of the file, without its ending.
+    text : str
+        What it says.
+    draft : mapping
+        The same as nested dictionaries and lists.
+    source : Path
+        Where it lies: its relative paths start at this file's folder.
+    """
+
+    name: str
+    text: str
+    draft: Draft
+    source: Path
+
+
+def open_named(name: str) -> Document:
+    """One of the named problems, or a problem file on this machine.
+
+    Raises
+    ------
+    ProblemFileError
+        If the file cannot be read, or does not say what a problem file may say.
+    """
+    if name in NAMED:
+        text = files("deadtime").joinpath("templates", f"{name}.toml").read_text(encoding="utf-8")
+        return Document(name, text, tomllib.loads(text), Path(f"{name}.toml"))
+    if not Path(name).suffix and not Path(name).exists():
+        raise ArgumentError(
+            f"problem must be one of {', '.join(NAMED)}, or a file that exists, got {name!r}."
+        )
+    source = Path(name)
+    _, read = read_toml(source, schema.ProblemFile, ProblemFileError, "`deadtime init` writes one")
+    return Document(source.stem, read.text, tomllib.loads(read.text), source)
+
+
+def open_upload(name: str, content: bytes, folder: Path) -> Document:
+    """A problem file that came through a browser: nothing it says is trusted.
+
+    Parameters
+    ----------
+    name : str
+        Its name on the machine of the person.
+    content : bytes
+    folder : Path
+        An empty folder to check it in.
+
+    Raises
+    ------
+    ProblemFileError
+        If it is larger than a problem file can be, is not text or TOML, says something that a
+        problem file may not, or names other files, which would be read on this machine.
+    """
+    stem = "".join(c for c in Path(name).stem if c.isalnum() or c in " -_")[:60] or "problem"
+    if len(content) > MOST_BYTES:
+        raise ProblemFileError(
+            f"{stem}.toml has {len(content) / 1e6:.1f} MB, a problem file at most "
+            f"{MOST_BYTES / 1e6:.0f} MB: choose another file."
+        )
+    source = folder / f"{stem}.toml"
+    source.write_bytes(content)
+    try:
+        _, read = read_toml(source, schema.ProblemFile, ProblemFileError)
+    except ProblemFileError as error:
+        raise ProblemFileError(str(error).replace(str(source), source.name)) from None
+    except RecursionError:
+        raise ProblemFileError(f"{source.name} is nested too deeply.") from None
+    finally:
+        source.unlink()
+    draft = tomllib.loads(read.text)
+    for section, kind in _READS_FILES.items():
+        if draft.get(section, {}).get("kind") == kind:
+            raise ProblemFileError(
+                f'{source.name}: [{section}] of kind "{kind}" reads other files, which a page '
+                "cannot be given: open it with `deadtime app` and the file's name."
+            )
+    return Document(stem, read.text, draft, Path(f"{stem}.toml"))
+
+
+def to_toml(document: Document, draft: Mapping[str, Any]) -> str:
+    """The document saying what the draft says; comments and order stay, and whatever is equal.
+
+    Examples
+    --------
+    >>> text = 'a = 1  # one\\nb = [1.0, 2.0]\\n'
+    >>> document = Document("x", text, tomllib.loads(text), Path("x.toml"))
+    >>> print(to_toml(document, {"a": 2, "b": [1.0, 2.0]}), end="")
+    a = 2  # one
+    b = [1.0, 2.0]
+    """
+    import tomlkit
+
+    tree = tomlkit.parse(document.text)
+    _merge(tree, document.draft, draft)
+    return tomlkit.dumps(tree)
+
+
+def _merge(tree: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """Write into a table of the tree what differs."""
+    for key in [key for key in old if key not in new]:
+        del tree[key]
+    for key, value in new.items():
+        if key in old and old[key] == value:
+            continue
+        both = isinstance(value, Mapping) and isinstance(old.get(key), Mapping)
+        if both and value.get("kind") == old[key].get("kind"):
+            _merge(tree[key], old[key], value)
+        else:
+            tree[key] = _item(value)
+
+
+def _item(value: Any) -> Any:
+    """A value as it is best read: tables and lists of tables in sections of their own."""
+    import tomlkit
+
+    if isinstance(value, Mapping):
+        return tomlkit.item(dict(value))
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        sections = tomlkit.aot()
+        for one in value:
+            sections.append(tomlkit.item(dict(one)))
+        return sections
+    return tomlkit.item(value)

@@ -1,0 +1,87 @@
+"""The work that pages leave to other processes: plain data in, plain data out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadtime.app.outcome import run_draft
+from deadtime.certificates import falsify, stability_margin
+from deadtime.errors import ArgumentError
+from deadtime.laws import Law
+from deadtime.plant import SwitchedSystem
+from deadtime.problem_file.lenient import build_what_can
+from deadtime.problems import Problem
+from deadtime.sweeps.axes import AXES
+
+RATIO = 1.02  # of the values between which a margin of the chart lies
+_BUDGET = 20_000  # cycles that the search for the worst signal looks at
+
+
+def try_problem(draft: Mapping[str, Any], source: Path) -> float:
+    """Run an opened problem once; how many seconds the second run took."""
+    run_draft(draft, source)
+    return run_draft(draft, source).seconds
+
+
+def worst_signal(
+    draft: Mapping[str, Any], source: Path, law: str, dwell_time: float
+) -> dict[str, Any]:
+    """The worst admissible signal of a law: its switches up to the horizon, its growth, 1/s."""
+    problem, chosen = _problem(draft, source, law)
+    worst = falsify(problem.plant, chosen, dwell_time, step=_step(problem), budget=_BUDGET)
+    cycles = int(np.ceil(problem.horizon / worst.length)) + 1
+    signal = worst.simulate(cycles).signal
+    inside = signal.times < problem.horizon
+    return {
+        "times": signal.times[inside].tolist(),
+        "modes": signal.modes[inside].tolist(),
+        "growth_rate": worst.growth_rate,
+        "message": worst.message,
+    }
+
+
+def margin(
+    draft: Mapping[str, Any],
+    source: Path,
+    law: str,
+    bounds: tuple[float, float],
+    dwell_time: float,
+) -> tuple[float, float]:
+    """Mode distances up to which a law is certified, and from which on it is refuted, or NaN.
+
+    `draft` is that of the distance 1; the law is told the dwell time where it uses one.
+    """
+
+    def problem_at(distance: float) -> tuple[SwitchedSystem, Law]:
+        values = {"distance": distance}
+        if any(one.get("dwell_time") is not None for one in draft.get("law", [])):
+            values["dwell_time"] = dwell_time
+        moved = deepcopy(dict(draft))
+        for name, value in values.items():
+            AXES[name].write(moved, value)
+        problem, chosen = _problem(moved, source, law)
+        return problem.plant, chosen
+
+    problem, _ = _problem(draft, source, law)
+    found = stability_margin(problem_at, bounds, dwell_time, step=_step(problem), ratio=RATIO)
+    refuted = float("nan") if found.refuted is None else float(found.refuted)
+    return float(found.certified), refuted
+
+
+def _problem(draft: Mapping[str, Any], source: Path, law: str) -> tuple[Problem, Law]:
+    """A problem and one of its laws."""
+    _, problem, _ = build_what_can(draft, source)
+    if law not in problem.laws:
+        raise ArgumentError(f"law must be one of {', '.join(problem.laws)}, got {law!r}.")
+    return problem, problem.laws[law]
+
+
+def _step(problem: Problem) -> float:
+    if problem.step is None:
+        raise ArgumentError("an ideal loop has no samples: give the law a period for this.")
+    return problem.step

@@ -1,0 +1,65 @@
+"""The laws that a page has on offer for a problem: those of its file first, then all others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from deadtime.app.documents import Document
+from deadtime.app.switching import dwell_time_of, with_model
+from deadtime.problem_file.lenient import build_what_can
+from deadtime.switching import SwitchingSignal
+
+Section = dict[str, Any]
+
+
+def offered(document: Document) -> tuple[dict[str, Section], tuple[str, ...]]:
+    """Laws by name, as sections of a problem file; and the names of those that the file runs.
+
+    Laws of the file that cannot be built are offered under their names too: a page says why they
+    do not run. What is added to them is left out where it cannot be built.
+    """
+    draft = with_model(document.draft)
+    own = list(document.draft.get("law", []))
+    modes = len(document.draft["plant"]["A"])
+    _, problem, _ = build_what_can(document.draft, document.source)
+    rule = not isinstance(problem.signal, SwitchingSignal)
+    others = _standard(modes, dwell_time_of(document.draft), rule)
+    found = _named(document, {**draft, "law": [*own, *others]})
+    names = [name for name, _ in found]
+    chosen = tuple(names[: len(own)] if own else [n for n in problem.laws if n in names])
+    laws = dict(found[: len(own)])
+    for name, section in found[len(own) :]:
+        laws.setdefault(name, section)
+    return laws, chosen
+
+
+def _standard(modes: int, dwell_time: float, rule: bool) -> list[Section]:
+    """A section for each kind of law that there is, in the order of figures."""
+    many = modes > 1
+    kinds: list[Section] = [{"kind": "averaged"}]
+    kinds += [{"kind": "single", "mode": mode} for mode in range(modes)] if many else []
+    kinds += [{"kind": "mean"}] if many else []
+    kinds += [{"kind": "state-dependent"}] if rule else [{"kind": "exact"}]
+    kinds += [{"kind": "delayed"}]
+    if not many:
+        return kinds
+    dwelling = [
+        {"kind": kind, "name": f"{kind}, dwell-aware", "dwell_time": dwell_time}
+        for kind in ("averaged", "mean")
+    ]
+    return [*kinds, {"kind": "expected"}, {"kind": "optimal"}, *dwelling]
+
+
+def _named(document: Document, draft: Mapping[str, Any]) -> list[tuple[str, Section]]:
+    """Every section with the name that its law goes by; sections that name no law are left out."""
+    found = []
+    for i, section in enumerate(draft["law"]):
+        try:
+            _, problem, _ = build_what_can({**draft, "law": [section]}, document.source)
+        except ValueError:
+            if i < len(document.draft.get("law", [])):
+                found.append((section.get("name") or section["kind"], section))
+            continue
+        found.append((next(iter(problem.laws)), section))
+    return found

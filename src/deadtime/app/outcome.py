@@ -1,0 +1,124 @@
+"""Run what a page shows: every chosen law, and the oracle to compare with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from deadtime.errors import ArgumentError
+from deadtime.laws import ExactPredictor
+from deadtime.problem_file.lenient import build_what_can
+from deadtime.problems import Problem
+from deadtime.simulation import Trajectory
+from deadtime.switching import SwitchingSignal
+
+MOST_SAMPLES = 20_000
+MOST_TAPS = 2_000
+MOST_STATES, MOST_MODES, MOST_LAWS = 12, 12, 16
+_WORST = 1e9  # a ratio of costs beyond which a run just grows
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a problem does (immutable).
+
+    Attributes
+    ----------
+    problem : Problem
+    runs : mapping
+        A run per law, by name.
+    reasons : mapping
+        Why the other laws that were asked for could not run.
+    oracle : float or None
+        The oracle's cost ∫ |x|² + |u|²; None where no signal is known in advance.
+    seconds : float
+        How long all that took.
+    """
+
+    problem: Problem
+    runs: Mapping[str, Trajectory]
+    reasons: Mapping[str, str]
+    oracle: float | None
+    seconds: float
+
+    @property
+    def signal(self) -> SwitchingSignal:
+        """The switching signal; what the first run made of it where a rule decides."""
+        return next(iter(self.runs.values())).signal
+
+    @cached_property
+    def metrics(self) -> dict[str, dict[str, float]]:
+        """`Trajectory.metrics()` of every run."""
+        return {name: run.metrics() for name, run in self.runs.items()}
+
+    def ratio(self, law: str) -> float | None:
+        """A law's cost over the oracle's; infinite for a run that grew without end."""
+        if self.oracle is None or not self.oracle > 0.0:
+            return None
+        ratio = self.metrics[law]["cost"] / self.oracle
+        return ratio if not self.runs[law].diverged and ratio < _WORST else float("inf")
+
+
+def require_size(draft: Mapping[str, Any]) -> None:
+    """Refuse a problem that a page could not keep up with, before anything of it is built."""
+    plant, run = draft["plant"], draft["run"]
+    step = run.get("step", 0.01)
+    if isinstance(step, (int, float)) and step > 0.0:
+        sizes = [
+            ("run.horizon", run["horizon"] / step, MOST_SAMPLES, "periods"),
+            ("plant.delay", plant["delay"] / step, MOST_TAPS, "periods"),
+        ]
+    else:
+        sizes = [("run.horizon", run["horizon"] / plant["delay"], MOST_TAPS, "delays")]
+    sizes += [
+        ("plant.A", len(plant["A"]), MOST_MODES, "modes"),
+        ("plant.A", len(plant["A"][0]) if plant["A"] else 0, MOST_STATES, "states"),
+        ("law", len(draft.get("law", [])), MOST_LAWS, "laws"),
+    ]
+    for name, size, most, unit in sizes:
+        if not size <= most:
+            raise ArgumentError(
+                f"{name} makes {size:,.0f} {unit}, the explorer takes at most {most:,}: use "
+                "`deadtime simulate` for larger ones."
+            )
+
+
+def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
+    """Run every law of a problem file that can be built, and the oracle.
+
+    Raises
+    ------
+    ArgumentError
+        If the problem is too large for a page, or does not hold together.
+    """
+    began = time.perf_counter()
+    require_size(draft)
+    names = [law.get("name") or law["kind"] for law in draft.get("law", [])]
+    _, problem, failed = build_what_can(draft, source)
+    runs = {name: problem.simulate(name) for name in problem.laws}
+    return Outcome(
+        problem,
+        runs,
+        {names[i]: why for i, why in failed.items()},
+        _oracle_cost(problem, runs),
+        time.perf_counter() - began,
+    )
+
+
+def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | None:
+    """The cost of the oracle: of the run there is, or of one more."""
+    if not isinstance(problem.signal, SwitchingSignal):
+        return None
+    for name, law in problem.laws.items():
+        if isinstance(law, ExactPredictor):
+            return runs[name].metrics()["cost"]
+    try:
+        law = ExactPredictor(problem.model or problem.plant, problem.gains, allow_unstable=True)
+        run = problem.run(law)
+    except ArgumentError:
+        return None
+    return run.metrics()["cost"]

@@ -1,0 +1,280 @@
+"""One session of the explorer: what a person sees, and what happens when something is moved."""
+
+from __future__ import annotations
+
+import html
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import panel as pn
+import panel_material_ui as pmui
+
+from deadtime.app.actions import Actions
+from deadtime.app.controls import WIDE, Controls
+from deadtime.app.costs import CSS, table_of
+from deadtime.app.documents import MOST_BYTES, Document, open_named, open_upload, to_toml
+from deadtime.app.drawing import switched
+from deadtime.app.figures import MOST_PANELS, Figures
+from deadtime.app.jobs import try_problem
+from deadtime.app.laws import offered
+from deadtime.app.outcome import Outcome, run_draft
+from deadtime.app.settings import Drawn, Given, draft_of
+from deadtime.app.workers import Workers
+from deadtime.errors import DeadtimeError
+from deadtime.problems import NAMED
+
+GROUPS = ("Plant", "Switching", "Run", "Imperfections")
+_TRIAL = 20.0  # seconds that an uploaded problem may take to run for the first time
+_SLOW = 1.0  # seconds above which a problem is too slow for a page that follows every move
+
+
+class Page:
+    """A page (one per session).
+
+    Attributes
+    ----------
+    document : Document
+        The problem file that was opened.
+    outcome : Outcome
+        What is shown.
+    """
+
+    def __init__(self, document: Document, workers: Workers) -> None:
+        self.workers = workers
+        self.message = pmui.Alert(object="", severity="info", visible=False, margin=(4, 10))
+        self.costs = pn.pane.HTML("", sizing_mode="stretch_width", stylesheets=[CSS])
+        self.about = pn.pane.HTML("", sizing_mode="stretch_width", margin=(0, 10))
+        self.panels = pmui.Column(sizing_mode="stretch_width", margin=0)
+        self.groups = {name: pmui.Column(sizing_mode="stretch_width") for name in GROUPS}
+        self.laws = pmui.Column(sizing_mode="stretch_width")
+        self.actions = Actions(self)
+        self.outcome: Outcome
+        self._scheduled = self._closed = False
+        self.open(document)
+
+    # -- opening ---------------------------------------------------------------------------
+
+    def open(self, document: Document) -> None:
+        """Show another problem."""
+        offer, chosen = offered(document)
+        controls = Controls(document, offer, chosen, self.touch)
+        outcome = run_draft(draft_of(document, offer, controls.settings()), document.source)
+        self.document, self.offer, self.controls = document, offer, controls
+        states = range(min(outcome.problem.plant.states, MOST_PANELS))
+        self._draw(outcome, list(states))
+        for name, column in self.groups.items():
+            column.objects = controls.widgets(name)
+        self.laws.objects = [controls.laws, *self._state_choice(outcome)]
+        self.actions.opened()
+        self._show(outcome)
+
+    def _draw(self, outcome: Outcome, states: list[int]) -> None:
+        self.figures = Figures(outcome.problem, list(self.offer), states)
+        self.figures.on_draw(self.draw_by_hand)
+        self.panels.objects = [
+            pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self.figures.all
+        ]
+        self.actions.drawn()
+
+    def _state_choice(self, outcome: Outcome) -> list[Any]:
+        """Which states have a panel, where there are too many for all."""
+        names = list(outcome.problem.states)
+        if len(names) <= MOST_PANELS:
+            return []
+        choice = pmui.MultiChoice(
+            label="States shown", options=names, value=names[:MOST_PANELS], **WIDE
+        )
+
+        def chosen(event: Any) -> None:
+            self._draw(self.outcome, [names.index(name) for name in event.new])
+            self._show(self.outcome)
+
+        choice.param.watch(chosen, "value")
+        return [choice]
+
+    def open_named(self, name: str) -> None:
+        """Show a named problem."""
+        if self.attempt(lambda: self.open(open_named(name))):
+            self.say(f"Opened {name}.")
+
+    def upload(self, name: str, content: bytes) -> None:
+        """Show a problem file that came through the browser, once a trial of it has worked."""
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                document = open_upload(name, content, Path(folder))
+        except DeadtimeError as error:
+            self.refuse(str(error))
+            return
+
+        def tried(seconds: float) -> None:
+            if seconds > _SLOW:
+                self.refuse(
+                    f"{document.name}.toml takes {seconds:.1f} s to run, too slow for a page that "
+                    "follows every move: use `deadtime simulate`."
+                )
+            elif self.attempt(lambda: self.open(document)):
+                self.say(f"Opened {document.name}.toml.")
+
+        self.say(f"Trying {document.name}.toml …")
+        self.elsewhere(_TRIAL, tried, self.refuse, try_problem, document.draft, document.source)
+
+    def elsewhere(
+        self,
+        limit: float,
+        done: Callable[[Any], None],
+        failed: Callable[[str], None],
+        job: Any,
+        *given: Any,
+    ) -> None:
+        """Run a job in another process, then go on here with its result or its error."""
+        document = pn.state.curdoc
+
+        def finished(future: Future[Any]) -> None:
+            if future.cancelled() or self._closed:
+                return
+            error = future.exception()
+            after = partial(done, future.result()) if error is None else partial(failed, str(error))
+            if document is None:
+                after()
+            else:
+                document.add_next_tick_callback(after)
+
+        self.workers.submit(limit, job, *given).add_done_callback(finished)
+
+    def close(self) -> None:
+        """The session is over."""
+        self._closed = True
+
+    # -- showing ---------------------------------------------------------------------------
+
+    def touch(self) -> None:
+        """Something was moved: run again soon, once for all that comes until then."""
+        if self._scheduled:
+            return
+        self._scheduled = True
+        if pn.state.curdoc is None:
+            self.update()
+        else:
+            pn.state.curdoc.add_next_tick_callback(self.update)
+
+    def update(self) -> None:
+        """Run what the controls say and show it; an error leaves what is shown."""
+        self._scheduled = False
+        self.attempt(lambda: self._show(run_draft(self.draft(), self.document.source)))
+
+    def draft(self, without: Sequence[str] = ()) -> dict[str, Any]:
+        """The problem file of what is shown, or with some parameters left where they were."""
+        settings = self.controls.settings()
+        values = {name: one for name, one in settings.values.items() if name not in without}
+        return draft_of(self.document, self.offer, replace(settings, values=values))
+
+    def toml(self) -> str:
+        """The same as text."""
+        return to_toml(self.document, self.draft())
+
+    def attempt(self, act: Callable[[], None]) -> bool:
+        """Do something that may be refused, and say why; whether it was done."""
+        try:
+            act()
+        except (DeadtimeError, ValueError, OverflowError) as error:
+            self.say(str(error), "error")
+            return False
+        if self.message.severity == "error":
+            self.message.visible = False
+        return True
+
+    def refuse(self, why: str) -> None:
+        """Say why something was not opened."""
+        self.say(f"{why} Nothing was changed.", "error")
+
+    def say(self, text: str, severity: str = "info") -> None:
+        """A message above the curves."""
+        self.message.param.update(object=html.escape(text), severity=severity, visible=True)
+
+    def _show(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+        self.figures.show(outcome)
+        self.costs.object = table_of(outcome, list(self.offer))
+        self.about.object = self._about(outcome)
+        self.actions.shown()
+
+    def _about(self, outcome: Outcome) -> str:
+        """A line on what is shown."""
+        problem, signal = outcome.problem, outcome.signal
+        given = self.controls.signal
+        kind = "the file's" if given is None else "drawn"
+        if isinstance(given, Drawn):
+            kind = f"drawn with seed {given.seed}"
+        elif isinstance(given, Given):
+            kind = given.about
+        switches = int(((signal.times > 0) & (signal.times < problem.horizon)).sum())
+        diverged = [name for name, run in outcome.runs.items() if run.diverged]
+        more = f" Diverged: {html.escape(', '.join(diverged))}." if diverged else ""
+        return (
+            f"<div class='about'><b>{html.escape(problem.title)}</b><br>"
+            f"Signal: {html.escape(kind)}, {switches} switches.{more}</div>"
+        )
+
+    # -- drawing ---------------------------------------------------------------------------
+
+    def draw_by_hand(self, at: float, mode: int) -> None:
+        """Switch to a mode at an instant, as `drawing.switched` does."""
+        problem, signal = self.outcome.problem, self.outcome.signal
+        at = round(min(max(at, 0.0), problem.horizon), 3)
+        mode = min(max(mode, 0), problem.plant.modes - 1)
+        inside = signal.times < problem.horizon
+        times, modes = signal.times[inside].tolist(), signal.modes[inside].tolist()
+        self.attempt(
+            lambda: self.controls.choose(switched(times, modes, at, mode, problem.plant.modes))
+        )
+
+    # -- layout ----------------------------------------------------------------------------
+
+    def view(self) -> pmui.Page:
+        """The whole page."""
+        choice = pmui.Select(
+            label="Problem", options=["", *NAMED], value="", helper_text="or a file:", **WIDE
+        )
+        choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
+        upload = pmui.FileInput(
+            label="Open a problem file (.toml)", accept=".toml", max_file_size=20 * MOST_BYTES,
+            **WIDE,
+        )  # fmt: skip
+
+        def uploaded(event: Any) -> None:
+            if event.new:
+                self.upload(upload.filename or "problem.toml", event.new)
+
+        upload.param.watch(uploaded, "value")
+        groups = pmui.Accordion(
+            ("Laws", self.laws),
+            *((name, column) for name, column in self.groups.items()),
+            active=[0, 1, 2], title_variant="subtitle1", disable_gutters=True,
+            sizing_mode="stretch_width", margin=(5, 5),
+        )  # fmt: skip
+        left = pmui.Column(self.message, self.about, self.panels, *self.actions.drawing())
+        right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
+        return pmui.Page(
+            title="deadtime explorer",
+            sidebar=[choice, upload, *self.actions.downloads(), groups],
+            sidebar_width=330,
+            sidebar_open=not _on_a_phone(),
+            main=[
+                pmui.Grid(
+                    pmui.Grid(left, size={"xs": 12, "lg": 7}),
+                    pmui.Grid(right, size={"xs": 12, "lg": 5}),
+                    container=True, spacing=1, sizing_mode="stretch_width",
+                )
+            ],
+            theme_toggle=True,
+        )  # fmt: skip
+
+
+def _on_a_phone() -> bool:
+    """Whether the controls would cover the curves at first, by what the browser calls itself."""
+    return "Mobi" in pn.state.headers.get("User-Agent", "")

@@ -1,0 +1,170 @@
+"""A Python script that makes what a page shows, without the page: plain numbers, public names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from inspect import Parameter, signature
+from typing import Any
+
+import numpy as np
+
+from deadtime.imperfections import Imperfection
+from deadtime.problems import Problem
+from deadtime.switching.sojourns import Fixed
+from deadtime.version import __version__
+
+_LINE = 88
+
+_HEAD = '''"""{title}
+
+Written by the explorer of deadtime {version}.
+"""
+
+{imports}
+import deadtime as dt
+from deadtime.run_plots import plot_laws
+
+'''
+_TAIL = """
+runs = {{
+    name: dt.simulate(
+        plant,
+        law,
+        signal,
+{arguments}
+    )
+    for name, law in laws.items()
+}}
+for name, run in runs.items():
+    print(name, run.metrics()["cost"], "diverged" if run.diverged else "")
+plot_laws(runs, states={states}, modes={modes}).savefig({file})
+"""
+
+
+def script_of(problem: Problem) -> str:
+    """The script: it builds the same plant, laws and signal, runs them and draws the same figure.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> text = script_of(dt.problems.paper())
+    >>> [line for line in text.splitlines() if line.startswith("laws[")][0]
+    'laws["averaged"] = dt.AveragedPredictor(plant=plant, gains=gains, weights=[0.5, 0.5])'
+    """
+    writer = _Writer()
+    body = "".join(_definitions(problem, writer))
+    arguments = {
+        "x0": problem.x0,
+        "horizon": problem.horizon,
+        "step": problem.step,
+        "u0": np.asarray(problem.u0, dtype=float),
+    }
+    if problem.imperfections:
+        arguments |= {
+            "imperfections": list(problem.imperfections),
+            "seed": problem.seed,
+            "predict": problem.predict,
+        }
+    lines = [f"{name}={writer.code(value)}," for name, value in arguments.items()]
+    file = "".join(c if c.isalnum() or c in "-_" else "-" for c in problem.name)
+    tail = _TAIL.format(
+        arguments=_indented(lines, 8),
+        states=writer.code(list(problem.states)),
+        modes=writer.code(list(problem.modes)),
+        file=_quoted(f"{file}.png"),
+    )
+    title = problem.title.replace("\\", " ").replace('"', "'")
+    imports = "\n".join([*sorted(writer.imports), ""])
+    return _HEAD.format(title=title, version=__version__, imports=imports) + body + tail
+
+
+def _definitions(problem: Problem, writer: _Writer) -> Iterator[str]:
+    """The plant, what laws believe, the gains, the signal and the laws."""
+    laws = problem.laws.values()
+    yield writer.define("plant", problem.plant)
+    if problem.model is not None:
+        yield writer.define("model", problem.model)
+    yield writer.define("gains", problem.gains)
+    for model in (getattr(law, "model", None) for law in laws):
+        if model is not None:
+            yield writer.define("switching", model)
+            break
+    yield writer.define("signal", problem.signal)
+    yield "laws = {}\n"
+    for name, law in problem.laws.items():
+        yield f"laws[{_quoted(name)}] = {writer.code(law)}\n"
+
+
+class _Writer:
+    """Values as the code that makes them; what has been given a name goes by it."""
+
+    def __init__(self) -> None:
+        self.imports: set[str] = set()
+        self._names: dict[str, str] = {}
+
+    def define(self, name: str, value: Any) -> str:
+        """The line that gives a value its name."""
+        code = self.code(value)
+        if code in self._names.values():
+            return ""
+        self._names[code] = name
+        return f"{name} = {code}\n"
+
+    def code(self, value: Any) -> str:
+        """The expression that makes a value."""
+        code = self._expression(value)
+        return self._names.get(code, code)
+
+    def _expression(self, value: Any) -> str:
+        if hasattr(value, "dist") and hasattr(value, "kwds"):
+            return self._distribution(value)
+        if isinstance(value, np.ndarray):
+            return self._expression(value.tolist())
+        if isinstance(value, (tuple, list)):
+            return f"[{', '.join(self.code(one) for one in value)}]"
+        if isinstance(value, float) and np.isinf(value):
+            return 'float("inf")' if value > 0 else 'float("-inf")'
+        if isinstance(value, str):
+            return _quoted(value)
+        if isinstance(value, Fixed):
+            return repr(value.length)
+        if type(value).__module__.startswith("deadtime."):
+            return self._call(value)
+        return repr(value)
+
+    def _distribution(self, value: Any) -> str:
+        """A frozen distribution of scipy.stats."""
+        self.imports.add("from scipy import stats")
+        given = [self.code(one) for one in value.args]
+        given += [f"{name}={self.code(one)}" for name, one in value.kwds.items()]
+        return f"stats.{value.dist.name}({', '.join(given)})"
+
+    def _call(self, value: Any) -> str:
+        """A call of the class with what it was made of, defaults left out."""
+        kind = type(value)
+        home = "dt.imperfections" if isinstance(value, Imperfection) else "dt"
+        arguments = [
+            f"{name}={self.code(getattr(value, name))}"
+            for name, one in signature(kind).parameters.items()
+            if hasattr(value, name) and not _is_default(getattr(value, name), one.default)
+        ]
+        code = f"{home}.{kind.__name__}({', '.join(arguments)})"
+        if len(code) <= _LINE - 10:
+            return code
+        lines = "".join(f"{line},\n" for line in arguments)
+        return f"{home}.{kind.__name__}(\n{_indented(lines.splitlines(), 4)}\n)"
+
+
+def _indented(lines: list[str], columns: int) -> str:
+    """Lines moved to the right, those inside them too."""
+    space = " " * columns
+    return "\n".join(space + line.replace("\n", "\n" + space) for line in lines)
+
+
+def _is_default(value: Any, default: Any) -> bool:
+    return default is not Parameter.empty and not isinstance(value, np.ndarray) and value == default
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
