@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: reproduce study test lint types pytest long bench examples schema clean
+.PHONY: reproduce study test lint types pytest long bench examples schema docs clean
 
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
@@ -45,6 +45,11 @@ examples: .venv/installed
 schema: .venv/installed
 	$(BIN)/deadtime schema > docs/problem.schema.json
 
+# Strict, and the gallery's scripts are run; tests/test_docs_site.py does the same without them.
+docs: .venv/installed-docs .venv/compiled
+	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build/html
+	@echo "The site: docs/_build/html/index.html"
+
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "deadtime needs Python >= 3.11: run make PYTHON=/path/to/python3.11 ..."; exit 1; }
@@ -56,8 +61,12 @@ schema: .venv/installed
 	@touch $@
 
 .venv/installed-test: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".[test]"
-	@touch .venv/installed $@
+	$(BIN)/python -m pip install --quiet --editable ".[docs,test]"
+	@touch .venv/installed .venv/installed-docs $@
+
+.venv/installed-docs: pyproject.toml constraints.txt | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	@touch $@
 
 # Numba's cache looks at the changed file only, not at the compiled functions that call it.
 .venv/compiled: $(shell find src -name '*.py') | .venv/bin/python
@@ -66,5 +75,5 @@ schema: .venv/installed
 	@touch $@
 
 clean:
-	rm -rf .venv report study-report build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv report study-report build dist docs/_build docs/gallery docs/howto/scripts .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -exec rm -rf {} +

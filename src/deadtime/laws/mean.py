@@ -49,7 +49,7 @@ class MeanPredictor(TableLaw):
 
     References
     ----------
-    arXiv 2503.08446, Section III, the law of Figure 6. The dwell time, and other centres:
+    arXiv 2503.08446, equation (80), the law of Figure 6. The dwell time, and other centres:
     arXiv 2506.03908.
 
     Examples

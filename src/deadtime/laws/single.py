@@ -35,7 +35,7 @@ class SingleModePredictor(TableLaw):
 
     References
     ----------
-    arXiv 2503.08446, Section III, the law of Figures 4 and 5.
+    arXiv 2503.08446, equation (79), the law of Figures 4 and 5.
 
     Examples
     --------

@@ -1,0 +1,82 @@
+"""The documentation site: `make docs`.
+
+Formulas are Unicode text, here as in the docstrings, so no page needs a renderer of maths, a font
+or a network. Pages read on a file system without either.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "extensions"), str(HERE.parent / "src")]
+
+from deadtime.version import __version__  # noqa: E402
+
+project = "deadtime"
+author = "The deadtime developers"
+copyright = "The deadtime developers, BSD-3-Clause"
+release = version = __version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+    "docstrings",
+    "equations",
+    "links",
+    "names",
+]
+exclude_patterns = ["_build"]
+highlight_language = "none"
+nitpicky = True
+
+myst_enable_extensions = ["attrs_inline", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_typehints = "none"  # shapes and units are in the docstrings
+autodoc_inherit_docstrings = False  # what a law shares with all laws is on the page of `Law`
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 88
+
+EXAMPLES = HERE.parent / "examples"
+sys.path.append(str(EXAMPLES))  # for the scraper
+sphinx_gallery_conf = {
+    "examples_dirs": [os.path.relpath(EXAMPLES / name, HERE) for name in ("gallery", "howto")],
+    "gallery_dirs": ["gallery", "howto/scripts"],
+    "filename_pattern": r"/gallery/",  # the others take too long, or need a compiler
+    "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": ("pictures.written",),
+    "download_all_examples": False,
+    "show_memory": False,
+    "write_computation_times": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "min_reported_time": 1e9,
+    "abort_on_example_error": True,
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "deadtime"
+html_static_path = ["static"]
+html_css_files = ["deadtime.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {
+    "navbar_align": "left",
+    "header_links_before_dropdown": 7,
+    "navigation_depth": 2,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": ["theme-version"],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
+html_sidebars = {"index": [], "tutorial": []}
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+copybutton_exclude = ".linenos, .gp, .go"

@@ -1,0 +1,170 @@
+"""What the pages of docs/ say is run: their Python, their commands, and what they say is printed.
+
+On a page, code blocks run in order, in one folder. A block `text` after one is what it prints, with
+… for what does not matter; a block that begins with `# name` is a file.
+"""
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import deadtime as dt
+from deadtime.cli import app, main
+from deadtime.export.compiler import compiler
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+BLOCK = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.S | re.M)
+# Commands of other programs: what sets a machine up, and a cluster that is not here.
+NOT_RUN = ("python3 -m venv", "pip ", "dask ", "deadtime sweep study.toml --store /shared")
+
+
+LANGUAGES = (
+    *("python", "console", "text", "toml", "c", "bash"),
+    *("{toctree}", "{eval-rst}", "{include} ../CHANGELOG.md"),
+    *("{include} ../CONTRIBUTING.md", "{include} ../benchmarks/README.md"),
+)
+
+
+def built(path):
+    return {"_build", "gallery", "scripts"} & set(path.relative_to(DOCS).parts)
+
+
+PAGES = {
+    str(path.relative_to(DOCS)): path.read_text(encoding="utf-8")
+    for path in sorted(DOCS.rglob("*.md"))
+    if not built(path)
+}
+# Pages with tests of their own, which know what must come out.
+ELSEWHERE = set(
+    re.findall(r'run_page\("([\w.-]+)"\)', (ROOT / "tests/test_documents.py").read_text("utf-8"))
+)
+
+
+def has_code(text):
+    return any(language in ("python", "console") for language, _ in BLOCK.findall(text))
+
+
+RUN = [name for name, text in PAGES.items() if has_code(text) and name not in ELSEWHERE]
+
+
+def pattern(said):
+    """What is printed, blanks apart, as a pattern: … stands for anything."""
+    parts = [re.escape("".join(part.split())) for part in said.split("…")]
+    return ".*".join(parts)
+
+
+def command(line, capsys):
+    """Run a line of a shell, and return what it prints."""
+    if line.startswith("deadtime "):
+        with pytest.raises(SystemExit) as stopped:
+            main(line.split()[1:])
+        out, err = capsys.readouterr()
+        assert (stopped.value.code, err) == (0, ""), line
+        return out
+    done = subprocess.run(line.split(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, ""), line
+    return done.stdout
+
+
+def run(name, folder, monkeypatch, capsys):
+    """Run a page; return the names that its Python leaves, and what was printed."""
+    monkeypatch.chdir(folder)
+    names, printed, everything = {"__name__": "page"}, None, ""
+    for language, text in BLOCK.findall(PAGES[name]):
+        file = re.match(r"# ([\w-]+\.\w+)\n", text)
+        if file:
+            (folder / file[1]).write_text(text, encoding="utf-8")
+        if language == "python":
+            capsys.readouterr()
+            exec(compile(text, name, "exec"), names)
+            printed = capsys.readouterr().out
+        elif language == "console":
+            lines = [line[2:] for line in text.splitlines() if line.startswith("$ ")]
+            here = [line for line in lines if not line.startswith(NOT_RUN)]
+            printed = "".join(command(line, capsys) for line in here)
+        elif language == "text":
+            shown = "".join(printed.split())
+            assert re.search(pattern(text), shown, re.S), (text, printed)
+        everything += printed or ""
+    return names, everything
+
+
+@pytest.mark.parametrize("name", RUN)
+def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monkeypatch, capsys):
+    if "export" in PAGES[name] and compiler() is None:
+        pytest.skip("needs a C compiler")
+    names, _ = run(name, tmp_path, monkeypatch, capsys)
+    if name == "howto/add-a-law.md":
+        the_law_agrees_with_a_runge_kutta_method(names["CurrentModePredictor"])
+        data = names["data"].ise.median("scenario")
+        assert 20 * float(data.sel(law="current mode")) < float(data.sel(law="averaged"))
+        assert float(data.sel(law="current mode")) < 1.2 * float(data.sel(law="expected"))
+        assert names["exported"].check.passed
+
+
+def the_law_agrees_with_a_runge_kutta_method(law_of):
+    """K_i x_i(t + D), x_i integrated in mode i over the inputs on their way, D = 5.4 periods."""
+    paper, step = dt.problems.paper().plant, 0.1
+    plant = dt.SwitchedSystem(paper.A, paper.B, delay=0.54)
+    gains = dt.place(plant, [-1.0, -2.0])
+    table = law_of(plant, gains).digital(step)
+    assert table.context == "mode"
+    rng = np.random.default_rng(0)
+    x, past = rng.normal(size=2), rng.normal(size=6)  # past: u_{k−1} first
+    for i in (0, 1):
+        ahead = x
+        for u, length in zip(past[::-1], [0.04, *[step] * 5], strict=True):
+            ahead = solve_ivp(
+                lambda _, y, i=i, u=u: plant.A[i] @ y + plant.B[i, :, 0] * u,
+                (0.0, length),
+                ahead,
+                method="DOP853",
+                rtol=1e-12,
+                atol=1e-12,
+            ).y[:, -1]
+        u = table.state_gain[i] @ x + table.input_gain[i, :, 0, 0] @ past
+        np.testing.assert_allclose(u, gains[i] @ ahead, rtol=1e-9)
+    np.testing.assert_allclose(table.factor.taps(6), table.input_gain, atol=1e-13)
+
+
+def test_every_page_with_python_is_run():
+    with_python = {name for name, text in PAGES.items() if "```python" in text}
+    assert with_python <= ELSEWHERE | set(RUN)
+    assert len(with_python) > 15
+    for name, text in PAGES.items():
+        for language, code in BLOCK.findall(text):
+            assert language in LANGUAGES, (
+                f"{name}: a block that nobody runs: {language}: {code[:60]}"
+            )
+            if language == "python":
+                ast.parse(code)
+
+
+def test_the_law_of_the_page_is_about_fifty_lines():
+    (code,) = re.findall(r"```python\n(# current_mode.py.*?)```", PAGES["howto/add-a-law.md"], re.S)
+    assert len(code.strip().splitlines()) <= 55
+
+
+INDENTED = re.compile(r"^(?:    |\$ )(deadtime (?!error).*?)\s*(?:#.*)?$", re.M)
+COMMANDS = [
+    pytest.param(line, id=f"{name}: {line}")
+    for name, text in PAGES.items()
+    for line in INDENTED.findall(text)
+    if "SLURM" not in line
+]
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_the_command_line_knows_the_commands_of_the_pages(line):
+    app.parse_args(line.split()[1:], exit_on_error=False, print_error=False)
+
+
+def test_a_wrong_option_would_be_found():
+    with pytest.raises(Exception, match="Unknown option"):
+        app.parse_args(["certify", "paper", "--speed"], exit_on_error=False, print_error=False)
