@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: reproduce study test lint types pytest long bench examples schema docs clean
+.PHONY: reproduce study test lint types pytest long browser bench examples schema docs clean
 
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
@@ -33,6 +33,12 @@ pytest: .venv/installed-test .venv/compiled
 # What is too long for every change: the whole report, certificates of N = 100 put back.
 long: .venv/installed-test .venv/compiled
 	$(BIN)/pytest -m long
+
+# The explorer in Chromium; pictures into screenshots/.
+browser: .venv/installed-browser .venv/compiled
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || \
+		{ echo "no Chromium: install your system's (Debian: apt-get install chromium)"; exit 1; }
+	$(BIN)/pytest -m browser -s tests/browser
 
 bench: .venv/installed .venv/compiled
 	$(BIN)/python benchmarks/single_run.py
@@ -66,6 +72,10 @@ docs: .venv/installed-docs .venv/compiled
 
 .venv/installed-docs: pyproject.toml constraints.txt | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	@touch $@
+
+.venv/installed-browser: pyproject.toml constraints.txt | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable ".[browser]"
 	@touch $@
 
 # Numba's cache looks at the changed file only, not at the compiled functions that call it.
