@@ -44,7 +44,7 @@ app = App(
         "deadtime app                     # the same with sliders, in a browser",
         title="Start here",
     )
-    + "\n\nExit codes: 0 done, 1 the answer is no, 2 a request that cannot be met, 130 interrupted.",
+    + "\n\nExit codes: 0 done, 1 the answer is no, 2 the request is wrong, 130 interrupted.",
     version=__version__,
     group_commands=_OPTIONS,
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted

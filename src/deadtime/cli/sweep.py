@@ -25,7 +25,7 @@ _EVERY = 10.0  # seconds between lines about a cluster's progress
     help_epilogue=lines(
         "deadtime sweep studies/paper.toml --store paper.zarr",
         "deadtime sweep study.toml --dry-run",
-        "deadtime sweep study.toml --store /shared/study.zarr --scheduler tcp://head:8786",
+        "deadtime sweep study.toml --store /shared/one.zarr --scheduler tcp://head:8786",
     ),
 )
 def sweep(
