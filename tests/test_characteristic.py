@@ -101,8 +101,9 @@ def definition(law, mode):
         start = np.kron(np.eye(modes)[:, [mode]], np.eye(n))
 
         def weight(tau):
-            p = expm((D - tau) * L.T)[:, [mode]]
-            return row @ expm(tau * free) @ block_diag(*model.B) @ np.kron(p, np.eye(m))
+            p = expm(np.multiply.outer(D - tau, L.T))[..., [mode]]
+            mapped = row @ expm(np.multiply.outer(tau, free)) @ block_diag(*model.B)
+            return mapped @ np.kron(p, np.eye(m))
 
         return row @ expm(D * free) @ start, weight, D
     if isinstance(law, dt.MeanPredictor):
@@ -113,7 +114,7 @@ def definition(law, mode):
         own = law.mode if isinstance(law, dt.SingleModePredictor) else mode
         branches = [(law.gains[own], model.A[own], model.B[own])]
     F = sum(K @ expm(D * A) for K, A, _ in branches)
-    return F, lambda tau: sum(K @ expm(tau * A) @ B for K, A, B in branches), D
+    return F, lambda tau: sum(K @ expm(np.multiply.outer(tau, A)) @ B for K, A, B in branches), D
 
 
 def second_matrix(plant, law, mode):
@@ -123,10 +124,10 @@ def second_matrix(plant, law, mode):
     n, m = B.shape
     z, w = np.polynomial.legendre.leggauss(40)
     tau = (z + 1.0) / 2.0 * lead
-    taps = [] if weight is None else [lead / 2.0 * w[j] * weight(tau[j]) for j in range(40)]
+    taps = None if weight is None else lead / 2.0 * w[:, None, None] * weight(tau)
 
     def matrix(s):
-        memory = sum((np.exp(-s * tau[j]) * taps[j] for j in range(len(taps))), np.zeros((m, m)))
+        memory = np.zeros((m, m)) if taps is None else np.tensordot(np.exp(-s * tau), taps, 1)
         pipe = -np.exp(-s * plant.delay) * B
         return np.block([[s * np.eye(n) - A, pipe], [-F, np.eye(m) - memory]])
 

@@ -93,7 +93,8 @@ def test_reproduce_runs_a_problem_file_and_reports_json(folder, capsys):
     run(capsys, "init", "car.toml", "--example", "follower")
     code, out, _ = run(capsys, "reproduce", "car.toml", "-o", "car", "--no-certificates", "--json")
     assert code == 0
-    assert json.loads(out) == json.loads((folder / "car" / "metrics.json").read_text())
+    metrics = json.loads((folder / "car" / "metrics.json").read_text())
+    assert json.loads(out) == metrics | {"written": ["car/index.html"]}
     assert all(rate < 0 for rate in json.loads(out)["growth_without_switching"].values())
 
 

@@ -40,7 +40,7 @@ def run(controller, x, modes, applied=None):
 def test_every_law_gives_what_its_table_says_whatever_was_applied(name, step):
     law = plants.LAWS[name](GENERIC)
     table = law.digital(step)
-    x, modes, applied = recorded(GENERIC, 3000)
+    x, modes, applied = recorded(GENERIC, 800)
     u, scale = plants.expected_inputs(table, x, modes, applied)
     assert (np.abs(run(dt.Controller(law, step), x, modes, applied) - u) <= 1e-14 * scale).all()
 

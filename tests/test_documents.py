@@ -1,6 +1,7 @@
 """What the documents say is run: the README's Python, its commands, the how-to scripts."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -128,43 +129,46 @@ def test_python_of_the_page_on_design_runs(tmp_path, monkeypatch):
     assert (tmp_path / "design.png").stat().st_size > 10_000
 
 
-def test_commands_of_the_readme_exist(tmp_path, monkeypatch):
-    from deadtime.cli import main
-
-    monkeypatch.chdir(tmp_path)
-    commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
-    assert len(commands) == 15
-    dt.SwitchingSignal.random(2, 60.0, dwell_time=0.3, seed=1).to_csv("log.csv")
-    (study,) = (command.split()[1] for command in commands if command.startswith("study"))
-    (tmp_path / "studies").mkdir()
-    quick = (ROOT / study).read_text(encoding="utf-8").replace("[0.1, 0.2, 0.4, 0.8, 1.6]", "0.8")
-    (tmp_path / study).write_text(quick.replace("[0.25, 0.5, 1.0, 1.5]", "[0.5, 1]"), "utf-8")
-    load_study(ROOT / study)  # run whole it takes minutes: tests/test_study.py runs smaller ones
-    for command in commands:
-        if command.startswith("study"):
-            continue
-        if command.startswith("reproduce"):
-            command += " --no-certificates"  # tests/test_cli.py runs it whole
-        if command.startswith("robustness"):
-            command += " --scenarios 1"
-        if command.startswith("design"):
-            command += " --budget 30"
-        if command.startswith("sweep"):
-            command += " --scenarios 3 --workers 1"
-        if command.startswith("plot"):
-            command += " --kind wins"
-        if command.startswith("monte-carlo"):
-            command += " --scenarios 50"
-        with pytest.raises(SystemExit) as stopped:
-            main(command.split())
-        assert stopped.value.code == 0, command
-    targets = re.findall(r"^    make (\w+)", README, re.M)
+def test_quick_start_of_the_readme_runs_line_by_line_in_an_empty_folder(tmp_path):
+    set_up, use = re.findall(r"```bash\n(.*?)```", README, re.S)
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    assert targets == ["reproduce", "test"]
-    assert all(re.search(rf"^{target}:", makefile, re.M) for target in targets)
+    assert re.findall(r"^make (\w+)", set_up, re.M) == ["reproduce"]
+    assert 'export PATH="$PWD/.venv/bin:$PATH"' in set_up
+    assert re.search(r"^BIN := .venv/bin$", makefile, re.M)
+    assert all(re.search(rf"^{target}:", makefile, re.M) for target in ("reproduce", "test"))
+    result = subprocess.run(
+        ["bash", "-e"],
+        input=f'export PATH="{Path(sys.executable).parent}:$PATH"\n{use}',
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "Next: deadtime simulate problem.toml" in result.stdout
+    assert "\n(proven in " in result.stdout
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names >= {"problem.png", "problem-all-laws.png", "cert.json", "out"}
 
 
-# Pages and the README's commands, which run always, do the same with smaller budgets.
+APART = {"app", "schema", "completion"}  # which the README tells of elsewhere, or not at all
+
+
+def test_commands_of_the_readme_are_those_there_are(monkeypatch):
+    """Each is understood as it stands; tests/test_cli_streams.py runs one of every kind."""
+    from deadtime.cli import app
+
+    monkeypatch.chdir(ROOT)
+    commands = re.findall(r"^    deadtime (.*?)\s*(?:#.*)?$", README, re.M)
+    for command in commands:
+        function, *_ = app.parse_args(shlex.split(command), exit_on_error=False, print_error=False)
+        assert function.__name__ == command.split()[0].replace("-", "_")
+        for study in re.findall(r"studies/\S+", command):
+            load_study(study)  # run whole it takes minutes: tests/test_study.py runs smaller ones
+    used = {command.split()[0] for command in commands}
+    assert used | APART == {name for name in app if not name.startswith("-")} | APART
+
+
+# Pages and the command line's tests, which run always, do the same with smaller budgets.
 LONG = ("design", "known_switching", "output_feedback", "robustness")
 MARKS = dict.fromkeys(LONG, pytest.mark.long) | {"processor_in_the_loop": needs_compiler}
 SCRIPTS = [

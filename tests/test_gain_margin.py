@@ -16,29 +16,29 @@ STEP = 0.1
 TABLES = [name for name in plants.LAWS if name != "delayed"]
 
 
-def radius(plant, table, row, mode, factor):
-    """Spectral radius of the lifted loop, from SciPy's exponentials and the definition alone."""
+def lifted(plant, table, row, mode):
+    """The loop lifted by SciPy's exponentials and the definition alone: M₀ + factor · M₁."""
     h, D = table.step, plant.delay
     N = int(np.ceil(D / h - 1e-9))
     phase = D - (N - 1) * h
-    A, B = plant.A[mode], factor * plant.B[mode]
+    A, B = plant.A[mode], plant.B[mode]
     n, m = B.shape
     Phi, late = plants.held(A, B, h)[0], plants.held(A, B, h - phase)[1]
     early = expm(A * (h - phase)) @ plants.held(A, B, phase)[1]
     taps = max(table.taps, N)
-    M = np.zeros((n + taps * m, n + taps * m))
+    M, by_factor = np.zeros((2, n + taps * m, n + taps * m))
     F, G = table.state_gain[row], table.input_gain[row]
     M[n : n + m, :n] = F
     for j in range(table.taps):
         M[n : n + m, n + j * m : n + (j + 1) * m] = G[j]
     M[n + m :, n:-m] = np.eye((taps - 1) * m)
     M[:n, :n] = Phi
-    M[:n, n + (N - 1) * m : n + N * m] += early
+    by_factor[:n, n + (N - 1) * m : n + N * m] += early
     if N > 1:
-        M[:n, n + (N - 2) * m : n + (N - 1) * m] += late
+        by_factor[:n, n + (N - 2) * m : n + (N - 1) * m] += late
     else:
-        M[:n] += late @ M[n : n + m]
-    return np.abs(np.linalg.eigvals(M)).max()
+        by_factor[:n] += late @ M[n : n + m]
+    return M, by_factor
 
 
 @pytest.mark.parametrize("law", TABLES)
@@ -53,14 +53,17 @@ def test_the_gain_margin_ends_where_a_lifted_loop_reaches_the_unit_circle(law):
         table = made.digital(STEP, signal, 1)
         row = int(table.rows(np.full(1, mode), table.ages)[0])
 
-        def log_radius(factor, table=table, row=row, mode=mode):
-            return np.log(radius(PLANT, table, row, mode, factor))
+        parts = lifted(PLANT, table, row, mode)
+
+        def log_radius(factor, parts=parts):
+            M = parts[0] + np.multiply.outer(factor, parts[1])
+            return np.log(np.abs(np.linalg.eigvals(M)).max(axis=-1))
 
         fine = np.linspace(1.0, 1.5 * margin.upper, 400)
-        first = fine[np.argmax([log_radius(k) > 0.0 for k in fine])]
+        first = fine[np.argmax(log_radius(fine) > 0.0)]
         upper = brentq(log_radius, 1.0, first) if first > 1.0 else np.inf
         fine = np.linspace(1.0, 0.5 * margin.lower, 400)
-        first = fine[np.argmax([log_radius(k) > 0.0 for k in fine])]
+        first = fine[np.argmax(log_radius(fine) > 0.0)]
         lower = brentq(log_radius, first, 1.0) if first < 1.0 else 0.0
         ends.append((lower, upper))
     lower, upper = np.array(ends).T

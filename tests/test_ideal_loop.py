@@ -173,7 +173,7 @@ def other_model(delay):
 
 
 @pytest.mark.parametrize("name", plants.IDEAL)
-@pytest.mark.parametrize("delay", [0.234, 0.3171, 0.1517])
+@pytest.mark.parametrize("delay", [0.234, pytest.param(0.3171, marks=pytest.mark.long), 0.1517])
 def test_a_law_with_a_wrong_model_agrees_with_a_second_discretisation(name, delay):
     agrees(plants.LAWS[name](other_model(delay)), PLANT, SIGNAL, X0, 1.5)
 

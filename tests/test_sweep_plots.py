@@ -359,7 +359,8 @@ def test_json_and_files_of_laws_that_are_spelled_alike(run):
     assert json.loads(out) == {
         "store": "mine.zarr",
         "metric": "decay_rate",
-        "figures": ["there/heat-decay_rate-a-b.png", "there/heat-decay_rate-a-b-2.png"],
+        "left_out": None,
+        "written": ["there/heat-decay_rate-a-b.png", "there/heat-decay_rate-a-b-2.png"],
     }
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from deadtime.errors import ArgumentError, ProblemFileError
 from deadtime.problem_file import load_problem, schema
-from deadtime.problems import NAMED
+from deadtime.problem_file.named import is_named, template
 from deadtime.sweeps.axes import Draft
 from deadtime.toml_file import SectionError, TomlText, read_toml
 
@@ -49,14 +48,10 @@ def open_named(name: str) -> Document:
     ProblemFileError
         If the file cannot be read, or does not say what a problem file may say.
     """
-    if name in NAMED:
-        text = files("deadtime").joinpath("templates", f"{name}.toml").read_text(encoding="utf-8")
-        return Document(name, text, tomllib.loads(text), Path(f"{name}.toml"))
-    if not Path(name).suffix and not Path(name).exists():
-        raise ArgumentError(
-            f"problem must be one of {', '.join(NAMED)}, or a file that exists, got {name!r}."
-        )
     source = Path(name)
+    if is_named(source):
+        text = template(name)
+        return Document(name, text, tomllib.loads(text), Path(f"{name}.toml"))
     _, read = read_toml(source, schema.ProblemFile, ProblemFileError, "`deadtime init` writes one")
     load_problem(source)  # what does not hold together is refused with its line
     return Document(source.stem, read.text, tomllib.loads(read.text), source)

@@ -1,15 +1,18 @@
-"""The command line: `deadtime reproduce`, `simulate`, `certify`, `verify`, `bound`, `design`,
-`robustness`, `monte-carlo`, `sweep`, `plot`, `export`, `fit`, `study`, `init`, `schema`.
+"""The command line: `deadtime init`, `simulate`, `reproduce`; `certify`, `verify`, `bound`,
+`robustness`; `monte-carlo`, `study`, `sweep`, `plot`; `design`, `export`, `fit`; `schema`,
+`completion`.
 
-Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when `verify`
-finds that a file proves nothing, `design` does not reach its margin or the C of `export` fails its
-self-check, 2 when something in the
-request is wrong, 130 when interrupted (`monte-carlo` then prints and
-saves what is done). Errors are one line on stderr.
+Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when the answer
+is no (`certify --law` proves nothing, `verify` finds that a file proves nothing, `design` does not
+reach its margin, the C of `export` fails its self-check), 2 when something in the request is
+wrong, 130 when interrupted (`monte-carlo` then prints and saves what is done), 141 when nobody
+reads what is printed any more. Errors are one line on stderr; with `--json` stdout then stays
+empty.
 """
 
 from deadtime.cli import (
     certificates,
+    completion,
     design,
     explorer,
     export,
@@ -27,6 +30,7 @@ from deadtime.cli.entry import app, main
 __all__ = [
     "app",
     "certificates",
+    "completion",
     "design",
     "explorer",
     "export",

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deadtime.checks import positive
-from deadtime.cli.entry import AsJson, File, app
-from deadtime.cli.printing import print_table, progress_bar
+from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
+from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
@@ -17,9 +16,16 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
 
 
-@app.command
+@app.command(
+    group=JUDGE,
+    help_epilogue=lines(
+        "deadtime certify problem.toml",
+        "deadtime certify paper --law averaged",
+        "deadtime certify problem.toml --dwell-time 0.5 --out cert.json",
+    ),
+)
 def certify(
-    problem: str,
+    problem: Path,
     *,
     law: str | None = None,
     dwell_time: float | None = None,
@@ -30,9 +36,7 @@ def certify(
 ) -> int:
     """Is the loop stable for every switching signal with the dwell time? With a proof, or a signal.
 
-    Examples: `deadtime certify problem.toml`, `deadtime certify paper --law averaged`,
-    `deadtime certify problem.toml --dwell-time 0.5 --out cert.json`. With `--law` the exit code
-    is 1 unless that law is proved stable.
+    With `--law` the exit code is 1 unless that law is proved stable.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ def certify(
     if json_output:
         record = {"problem": chosen.name, "dwell_time": dwell, "step": period}
         record["laws"] = judged_record(judged)
-        print(json.dumps(record, indent=2, ensure_ascii=False))
+        print_json(record, saved)
     else:
         _print_judged(chosen, judged, dwell, period, law is not None)
         if out is not None:
@@ -76,11 +80,17 @@ def certify(
     return 0 if law is None or judged[0].stable else 1
 
 
-@app.command
+@app.command(
+    group=JUDGE,
+    help_epilogue=lines(
+        "deadtime verify cert.json",
+        "deadtime verify cert.json --json",
+    ),
+)
 def verify(certificate: Path, *, json_output: AsJson = False) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
 
-    Needs no optimisation solver. Example: `deadtime verify cert.json`.
+    Needs no optimisation solver.
 
     Parameters
     ----------
@@ -99,7 +109,7 @@ def verify(certificate: Path, *, json_output: AsJson = False) -> int:
             "statement": list(result.statement),
             "seconds": result.seconds,
         }
-        print(json.dumps(record, indent=2, ensure_ascii=False))
+        print_json(record)
     else:
         print(result.message)
         for sentence in result.statement:
@@ -124,11 +134,10 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 def _print_judged(
     problem: Problem, judged: list[Judged], dwell: float, step: float, in_full: bool
 ) -> None:
-    from rich.console import Console
-
     from deadtime.certificate_table import HEADINGS, LEGEND, judged_rows, judged_sentences
+    from deadtime.cli.console import Terminal
 
-    console = Console(highlight=False, soft_wrap=False)
+    console = Terminal()
     console.print(problem.title, style="bold", markup=False)
     console.print(
         f"Every signal that stays in each mode for at least {dwell:.4g} s, switches at any time; "

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from deadtime.checks import index, positive
-from deadtime.cli.entry import AsJson, Folder, app
-from deadtime.cli.printing import print_table, save_figure
+from deadtime.cli.entry import BUILD, AsJson, Folder, app, lines
+from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
 
@@ -21,9 +20,15 @@ if TYPE_CHECKING:
 Kind = Literal["averaged", "mean"]
 
 
-@app.command
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime design follower --delay-margin 0.05",
+        "deadtime design problem.toml --delay-margin 0.02 --mode 0 --out mode0",
+    ),
+)
 def design(
-    problem: str,
+    problem: Path,
     *,
     delay_margin: float,
     law: Kind = "averaged",
@@ -37,9 +42,8 @@ def design(
 ) -> int:
     """Gains and a law with a delay margin in every constant mode, at the least cost found.
 
-    Examples: `deadtime design follower --delay-margin 0.05`,
-    `deadtime design problem.toml --delay-margin 0.02 --mode 0 --out mode0`. Writes OUT.toml, to be
-    pasted into the problem file, and the chart OUT.png. Exit code 1 if the margin is not reached.
+    Writes OUT.toml, to be pasted into the problem file, and the chart OUT.png. Exit code 1 if the
+    margin is not reached.
 
     Parameters
     ----------
@@ -91,7 +95,7 @@ def design(
     _write(written[0], problem_sections(found, law, chosen.plant, chosen.gains, mode))
     save_figure(plot_designs({title: found}), written[1])
     if json_output:
-        print(json.dumps(design_record(found), indent=2, ensure_ascii=False))
+        print_json(design_record(found), written)
     else:
         _print(chosen, found, mode)
         print("\nGains and law: {}, chart: {}".format(*written))
@@ -113,14 +117,10 @@ def _write(path: Path, text: str) -> None:
 
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
-    from rich.console import Console
-
     from deadtime.design_table import HEADINGS, LIMIT_HEADINGS, design_rows, limit_rows
 
-    console = Console(highlight=False, soft_wrap=False)
-    console.print(problem.title, style="bold", markup=False)
-    console.print(f"• {found.message}\n", markup=False)
+    print_heading(problem.title, [f"{found.message}\n"])
     print_table(HEADINGS, design_rows(found))
-    console.print("\nWhat linear controllers of one mode alone can tolerate:", markup=False)
+    print("\nWhat linear controllers of one mode alone can tolerate:")
     names = problem.modes if mode is None else (problem.modes[mode],)
     print_table(LIMIT_HEADINGS, limit_rows(found, names))

@@ -2,42 +2,128 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
 from deadtime.errors import DeadtimeError
 from deadtime.version import __version__
 
+START = Group.create_ordered("Start")
+JUDGE = Group.create_ordered("Judge one loop")
+COMPARE = Group.create_ordered("Compare laws on many signals")
+BUILD = Group.create_ordered("Build a controller")
+FILES = Group.create_ordered("Files and shell")
+_OPTIONS = Group.create_ordered("Options")
+
+
+def lines(*commands: str, title: str = "Examples") -> str:
+    """Commands for the end of a help page, each on a line of its own, to be copied.
+
+    Examples
+    --------
+    >>> lines("deadtime init", "deadtime simulate problem.toml")
+    '**Examples**\\n\\n`deadtime init`  \\n`deadtime simulate problem.toml`'
+    """
+    return f"**{title}**\n\n" + "  \n".join(f"`{command}`" for command in commands)
+
+
 app = App(
     name="deadtime",
-    help="Predictor feedback for switched linear plants with a long input delay.",
+    help="Predictor feedback for switched linear plants with a long input delay.\n\n"
+    "`deadtime COMMAND --help` ends with examples; every command takes `--json`.",
+    help_epilogue=lines(
+        "deadtime init problem.toml       # a commented file: change its numbers to yours",
+        "deadtime simulate problem.toml   # a verdict, metrics and a figure",
+        "deadtime certify problem.toml    # stable for every signal? a proof, or a signal",
+        "deadtime app                     # the same with sliders, in a browser",
+        title="Start here",
+    )
+    + "\n\nExit codes: 0 done, 1 the answer is no, 2 the request is wrong, 130 interrupted.",
     version=__version__,
+    group_commands=_OPTIONS,
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
 
-AsJson = Annotated[bool, Parameter(name="--json", negative="")]
+AsJson = Annotated[bool, Parameter(name="--json", negative="", show_default=False)]
+Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 Folder = Annotated[Path, Parameter(alias="-o")]
 File = Annotated[Path | None, Parameter(alias="-o")]
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, errors become one line and 2."""
+    from deadtime.cli.console import Terminal
+
+    tokens = _as_command(sys.argv[1:] if arguments is None else list(arguments))
+    for stream in (sys.stdout, sys.stderr):
+        # Where the encoding lacks • or ∞, a question mark is better than no result.
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         code = app(
-            sys.argv[1:] if arguments is None else list(arguments),
+            tokens,
+            console=Terminal(),
             exit_on_error=False,
             print_error=False,
             result_action="return_value",
         )
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except (DeadtimeError, CycloptsError) as error:
-        text = " ".join(str(error).split())
-        print(f"deadtime: error: {text}", file=sys.stderr)
-        raise SystemExit(2) from None
+        _stop(2, f"error: {_one_line(error)}{_where_to_look(error)}")
     except KeyboardInterrupt:
-        print("deadtime: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
+        _stop(130, "interrupted")
+    except BrokenPipeError:  # `| head` has seen enough: stop as other commands do, in silence
+        _abandon_stdout()
+        _stop(141, "")
+    except OSError as error:
+        _abandon_stdout()
+        place = "" if error.filename is None else f"{error.filename}: "
+        _stop(2, f"error: {place}{error.strerror or _one_line(error)}")
     raise SystemExit(code if isinstance(code, int) else 0)
+
+
+def _as_command(tokens: list[str]) -> list[str]:
+    """Two spellings that other tools have: `help COMMAND` and `--install-completion`."""
+    if tokens[:1] == ["help"]:
+        return [*tokens[1:], "--help"]
+    if tokens[:1] == ["--install-completion"]:
+        return ["completion", *tokens[1:], "--install"]
+    return tokens
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        return f"unexpected argument {error.unused_tokens[0]!r}."
+    return " ".join(str(error).split())
+
+
+def _where_to_look(error: BaseException) -> str:
+    """The help of the command that was asked for wrongly."""
+    if not isinstance(error, CycloptsError):
+        return ""
+    command = " ".join(("deadtime", *(error.command_chain or ()), "--help"))
+    return f" See {command}."
+
+
+def _stop(code: int, message: str) -> NoReturn:
+    if message:
+        print(f"deadtime: {message}", file=sys.stderr)
+    raise SystemExit(code) from None
+
+
+def _abandon_stdout() -> None:
+    """Let nothing more be written to a pipe that is closed or a disk that is full.
+
+    Python would try once more when it exits, and complain.
+    """
+    if sys.stdout is sys.__stdout__ and sys.stdout is not None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from deadtime.cli.entry import app
+from deadtime.cli.entry import START, AsJson, app, lines
+from deadtime.cli.printing import print_json
 from deadtime.errors import ArgumentError
 
 
-@app.command(name="app")
+@app.command(
+    name="app",
+    group=START,
+    help_epilogue=lines(
+        "deadtime app",
+        "deadtime app problem.toml",
+        "deadtime app follower --port 8000 --no-browser",
+        "deadtime app --address 0.0.0.0   # for the whole network: there is no password",
+    ),
+)
 def explore(
-    problem: str = "paper",
+    problem: Path = Path("paper"),
     *,
     port: int | None = None,
     address: str = "127.0.0.1",
     origin: tuple[str, ...] = (),
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
+    json_output: AsJson = False,
 ) -> None:
     """Explore a problem on a page: move it, draw its signal, watch every law.
-
-    Examples: `deadtime app`, `deadtime app problem.toml`, `deadtime app --port 8000 --no-browser`.
 
     Parameters
     ----------
@@ -32,9 +43,11 @@ def explore(
     address
         127.0.0.1 is this machine alone; 0.0.0.0 lets the whole network in.
     origin
-        A name, host:port, by which browsers reach the page, behind a proxy.
+        A name, host:port, by which browsers reach the page behind a proxy.
     browser
         Open a browser.
+    json_output
+        Print where the page is as JSON instead of text.
     """
     try:
         from deadtime.app.server import is_loopback, serve
@@ -44,11 +57,16 @@ def explore(
         ) from None
 
     def started(url: str) -> None:
-        print(f"Explorer: {url}")
-        if is_loopback(address):
-            print("Only this machine can reach it (--address 0.0.0.0 lets the network in).")
+        alone = is_loopback(address)
+        if json_output:
+            print_json({"url": url, "only_this_machine": alone})
+            sys.stdout.flush()
         else:
-            print("Everyone who can reach this machine can use it; there is no password.")
-        print("Ctrl-C ends it.", flush=True)
+            print(f"Explorer: {url}")
+            if alone:
+                print("Only this machine can reach it (--address 0.0.0.0 lets the network in).")
+            else:
+                print("Everyone who can reach this machine can use it; there is no password.")
+            print("Ctrl-C ends it.", flush=True)
 
-    serve(problem, address, port, browser, origin, started=started)
+    serve(str(problem), address, port, browser, origin, started=started)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from deadtime.cli.entry import AsJson, app
+from deadtime.cli.entry import BUILD, AsJson, app, lines
+from deadtime.cli.printing import print_json
 from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
 
@@ -19,16 +19,23 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
 
 
-@app.command
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime export problem.toml --c out/",
+        "deadtime export paper --law mean --c out/ --float",
+        "deadtime export paper --fmu law.fmu --plant-fmu plant.fmu",
+    ),
+)
 def export(
-    problem: str,
+    problem: Path,
     *,
     c: Path | None = None,
     fmu: Path | None = None,
     plant_fmu: Path | None = None,
     law: str | None = None,
     step: float | None = None,
-    single: Annotated[bool, Parameter(name="--float", negative="")] = False,
+    single: Annotated[bool, Parameter(name="--float", negative="", show_default=False)] = False,
     accuracy: float | None = None,
     rom_budget: int | None = None,
     name: str = "controller",
@@ -37,8 +44,6 @@ def export(
 ) -> int:
     """Write a law of a problem as C99, as an FMU, or both.
 
-    Examples: `deadtime export problem.toml --c out/`,
-    `deadtime export paper --law mean --c out/ --float --fmu law.fmu --plant-fmu plant.fmu`.
     The inputs are limited where the problem has a saturation. Exit code 1 if the C fails its
     self-check.
 
@@ -79,7 +84,7 @@ def export(
     precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law
     names = Names(called, chosen.states, chosen.modes)
-    lines = [f"{chosen.title}: law {called}, {_limited(controller)}"]
+    text = [f"{chosen.title}: law {called}, {_limited(controller)}"]
     record: dict[str, Any] = {"law": called, "step": controller.step}
     passed = True
     if c is not None:
@@ -92,13 +97,13 @@ def export(
             names=names,
         )
         passed = written.check.passed is not False
-        lines += _c_lines(written, precision)
+        text += _c_lines(written, precision)
         record["c"] = _c_record(written)
     if fmu is not None:
         made = controller.export_fmu(
             fmu, version=fmi, precision=precision, accuracy=accuracy, u0=chosen.u0, names=names
         )
-        lines.append(f"FMU of the controller: {made}")
+        text.append(f"FMU of the controller: {made}")
         record["fmu"] = _fmu_record(made)
     if plant_fmu is not None:
         from deadtime.export import export_plant_fmu
@@ -112,9 +117,12 @@ def export(
             changes=max(4096, 2 * math.ceil(chosen.plant.delay / controller.step)),
             names=Names(f"Plant: {chosen.title}", chosen.states, chosen.modes),
         )
-        lines.append(f"FMU of the plant: {made}")
+        text.append(f"FMU of the plant: {made}")
         record["plant_fmu"] = _fmu_record(made)
-    print(json.dumps(record, indent=2, ensure_ascii=False) if json_output else "\n".join(lines))
+    if json_output:
+        print_json(record, _files_of(record))
+    else:
+        print("\n".join(text))
     return 0 if passed else 1
 
 
@@ -138,6 +146,13 @@ def _c_record(written: Exported) -> dict[str, Any]:
         "passed": written.check.passed,
         "check": written.check.message,
     }
+
+
+def _files_of(record: dict[str, Any]) -> list[Path]:
+    """Every file that the record tells of."""
+    written = record.get("c", {"folder": ".", "files": []})
+    code = [Path(written["folder"]) / name for name in written["files"]]
+    return code + [Path(record[name]["path"]) for name in ("fmu", "plant_fmu") if name in record]
 
 
 def _fmu_record(made: ExportedFmu) -> dict[str, Any]:

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-import json
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from deadtime.cli.entry import app
+from deadtime.cli.entry import FILES, START, AsJson, Flag, app, lines
+from deadtime.cli.printing import print_json
 from deadtime.errors import ArgumentError
 
 Name = Literal["paper", "three-mode", "follower"]
 
 
-@app.command
+@app.command(
+    group=START,
+    help_epilogue=lines(
+        "deadtime init",
+        "deadtime init car.toml --example follower",
+    ),
+)
 def init(
     path: Path = Path("problem.toml"),
     *,
     example: Annotated[Name, Parameter(name=["--example", "-e"])] = "paper",
-    force: Annotated[bool, Parameter(negative="")] = False,
+    force: Flag = False,
+    json_output: AsJson = False,
 ) -> None:
     """Write a commented problem file to start from.
-
-    Examples: `deadtime init`, `deadtime init car.toml --example follower`.
 
     Parameters
     ----------
@@ -34,20 +38,38 @@ def init(
         Whose numbers to start with.
     force
         Replace a file that exists.
+    json_output
+        Print what was written as JSON instead of text.
     """
+    from deadtime.problem_file.named import template
+
     if path.exists() and not force:
         raise ArgumentError(f"{path} exists: choose another name, or replace it with --force.")
-    text = files("deadtime").joinpath("templates", f"{example}.toml").read_text(encoding="utf-8")
+    text = template(example)
     try:
         path.write_text(text.replace("problem.toml", path.name), encoding="utf-8")
     except OSError as error:
         raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None
+    if json_output:
+        print_json({"example": example}, [path])
+        return
     print(f"Wrote {path}. Next: deadtime simulate {path}")
 
 
-@app.command
-def schema() -> None:
-    """Print the JSON Schema of problem files, for editors that complete and check TOML."""
+@app.command(
+    group=FILES,
+    help_epilogue=lines(
+        "deadtime schema > problem.schema.json",
+    ),
+)
+def schema(*, json_output: AsJson = False) -> None:
+    """Print the JSON Schema of problem files, for editors that complete and check TOML.
+
+    Parameters
+    ----------
+    json_output
+        Accepted, as everywhere; the schema is JSON in any case.
+    """
     from deadtime.problem_file import json_schema
 
-    print(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    print_json(json_schema())

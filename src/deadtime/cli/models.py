@@ -6,12 +6,19 @@ import json
 from pathlib import Path
 from typing import Literal
 
-from deadtime.cli.entry import AsJson, Folder, app
-from deadtime.cli.printing import print_answers, print_table, save_figure
+from deadtime.cli.entry import BUILD, COMPARE, AsJson, Folder, app, lines
+from deadtime.cli.printing import print_answers, print_json, print_table, save_figure
 from deadtime.errors import ArgumentError
 
 
-@app.command
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime fit log.csv",
+        "deadtime fit week-*.csv --first drop",
+        "deadtime fit log.csv --labels.throttle 0 --labels.brake 1",
+    ),
+)
 def fit(
     *logs: Path,
     family: str = "auto",
@@ -21,9 +28,6 @@ def fit(
     json_output: AsJson = False,
 ) -> None:
     """Fit a model of the switching to logs, and print it as a section for a problem file.
-
-    Examples: `deadtime fit log.csv`, `deadtime fit week-*.csv --first drop`,
-    `deadtime fit log.csv --labels.throttle 0 --labels.brake 1`.
 
     Parameters
     ----------
@@ -53,14 +57,20 @@ def fit(
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
     save_figure(plot_fit(model, signals, names, first=first), out)
     if json_output:
-        print(json.dumps(fit_report.fit_record(model, names), indent=2, ensure_ascii=False))
+        print_json(fit_report.fit_record(model, names), [out])
         return
     print_table(fit_report.HEADINGS, fit_report.fit_rows(model, names))
     print(f"\n{fit_report.fit_sentence(model, names)}\n\n{fit_report.switching_section(model)}")
     print(f"\nFigure: {out}")
 
 
-@app.command
+@app.command(
+    group=COMPARE,
+    help_epilogue=lines(
+        "deadtime study studies/paper.toml",
+        "deadtime study studies/paper.toml --scenarios 20 --out quick-look",
+    ),
+)
 def study(
     file: Path,
     *,
@@ -74,9 +84,6 @@ def study(
 
     What the folder holds of the same study is not computed again: after an interruption the same
     command goes on.
-
-    Examples: `deadtime study studies/paper.toml`,
-    `deadtime study studies/paper.toml --scenarios 20 --out quick-look`.
 
     Parameters
     ----------
@@ -106,7 +113,7 @@ def study(
     with progress_of(plan, quiet=json_output, remote=scheduler is not None) as report:
         result = write_study(chosen, out, workers, report, command, scheduler)
     if json_output:
-        print((out / "metrics.json").read_text(encoding="utf-8"), end="")
+        print_json(json.loads((out / "metrics.json").read_text(encoding="utf-8")), [result.path])
         return
     print_answers(chosen.title, result.answers)
     print(f"Report: {result.path}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import sys
@@ -12,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.checks import number, positive
-from deadtime.cli.entry import AsJson, File, app
-from deadtime.cli.printing import print_table, save_figure
+from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
+from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
 
@@ -28,9 +27,15 @@ _DATA = (".nc", ".csv")
 _PICTURES = (".png", ".svg", ".pdf")
 
 
-@app.command
+@app.command(
+    group=COMPARE,
+    help_epilogue=lines(
+        "deadtime monte-carlo paper",
+        "deadtime monte-carlo problem.toml --scenarios 100000 --data all.nc",
+    ),
+)
 def monte_carlo(
-    problem: str,
+    problem: Path,
     *,
     scenarios: int = 10_000,
     dwell_time: float | None = None,
@@ -46,9 +51,6 @@ def monte_carlo(
 
     Sojourns are the dwell time plus an exponential time; the next mode is any other, each as
     likely. Ctrl-C ends the run early and keeps what is done.
-
-    Examples: `deadtime monte-carlo paper`, `deadtime monte-carlo problem.toml --scenarios 100000
-    --data results.nc`.
 
     Parameters
     ----------
@@ -103,8 +105,9 @@ def monte_carlo(
     if result.sizes["scenario"] == 0:
         raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
     outcome = summary(result)
+    written = [picture] if data is None else [picture, data]
     if json_output:
-        print(json.dumps(_record(chosen, sojourn, result, outcome), indent=2, ensure_ascii=False))
+        print_json(_record(chosen, sojourn, result, outcome), written)
     else:
         _print(chosen, sojourn, result, outcome)
     save_figure(plot_monte_carlo(result, chosen.title), picture)
@@ -222,7 +225,7 @@ def _print(
     """Heading, remarks and tables on the terminal."""
     dwell, mean = sojourn
     signals = "signal" if outcome.scenarios == 1 else "signals"
-    print(problem.title)
+    print_heading(problem.title)
     print(
         f"{outcome.scenarios:,} random {signals}, sojourns of {dwell:g} s + "
         f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from deadtime.cli.entry import AsJson, app
-from deadtime.cli.printing import progress_bar, save_figure
+from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
+from deadtime.cli.printing import print_json, progress_bar, save_figure
 from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -56,7 +55,14 @@ class Plan:
         return heat + self.bands + bool(self.rivals) + len(self.against_oracle)
 
 
-@app.command
+@app.command(
+    group=COMPARE,
+    help_epilogue=lines(
+        "deadtime plot paper.zarr",
+        "deadtime plot paper.zarr --kind bands --x delay",
+        "deadtime plot paper.zarr --law mean --where delay=0.5 --where sojourn=uniform",
+    ),
+)
 def plot(
     store: str,
     *,
@@ -66,16 +72,13 @@ def plot(
     x: str | None = None,
     y: str | None = None,
     where: Annotated[list[str] | None, Parameter(negative="")] = None,
-    out: Annotated[Path | None, Parameter(alias="-o")] = None,
+    out: File = None,
     json_output: AsJson = False,
 ) -> None:
     """Draw a sweep's store: heat maps, quantile bands, the best law, regret against the oracle.
 
     Two axes span a panel, the others tell panels apart, and axes with one value stand in the
     title. What is not run yet is left out, so a sweep can be looked at while it runs.
-
-    Examples: `deadtime plot sweep.zarr`, `deadtime plot sweep.zarr --kind bands --x delay`,
-    `deadtime plot sweep.zarr --kind heat --law mean --where delay=0.5 --where sojourn=uniform`.
 
     Parameters
     ----------
@@ -110,7 +113,7 @@ def plot(
         ) from None
     paths = _written(plan, folder, quiet=json_output)
     if json_output:
-        print(json.dumps({"store": store, "metric": metric, "figures": list(map(str, paths))}))
+        print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)
         return
     print("\n".join(map(str, paths)))
     if plan.kind == "all" and plan.left_out:

@@ -1,11 +1,14 @@
-"""What the commands print: verdicts, tables, progress; and figures on disk."""
+"""What the commands print: verdicts, tables, JSON, progress; and figures on disk."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deadtime.errors import ArgumentError
 
@@ -17,23 +20,51 @@ if TYPE_CHECKING:
     from deadtime.study.phrases import Answer
 
 
-def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
-    from rich.console import Console
+def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
+    """One JSON document on stdout; `written` are the files that the command made."""
+    whole = dict(record) if written is None else {**record, "written": [*map(str, written)]}
+    # Characters as they are where the terminal or file can hold them, escaped elsewhere.
+    wide = (sys.stdout.encoding or "").lower().startswith("utf")
+    print(json.dumps(strict(whole), indent=2, ensure_ascii=not wide, allow_nan=False))
 
-    from deadtime.verdict import HEADINGS, table
 
-    console = Console(highlight=False, soft_wrap=False)
-    console.print(problem.title, style="bold", markup=False)
+def strict(value: Any) -> Any:
+    """The value with null for what JSON does not know: NaN and infinities.
+
+    Examples
+    --------
+    >>> strict({"peak": [1.5, float("inf")]})
+    {'peak': [1.5, None]}
+    """
+    if isinstance(value, Mapping):
+        return {key: strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_heading(title: str, sentences: Iterable[str] = ()) -> None:
+    """A title, in bold on terminals, and sentences below it."""
+    from deadtime.cli.console import Terminal
+
+    console = Terminal()
+    console.print(title, style="bold", markup=False)
     for sentence in sentences:
         console.print(f"• {sentence}", markup=False)
-    console.print()
+
+
+def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
+    from deadtime.verdict import HEADINGS, table
+
+    print_heading(problem.title, sentences)
+    print()
     print_table(HEADINGS, table(result.metrics))
 
 
 def print_answers(title: str, answers: Sequence[Answer]) -> None:
-    from rich.console import Console
+    from deadtime.cli.console import Terminal
 
-    console = Console(highlight=False, soft_wrap=False)
+    console = Terminal()
     console.print(title, style="bold", markup=False)
     for answer in answers:
         console.print(f"\n{answer.question}", markup=False)
@@ -43,27 +74,29 @@ def print_answers(title: str, answers: Sequence[Answer]) -> None:
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from deadtime.cli.console import Terminal
 
     grid = Table(box=None, pad_edge=False)
     for i, heading in enumerate(headings):
         grid.add_column(heading, justify="right" if i else "left", no_wrap=i > 0)
     for row in rows:
         grid.add_row(*map(Text, row))
-    Console(highlight=False).print(grid)
+    Terminal().print(grid)
 
 
 @contextmanager
 def progress_bar(total: int, quiet: bool) -> Iterator[Callable[[str], None]]:
     """A progress bar on stderr, only when that is a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    console = Console(stderr=True)
+    from deadtime.cli.console import Terminal
+
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    hidden = quiet or not console.is_terminal
+    console = Terminal(stderr=True)
+    hidden = quiet or not on_terminal()
     with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task("starting", total=total)
 
@@ -71,6 +104,11 @@ def progress_bar(total: int, quiet: bool) -> Iterator[Callable[[str], None]]:
             bar.update(task, advance=1, description=what)
 
         yield advance
+
+
+def on_terminal() -> bool:
+    """Whether somebody watches stderr; FORCE_COLOR, which is about colours, does not matter."""
+    return sys.stderr is not None and sys.stderr.isatty()
 
 
 def save_figure(figure: Figure, target: Path) -> None:

@@ -5,21 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deadtime.errors import ArgumentError
-
 if TYPE_CHECKING:
     from deadtime.problems import Problem
 
 
-def problem_of(name: str) -> Problem:
+def problem_of(place: Path) -> Problem:
     """A named problem, or one from a file."""
     from deadtime.problem_file import load_problem
+    from deadtime.problem_file.named import is_named
     from deadtime.problems import NAMED
 
-    if name in NAMED:
-        return NAMED[name]()
-    if not Path(name).suffix and not Path(name).exists():
-        raise ArgumentError(
-            f"problem must be one of {', '.join(NAMED)}, or a file that exists, got {name!r}."
-        )
-    return load_problem(name)
+    return NAMED[str(place)]() if is_named(place) else load_problem(place)

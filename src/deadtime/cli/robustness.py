@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.checks import positive
-from deadtime.cli.entry import AsJson, File, app
-from deadtime.cli.printing import progress_bar, save_figure
+from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
+from deadtime.cli.printing import print_heading, print_json, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
 
@@ -16,9 +15,15 @@ if TYPE_CHECKING:
     from deadtime.robustness import Robustness, Tolerance
 
 
-@app.command
+@app.command(
+    group=JUDGE,
+    help_epilogue=lines(
+        "deadtime robustness problem.toml",
+        "deadtime robustness follower --law mean",
+    ),
+)
 def robustness(
-    problem: str,
+    problem: Path,
     *,
     law: str | None = None,
     step: float | None = None,
@@ -28,8 +33,6 @@ def robustness(
     json_output: AsJson = False,
 ) -> None:
     """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
-
-    Examples: `deadtime robustness problem.toml`, `deadtime robustness follower --law mean`.
 
     Parameters
     ----------
@@ -76,9 +79,10 @@ def robustness(
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
     if json_output:
         record = {"problem": chosen.name, "law": name, "step": period, **_record(result)}
-        print(json.dumps(record, indent=2, ensure_ascii=False))
+        print_json(record, [path])
         return
-    print(f"{chosen.title}\nLaw “{name}”, sampled every {period:g} s:")
+    print_heading(chosen.title)
+    print(f"Law “{name}”, sampled every {period:g} s:")
     for sentence in result.sentences:
         print(f"• {sentence}")
     print(f"\nFigure: {path}")

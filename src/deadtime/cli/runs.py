@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deadtime.cli.entry import AsJson, File, Folder, app
-from deadtime.cli.printing import print_result, progress_bar, save_figure
+from deadtime.cli.entry import START, AsJson, File, Folder, app, lines
+from deadtime.cli.printing import print_json, print_result, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
@@ -15,18 +15,22 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
 
 
-@app.command
+@app.command(
+    group=START,
+    help_epilogue=lines(
+        "deadtime reproduce",
+        "deadtime reproduce follower",
+        "deadtime reproduce problem.toml --out report",
+    ),
+)
 def reproduce(
-    problem: str = "paper",
+    problem: Path = Path("paper"),
     *,
     out: Folder = Path("report"),
     certificates: bool = True,
     json_output: AsJson = False,
 ) -> None:
     """Run a problem under every law and write a report: the paper's comparison by default.
-
-    Examples: `deadtime reproduce`, `deadtime reproduce follower`,
-    `deadtime reproduce problem.toml --out report`.
 
     Parameters
     ----------
@@ -46,22 +50,26 @@ def reproduce(
     with progress_bar(steps_of(chosen, certificates), quiet=json_output) as advance:
         report = write_report(chosen, out, advance, command, certificates)
     if json_output:
-        print((out / "metrics.json").read_text(encoding="utf-8"), end="")
+        print_json(json.loads((out / "metrics.json").read_text(encoding="utf-8")), [report.path])
         return
     print_result(chosen, report.sentences, report.comparison)
     print(f"\nReport: {report.path}")
 
 
-@app.command
+@app.command(
+    group=START,
+    help_epilogue=lines(
+        "deadtime simulate problem.toml",
+        "deadtime simulate paper --out run.svg",
+    ),
+)
 def simulate(
-    problem: str,
+    problem: Path,
     *,
     out: File = None,
     json_output: AsJson = False,
 ) -> None:
     """Simulate a problem file: a verdict, metrics and a figure.
-
-    Examples: `deadtime simulate problem.toml`, `deadtime simulate problem.toml --out run.png`.
 
     Parameters
     ----------
@@ -84,7 +92,7 @@ def simulate(
         result = compare(chosen, advance)
     saved = _save_figures(result, _picture(chosen, out))
     if json_output:
-        print(json.dumps(metrics_of(result), indent=2, ensure_ascii=False))
+        print_json(metrics_of(result), saved)
         return
     print_result(chosen, [*verdict(result), *delay_sentence(chosen)], result)
     print("\nFigure: " + ", ".join(map(str, saved)))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from deadtime.cli.entry import AsJson, app
+from deadtime.cli.entry import COMPARE, AsJson, Flag, app, lines
+from deadtime.cli.printing import on_terminal, print_heading, print_json
 from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -20,10 +18,16 @@ if TYPE_CHECKING:
     from deadtime.sweeps.plan import Plan
 
 _EVERY = 10.0  # seconds between lines about a cluster's progress
-Flag = Annotated[bool, Parameter(negative="")]
 
 
-@app.command
+@app.command(
+    group=COMPARE,
+    help_epilogue=lines(
+        "deadtime sweep studies/paper.toml --store paper.zarr",
+        "deadtime sweep study.toml --dry-run",
+        "deadtime sweep study.toml --store /shared/one.zarr --scheduler tcp://head:8786",
+    ),
+)
 def sweep(
     file: Path,
     *,
@@ -40,10 +44,6 @@ def sweep(
 
     Only cells that the store lacks are computed: after Ctrl-C, a crash or a full disk the same
     command goes on.
-
-    Examples: `deadtime sweep studies/paper.toml --store paper.zarr`,
-    `deadtime sweep study.toml --dry-run`,
-    `deadtime sweep study.toml --store /shared/study.zarr --scheduler tcp://head:8786`.
 
     Parameters
     ----------
@@ -101,10 +101,11 @@ def sweep(
     reasons = _reasons(data)
     if json_output:
         record = {**dataclasses.asdict(plan_of(chosen, place)), "damaged": damaged}
-        print(json.dumps({**record, "reasons": reasons}, indent=2, ensure_ascii=False))
+        print_json({**record, "reasons": reasons})
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
-    print(f"{chosen.title}\n{plan.cells:,} cells: {sizes}")
+    print_heading(chosen.title)
+    print(f"{plan.cells:,} cells: {sizes}")
     for law, (cells, example) in reasons.items():
         print(f"• {law}: in {cells:,} of {plan.cells:,} cells, such as: {example}")
     print(f"\nStore: {place}. Next: deadtime plot {place}")
@@ -144,9 +145,9 @@ def _reasons(data: Any) -> dict[str, tuple[int, str]]:
 def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     """How far a store is, and how much there is to do."""
     if as_json:
-        print(json.dumps(dataclasses.asdict(plan), indent=2))
+        print_json(dataclasses.asdict(plan))
         return
-    print(study.title)
+    print_heading(study.title)
     axes = " × ".join(f"{len(values)} {name}" for name, values in study.grid.items())
     print(
         f"{plan.cells:,} cells ({axes or 'no axes'}), {study.scenarios:,} signals in each, "
@@ -192,19 +193,19 @@ def duration(seconds: float) -> str:
 @contextmanager
 def progress_of(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress], None]]:
     """Progress on stderr: a bar on a terminal; a line now and then about a cluster elsewhere."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    console = Console(stderr=True)
-    if quiet or not (console.is_terminal or remote):
+    from deadtime.cli.console import Terminal
+
+    if quiet or not (on_terminal() or remote):
         yield lambda _: None
         return
     if remote:
         yield Lines(_EVERY)
         return
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("cells"), TimeRemainingColumn())
-    with Bar(*columns, console=console, transient=True) as bar:
+    with Bar(*columns, console=Terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=plan.cells, completed=plan.done)
         yield lambda state: bar.update(task, completed=state.done)
 

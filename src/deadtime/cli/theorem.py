@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-import json
+from pathlib import Path
 
-from deadtime.cli.entry import AsJson, app
-from deadtime.cli.printing import print_table
+from deadtime.cli.entry import JUDGE, AsJson, app, lines
+from deadtime.cli.printing import print_json, print_table
 from deadtime.cli.problems import problem_of
 
 
-@app.command
+@app.command(
+    group=JUDGE,
+    help_epilogue=lines(
+        "deadtime bound problem.toml",
+        "deadtime bound paper --dwell-time 0.2",
+    ),
+)
 def bound(
-    problem: str,
+    problem: Path,
     *,
     dwell_time: float | None = None,
     json_output: AsJson = False,
 ) -> None:
     """What the paper's stability theorem says about a plant: its constants in three forms.
-
-    Examples: `deadtime bound problem.toml`, `deadtime bound paper --dwell-time 0.2`.
 
     Parameters
     ----------
@@ -35,7 +39,7 @@ def bound(
     dwell = chosen.given_signal.dwell_time if dwell_time is None else dwell_time
     bounds = bounds_of(chosen, min(dwell, 1e6 * chosen.horizon))
     if json_output:
-        print(json.dumps(bounds_record(bounds), indent=2, ensure_ascii=False))
+        print_json(bounds_record(bounds))
         return
     headings = ("constant", "as printed", "corrected", "sharp")
     rows = bound_rows(bounds, chosen.constants)

@@ -8,7 +8,6 @@ import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
-from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +17,7 @@ import numpy as np
 from deadtime.errors import ArgumentError, ProblemFileError, StudyFileError
 from deadtime.problem_file import schema
 from deadtime.problem_file.build import as_numbers, build_problem
+from deadtime.problem_file.named import template
 from deadtime.problems import NAMED, Problem
 from deadtime.sweeps.axes import AXES, OVERWRITES, Draft, write_path
 from deadtime.sweeps.file_study import FileStudy, without_signal
@@ -121,8 +121,7 @@ def _problem_file(name: str, source: Path) -> tuple[Draft, Path]:
     """What the file of a named problem, or one relative to the study's, says; and its path."""
     if name in NAMED or not Path(name).suffix:
         known("problem", name, tuple(NAMED))
-        text = files("deadtime").joinpath("templates", f"{name}.toml").read_text(encoding="utf-8")
-        return tomllib.loads(text), Path(f"{name}.toml")
+        return tomllib.loads(template(name)), Path(f"{name}.toml")
     path = source.parent / name
     _, text = read_toml(path, schema.ProblemFile, ProblemFileError, "`deadtime init` writes one")
     return tomllib.loads(text.text), path.resolve()

@@ -63,8 +63,8 @@ def delay_margin(
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[0.5]], [[0.6]]], [[[1.0]], [[1.0]]], delay=0.5)
     >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
-    >>> alone = delay_margin(plant, law, step=0.1)
-    >>> certified = delay_margin(plant, law, step=0.1, dwell_time=0.2)
+    >>> alone = delay_margin(plant, law, step=0.5)
+    >>> certified = delay_margin(plant, law, step=0.5, dwell_time=0.5)
     >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
     True
     """

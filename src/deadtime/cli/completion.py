@@ -1,0 +1,83 @@
+"""`deadtime completion`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from deadtime.cli.entry import FILES, AsJson, Flag, app, lines
+from deadtime.cli.printing import print_json
+from deadtime.errors import ArgumentError
+
+Shell = Literal["bash", "zsh", "fish"]
+
+
+@app.command(
+    group=FILES,
+    help_epilogue=lines(
+        "deadtime completion --install", "deadtime completion zsh > ~/.zfunc/_deadtime"
+    ),
+)
+def completion(
+    shell: Shell | None = None,
+    *,
+    install: Flag = False,
+    json_output: AsJson = False,
+) -> None:
+    """Print a script that lets a shell complete commands, options and files, or install it.
+
+    `deadtime --install-completion` is the same as `deadtime completion --install`.
+
+    Parameters
+    ----------
+    shell
+        bash, zsh or fish; the one that you are in by default.
+    install
+        Write the script where the shell looks for it, and let its start-up file load it.
+    json_output
+        Print the script, and where it went, as JSON.
+    """
+    chosen = shell or _shell()
+    script = _script(chosen)
+    written = [_install(chosen, script)] if install else []
+    if json_output:
+        print_json({"shell": chosen, "script": script}, written)
+    elif written:
+        print(f"Wrote {written[0]}. Next: open a new {chosen}.")
+    else:
+        print(script, end="")
+
+
+def _shell() -> Shell:
+    """The shell that the command was given in."""
+    from cyclopts.completion.detect import ShellDetectionError, detect_shell
+
+    try:
+        found = detect_shell()
+    except ShellDetectionError:
+        found = None
+    if found in ("bash", "zsh", "fish"):
+        return found
+    raise ArgumentError(
+        "shell must be one of bash, zsh, fish where it cannot be told, got none: "
+        "deadtime completion bash."
+    )
+
+
+def _script(shell: Shell) -> str:
+    script = app.generate_completion(shell=shell)
+    if shell == "bash":  # so that folders end in a slash and go on
+        script = script.replace("complete -F", "complete -o filenames -F")
+    return script
+
+
+def _install(shell: Shell, script: str) -> Path:
+    try:
+        path = app.install_completion(shell=shell)
+        path.write_text(script, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(
+            f"the script cannot be written ({error.strerror}): print it with deadtime completion "
+            f"{shell}, and put it where your shell looks."
+        ) from None
+    return path

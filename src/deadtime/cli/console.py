@@ -1,0 +1,25 @@
+"""Where the commands print to: styled on terminals, plain text elsewhere."""
+
+from __future__ import annotations
+
+import os
+from typing import NoReturn
+
+from rich.console import Console
+
+
+class Terminal(Console):
+    """A console without escape sequences unless it is a terminal that wants colours.
+
+    NO_COLOR turns all styles off, FORCE_COLOR turns them on in a pipe; NO_COLOR is the stronger.
+    A pipe whose reader is gone raises BrokenPipeError, for the entry point to deal with.
+    """
+
+    def __init__(self, stderr: bool = False) -> None:
+        plain = bool(os.environ.get("NO_COLOR"))
+        super().__init__(
+            stderr=stderr, highlight=False, soft_wrap=False, color_system=None if plain else "auto"
+        )
+
+    def on_broken_pipe(self) -> NoReturn:
+        raise BrokenPipeError
