@@ -8,13 +8,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from deadtime.cli.entry import START, AsJson, app, lines
+from deadtime.cli.entry import START, AsJson, lines
+from deadtime.cli.entry import app as commands
 from deadtime.cli.printing import print_json
 from deadtime.errors import ArgumentError
 
 
-@app.command(
-    name="app",
+@commands.command(
     group=START,
     help_epilogue=lines(
         "deadtime app",
@@ -23,7 +23,7 @@ from deadtime.errors import ArgumentError
         "deadtime app --address 0.0.0.0   # for the whole network: there is no password",
     ),
 )
-def explore(
+def app(
     problem: Path = Path("paper"),
     *,
     port: int | None = None,
