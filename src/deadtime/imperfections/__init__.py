@@ -10,8 +10,11 @@ before: adding one changes nothing that the others draw.
 from deadtime.imperfections.actuators import RateLimit, Saturation
 from deadtime.imperfections.base import (
     ActuatorImperfection,
+    AdditiveSensor,
     Disturbance,
     Imperfection,
+    LimitingActuator,
+    Limits,
     Seen,
     SensorImperfection,
     Sizes,
@@ -29,12 +32,15 @@ from deadtime.imperfections.timing import Jitter, MeasurementDelay
 
 __all__ = [
     "ActuatorImperfection",
+    "AdditiveSensor",
     "ColouredDisturbance",
     "Disturbance",
     "Dropout",
     "Imperfection",
     "Jitter",
     "LateSamples",
+    "LimitingActuator",
+    "Limits",
     "MeasurementDelay",
     "ModeDelay",
     "Noise",

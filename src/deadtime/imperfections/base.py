@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import as_floats, instance, number, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
 
 
 class Sizes(NamedTuple):
@@ -20,6 +22,11 @@ class Sizes(NamedTuple):
     states: int
     inputs: int
     step: float
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, step: float) -> Sizes:
+        """Those of a plant under a law that measures the whole state."""
+        return cls(plant.modes, plant.states, plant.inputs, step)
 
 
 class Seen(NamedTuple):
@@ -32,7 +39,16 @@ class Seen(NamedTuple):
 Sense = Callable[[Seen], Seen]
 Lag = Callable[[], float]
 Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from u_k as asked and u_{k−1} as applied
+Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
 Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
+
+
+class Limits(NamedTuple):
+    """Bounds of each input, or, if relative, of how far it may be from the one applied before."""
+
+    low: Float[np.ndarray, " m"]
+    high: Float[np.ndarray, " m"]
+    relative: bool
 
 
 class Imperfection(ABC):
@@ -47,6 +63,19 @@ class SensorImperfection(Imperfection):
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
         """A function to be called once a sample, with a memory of its own."""
+
+
+class AdditiveSensor(SensorImperfection):
+    """Adds to the measured state what does not depend on it, and leaves the mode as it is."""
+
+    @abstractmethod
+    def added(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
+        """A function of a count that draws (count, n), the same numbers in blocks or one by one."""
+
+    @final
+    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+        draw = self.added(sizes, rng)
+        return lambda seen: Seen(seen.x + draw(1)[0], seen.mode)
 
 
 class TimingImperfection(Imperfection):
@@ -68,6 +97,21 @@ class ActuatorImperfection(Imperfection):
     @abstractmethod
     def actuator(self, sizes: Sizes) -> Act:
         """A function to be called once a sample."""
+
+
+class LimitingActuator(ActuatorImperfection):
+    """Clips the input."""
+
+    @abstractmethod
+    def limits(self, sizes: Sizes) -> Limits:
+        """To what."""
+
+    @final
+    def actuator(self, sizes: Sizes) -> Act:
+        low, high, relative = self.limits(sizes)
+        if relative:
+            return lambda asked, before: np.minimum(np.maximum(asked, before + low), before + high)
+        return lambda asked, before: np.minimum(np.maximum(asked, low), high)
 
 
 class Disturbance(Imperfection):
