@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.checks import as_floats, instance, number, real_array, shaped
@@ -44,10 +43,10 @@ Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
 
 
 class Limits(NamedTuple):
-    """Bounds of each input, or, if relative, of how far it may be from the one applied before."""
+    """Bounds (m,) of the inputs, or, if relative, of their change from those applied before."""
 
-    low: Float[np.ndarray, " m"]
-    high: Float[np.ndarray, " m"]
+    low: np.ndarray
+    high: np.ndarray
     relative: bool
 
 
