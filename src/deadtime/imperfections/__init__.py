@@ -10,10 +10,10 @@ before: adding one changes nothing that the others draw.
 from deadtime.imperfections.actuators import RateLimit, Saturation
 from deadtime.imperfections.base import (
     ActuatorImperfection,
-    AdditiveSensor,
+    Additive,
     Disturbance,
     Imperfection,
-    LimitingActuator,
+    Limiting,
     Limits,
     Seen,
     SensorImperfection,
@@ -32,14 +32,14 @@ from deadtime.imperfections.timing import Jitter, MeasurementDelay
 
 __all__ = [
     "ActuatorImperfection",
-    "AdditiveSensor",
+    "Additive",
     "ColouredDisturbance",
     "Disturbance",
     "Dropout",
     "Imperfection",
     "Jitter",
     "LateSamples",
-    "LimitingActuator",
+    "Limiting",
     "Limits",
     "MeasurementDelay",
     "ModeDelay",

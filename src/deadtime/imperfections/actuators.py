@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import bound
 from deadtime.errors import ArgumentError
-from deadtime.imperfections.base import LimitingActuator, Limits, Sizes, per_signal
+from deadtime.imperfections.base import ActuatorImperfection, Limiting, Limits, Sizes, per_signal
 
 
 @dataclass(frozen=True)
-class Saturation(LimitingActuator):
+class Saturation(Limiting, ActuatorImperfection):
     """Inputs are clipped to [low, high].
 
     Parameters
@@ -37,7 +37,7 @@ class Saturation(LimitingActuator):
 
 
 @dataclass(frozen=True)
-class RateLimit(LimitingActuator):
+class RateLimit(Limiting, ActuatorImperfection):
     """Inputs change by at most `rate`·step from one period to the next.
 
     Parameters

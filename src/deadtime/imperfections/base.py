@@ -64,8 +64,11 @@ class SensorImperfection(Imperfection):
         """A function to be called once a sample, with a memory of its own."""
 
 
-class AdditiveSensor(SensorImperfection):
-    """Adds to the measured state what does not depend on it, and leaves the mode as it is."""
+class Additive(ABC):
+    """What adds to the measured state, whatever it is, and leaves the mode as it is.
+
+    A base beside `SensorImperfection`, by which the compiled loop knows what it can take.
+    """
 
     @abstractmethod
     def added(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
@@ -98,8 +101,8 @@ class ActuatorImperfection(Imperfection):
         """A function to be called once a sample."""
 
 
-class LimitingActuator(ActuatorImperfection):
-    """Clips the input."""
+class Limiting(ABC):
+    """What clips the input: a base beside `ActuatorImperfection`, as `Additive` is."""
 
     @abstractmethod
     def limits(self, sizes: Sizes) -> Limits:

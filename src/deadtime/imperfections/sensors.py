@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import (
-    AdditiveSensor,
+    Additive,
     Draw,
     Seen,
     Sense,
@@ -27,7 +27,7 @@ _MOST = 10**9  # periods
 
 
 @dataclass(frozen=True)
-class Noise(AdditiveSensor):
+class Noise(Additive, SensorImperfection):
     """White measurement noise: x + ν, ν normal, independent from sample to sample.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.checks import read_only
-from deadtime.imperfections import AdditiveSensor, Imperfection, LimitingActuator, Sizes
+from deadtime.imperfections import Additive, Imperfection, Limiting, Sizes
 from deadtime.simulation.imperfect import tells_commands
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
@@ -37,8 +37,8 @@ class Arrays(NamedTuple):
     @classmethod
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
         """The arrays of a run; everything random is drawn from the streams."""
-        sensors = [(one, rng) for one, rng in pairs if isinstance(one, AdditiveSensor)]
-        limits = [one.limits(sizes) for one, _ in pairs if isinstance(one, LimitingActuator)]
+        sensors = [(one, rng) for one, rng in pairs if isinstance(one, Additive)]
+        limits = [one.limits(sizes) for one, _ in pairs if isinstance(one, Limiting)]
         noise = np.zeros((samples if sensors else 0, sizes.states))
         with np.errstate(over="ignore", invalid="ignore"):
             for one, rng in sensors:
@@ -63,4 +63,4 @@ def takes(pairs: Pairs) -> bool:
     >>> takes([(Noise(0.1), rng)]), takes([(Noise(0.1), rng), (Dropout(0.1), rng)])
     (True, False)
     """
-    return all(isinstance(one, AdditiveSensor | LimitingActuator) for one, _ in pairs)
+    return all(isinstance(one, Additive | Limiting) for one, _ in pairs)
