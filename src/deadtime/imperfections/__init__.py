@@ -10,8 +10,11 @@ before: adding one changes nothing that the others draw.
 from deadtime.imperfections.actuators import RateLimit, Saturation
 from deadtime.imperfections.base import (
     ActuatorImperfection,
+    Additive,
     Disturbance,
     Imperfection,
+    Limiting,
+    Limits,
     Seen,
     SensorImperfection,
     Sizes,
@@ -29,12 +32,15 @@ from deadtime.imperfections.timing import Jitter, MeasurementDelay
 
 __all__ = [
     "ActuatorImperfection",
+    "Additive",
     "ColouredDisturbance",
     "Disturbance",
     "Dropout",
     "Imperfection",
     "Jitter",
     "LateSamples",
+    "Limiting",
+    "Limits",
     "MeasurementDelay",
     "ModeDelay",
     "Noise",

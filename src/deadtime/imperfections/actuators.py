@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import bound
 from deadtime.errors import ArgumentError
-from deadtime.imperfections.base import Act, ActuatorImperfection, Sizes, per_signal
+from deadtime.imperfections.base import ActuatorImperfection, Limiting, Limits, Sizes, per_signal
 
 
 @dataclass(frozen=True)
-class Saturation(ActuatorImperfection):
+class Saturation(Limiting, ActuatorImperfection):
     """Inputs are clipped to [low, high].
 
     Parameters
@@ -27,18 +26,18 @@ class Saturation(ActuatorImperfection):
     low: ArrayLike
     high: ArrayLike
 
-    def actuator(self, sizes: Sizes) -> Act:
+    def limits(self, sizes: Sizes) -> Limits:
         low = bound("Saturation.low", self.low, sizes.inputs)
         high = bound("Saturation.high", self.high, sizes.inputs)
         if (low >= high).any():
             raise ArgumentError(
                 f"Saturation must have low < high, got {low.tolist()} and {high.tolist()}."
             )
-        return lambda asked, before: np.clip(asked, low, high)
+        return Limits(low, high, False)
 
 
 @dataclass(frozen=True)
-class RateLimit(ActuatorImperfection):
+class RateLimit(Limiting, ActuatorImperfection):
     """Inputs change by at most `rate`·step from one period to the next.
 
     Parameters
@@ -50,8 +49,8 @@ class RateLimit(ActuatorImperfection):
     kind: ClassVar[int] = 7
     rate: ArrayLike
 
-    def actuator(self, sizes: Sizes) -> Act:
+    def limits(self, sizes: Sizes) -> Limits:
         most = per_signal("RateLimit.rate", self.rate, sizes.inputs) * sizes.step
         if (most <= 0.0).any():
             raise ArgumentError(f"RateLimit.rate must be positive, got {self.rate}.")
-        return lambda asked, before: np.clip(asked, before - most, before + most)
+        return Limits(-most, most, True)

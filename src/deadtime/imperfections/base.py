@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import as_floats, instance, number, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
 
 
 class Sizes(NamedTuple):
@@ -20,6 +21,11 @@ class Sizes(NamedTuple):
     states: int
     inputs: int
     step: float
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, step: float) -> Sizes:
+        """Those of a plant under a law that measures the whole state."""
+        return cls(plant.modes, plant.states, plant.inputs, step)
 
 
 class Seen(NamedTuple):
@@ -32,7 +38,16 @@ class Seen(NamedTuple):
 Sense = Callable[[Seen], Seen]
 Lag = Callable[[], float]
 Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from u_k as asked and u_{k−1} as applied
+Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
 Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
+
+
+class Limits(NamedTuple):
+    """Bounds (m,) of the inputs, or, if relative, of their change from those applied before."""
+
+    low: np.ndarray
+    high: np.ndarray
+    relative: bool
 
 
 class Imperfection(ABC):
@@ -47,6 +62,22 @@ class SensorImperfection(Imperfection):
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
         """A function to be called once a sample, with a memory of its own."""
+
+
+class Additive(ABC):
+    """What adds to the measured state, whatever it is, and leaves the mode as it is.
+
+    A base beside `SensorImperfection`, by which the compiled loop knows what it can take.
+    """
+
+    @abstractmethod
+    def added(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
+        """A function of a count that draws (count, n), the same numbers in blocks or one by one."""
+
+    @final
+    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+        draw = self.added(sizes, rng)
+        return lambda seen: Seen(seen.x + draw(1)[0], seen.mode)
 
 
 class TimingImperfection(Imperfection):
@@ -68,6 +99,21 @@ class ActuatorImperfection(Imperfection):
     @abstractmethod
     def actuator(self, sizes: Sizes) -> Act:
         """A function to be called once a sample."""
+
+
+class Limiting(ABC):
+    """What clips the input: a base beside `ActuatorImperfection`, as `Additive` is."""
+
+    @abstractmethod
+    def limits(self, sizes: Sizes) -> Limits:
+        """To what."""
+
+    @final
+    def actuator(self, sizes: Sizes) -> Act:
+        low, high, relative = self.limits(sizes)
+        if relative:
+            return lambda asked, before: np.minimum(np.maximum(asked, before + low), before + high)
+        return lambda asked, before: np.minimum(np.maximum(asked, low), high)
 
 
 class Disturbance(Imperfection):

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from deadtime.checks import count
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import (
+    Additive,
+    Draw,
     Seen,
     Sense,
     SensorImperfection,
@@ -25,7 +27,7 @@ _MOST = 10**9  # periods
 
 
 @dataclass(frozen=True)
-class Noise(SensorImperfection):
+class Noise(Additive, SensorImperfection):
     """White measurement noise: x + ν, ν normal, independent from sample to sample.
 
     Parameters
@@ -38,11 +40,11 @@ class Noise(SensorImperfection):
     kind: ClassVar[int] = 1
     std: ArrayLike
 
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+    def added(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
         std = per_signal("Noise.std", self.std, sizes.states)
         if (std < 0.0).any():
             raise ArgumentError(f"Noise.std must be ≥ 0, got {std.tolist()}.")
-        return lambda seen: Seen(seen.x + std * rng.standard_normal(sizes.states), seen.mode)
+        return lambda count: std * rng.standard_normal((count, sizes.states))
 
 
 @dataclass(frozen=True)

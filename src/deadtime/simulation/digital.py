@@ -10,11 +10,13 @@ import numpy as np
 
 from deadtime.checks import read_only
 from deadtime.feedback import Feedback
-from deadtime.imperfections import Disturbance
+from deadtime.imperfections import Disturbance, Sizes
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
+from deadtime.simulation.compiled import Arrays
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal import IdealRecord
+from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.simulation.record import DigitalRecord, PhaseTable
 from deadtime.steps import Cuts, Window, modes_at, snap
@@ -67,6 +69,8 @@ class Outcome:
         Whether it ended because it diverged.
     note : str
         What else is worth knowing.
+    told : Told or None
+        What the law was told, where that is not the state.
     """
 
     record: DigitalRecord | IdealRecord
@@ -75,6 +79,7 @@ class Outcome:
     end: float | None
     diverged: bool = False
     note: str = ""
+    told: Told | None = None
 
 
 def run_table(
@@ -83,9 +88,10 @@ def run_table(
     signal: SwitchingSignal,
     x0: np.ndarray,
     grid: Grid,
+    imperfect: Arrays | None = None,
     disturbances: Drawn = (),
 ) -> Outcome:
-    """Run a table law along a signal."""
+    """Run a table law, or what imperfections make of it, along a signal."""
     window, samples, past, inputs = grid.window, grid.samples, grid.past, grid.inputs
     step = window.step
     feedback = law.digital(step, signal, samples)
@@ -100,12 +106,19 @@ def run_table(
         return modes_at(signal, time, step)
 
     rows = feedback.rows(mode_at(np.arange(samples) * step), initial_age(signal, step))
-    kept, states, at_phase = _run(table, window, feedback, rows, x0, inputs, past, shift)
+    arrays = imperfect or Arrays.of((), Sizes.of(plant, step), samples, "applied")
+    asked = inputs.copy() if arrays.relative.size else inputs
+    kept, states, at_phase = _run(table, feedback, rows, x0, grid, asked, arrays, shift)
     record = DigitalRecord(
         plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept, forces
     )
     diverged = kept < samples
-    return Outcome(record, signal, mode_at, (kept - 1) * step if diverged else None, diverged)
+    end = (kept - 1) * step if diverged else None
+    told = None
+    if imperfect is not None:
+        measured = states[:kept] + (arrays.noise[:kept] if arrays.noise.size else 0.0)
+        told = Told(measured, asked[past : past + kept])
+    return Outcome(record, signal, mode_at, end, diverged, told=told)
 
 
 def initial_age(signal: SwitchingSignal, step: float) -> int:
@@ -115,12 +128,12 @@ def initial_age(signal: SwitchingSignal, step: float) -> int:
 
 def _run(
     table: PhaseTable,
-    window: Window,
     feedback: Feedback,
     rows: np.ndarray,
     x0: np.ndarray,
-    inputs: np.ndarray,
-    past: int,
+    grid: Grid,
+    asked: np.ndarray,
+    imperfect: Arrays,
     shift: np.ndarray,
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
@@ -132,12 +145,16 @@ def _run(
         table.index,
         table.Phi,
         table.Gamma,
-        window.count,
+        grid.window.count,
         feedback.state_gain,
         read_only(G),
         rows,
         x0,
-        inputs,
-        past,
+        grid.past,
+        grid.inputs,
+        asked,
+        asked if imperfect.commanded else grid.inputs,
+        imperfect.noise,
+        (imperfect.low, imperfect.high, imperfect.relative),
         shift,
     )

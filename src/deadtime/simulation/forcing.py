@@ -33,7 +33,7 @@ class Forcing:
         disturbances: Sequence[tuple[Disturbance, np.random.Generator]],
     ) -> None:
         self._plant, self._window = plant, window
-        self._sizes = Sizes(plant.modes, plant.states, plant.inputs, window.step)
+        self._sizes = Sizes.of(plant, window.step)
         self._lengths = window.phase, window.step - window.phase
         self._kinds = [one for one, _ in disturbances]
         self._draws = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,26 @@ from deadtime.laws.base import Remembering, Update
 from deadtime.plant import SwitchedSystem
 
 Lags = Callable[[], tuple[float, float]]
+
+
+class Told(NamedTuple):
+    """What a law was told at the samples of a run, and what it made of it.
+
+    measured : (samples, n) or (samples, p), x or y, NaN where nothing arrived
+    commanded : (samples, m), what it asked for
+    estimates : (samples, states), of a law with a memory, what it took the state to be
+    """
+
+    measured: np.ndarray
+    commanded: np.ndarray
+    estimates: np.ndarray | None = None
+
+
+def tells_commands(predict: str) -> bool:
+    """Whether the law's past inputs are those asked for."""
+    if predict not in ("applied", "commanded"):
+        raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
+    return predict == "commanded"
 
 
 class ImperfectLaw:
@@ -48,8 +69,7 @@ class ImperfectLaw:
         predict: str,
         outputs: np.ndarray | None = None,
     ) -> None:
-        if predict not in ("applied", "commanded"):
-            raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
+        self._tells_commands = tells_commands(predict)
         self._outputs = outputs
         measured = plant.states if outputs is None else outputs.shape[1]
         sizes = Sizes(plant.modes, measured, plant.inputs, step)
@@ -66,7 +86,6 @@ class ImperfectLaw:
         if timings:
             self.lag = lambda: (sum(lag() for lag in waits), sum(lag() for lag in early))
         self._update = update
-        self._tells_commands = predict == "commanded"
         self._pipe: np.ndarray | None = None
         self._mode, self._age = -1, 0
         self.measured: list[np.ndarray] = []
@@ -98,10 +117,14 @@ class ImperfectLaw:
             self._age += 1
         self._mode = self._mode if mode < 0 else mode
 
-    @property
-    def estimates(self) -> list[np.ndarray] | None:
-        """What a law with a memory took the state to be, once a sample."""
-        return self._update.estimates if isinstance(self._update, Remembering) else None
+    def told(self, kept: int) -> Told:
+        """What the law was told at the first samples, and made of it."""
+        estimates = self._update.estimates if isinstance(self._update, Remembering) else None
+        return Told(
+            np.array(self.measured[:kept]),
+            np.array(self.commanded[:kept]),
+            None if estimates is None else np.array(estimates[:kept]),
+        )
 
     def _asked(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
         asked = self._update(x, past, self._mode, self._age)

@@ -29,18 +29,42 @@ def _within_limit(x):
 
 
 @njit(cache=True)
-def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past, shift):
+def _finite(a):
+    """Whether all are finite."""
+    finite = True
+    for value in a:
+        finite &= np.isfinite(value)
+    return finite
+
+
+@njit(cache=True)
+def _limited(u, before, low, high, relative):
+    """An input under limits, one after the other, `before` being what was applied before it."""
+    for j in range(relative.size):
+        base = before if relative[j] else 0.0
+        u = np.minimum(np.maximum(u, base + low[j]), base + high[j])
+    return u
+
+
+@njit(cache=True)
+def closed_loop(
+    index, Phi, Gamma, count, F, G, rows, x0, past, inputs, asked, told, noise, limits, shift
+):
     """Run the loop over the samples 0, …, rows.size − 1 and on until the pipe is empty.
 
     `inputs[past + k]` is u_k; its first `past` rows are the history. Row `r` of the law is
-    F[r] and G[r] (m, taps·m), the oldest input first. `shift` (steps, 2, n), or empty, is what
-    disturbances add over the phases. Returns (samples, states, at_phase): how many samples were
-    kept before |x| left the limit, x(t_k), and x(t_k + φ) for k = 0, …, samples + count − 1 and
-    one less.
+    F[r] and G[r] (m, taps·m), the oldest input first. The law writes into `asked` and is told the
+    past inputs `told`, of the shape of `inputs`: all three are one array where what is asked for
+    is applied. `noise` (samples, n), or empty, is added to what is measured; limits = (low, high,
+    relative) are those of `_limited`. `shift` (steps, 2, n), or empty, is what disturbances add
+    over the phases. Returns (samples, states, at_phase): how many samples were kept before |x|
+    left the limit, x(t_k), and x(t_k + φ) for k = 0, …, samples + count − 1 and one less.
     """
     m, window = G.shape[1:]
     n = x0.size
-    pipe = inputs.reshape(-1)
+    pipe = told.reshape(-1)
+    seen = np.empty(n)
+    low, high, relative = limits
     states = np.empty((rows.size + count, n))
     at_phase = np.empty((rows.size + count - 1, n))
     states[0] = x0
@@ -55,8 +79,16 @@ def closed_loop(index, Phi, Gamma, count, F, G, rows, x0, inputs, past, shift):
         if k < samples:
             row, now = rows[k], (past + k) * m
             recent = pipe[now - window : now]
+            for i in range(n):
+                seen[i] = x[i] + (noise[k, i] if noise.size else 0.0)
             for i in range(m):
-                inputs[past + k, i] = _dot(G[row, i], recent) + _dot(F[row, i], x)
+                asked[past + k, i] = _dot(G[row, i], recent) + _dot(F[row, i], seen)
+            held = not (_finite(seen) or _finite(asked[past + k]))
+            for i in range(m):
+                command = asked[past + k - 1, i] if held else asked[past + k, i]
+                asked[past + k, i] = command
+                before = inputs[past + k - 1, i]
+                inputs[past + k, i] = _limited(command, before, low[:, i], high[:, i], relative)
         i = index[k, 0]
         advance(Phi[i], Gamma[i], x, inputs[past + k - count], at_phase[k])
         if shift.size:

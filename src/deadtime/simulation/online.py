@@ -73,7 +73,13 @@ def run_online(
     if truth.chatter is not None:
         note = _joined(note, truth, end)
     return Outcome(
-        record, signal, lambda time: modes_at(signal, time, window.step), end, diverged, note
+        record,
+        signal,
+        lambda time: modes_at(signal, time, window.step),
+        end,
+        diverged,
+        note,
+        None if imperfect is None else imperfect.told(kept),
     )
 
 
@@ -97,7 +103,7 @@ def _run(
     stop, last, k = None, None, 0
     while k < kept + ahead - 1:
         x, now = states[k], past + k
-        if 0 < k < kept and not np.linalg.norm(x / LIMIT) <= 1.0:
+        if 0 < k < kept and not x @ x <= LIMIT * LIMIT:
             kept, stop = k, _Stop((k - 1) * h, True, "")
             continue
         at_phase[k] = truth.move(k, 0, x, inputs[now - ahead])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -11,16 +10,16 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import count, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
-from deadtime.imperfections import Disturbance, Imperfection, streams
+from deadtime.imperfections import Disturbance, Imperfection, Sizes, streams
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
+from deadtime.simulation.compiled import Arrays, Pairs, takes
 from deadtime.simulation.digital import Drawn, Grid, Outcome, run_table
 from deadtime.simulation.ideal import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
-from deadtime.steps import snap
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules import as_rule
 
@@ -114,7 +113,6 @@ def simulate(
     x0 = _initial_state(x0, plant.states)
     asked = None if times is None else _checked_times(times, horizon)
     disturbances, others = _drawn(imperfections, seed)
-    imperfect = None
     if step is None:
         if imperfections:
             raise ArgumentError(
@@ -123,12 +121,9 @@ def simulate(
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
         step = positive("step", step)
-        if others or law.outputs is not None:
-            known = switching if isinstance(switching, SwitchingSignal) else None
-            steps = None if known is None else math.floor(snap(horizon / step)) + 1
-            update = law.online(step, known, steps)
-            imperfect = ImperfectLaw(plant, update, step, others, predict, law.outputs)
-        outcome = _digital(plant, law, switching, x0, horizon, step, u0, imperfect, disturbances)
+        require_few_steps(max(horizon, plant.delay, law.plant.delay), step)
+        grid = Grid.of(plant, law, horizon, step, u0)
+        outcome = _digital(plant, law, switching, x0, horizon, grid, others, predict, disturbances)
     end = horizon if outcome.end is None else outcome.end
     run = trajectory_of(
         outcome.record,
@@ -141,15 +136,14 @@ def simulate(
         outcome.diverged,
         _message(outcome, end, horizon),
     )
-    if imperfect is None:
+    if outcome.told is None:
         return run
-    estimates = imperfect.estimates
-    kept = len(outcome.record.states_at(outcome.record.grid(end)))
+    measured, commanded, estimates = outcome.told
     return replace(
         run,
-        measured=np.array(imperfect.measured[:kept]).T,
-        commanded=np.array(imperfect.commanded[:kept]).T,
-        estimates=None if estimates is None else np.array(estimates[:kept]).T,
+        measured=measured.T,
+        commanded=commanded.T,
+        estimates=None if estimates is None else estimates.T,
     )
 
 
@@ -197,16 +191,21 @@ def _digital(
     switching: SwitchingSignal | Rule,
     x0: np.ndarray,
     horizon: float,
-    step: float,
-    u0: InitialInput,
-    imperfect: ImperfectLaw | None,
+    grid: Grid,
+    others: Pairs,
+    predict: str,
     disturbances: Drawn,
 ) -> Outcome:
     """The digital run: at once for a table law on a known signal, otherwise period by period."""
-    require_few_steps(max(horizon, plant.delay, law.plant.delay), step)
-    grid = Grid.of(plant, law, horizon, step, u0)
-    if isinstance(law, TableLaw) and isinstance(switching, SwitchingSignal) and not imperfect:
-        return run_table(plant, law, switching, x0, grid, disturbances)
+    step, imperfect = grid.window.step, None
+    known = switching if isinstance(switching, SwitchingSignal) else None
+    if isinstance(law, TableLaw) and law.outputs is None and known is not None and takes(others):
+        sizes = Sizes.of(plant, step)
+        arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
+        return run_table(plant, law, known, x0, grid, arrays, disturbances)
+    if others or law.outputs is not None:
+        update = law.online(step, known, None if known is None else grid.samples)
+        imperfect = ImperfectLaw(plant, update, step, others, predict, law.outputs)
     return run_online(plant, law, switching, x0, horizon, grid, imperfect, disturbances)
 
 

@@ -1,0 +1,147 @@
+"""Noise and limits in the compiled loop: what they make of a law called period by period."""
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+from deadtime.imperfections import (
+    Disturbance,
+    Dropout,
+    Noise,
+    RateLimit,
+    Saturation,
+    Sizes,
+    WhiteDisturbance,
+    streams,
+)
+from deadtime.simulation.digital import Grid
+from deadtime.simulation.imperfect import ImperfectLaw
+from deadtime.simulation.online import run_online
+
+MODEL = plants.generic()
+# Not what the law believes: N = 3, φ = 0.051 and other matrices.
+PLANT = dt.SwitchedSystem(1.03 * MODEL.A, 0.98 * MODEL.B, 0.251)
+SIGNAL = plants.off_grid()
+X0, U0 = np.array([1.0, -1.0, 0.5]), np.array([0.3, -0.2])
+NOISE, OTHER = Noise([0.1, 0.0, 0.3]), Noise(0.05)
+RATE, CLIP, TIGHT = RateLimit([20.0, 35.0]), Saturation([-4.0, -np.inf], 3.0), Saturation(-2.5, 9.0)
+
+
+def by_periods(plant, law, signal, x0, horizon, step, kinds, predict, u0):
+    """The run with the law as a function that is called once a period."""
+    grid = Grid.of(plant, law, horizon, step, u0)
+    pairs = list(zip(kinds, streams(kinds, 7), strict=True))
+    forces = [pair for pair in pairs if isinstance(pair[0], Disturbance)]
+    others = [pair for pair in pairs if not isinstance(pair[0], Disturbance)]
+    update = law.online(step, signal, grid.samples)
+    imperfect = ImperfectLaw(plant, update, step, others, predict)
+    return run_online(plant, law, signal, x0, horizon, grid, imperfect, forces)
+
+
+def same(value, reference):
+    assert value.shape == reference.shape
+    scale = np.abs(reference[np.isfinite(reference)]).max()
+    np.testing.assert_allclose(value, reference, rtol=1e-12, atol=1e-12 * scale)
+
+
+def require_same(
+    law, kinds, horizon=2.04, step=0.1, predict="applied", plant=PLANT, signal=SIGNAL, x0=X0, u0=U0
+):
+    """Both runs, compared in all they leave behind; the compiled one is returned."""
+    reference = by_periods(plant, law, signal, x0, horizon, step, kinds, predict, u0)
+    run = dt.simulate(
+        plant, law, signal, x0, horizon, step, u0,
+        imperfections=kinds, seed=7, predict=predict,
+    )  # fmt: skip
+    assert run.diverged == reference.diverged
+    assert run.end == (horizon if reference.end is None else reference.end)
+    for name in ("states", "at_phase", "inputs"):
+        same(getattr(run.record, name), getattr(reference.record, name))
+    assert run.record.samples == reference.record.samples
+    same(run.measured, reference.told.measured.T)
+    same(run.commanded, reference.told.commanded.T)
+    same(run.history, reference.record.history(run.end))
+    if plant.inputs == 2 and any(isinstance(kind, Saturation | RateLimit) for kind in kinds):
+        assert (run.record.inputs[run.record.past :] != run.commanded.T).any()
+    return run
+
+
+@pytest.mark.parametrize("predict", ["applied", "commanded"])
+@pytest.mark.parametrize("law", plants.LAWS)
+def test_every_law_meets_the_same_noise_and_limits_as_by_periods(law, predict):
+    require_same(plants.LAWS[law](MODEL), [NOISE, RATE, CLIP], predict=predict)
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        [NOISE],
+        [NOISE, OTHER],
+        [CLIP],
+        [RATE, CLIP],
+        [CLIP, RATE],
+        [CLIP, NOISE, RATE, TIGHT, OTHER],
+        [TIGHT, RATE, RateLimit(12.0), CLIP],
+        [WhiteDisturbance(0.1), NOISE, CLIP],
+    ],
+)
+@pytest.mark.parametrize("step", [0.1, 0.251, 0.4])
+def test_noises_and_limits_in_any_order_are_as_by_periods(kinds, step):
+    require_same(plants.LAWS["averaged, dwell-aware"](MODEL), kinds, step=step)
+
+
+def test_the_order_of_limits_matters():
+    law, u0 = plants.LAWS["averaged"](MODEL), np.array([6.0, 0.0])
+    clipped_last, slowed_last = (
+        require_same(law, kinds, u0=u0) for kinds in ([RATE, CLIP], [CLIP, RATE])
+    )
+    assert clipped_last.inputs[0, 0] <= 3.0
+    assert slowed_last.inputs[0, 0] == 4.0  # 20·0.1 below what was applied before time 0
+
+
+@pytest.mark.parametrize("delay", [0.08, 0.25])
+@pytest.mark.parametrize("kinds", [[Noise(0.1)], [Noise(0.1), Saturation(-1, 1), RateLimit(3.0)]])
+def test_a_run_that_diverges_ends_as_by_periods(kinds, delay):
+    plant = plants.scalar([30.0, 31.0], delay=delay)
+    law = dt.DelayedStateFeedback(plant, [[[-32.0]], [[-33.0]]])
+    signal = dt.SwitchingSignal([0.0, 0.43], [0, 1])
+    run = require_same(law, kinds, 20.0, plant=plant, signal=signal, x0=np.array([1.0]), u0=0.5)
+    assert run.diverged
+    assert run.measured.shape == run.states.shape
+
+
+def test_where_a_measurement_overflows_the_last_command_is_held():
+    kinds = [Noise([1e308, 0.0, 0.0]), Saturation(-4.0, 5.0)]
+    run = require_same(plants.LAWS["averaged"](MODEL), kinds)
+    lost = np.flatnonzero(~np.isfinite(run.measured[0]))
+    assert lost.size > 1
+    assert (run.commanded[:, lost[1:]] == run.commanded[:, lost[1:] - 1]).all()
+
+
+def test_noise_and_limits_alone_never_call_the_law_by_periods(monkeypatch):
+    law = plants.LAWS["averaged"](MODEL)
+
+    def refuse(self, step, signal, steps):
+        raise AssertionError("called by periods")
+
+    monkeypatch.setattr(type(law), "online", refuse)
+    options = {"horizon": 1.0, "step": 0.1}
+    dt.simulate(PLANT, law, SIGNAL, X0, **options, imperfections=[NOISE, RATE, CLIP])
+    with pytest.raises(AssertionError, match="called by periods"):
+        dt.simulate(PLANT, law, SIGNAL, X0, **options, imperfections=[NOISE, Dropout(0.1)])
+
+
+def test_noise_is_the_same_in_blocks_and_one_by_one():
+    sizes = Sizes.of(PLANT, 0.1)
+    one, block = (NOISE.added(sizes, np.random.default_rng(3)) for _ in range(2))
+    assert (block(5) == np.vstack([one(1) for _ in range(5)])).all()
+
+
+@pytest.mark.parametrize("kind", [RATE, CLIP])
+def test_limits_are_numpys_clip(kind):
+    sizes = Sizes.of(PLANT, 0.1)
+    low, high, relative = kind.limits(sizes)
+    asked, before = np.array([7.0, -9.0]), np.array([1.0, 2.0])
+    base = before if relative else 0.0
+    assert (kind.actuator(sizes)(asked, before) == np.clip(asked, base + low, base + high)).all()
