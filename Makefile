@@ -63,19 +63,19 @@ docs: .venv/installed-docs .venv/compiled
 		{ echo "python -m venv failed: install your system's venv package (Debian: python3-venv)"; rm -rf .venv; exit 1; }
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".[sweep]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[sweep]"
 	@touch $@
 
 .venv/installed-test: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".[docs,test]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[docs,test]"
 	@touch .venv/installed .venv/installed-docs $@
 
 .venv/installed-docs: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[docs]"
 	@touch $@
 
 .venv/installed-browser: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable ".[browser]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[browser]"
 	@touch $@
 
 # Numba's cache looks at the changed file only, not at the compiled functions that call it.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
+import re
 import socket
 from collections.abc import Callable
 from typing import Any
@@ -44,6 +45,8 @@ def free_port(address: str, port: int | None) -> int:
     ArgumentError
         If it is taken, or the address is not this machine's.
     """
+    if port is not None and not 0 < port < 65536:
+        raise ArgumentError(f"port must be between 1 and 65535, got {port}.")
     for candidate in [port] if port is not None else range(PORT, PORT + _TRIED):
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         with socket.socket(family) as probe:
@@ -114,7 +117,7 @@ def serve(
             pn.state.on_session_destroyed(lambda _: page.close())
             return page.view()
 
-        logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
+        _quieten()
         asyncio.get_event_loop().set_exception_handler(_unless_closed)
         server: Any = pn.serve(
             {"/": session},
@@ -126,6 +129,23 @@ def serve(
         server.run_until_shutdown()
     finally:
         team.close()
+
+
+def _quieten() -> None:
+    """Only what is worth a line, in terms of this command."""
+    browsers = logging.getLogger("bokeh.server.views.ws")
+    browsers.setLevel(logging.ERROR)
+    browsers.addFilter(_in_our_words)
+    logging.getLogger("tornado.access").setLevel(logging.ERROR)
+
+
+def _in_our_words(record: logging.LogRecord) -> bool:
+    """Name our option where Bokeh names its own."""
+    found = re.search(r"connection from Origin '(?:https?://)?([^']*)'", record.getMessage())
+    if found:
+        record.msg = f"refused a page of {found[1]}: if it is yours, add --origin {found[1]}"
+        record.args = ()
+    return True
 
 
 def _unless_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
