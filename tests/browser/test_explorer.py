@@ -94,6 +94,7 @@ def test_the_keyboard_reaches_every_control(page):
 def test_a_signal_is_drawn_by_clicks_and_by_keyboard(page):
     before = cost(page, "averaged")
     strip = page.locator(".bk-Figure").nth(3)
+    page.wait_for_timeout(1500)  # the panels find their places
     box = strip.bounding_box()
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.3 * box["height"])
     until(lambda: "drawn by hand" in drawn(page))
@@ -102,7 +103,7 @@ def test_a_signal_is_drawn_by_clicks_and_by_keyboard(page):
     page.keyboard.press("Tab")
     for mode in ("mode 0", "mode 1"):
         page.get_by_role("combobox", name="switch to").click()
-        page.get_by_role("option", name=mode).click()
+        page.get_by_role("menuitem", name=mode).click()
         page.get_by_role("button", name="Switch", exact=True).click()
         page.wait_for_timeout(300)
     assert drawn(page) != switches or cost(page, "averaged") != before
@@ -167,7 +168,7 @@ def test_the_worst_signal_is_found_and_watched(page):
 
 def test_the_chart_shows_where_the_problem_stands(page):
     page.get_by_role("combobox", name="Sampling period").click()
-    page.get_by_role("option", name="0.05", exact=True).click()
+    page.get_by_role("menuitem", name="0.05", exact=True).click()
     page.get_by_role("button", name="Compute the chart").click()
     until(lambda: page.get_by_text("the chart is complete").count(), 300.0)
     page.get_by_text("the chart is complete").scroll_into_view_if_needed()

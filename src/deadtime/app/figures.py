@@ -57,7 +57,7 @@ class Figures:
         return [*self.panels.values(), self.strip, self.mismatch]
 
     def _panel(self, row: str, label: str) -> Any:
-        panel = _blank(self.x_range, 140 if row == "w" else 105, label)
+        panel = _blank(self.x_range, 150 if row == "w" else 116, label)
         panel.xaxis.visible = row == "w"
         panel.y_range = Range1d(start=-1.0, end=1.0)
         panel.add_layout(self.cursor)
@@ -147,7 +147,7 @@ def _blank(x_range: Range1d, height: int, label: str) -> Any:
         toolbar_location="right",
         active_drag=None,
         active_scroll=None,
-        min_border_left=70,
+        min_border_left=60,
     )
     panel.toolbar.logo = None
     panel.toolbar.autohide = True
@@ -158,8 +158,10 @@ def _blank(x_range: Range1d, height: int, label: str) -> Any:
             mode="mouse",
         )
     )
-    panel.yaxis.axis_label = label
-    panel.yaxis.axis_label_standoff = 4
+    panel.title.text = label
+    panel.title.text_font_size = "9pt"
+    panel.title.text_font_style = "normal"
+    panel.title.standoff = 2
     panel.yaxis.ticker.desired_num_ticks = 4
     return panel
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import panel as pn
 import panel_material_ui as pmui
+from bokeh.layouts import column
 
 from deadtime.app.actions import Actions
 from deadtime.app.controls import WIDE, Controls
@@ -67,8 +68,8 @@ class Page:
         self.document, self.offer, self.controls = document, offer, controls
         states = range(min(outcome.problem.plant.states, MOST_PANELS))
         self._draw(outcome, list(states))
-        for name, column in self.groups.items():
-            column.objects = controls.widgets(name)
+        for name, group in self.groups.items():
+            group.objects = controls.widgets(name)
         self.laws.objects = [controls.laws, *self._state_choice(outcome)]
         self.actions.opened()
         self._show(outcome)
@@ -76,9 +77,9 @@ class Page:
     def _draw(self, outcome: Outcome, states: list[int]) -> None:
         self.figures = Figures(outcome.problem, list(self.offer), states)
         self.figures.on_draw(self.draw_by_hand)
-        self.panels.objects = [
-            pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self.figures.all
-        ]
+        self.figures.show(outcome)  # what a browser is still laying out had better not change
+        panels = column(*self.figures.all, sizing_mode="stretch_width")
+        self.panels.objects = [pn.pane.Bokeh(panels, sizing_mode="stretch_width", margin=0)]
         self.actions.drawn()
 
     def _state_choice(self, outcome: Outcome) -> list[Any]:
@@ -92,7 +93,6 @@ class Page:
 
         def chosen(event: Any) -> None:
             self._draw(self.outcome, [names.index(name) for name in event.new])
-            self._show(self.outcome)
 
         choice.param.watch(chosen, "value")
         return [choice]
@@ -165,7 +165,7 @@ class Page:
     def update(self) -> None:
         """Run what the controls say and show it; an error leaves what is shown."""
         self._scheduled = False
-        self.attempt(lambda: self._show(run_draft(self.draft(), self.document.source)))
+        self.attempt(lambda: self._move(run_draft(self.draft(), self.document.source)))
 
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """The problem file of what is shown, or with some parameters left where they were."""
@@ -196,9 +196,14 @@ class Page:
         """A message above the curves."""
         self.message.param.update(object=html.escape(text), severity=severity, visible=True)
 
+    def _move(self, outcome: Outcome) -> None:
+        if self.message.severity == "info":
+            self.message.visible = False
+        self.figures.show(outcome)
+        self._show(outcome)
+
     def _show(self, outcome: Outcome) -> None:
         self.outcome = outcome
-        self.figures.show(outcome)
         self.costs.object = table_of(outcome, list(self.offer))
         self.about.object = self._about(outcome)
         self.actions.shown()
@@ -253,7 +258,7 @@ class Page:
         upload.param.watch(uploaded, "value")
         groups = pmui.Accordion(
             ("Laws", self.laws),
-            *((name, column) for name, column in self.groups.items()),
+            *self.groups.items(),
             active=[0, 1, 2], title_variant="subtitle1", disable_gutters=True,
             sizing_mode="stretch_width", margin=(5, 5),
         )  # fmt: skip
