@@ -38,6 +38,8 @@ class Explorer:
 def open_page(page, url):
     page.goto(url)
     page.locator("tr[data-law]").first.wait_for(timeout=60_000)
+    page.wait_for_function("() => Bokeh.documents.length && Bokeh.documents[0].is_idle")
+    page.wait_for_timeout(500)
 
 
 def cost(page, law):

@@ -41,7 +41,7 @@ def test_help_of_a_command_ends_with_examples_that_can_be_copied(capsys, command
         assert example.startswith(f"deadtime {command}")
         # A line that ends where the page does may have been broken.
         assert len(example) < 80
-        words = shlex.split(example.partition(" > ")[0])[1:]
+        words = shlex.split(example.partition(" > ")[0], comments=True)[1:]
         function, *_ = app.parse_args(words, exit_on_error=False, print_error=False)
         assert function.__name__ == command.replace("-", "_")
 

@@ -210,10 +210,13 @@ def test_an_encoding_without_infinity_is_no_reason_to_fail(monkeypatch):
 
 def test_an_interrupted_command_says_so_and_stops_with_130(tmp_path):
     code = """
-import os, signal, threading
-from deadtime.cli import main
-threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
-main(["certify", "paper", "--law", "averaged", "--step", "0.005"])
+import os, signal, time
+from deadtime.cli import certificates, main
+def interrupted(place):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60.0)
+certificates.problem_of = interrupted
+main(["certify", "paper"])
 """
     command = [sys.executable, "-c", code]
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

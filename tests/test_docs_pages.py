@@ -6,6 +6,7 @@ On a page, code blocks run in order, in one folder. A block `text` after one is 
 
 import ast
 import re
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from scipy.integrate import solve_ivp
 
 import deadtime as dt
 from deadtime.cli import app, main
+from deadtime.cli.entry import as_command
 from deadtime.export.compiler import compiler
 
 ROOT = Path(__file__).parents[1]
@@ -162,7 +164,8 @@ COMMANDS = [
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_the_command_line_knows_the_commands_of_the_pages(line):
-    app.parse_args(line.split()[1:], exit_on_error=False, print_error=False)
+    words = shlex.split(line.partition(" > ")[0])[1:]
+    app.parse_args(as_command(words), exit_on_error=False, print_error=False)
 
 
 def test_a_wrong_option_would_be_found():

@@ -77,7 +77,7 @@ class Workers:
         self._closed.set()
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in list(self._all):
-            worker.end()
+            worker.kill()  # whoever waits for it then closes its pipe
 
 
 class _Worker:
@@ -119,9 +119,12 @@ class _Worker:
             raise result
         return result
 
-    def end(self) -> None:
+    def kill(self) -> None:
         self._process.kill()
         self._process.join()
+
+    def end(self) -> None:
+        self.kill()
         self._pipe.close()
 
 

@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, errors become one line and 2."""
     from deadtime.cli.console import Terminal
 
-    tokens = _as_command(sys.argv[1:] if arguments is None else list(arguments))
+    tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
     for stream in (sys.stdout, sys.stderr):
         # Where the encoding lacks • or ∞, a question mark is better than no result.
         if isinstance(stream, TextIOWrapper):
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     raise SystemExit(code if isinstance(code, int) else 0)
 
 
-def _as_command(tokens: list[str]) -> list[str]:
+def as_command(tokens: list[str]) -> list[str]:
     """Two spellings that other tools have: `help COMMAND` and `--install-completion`."""
     if tokens[:1] == ["help"]:
         return [*tokens[1:], "--help"]

@@ -40,7 +40,7 @@ def template(name: str) -> str:
 
     Examples
     --------
-    >>> template("follower").splitlines()[0]
-    '# A deadtime problem: a plant that switches between linear modes and answers its input late,'
+    >>> "[plant]" in template("follower")
+    True
     """
     return files("deadtime").joinpath("templates", f"{name}.toml").read_text(encoding="utf-8")
