@@ -1,12 +1,15 @@
 """The explorer without a browser: problem files in and out, what is run, what is refused."""
 
 import csv
+import gc
 import io
 import math
 import os
 import re
 import time
 import tomllib
+import weakref
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -126,7 +129,8 @@ def test_a_parameter_moved_back_leaves_no_trace(own):
         (b"[plant\n", "is not valid TOML"),
         (b"\xff\xfe\x00", "is not UTF-8 text"),
         (b"a = 1\n", "a is not known"),
-        (b"x = " + b"[" * 5000, "not valid TOML|nested too deeply"),
+        (b"x = " + b"[" * 5000, "nested too deeply"),
+        (b"a" + b".a" * 50_000 + b" = 1", "nested too deeply"),
         (OWN.replace('kind = "switches"', 'kind = "log"\nfile = "/etc/passwd"\n#').encode(),
          "missing|reads other files|not known"),
     ],
@@ -180,6 +184,40 @@ def wait(done, seconds=60.0):
         time.sleep(0.01)
 
 
+def test_what_was_found_for_another_problem_is_dropped(own):
+    class Late:
+        """Workers that are still busy with something else."""
+
+        def submit(self, limit, job, *given):
+            self.future = Future()
+            return self.future
+
+    page = Page(own, late := Late())
+    page.actions.worst.clicks += 1
+    assert page.actions.worst.loading
+    first = late.future
+    page.open(open_named("paper"))
+    shown_now = page.outcome
+    assert first.cancelled()
+    assert not page.actions.worst.loading
+    page.actions.worst.clicks += 1
+    running = late.future
+    running.set_running_or_notify_cancel()  # too late to cancel
+    page.open(own)
+    running.set_result({"times": [0.0], "modes": [1], "growth_rate": 0.0, "message": "late"})
+    assert page.controls.signal is None
+    assert page.actions.state.object == ""
+    assert page.outcome is not shown_now
+
+
+def test_a_closed_session_holds_no_curves(own):
+    page = Page(own, None)
+    figures = weakref.ref(page.figures)
+    page.close()
+    gc.collect()
+    assert figures() is None
+
+
 def test_an_upload_is_tried_elsewhere_and_opened(own, workers):
     page = Page(open_named("paper"), workers)
     page.upload("mixer.toml", OWN.encode())
@@ -230,6 +268,70 @@ def test_a_law_that_cannot_run_says_why_and_the_others_do(own, workers):
     assert list(page.outcome.runs) == ["averaged"]
     assert "takes long" in page.outcome.reasons["optimal"]
     assert "takes long" in page.costs.object
+
+
+def test_without_a_law_the_page_keeps_what_it_shows(own):
+    page = Page(own, None)
+    before = page.outcome
+    page.controls.laws.value = []
+    assert page.outcome is before
+    assert "choose at least one" in page.message.object
+    assert page.toml() == OWN
+
+
+def test_what_is_saved_after_a_refused_move_is_still_what_is_shown(own):
+    page = Page(own, None)
+    page.controls.sliders["noise"].value = 0.01
+    shown_now = page.toml()
+    page.controls.step.value = "ideal"
+    assert page.message.severity == "error"
+    assert page.toml() == shown_now
+
+
+def test_a_law_that_fails_while_it_runs_says_so_and_is_not_saved(own, tmp_path):
+    page = Page(own, None)
+    page.controls.step.value = "ideal"
+    page.controls.laws.value = ["averaged", "optimal"]
+    assert list(page.outcome.runs) == ["averaged"]
+    assert "optimal" in page.outcome.reasons
+    path = tmp_path / "saved.toml"
+    path.write_text(page.toml(), encoding="utf-8")
+    assert list(load_problem(path).laws) == ["averaged"]
+
+
+REGIONS = """
+[[signal.regions]]
+H = [[1.0, 0.0]]
+h = [0.2]
+mode = 0
+
+[[signal.regions]]
+H = [[-1.0, 0.0]]
+h = [-0.2]
+mode = 1
+"""
+OBSERVER = """
+[observer]
+kind = "luenberger"
+C = [[[1.0, 0.0]], [[1.0, 0.0]], [[1.0, 0.0]]]
+poles = [-5.0, -6.0]
+"""
+
+
+@pytest.mark.parametrize("more", ["regions", "observer"])
+def test_scripts_of_rules_and_observers_run(more, tmp_path, monkeypatch):
+    head, tail = OWN.split("[signal]")
+    text = OWN + OBSERVER
+    if more == "regions":
+        text = f'{head}[signal]\nkind = "polyhedra"\n{REGIONS}\n[run]{tail.split("[run]")[1]}'
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    problem = load_problem(path)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(compile(script_of(problem), "script.py", "exec"), names)
+    for law, run in names["runs"].items():
+        np.testing.assert_array_equal(run.states, problem.simulate(law).states)
 
 
 def test_a_law_that_diverges_is_shown_as_growing():

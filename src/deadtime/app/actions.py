@@ -121,6 +121,7 @@ class Actions:
         modes = page.figures.modes
         self.to.param.update(options=modes, value=modes[-1])
         self.fill.disabled = len(modes) == 1
+        self.fill.loading = self.worst.loading = False
         self._round += 1
         if not self.fill.disabled:
             self.chart.clear(page.controls.value("dwell_time"))

@@ -39,6 +39,7 @@ class Controls:
     ) -> None:
         self._chosen, self._changed, self._quiet = chosen, changed, False
         self.signal: Drawn | Given | None = None
+        self._ruled = document.draft["signal"]["kind"] in ("half-space", "polyhedra")
         self.ranges = {one.name: one for one in ranges_of(document)}
         self.sliders = {name: _slider(one) for name, one in self.ranges.items()}
         own = document.draft["run"].get("step", 0.01)
@@ -89,6 +90,8 @@ class Controls:
 
     def widgets(self, group: str) -> list[Any]:
         """The widgets under a heading."""
+        if group == "Switching" and self._ruled:
+            return [pmui.Typography("The state decides the mode, by the rule of the file.")]
         found = [self.sliders[name] for name, one in self.ranges.items() if one.group == group]
         if group == "Switching":
             row = pmui.Row(self.redraw, self.original, sizing_mode="stretch_width", margin=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from deadtime.sweeps.axes import Draft
 from deadtime.toml_file import SectionError, TomlText, read_toml
 
 MOST_BYTES = 1_000_000
+_DEEP = re.compile(rb"(?:\.[^.\n=#\"']{0,80}){20}=|\[{20}")  # before a reader sees it
 _READS_FILES = {"signal": "log", "switching": "fitted"}
 
 
@@ -74,12 +76,11 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
         If it is larger than a problem file can be, is not text or TOML, says something that a
         problem file may not, or names other files, which would be read on this machine.
     """
-    stem = "".join(c for c in Path(name).stem if c.isalnum() or c in " -_")[:60] or "problem"
+    stem = _stem(name)
     if len(content) > MOST_BYTES:
-        raise ProblemFileError(
-            f"{stem}.toml has {len(content) / 1e6:.1f} MB, a problem file at most "
-            f"{MOST_BYTES / 1e6:.0f} MB: choose another file."
-        )
+        raise too_large(name, len(content))
+    if _DEEP.search(content):
+        raise ProblemFileError(f"{stem}.toml is nested too deeply for a problem file.")
     source = folder / f"{stem}.toml"
     source.write_bytes(content)
     try:
@@ -98,6 +99,19 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
                 "cannot be given: open it with `deadtime app` and the file's name."
             )
     return Document(stem, read.text, draft, Path(f"{stem}.toml"))
+
+
+def too_large(name: str, size: int) -> ProblemFileError:
+    """What to say of a file that is larger than a problem file can be."""
+    return ProblemFileError(
+        f"{_stem(name)}.toml has {size / 1e6:.1f} MB, a problem file at most "
+        f"{MOST_BYTES / 1e6:.0f} MB: choose another file."
+    )
+
+
+def _stem(name: str) -> str:
+    """A file's name without its ending and whatever could be more than a name."""
+    return "".join(c for c in Path(name).stem if c.isalnum() or c in " -_")[:60] or "problem"
 
 
 def complaint(document: Document, error: SectionError) -> ArgumentError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.app.documents import Document, complaint
+from deadtime.app.documents import Document, complaint, open_upload
 from deadtime.app.outcome import run_draft
 from deadtime.certificates import falsify, stability_margin
 from deadtime.errors import ArgumentError, DeadtimeError
@@ -27,13 +28,18 @@ RATIO = 1.02  # of the values between which a margin of the chart lies
 _BUDGET = 20_000  # cycles that the search for the worst signal looks at
 
 
-def try_problem(document: Document) -> float:
-    """Run an opened problem once; how many seconds the second run took."""
+def try_upload(name: str, content: bytes) -> tuple[Document, float]:
+    """Open what came through a browser and run it; how many seconds the second run took.
+
+    Reading is done here too: there are texts whose reading alone never ends.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        document = open_upload(name, content, Path(folder))
     try:
         run_draft(document.draft, document.source)
     except SectionError as error:
         raise complaint(document, error) from None
-    return run_draft(document.draft, document.source).seconds
+    return document, run_draft(document.draft, document.source).seconds
 
 
 def worst_signal(

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from deadtime.errors import ArgumentError
+from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import ExactPredictor
 from deadtime.problem_file.lenient import build_what_can
 from deadtime.problems import Problem
@@ -18,7 +18,7 @@ from deadtime.switching import SwitchingSignal
 
 MOST_SAMPLES = 20_000
 MOST_TAPS = 2_000
-MOST_STATES, MOST_MODES, MOST_LAWS = 12, 12, 16
+MOST_STATES, MOST_INPUTS, MOST_MODES, MOST_LAWS = 12, 6, 12, 16
 _DEAR = {"optimal": 100}  # periods of delay up to which a law is tabulated in a moment
 _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
@@ -78,7 +78,9 @@ def require_size(draft: Mapping[str, Any]) -> None:
     sizes += [
         ("plant.A", len(plant["A"]), MOST_MODES, "modes"),
         ("plant.A", len(plant["A"][0]) if plant["A"] else 0, MOST_STATES, "states"),
+        ("plant.B", _columns(plant["B"]), MOST_INPUTS, "inputs"),
         ("law", len(draft.get("law", [])), MOST_LAWS, "laws"),
+        ("imperfection", len(draft.get("imperfection", [])), MOST_LAWS, "imperfections"),
     ]
     for name, size, most, unit in sizes:
         if not size <= most:
@@ -86,6 +88,11 @@ def require_size(draft: Mapping[str, Any]) -> None:
                 f"{name} makes {size:,.0f} {unit}, the explorer takes at most {most:,}: use "
                 "`deadtime simulate` for larger ones."
             )
+
+
+def _columns(matrices: Any) -> int:
+    """Columns of the first matrix, as far as there is one."""
+    return len(matrices[0][0]) if matrices and matrices[0] else 0
 
 
 def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
@@ -101,11 +108,19 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
     draft, reasons = _affordable(draft)
     names = [law.get("name") or law["kind"] for law in draft.get("law", [])]
     _, problem, failed = build_what_can(draft, source)
-    runs = {name: problem.simulate(name) for name in problem.laws}
+    reasons |= {names[i]: why for i, why in failed.items()}
+    runs, fault = {}, None
+    for name in problem.laws:
+        try:
+            runs[name] = problem.simulate(name)
+        except DeadtimeError as error:
+            reasons[name], fault = str(error), ArgumentError(f"{name}: {error}")
+    if not runs and fault is not None:
+        raise fault
     return Outcome(
         problem,
         runs,
-        reasons | {names[i]: why for i, why in failed.items()},
+        reasons,
         _oracle_cost(problem, runs),
         time.perf_counter() - began,
     )

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import html
-import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import panel as pn
@@ -18,10 +16,10 @@ from bokeh.layouts import column
 from deadtime.app.actions import Actions
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.costs import CSS, table_of
-from deadtime.app.documents import MOST_BYTES, Document, open_named, open_upload, to_toml
+from deadtime.app.documents import MOST_BYTES, Document, open_named, to_toml, too_large
 from deadtime.app.drawing import switched
 from deadtime.app.figures import MOST_PANELS, Figures
-from deadtime.app.jobs import try_problem
+from deadtime.app.jobs import try_upload
 from deadtime.app.laws import offered
 from deadtime.app.outcome import Outcome, run_draft
 from deadtime.app.settings import Drawn, Given, draft_of
@@ -31,6 +29,7 @@ from deadtime.problems import NAMED
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
 _TRIAL = 20.0  # seconds that an uploaded problem may take to run for the first time
+_LONG = 200  # characters of a title that are shown
 _SLOW = 1.0  # seconds above which a problem is too slow for a page that follows every move
 
 
@@ -56,6 +55,7 @@ class Page:
         self.actions = Actions(self)
         self.outcome: Outcome
         self._scheduled = self._closed = False
+        self._opened, self._pending = 0, set[Future[Any]]()
         self.open(document)
 
     # -- opening ---------------------------------------------------------------------------
@@ -65,7 +65,9 @@ class Page:
         offer, chosen = offered(document)
         controls = Controls(document, offer, chosen, self.touch)
         outcome = run_draft(draft_of(document, offer, controls.settings()), document.source)
+        self._forget()
         self.document, self.offer, self.controls = document, offer, controls
+        self._shown = dict(document.draft)
         states = range(min(outcome.problem.plant.states, MOST_PANELS))
         self._draw(outcome, list(states))
         for name, group in self.groups.items():
@@ -104,14 +106,12 @@ class Page:
 
     def upload(self, name: str, content: bytes) -> None:
         """Show a problem file that came through the browser, once a trial of it has worked."""
-        try:
-            with tempfile.TemporaryDirectory() as folder:
-                document = open_upload(name, content, Path(folder))
-        except DeadtimeError as error:
-            self.refuse(str(error))
+        if len(content) > MOST_BYTES:
+            self.refuse(str(too_large(name, len(content))))
             return
 
-        def tried(seconds: float) -> None:
+        def tried(result: tuple[Document, float]) -> None:
+            document, seconds = result
             if seconds > _SLOW:
                 self.refuse(
                     f"{document.name}.toml takes {seconds:.1f} s to run, too slow for a page that "
@@ -120,8 +120,8 @@ class Page:
             elif self.attempt(lambda: self.open(document)):
                 self.say(f"Opened {document.name}.toml.")
 
-        self.say(f"Trying {document.name}.toml …")
-        self.elsewhere(_TRIAL, tried, self.refuse, try_problem, document)
+        self.say("Trying the file …")
+        self.elsewhere(_TRIAL, tried, self.refuse, try_upload, name, content)
 
     def elsewhere(
         self,
@@ -131,24 +131,44 @@ class Page:
         job: Any,
         *given: Any,
     ) -> None:
-        """Run a job in another process, then go on here with its result or its error."""
-        document = pn.state.curdoc
+        """Run a job in another process, then go on here with its result or its error.
+
+        Nothing comes of it once another problem was opened, or the session is over.
+        """
+        browser, problem = pn.state.curdoc, self._opened
 
         def finished(future: Future[Any]) -> None:
+            self._pending.discard(future)
             if future.cancelled() or self._closed:
                 return
             error = future.exception()
             after = partial(done, future.result()) if error is None else partial(failed, str(error))
-            if document is None:
-                after()
-            else:
-                document.add_next_tick_callback(after)
 
-        self.workers.submit(limit, job, *given).add_done_callback(finished)
+            def unless_late() -> None:
+                if problem == self._opened:
+                    after()
+
+            if browser is None:
+                unless_late()
+            else:
+                browser.add_next_tick_callback(unless_late)
+
+        future = self.workers.submit(limit, job, *given)
+        self._pending.add(future)
+        future.add_done_callback(finished)
+
+    def _forget(self) -> None:
+        """Drop what is still to be done for the problem shown until now."""
+        self._opened += 1
+        for future in list(self._pending):
+            future.cancel()
 
     def close(self) -> None:
-        """The session is over."""
+        """The session is over: let go of what it holds, whoever still holds the page."""
         self._closed = True
+        self._forget()
+        for name in ("panels", "groups", "laws", "controls", "figures", "outcome", "actions"):
+            vars(self).pop(name, None)
 
     # -- showing ---------------------------------------------------------------------------
 
@@ -165,7 +185,14 @@ class Page:
     def update(self) -> None:
         """Run what the controls say and show it; an error leaves what is shown."""
         self._scheduled = False
-        self.attempt(lambda: self._move(run_draft(self.draft(), self.document.source)))
+        if not self._closed:
+            self.attempt(self._run)
+
+    def _run(self) -> None:
+        draft = self.draft()
+        outcome = run_draft(draft, self.document.source)
+        self._shown = draft
+        self._move(outcome)
 
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]:
         """The problem file of what is shown, or with some parameters left where they were."""
@@ -174,8 +201,13 @@ class Page:
         return draft_of(self.document, self.offer, replace(settings, values=values))
 
     def toml(self) -> str:
-        """The same as text."""
-        return to_toml(self.document, self.draft())
+        """The same as text, of what is shown: without laws that were added and do not run."""
+        draft = dict(self._shown)
+        own = self.document.draft.get("law", [])
+        if "law" in draft:
+            idle = [self.offer.get(name) for name in self.outcome.reasons]
+            draft["law"] = [law for law in draft["law"] if law in own or law not in idle]
+        return to_toml(self.document, draft)
 
     def attempt(self, act: Callable[[], None]) -> bool:
         """Do something that may be refused, and say why; whether it was done."""
@@ -221,7 +253,7 @@ class Page:
         diverged = [name for name, run in outcome.runs.items() if run.diverged]
         more = f" Diverged: {html.escape(', '.join(diverged))}." if diverged else ""
         return (
-            f"<div class='about'><b>{html.escape(problem.title)}</b><br>"
+            f"<div class='about'><b>{html.escape(problem.title[:_LONG])}</b><br>"
             f"Signal: {html.escape(kind)}, {switches} switches.{more}</div>"
         )
 
@@ -247,15 +279,15 @@ class Page:
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
         upload = pmui.FileInput(
-            label="Open a problem file (.toml)", accept=".toml", max_file_size=20 * MOST_BYTES,
+            label="Open a problem file (.toml)", accept=".toml", max_file_size=None,
             **WIDE,
         )  # fmt: skip
 
         def uploaded(event: Any) -> None:
-            if event.new:
+            if event.new is not None:
                 self.upload(upload.filename or "problem.toml", event.new)
 
-        upload.param.watch(uploaded, "value")
+        upload.param.watch(uploaded, "value", onlychanged=False)
         groups = pmui.Accordion(
             ("Laws", self.laws),
             *self.groups.items(),

@@ -149,7 +149,7 @@ class _Writer:
         arguments = [
             f"{name}={self.code(getattr(value, name))}"
             for name, one in signature(kind).parameters.items()
-            if hasattr(value, name) and not _is_default(getattr(value, name), one.default)
+            if not _is_default(getattr(value, name, one.default), one.default)
         ]
         code = f"{home}.{kind.__name__}({', '.join(arguments)})"
         if len(code) <= _LINE - 10:
@@ -165,7 +165,9 @@ def _indented(lines: list[str], columns: int) -> str:
 
 
 def _is_default(value: Any, default: Any) -> bool:
-    return default is not Parameter.empty and not isinstance(value, np.ndarray) and value == default
+    if default is Parameter.empty or isinstance(value, np.ndarray):
+        return False
+    return value is None or value == default
 
 
 def _quoted(text: str) -> str:

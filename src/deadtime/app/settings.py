@@ -10,6 +10,7 @@ from typing import Any
 from deadtime.app.documents import Document
 from deadtime.app.laws import Section
 from deadtime.app.switching import dwell_time_of, with_model
+from deadtime.errors import ArgumentError
 from deadtime.sweeps.axes import AXES, Draft, axis_of
 
 _NEEDS_MODEL = {"expected", "optimal"}
@@ -64,6 +65,8 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     (0.5, {'kind': 'model', 'seed': 3})
     """
     draft: Draft = deepcopy(dict(document.draft))
+    if settings.laws == ():
+        raise ArgumentError("no law is chosen: choose at least one.")
     if settings.laws is not None:
         draft["law"] = [dict(offer[name]) for name in offer if name in settings.laws]
     values = dict(settings.values)

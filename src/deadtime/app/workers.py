@@ -11,12 +11,14 @@ import queue
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
 from deadtime.errors import ArgumentError, DeadtimeError
 
 Job = Callable[..., Any]
+_MEMORY = 8 * 2**30  # bytes of addresses, of which libraries alone take two
 
 
 class Workers:
@@ -132,6 +134,10 @@ def _serve(pipe: Connection) -> None:
     """Do what comes through the pipe, until it closes."""
     import deadtime.app.jobs  # noqa: F401  what jobs need is loaded before the first comes
 
+    with suppress(ImportError):  # not on Windows
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     try:
         pipe.send(True)
         while True:
@@ -143,5 +149,5 @@ def _serve(pipe: Connection) -> None:
             except Exception as error:  # a fault of ours ends the job, not the process
                 answer = (False, ArgumentError(f"{type(error).__name__}: {error}"))
             pipe.send(answer)
-    except (EOFError, KeyboardInterrupt):
+    except (EOFError, OSError, KeyboardInterrupt):
         pass

@@ -179,6 +179,17 @@ class Polyhedra(PolyhedralRule):
         rows, offsets = np.vstack([H for H, _ in pairs]), np.concatenate([h for _, h in pairs])
         _fill(self, rows, offsets, first, named)
 
+    @property
+    def regions(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The pairs (H, h)."""
+        cuts = self.first[1:-1]
+        return list(zip(np.split(self.rows, cuts), np.split(self.offsets, cuts), strict=True))
+
+    @property
+    def modes(self) -> list[int]:
+        """The mode of each region."""
+        return self.region_modes.tolist()
+
     def __repr__(self) -> str:
         regions, modes = self.region_modes.size, np.unique(self.region_modes).size
         return f"Polyhedra(regions={regions}, modes={modes}, states={self.rows.shape[1]})"
