@@ -212,6 +212,7 @@ def test_an_interrupted_command_says_so_and_stops_with_130(tmp_path):
     code = """
 import os, signal, time
 from deadtime.cli import certificates, main
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
 def interrupted(place):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(60.0)

@@ -123,3 +123,11 @@ def test_a_switch_at_a_sample_is_seen_there_whatever_the_float():
 def test_a_switch_after_a_sample_is_not_seen_there():
     signal = dt.SwitchingSignal([0.0, 0.3 + 1e-8], [0, 1])
     assert modes_at(signal, np.arange(6) * 0.1, 0.1).tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_a_delay_of_more_than_a_million_periods_is_taken_for_a_slip_of_units():
+    assert Window.of(1000.0, 0.001).count == 1_000_000
+    with pytest.raises(
+        dt.ArgumentError, match=r"delay / step = 1e\+08 periods, .* both in seconds"
+    ):
+        Window.of(1e6, 0.01)

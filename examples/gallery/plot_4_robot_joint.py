@@ -12,8 +12,8 @@ search for consensus among model parameters reported for the PUMA 560 robot", IE
 the values of Corke's Robotics Toolbox (``Puma560.py``). Delay: J. Marescaux and others operated
 from New York in Strasbourg with 155 ms (Annals of Surgery 235, 2002, 487–492; Nature 413, 2001,
 DOI 10.1038/35096636) and held up to 330 ms to be safe (Scientific American on the Nature paper),
-which we take. Ours are the upright posture, wrist and load as points at the wrist's and gripper's
-distance, friction without its Coulomb part, the poles, and a dwell time of 0.5 s.
+which we take. Ours are the upright posture, wrist and load as points at the wrist's distance and
+at 0.45 m, friction without its Coulomb part, the poles, and a dwell time of 0.5 s.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ from deadtime.plotting import COLOURS, STYLE, WIDTH
 DELAY, DWELL_TIME, STEP = 0.33, 0.5, 0.03  # s
 GRAVITY = 9.81  # m/s²
 GEAR, MOTOR_INERTIA, MOTOR_FRICTION = 53.7063, 200e-6, 1.38e-3  # -, kg m², N m s (at the motor)
-FOREARM_MASS, FOREARM_CENTRE, FOREARM_INERTIA = 4.8, 0.070, 0.066  # kg, m, kg m² (at the centre)
+FOREARM_MASS, FOREARM_CENTRE, FOREARM_INERTIA = 4.8, 0.070, 0.086  # kg, m, kg m² (at the centre)
 WRIST_MASS, WRIST_DISTANCE = 0.82 + 0.34 + 0.09, 0.4318  # kg, m
 LOAD_DISTANCE = 0.45  # m
 

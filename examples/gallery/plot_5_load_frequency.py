@@ -9,10 +9,10 @@ swings the grid; and knowing the state of the line makes the loop decay faster, 
 it suffer less from a load that no law knows of.
 
 **Source.** H. Saadat, *Power System Analysis*, McGraw-Hill 1999, example 12.4: two areas, their
-governors and turbines, the tie line P₁₂ = P_s ∫ (Δω₁ − Δω₂) dt with P_s = 2, and a load step of
-187.5 MW, after which, with governors alone, the frequency settles at 59.7 Hz and the tie line
-carries −84.5 MW. Ours are the line's tripping (in for 30 s, out for 15 s on average), the five
-seconds, and the weights.
+governors and turbines, the tie line P₁₂ = P_s ∫ (Δω₁ − Δω₂) dt with P_s = 2 in the book's
+scaling, and a load step of 187.5 MW, after which, with governors alone, the frequency settles at
+59.7 Hz and the tie line carries −84.5 MW. Ours are the line's tripping (in for 30 s, out for 15 s
+on average), the five seconds, and the weights.
 """
 
 import numpy as np

@@ -18,9 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.errors import ArgumentError
 from deadtime.switching import SwitchingSignal
 
 TOLERANCE = 1e-9
+MOST_PERIODS = 1_000_000  # of delay: more is a slip of units
 
 
 def snap(ratio: float) -> float:
@@ -62,6 +64,11 @@ class Window:
     def of(cls, delay: float, step: float) -> Window:
         """The window of an input delay at a sampling period, both in seconds."""
         ratio = snap(delay / step)
+        if ratio > MOST_PERIODS:
+            raise ArgumentError(
+                f"delay / step = {ratio:.3g} periods, at most {MOST_PERIODS:.0e} are possible: are "
+                "both in seconds? Lengthen the step."
+            )
         count = max(1, math.ceil(ratio))
         phase = step if ratio == count else delay - (count - 1) * step
         return cls(step, count, phase)

@@ -53,7 +53,7 @@ def app(
         from deadtime.app.server import is_loopback, serve
     except ModuleNotFoundError as error:
         raise ArgumentError(
-            f"the explorer needs {error.name}: pip install 'deadtime[app]'."
+            f"the explorer needs {error.name}: pip install 'deadtime[app]', or in a clone '.[app]'."
         ) from None
 
     def started(url: str) -> None:

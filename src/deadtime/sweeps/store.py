@@ -182,8 +182,12 @@ def open_store(url: str) -> Store:
 
 
 def _group(url: str) -> zarr.Group:
-    import zarr
-
+    try:
+        import zarr
+    except ModuleNotFoundError:
+        raise ArgumentError(
+            'a sweep\'s store needs Zarr, which is not installed: pip install "deadtime[sweep]".'
+        ) from None
     try:
         return zarr.open_group(url, mode="r+")
     except (FileNotFoundError, NotADirectoryError, FileExistsError):
