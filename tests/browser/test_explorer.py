@@ -229,7 +229,7 @@ def test_twenty_sessions_at_once_stay_responsive(browser, explorer):
     print(f"\n20 sessions: a move takes {statistics.median(waits):.3f} s (median), "
           f"{max(waits):.3f} s (worst); 20 moves together {together:.2f} s")  # fmt: skip
     context.close()
-    # Twenty pages drawn without a graphics card on the cores that serve them: drawing is what waits.
+    # Twenty pages drawn without a graphics card, on the cores that serve them: drawing waits.
     assert statistics.median(waits) < 3.0
     assert together < 60.0
 
