@@ -325,7 +325,7 @@ def test_identical_modes_make_the_averaged_law_exact():
         ),
         (
             lambda p, K: dt.StateDependentPredictor(p, K, dt.HalfSpace([1.0, 1.0])),
-            r"StateDependentPredictor: it has no closed form",
+            r"step must be given for StateDependentPredictor where the plant follows a signal",
         ),
         (
             lambda p, K: dt.ExactPredictor(p, K, dt.SwitchingSignal([0.0, 1.0], [0, 1])),

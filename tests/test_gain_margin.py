@@ -1,11 +1,14 @@
 """The gain margin: factors of the inputs' effect that keep every constant mode stable."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import deadtime as dt
+import encirclements
 import plants
 
 # Three modes so near that a law keeps each; N = 3, φ = 0.051 in truth, φ = 0.034 for the law.
@@ -70,7 +73,9 @@ def test_the_gain_margin_ends_where_a_lifted_loop_reaches_the_unit_circle(law):
     assert margin.lower == pytest.approx(lower.max(), rel=1e-8)
     assert margin.upper == pytest.approx(upper.min(), rel=1e-8)
     assert (margin.lower_mode, margin.upper_mode) == (lower.argmax(), upper.argmin())
-    assert f"between {margin.lower:.4g} and {margin.upper:.4g} times" in margin.message
+    low, high = map(float, re.search("between (.*) and (.*) times", margin.message).groups())
+    assert margin.lower <= low <= margin.lower + 0.01 * (1.0 - margin.lower)
+    assert margin.upper >= high >= margin.upper - 0.01 * (margin.upper - 1.0)
 
 
 def test_a_scalar_loop_has_the_margin_of_its_characteristic_equation():
@@ -148,3 +153,58 @@ def test_laws_that_are_no_table_are_refused_by_name():
         dt.gain_margin(MODEL, law, STEP)
     with pytest.raises(dt.ArgumentError, match="step must be positive"):
         dt.gain_margin(PLANT, plants.LAWS["averaged"](MODEL), 0.0)
+
+
+# -- the ideal loop ------------------------------------------------------------------------------
+
+
+def test_an_ideal_integrator_has_the_margin_of_its_phase():
+    # x' = −k c x(t − D): lost at k c D = π/2, and slowly stable with any less.
+    plant = plants.scalar(0.0, delay=0.3)
+    margin = dt.gain_margin(plant, dt.DelayedStateFeedback(plant, [[[-2.0]]]), None)
+    assert margin.lower == 0.0
+    assert margin.upper == pytest.approx(0.5 * np.pi / 0.6, rel=1e-9)
+
+
+@pytest.mark.parametrize("delay", [1e-12, 1e-6, 0.2, 1.0])
+def test_an_ideal_unstable_mode_is_lost_at_both_ends_where_its_equation_says(delay):
+    # x' = x − 3 k x(t − D): at rest 3 k = 1; at s = iω (3 k)² = 1 + ω², ω D = π − atan(ω) … .
+    plant = plants.scalar(1.0, delay=0.3 * delay)
+    law = dt.DelayedStateFeedback(plant, [[[-3.0]]])
+    margin = dt.gain_margin(plant, law, None)
+    assert margin.lower == pytest.approx(1.0 / 3.0, rel=1e-9)
+    crossing = brentq(lambda w: 0.3 * delay * w - np.arctan(w), 1e-3, np.pi / (0.3 * delay))
+    known = np.hypot(1.0, crossing) / 3.0
+    assert margin.upper == (pytest.approx(known, rel=1e-9) if known < 1e6 else np.inf)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_ideal_loops_are_lost_to_a_gain_where_roots_begin_to_be_encircled(seed):
+    plant, law = encirclements.random_loop(seed + 200)
+    margin = dt.gain_margin(plant, law, None)
+
+    def roots(factor):
+        stronger = dt.SwitchedSystem(plant.A, factor * plant.B, plant.delay)
+        return encirclements.unstable_roots(stronger, law, plant.delay)
+
+    assert roots(1.0) == 0
+    for factors, found in (
+        (np.linspace(1.0, 4.0, 121), min(margin.upper, 4.0)),
+        (np.linspace(1.0, 0.0, 121)[:-1], max(margin.lower, 1.0 / 120.0)),
+    ):
+        lost = np.flatnonzero([roots(factor) > 0 for factor in factors])
+        first = lost[0] if lost.size else factors.size - 1
+        assert min(factors[first - 1 : first + 1]) <= found <= max(factors[first - 1 : first + 1])
+    for end, outwards in ((margin.lower, 0.999), (margin.upper, 1.001)):
+        if 0.0 < end < 4.0:
+            assert roots(end / outwards) == 0 < roots(end * outwards)
+
+
+def test_the_ideal_margin_of_a_predictor_is_the_limit_of_sampled_ones():
+    plant = plants.paper()
+    one = dt.SwitchedSystem(plant.A[:1], plant.B[:1], 1.0)
+    law = dt.SingleModePredictor(one, dt.place(one, [-1.0, -2.0]), 0)
+    ideal = dt.gain_margin(one, law, None)
+    fine = dt.gain_margin(one, law, 0.005)
+    assert ideal.lower == pytest.approx(fine.lower, abs=0.05 * (1.0 - ideal.lower))
+    assert ideal.upper == pytest.approx(fine.upper, abs=0.05 * (ideal.upper - 1.0))

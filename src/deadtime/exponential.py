@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_ROUND_OFF = 1e-18
+ROUND_OFF = 1e-18
 
 
 @njit(cache=True)
@@ -42,7 +42,7 @@ def multiply(X, Y):
 
 
 @njit(cache=True)
-def _norm(A):
+def norm(A):
     """Largest row sum |A|_∞."""
     largest = 0.0
     for i in range(A.shape[0]):
@@ -104,13 +104,13 @@ def held(A, B, tau):
     n = A.shape[0]
     unit = balance(A)
     balanced = A * unit / unit.reshape(n, 1)
-    size = _norm(balanced) * tau
+    size = norm(balanced) * tau
     count = _doublings(size)
     short = tau / 2.0**count
     term = short * np.eye(n)
     W = term.copy()
     bound, k = 1.0, 1
-    while bound > _ROUND_OFF and k < 40:
+    while bound > ROUND_OFF and k < 40:
         k += 1
         term = multiply(balanced, term)
         term *= short / k
@@ -153,12 +153,12 @@ def energy_gramian(A, B, tau):
     for j in range(m):
         largest = np.abs(scaled[:, j]).max()
         if largest > 0.0:
-            unit[n + j] = max(_norm(balanced), 1.0 / tau) / largest
+            unit[n + j] = max(norm(balanced), 1.0 / tau) / largest
             scaled[:, j] *= unit[n + j]
     Z = np.zeros((n + m, n + m))
     Z[:n, :n] = balanced
     Z[:n, n:] = scaled
-    size = 2.0 * _norm(Z) * tau
+    size = 2.0 * norm(Z) * tau
     count = _doublings(size)
     short = tau / 2.0**count
     term = np.zeros((n + m, n + m))
@@ -166,7 +166,7 @@ def energy_gramian(A, B, tau):
         term[i, i] = short * unit[i] ** 2
     Q = term.copy()
     bound, k = 1.0, 1
-    while bound > _ROUND_OFF and k < 40:
+    while bound > ROUND_OFF and k < 40:
         k += 1
         half = multiply(term, Z)
         term = (half + half.T) * (short / k)

@@ -51,7 +51,7 @@ from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.newton import errors, newton
 
 _FIRST, _FACTOR, _MOST_ORDER = 24, 1.5, 600
-_CLOSE = 0.1  # in 1/T: how far a polished root may be from its eigenvalue
+_CLOSE = 0.1  # of the loop's unit: how far a polished root may be from its eigenvalue
 _APART = 1e-10  # relative, of roots between which a line can be drawn
 
 
@@ -136,7 +136,7 @@ def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
     degree, before = _FIRST, -1
     while True:
         upper, residuals = _polished(loop, approximate_roots(loop, degree), wanted)
-        count, line = _leading(upper, wanted, 1.0 / loop.longest)
+        count, line = _leading(upper, wanted, loop.unit)
         upper, residuals = upper[:count], residuals[:count]
         repeat = np.where(np.imag(upper) == 0.0, 1, 2)
         roots = np.repeat(upper, repeat)
@@ -155,7 +155,7 @@ def _polished(
     loop: IdealLoop, seeds: Complex[np.ndarray, " order"], wanted: int
 ) -> tuple[Complex[np.ndarray, " root"], Float[np.ndarray, " root"]]:
     """Roots in the upper half plane next to an eigenvalue, rightmost first, and residuals."""
-    unit = 1.0 / loop.longest
+    unit = loop.unit
     seeds = seeds[(np.imag(seeds) >= 0.0) & (np.real(seeds) >= _round_off(loop))]
     seeds = seeds[np.argsort(-np.real(seeds), kind="stable")][: 2 * wanted + 12]
     roots, residuals = newton(loop, seeds)

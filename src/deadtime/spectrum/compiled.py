@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from deadtime.exponential import ROUND_OFF, balance, held, multiply, norm
+
+_SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
+
 
 @njit(cache=True)
 def march(Phi, early, late, F, G, count, x, inputs, first):
@@ -50,3 +54,37 @@ def transform(G, w):
                     value[i, a, b] += term
                     slope[i, a, b] += (j + 1.0) * term
     return value, slope
+
+
+@njit(cache=True)
+def cut_inputs(A, B, step, delays):
+    """N, Γ_early, Γ_late and e^{A(h − φ)} B for each delay, a little below 0 too.
+
+    Γ_late = Γ(h − φ) and Γ_early = Γ(h) − Γ(h − φ), whose round-off is no more than p has anyway.
+    While |A| h is small, Γ(τ) = Σ_k A^k B τ^{k+1}/(k + 1)! has the same terms for all delays.
+    """
+    n, m = B.shape
+    # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
+    count = np.maximum(1.0, np.ceil(delays / step))
+    rest = count * step - delays
+    early, late, last = np.empty((3, delays.size, n, m))
+    unit = balance(A)
+    size = norm(A * unit / unit.reshape(n, 1)) * max(step, rest.max())
+    terms, bound = [B / 1.0], 1.0
+    while bound > ROUND_OFF and size <= _SHORT:
+        terms.append(multiply(A, terms[-1]) / (len(terms) + 1.0))
+        bound *= size / len(terms)
+    whole = held(A, B, step)[1]
+    for i in range(delays.size):
+        if size <= _SHORT:
+            total = late[i]
+            total[:] = 0.0
+            for k in range(len(terms) - 1, -1, -1):
+                for row in range(n):
+                    for column in range(m):
+                        total[row, column] = rest[i] * (total[row, column] + terms[k][row, column])
+        else:
+            late[i] = held(A, B, rest[i])[1]
+        early[i] = whole - late[i]
+        last[i] = B + multiply(A, late[i])
+    return count, early, late, last

@@ -28,7 +28,7 @@ def count_right_of(loop: IdealLoop, line: float) -> int | None:
     spacing = 1.0 / (loop.delay + loop.lead + 1.0 / radius)
     if not radius / spacing < MOST_POINTS:
         return None
-    pole = line - 1.0 / loop.longest
+    pole = line - loop.unit
     points = np.linspace(0.0, radius, int(radius / spacing) + 2)
     sign, rate = _values(loop, line + 1j * points, pole)
     while True:

@@ -1,41 +1,43 @@
 """The first true delay at which a loop stands at the limit of stability.
 
-Walk from a delay at which the loop is stable. A root can only cross where Δ(ω, D) is singular for
-some ω (`deadtime.spectrum.response`), and from one delay to another the pipe p changes by at most
-c |C| per second. With S = (M − r p)⁻¹ r, the response of the input to a change of p,
+A root stands there at (ω, D) if an eigenvalue of the loop's gain X(ω, D) is 1
+(`deadtime.spectrum.loop_gain`), that is, if along one of the curves D_k(ω) on which the phase is
+right,
 
-    det Δ(ω, D') ≠ 0    while    |D' − D| v(ω) < 1,    v = c ρ(|S C|),
+    arg λ(ω, D_k(ω)) = 0 (mod 2π),    the level    G(ω) = ln|λ(ω, D_k(ω))|    is 0.
 
-ρ(|·|) the spectral radius of the matrix of absolute values, in any basis. So no root crosses
-within 1/max_ω v, and that is how far each step goes: no pair of crossings is stepped over, however
-close. Where the gain ρ(M⁻¹ r p) < 1 for every delay, none puts a root at ω, and ω is left out.
+This is one real equation on an interval of frequencies, with a slope that is known. From
+d ln λ = a dω + b dD it follows that
 
-Near a crossing v has a peak at its frequency. From every peak Newton's method solves det Δ = 0
-for (ω, D) together. The nearest solution ahead is the crossing once all peaks that steps could
-not exclude before it have led to solutions ahead, so near in units in which Δ turns that each is
-the only one of its peak.
+    dD_k/dω = −Im a/Im b,    dG/dω = Re a − Re b · Im a/Im b.
 
-Frequencies are so close that |∂ ln det Δ/∂ω| times their distance is below 1: a root near the
-limit makes them as close as needed. All this is double precision on samples, not a proof.
+Where G changes sign a root crosses the limit. Where G only touches 0, at a maximum or a minimum,
+a root comes to the limit and goes back: the loop is not asymptotically stable at that delay, so
+that the margin ends there as well. Walking along D would crawl towards such a delay, as the root
+does; along ω it is a maximum like any other. Levels within 1e-9 of 0 count as touching: round-off
+makes 1e-15 of an exact 0, and no plant is known to 1e-9.
+
+At the Nyquist frequency X is real and the curve is that frequency itself, for a real root passes
+−1. There det(I − X) is a real function of D, of period 2h. All this is double precision on
+samples, not a proof.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import heapq
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from deadtime.spectrum.newton import decomposed
+from deadtime.spectrum.curves import Curve, candidates, followed, refined, solved
+from deadtime.spectrum.loop_gain import Band, loop_gain
 from deadtime.spectrum.response import Response, Samples
-from deadtime.spectrum.small_matrices import inverses, spectral_radii, speeds, traces
+from deadtime.spectrum.small_matrices import inverses
 
-_SAFETY = 0.5  # of a step, for what happens between samples
-_SMALL_GAIN, _FINE = 0.98, 0.25
-_NEAR, _FAR = 0.3, 3.0  # radian
-_PEAKS, _HIGH, _NEWTON = 40, 0.2, 15
-_CONVERGED = 1e-9  # relative: the next step would be round-off
-_FINEST, _CLOSEST = 1e-9, 1e-13  # relative, of frequencies and of delays
-_MOST_STEPS = 10_000
+_AT_ONCE = 16  # curves
+_RING = 0.05  # of the delay: the width of the first ring
+_NYQUIST = 256  # delays in two periods
 
 
 class Crossing(NamedTuple):
@@ -45,138 +47,176 @@ class Crossing(NamedTuple):
     frequency: float
 
 
-class Grid(NamedTuple):
-    """Samples at increasing frequencies, and which cells between them matter.
+class Branch(NamedTuple):
+    """An eigenvalue in a band at one delay: ω, `Curve.above`, arg λ unwrapped; as `Band`."""
 
-    cells : (points + 1,) bool; cell i lies below point i, the last between the last and the highest
-    """
+    omega: np.ndarray
+    above: np.ndarray
+    phase: np.ndarray
+    spread: float
+    around: float
 
-    samples: Samples
-    cells: np.ndarray
 
-
-def first_crossing(response: Response, grid: Grid, start: float, end: float) -> Crossing | None:
+def first_crossing(
+    response: Response, parts: list[Band], start: float, end: float
+) -> Crossing | None:
     """The first crossing on the way from a true delay, where the loop is stable, to another.
 
-    `grid` is made by `relevant` for the first of these delays. Where steps become as short as
-    round-off, or are too many, a root all but touches the limit: that counts as a crossing.
+    `parts` are the `bands` of the response.
     """
-    sign, delay = (1.0, start) if end > start else (-1.0, start)
-    for step in range(_MOST_STEPS if grid.samples.omega.size else 0):
-        grid, v = _resolved(response, grid, delay)
-        crossing = _ahead(response, grid, v, delay, sign)
-        reach = _SAFETY / v.max()
-        if crossing is None and (reach < _CLOSEST * start or step == _MOST_STEPS - 1):
-            crossing = Crossing(delay, float(grid.samples.omega[v.argmax()]))
-        if crossing is not None:
-            return crossing if sign * (end - crossing.delay) > 0.0 else None
-        delay += sign * reach
-        if sign * (end - delay) <= 0.0:
-            break
-    return None
-
-
-def relevant(response: Response, delay: float) -> Grid:
-    """The frequencies at which some delay could have a root; none if no delay has any."""
-    count = int(2.0 * response.highest * (response.memory + delay)) + 64
-    omega = (np.arange(count) + 0.5) / count * response.highest
-    grid = Grid(response.samples(omega, even=True), np.ones(count + 1, bool))
-    while True:
-        _, plant, M, M_slope, r, _ = grid.samples
-        inverse = inverses(M)
-        open_loop, pipes = inverse @ r, response.pipes(grid.samples.omega)
-        gain = np.max([spectral_radii(open_loop @ p) for p in pipes], axis=0)
-        # Between samples the gain is at most (1 + rate · distance) times what it is there.
-        rate = np.maximum(np.abs(plant), np.abs(traces(inverse, M_slope)))
-        able = ~(gain < _SMALL_GAIN)
-        room = np.where(able, _FINE, np.clip(1.0 / np.maximum(gain, 1e-300) - 1.0, 0.0, _FINE))
-        finer = _finer(response, grid, rate / room)
-        if finer is None:
-            break
-        grid = finer
-    near = able.copy()
-    near[1:] |= able[:-1]
-    near[:-1] |= able[1:]
-    kept = np.flatnonzero(near)
-    ends = [-1, *kept, near.size] if kept.size else [-1, near.size + 1]
-    cells = np.diff(ends) == 1
-    return Grid(Samples(*(part[kept] for part in grid.samples)), cells)
-
-
-def _resolved(response: Response, grid: Grid, delay: float) -> tuple[Grid, np.ndarray]:
-    """The grid, made as fine as this delay asks for, and v at its frequencies."""
-    while True:
-        omega, plant, M, M_slope, r, r_slope = grid.samples
-        p, p_slope, _ = response.pipe(omega, np.full(omega.size, delay))
-        inverse = inverses(M - r @ p)
-        turn = plant + traces(inverse, M_slope - r_slope @ p - r @ p_slope)
-        finer = _finer(response, grid, np.abs(turn))
-        if finer is None:
-            c, C = response.speed(omega)
-            return grid, c * speeds(inverse @ r, C)
-        grid = finer
-
-
-def _finer(response: Response, grid: Grid, rate: np.ndarray) -> Grid | None:
-    """Halve the cells that a rate of change, per rad/s, is too fast for; None if there are none."""
-    samples, cells = grid
-    points = np.concatenate(([0.0], samples.omega, [response.highest]))
-    gap = np.diff(points)
-    rate = np.concatenate((rate[:1], np.maximum(rate[1:], rate[:-1]), rate[-1:]))
-    least = _FINEST * response.highest
-    coarse = np.flatnonzero(cells & ~(rate * gap <= 1.0) & (gap > least))
-    if coarse.size == 0:
+    if not parts:
         return None
-    more = response.samples(points[coarse] + gap[coarse] / 2.0)
-    merged = (np.insert(old, coarse, new, axis=0) for old, new in zip(samples, more, strict=True))
-    return Grid(Samples(*merged), np.insert(cells, coarse, True))
+    best = _at_nyquist(response, start, end)
+    branches = _branches(response, parts, start)
+    # Rings around the start: what is far away need not be followed where something is near.
+    inner, width = 0.0, max(response.period or 0.0, _RING * start)
+    while True:
+        far = abs((end if best is None else best.delay) - start)
+        outer = min(inner + width, far)
+        best = _in_ring(response, branches, (inner, outer), start, end, best)
+        if outer == far or (best is not None and abs(best.delay - start) <= outer):
+            return best
+        inner, width = outer, 4.0 * width
 
 
-def _ahead(
-    response: Response, grid: Grid, v: np.ndarray, delay: float, sign: float
+def _in_ring(
+    response: Response,
+    branches: list[Branch],
+    ring: tuple[float, float],
+    start: float,
+    end: float,
+    best: Crossing | None,
 ) -> Crossing | None:
-    """The nearest crossing ahead, if it is sure to be."""
-    higher = np.concatenate(([True], v[1:] >= v[:-1])) & np.concatenate((v[:-1] >= v[1:], [True]))
-    peaks = np.flatnonzero(higher)
-    peaks = peaks[np.argsort(-v[peaks])]
-    omega, v = grid.samples.omega[peaks], v[peaks]
-    turns = response.memory + delay
-    count = int((v > _HIGH * v[0]).sum())
-    while count <= _PEAKS:
-        w, d = _solved(response, omega[:count], delay)
-        near = np.abs(w - omega[:count]) * turns < _NEAR
-        near &= np.abs(d - delay) * np.maximum(w, 1.0 / turns) < _NEAR
-        near &= sign * (d - delay) > 0.0
-        if not near.any():
-            return None
-        away = np.where(near, np.abs(d - delay), np.inf)
-        best = int(away.argmin())
-        doubtful = int((v * away[best] > _SAFETY).sum())  # steps cannot exclude these before it
-        if doubtful <= count:
-            return Crossing(float(d[best]), float(w[best])) if near[:doubtful].all() else None
-        count = doubtful
-    return None
-
-
-def _solved(response: Response, omega: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies and delays at which det Δ = 0, by Newton's method; infinite where it fails."""
-    w, d = omega.copy(), np.full(omega.size, delay)
-    done, alive = np.zeros(omega.size, bool), np.arange(omega.size)
-    for _ in range(_NEWTON):
-        now = decomposed(*response.matrix(w[alive], d[alive]))
-        # 1 + a dω + b dD = 0: with b divided out, the imaginary part has no dD.
-        a, b = now.slope(0), now.slope(1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            dw = -np.imag(1.0 / b) / np.imag(a / b)
-            dd = -np.real(1.0 / b) - dw * np.real(a / b)
-        step = np.maximum(np.abs(dw) / omega[alive], np.abs(dd) / delay)
-        able = step < np.inf
-        alive, dw, dd, step = alive[able], dw[able], dd[able], step[able]
-        w[alive] += dw
-        d[alive] += dd
-        done[alive] = step < _CONVERGED
-        turn = np.maximum(np.abs(w - omega) * delay, np.abs(d - delay) * omega)[alive]
-        alive = alive[(step >= _CONVERGED) & (turn < _FAR) & (d[alive] > 0.0)]
-        if alive.size == 0:
+    """The first crossing at a distance from the start, or one that is known and nearer."""
+    sign = math.copysign(1.0, end - start)
+    inner, outer = ring
+    # Curves in the order in which they may come: the least of |D − D_start|, branch and k.
+    queue: list[tuple[float, int, int]] = []
+    for i, branch in enumerate(branches):
+        turns = sign * branch.phase - (inner - branch.around) * branch.omega
+        k = math.floor(turns.max() / (2.0 * np.pi))
+        queue.append((_least(branch, k, sign, inner), i, k))
+    heapq.heapify(queue)
+    while queue:
+        reach = outer if best is None else min(outer, abs(best.delay - start))
+        batch: list[Curve] = []
+        while len(batch) < _AT_ONCE and queue[0][0] <= reach:
+            _, i, k = queue[0]
+            batch.append(_guessed(branches[i], k, sign, start, (inner, reach), len(batch)))
+            heapq.heapreplace(queue, (_least(branches[i], k - 1, sign, inner), i, k - 1))
+        if not batch:
             break
-    return np.where(done, w, np.inf), np.where(done, d, np.inf)
+        guess = Curve(*(np.concatenate(part) for part in zip(*batch, strict=True)))
+        curve = followed(response, *(guess[i] for i in (0, 1, 2, 5, 6)))
+        between = sorted((start + sign * inner, start + sign * reach))
+        curve = refined(response, curve, *between)
+        best = _nearest(response, curve, start, end, best)
+    return best
+
+
+def reaching(response: Response, parts: list[Band], delay: float) -> list[Band]:
+    """The bands of an ideal loop in which |λ| is 1, which there does not depend on the delay."""
+    if not parts:
+        return []
+    found = _branches(response, parts, delay)
+    sizes = [branch.omega.size for branch in found]
+    omega, above, phase, spread, _ = zip(*found, strict=True)
+    omega, above, phase = (np.concatenate(part) for part in (omega, above, phase))
+    piece, spread = np.repeat(np.arange(len(found)), sizes), np.repeat(spread, sizes)
+    curve = followed(response, piece, omega, delay + phase / omega, spread, above)
+    curve = refined(response, curve, -math.inf, math.inf)
+    reached = curve.piece[candidates(curve, response.period)] // (len(found) // len(parts))
+    return [parts[i] for i in np.unique(reached)]
+
+
+def _branches(response: Response, parts: list[Band], delay: float) -> list[Branch]:
+    """A branch for each eigenvalue in each band."""
+    from scipy.optimize import linear_sum_assignment
+
+    every = Samples(
+        *(np.concatenate(x) for x in zip(*(band.samples for band in parts), strict=True))
+    )
+    turn = every.omega[:, None] * delay
+    value = loop_gain(response, every, np.array([delay])).value * np.exp(1j * turn)  # turns slowly
+    for i in range(1, len(value) if value.shape[1] > 1 else 0):
+        apart = np.abs(value[i - 1][:, None] - value[i])
+        value[i] = value[i][linear_sum_assignment(apart)[1]]
+    level, phase = np.log(np.abs(value)), np.unwrap(np.angle(value), axis=0) - turn
+    above = level - level.mean(axis=1, keepdims=True)
+    ends = np.cumsum([band.samples.omega.size for band in parts])[:-1]
+    each = zip(parts, np.split(above, ends), np.split(phase, ends), strict=True)
+    return [
+        Branch(band.samples.omega, *of_one, spread=band.spread, around=band.around)
+        for band, *of_band in each
+        for of_one in zip(*(part.T for part in of_band), strict=True)
+    ]
+
+
+def _ahead(branch: Branch, k: int, sign: float) -> np.ndarray:
+    """About how far ahead the k-th curve is: the delay turns λ by e^{−iωD}, or nearly so."""
+    return (sign * branch.phase - 2.0 * np.pi * k) / branch.omega
+
+
+def _least(branch: Branch, k: int, sign: float, inner: float) -> float:
+    """The k-th curve is no nearer than this, beyond a distance."""
+    ahead = _ahead(branch, k, sign)
+    return float(ahead[ahead >= inner - branch.around].min(initial=math.inf)) - branch.around
+
+
+def _guessed(
+    branch: Branch, k: int, sign: float, start: float, ring: tuple[float, float], number: int
+) -> Curve:
+    """The k-th curve where it may be in a ring, and a point on either side."""
+    ahead = _ahead(branch, k, sign)
+    near = (ahead >= ring[0] - branch.around) & (ahead <= ring[1] + branch.around)
+    wide = near.copy()
+    wide[1:] |= near[:-1]
+    wide[:-1] |= near[1:]
+    rises = np.diff(wide.astype(int), prepend=0) > 0
+    piece = number + np.cumsum(rises) / (rises.sum() + 1.0)
+    nothing = np.full(ahead.size, np.nan)
+    spread = np.full(ahead.size, branch.spread)
+    delay = start + sign * ahead
+    return Curve(piece, branch.omega, delay, nothing, nothing, spread, branch.above).at(wide)
+
+
+def _nearest(
+    response: Response, curve: Curve, start: float, end: float, best: Crossing | None
+) -> Crossing | None:
+    """The nearest crossing ahead on curves, or one that is known and nearer."""
+    limit = end if best is None else best.delay
+    cells = candidates(curve, response.period)
+    near = np.minimum(np.abs(curve.delay[cells] - start), np.abs(curve.delay[cells + 1] - start))
+    cells = cells[near <= abs(limit - start)]
+    if cells.size == 0:
+        return best
+    found = solved(response, curve, cells)
+    share = (found.delay - start) / (limit - start)
+    ahead = np.where((share > 0.0) & (found.delay > 0.0), share, np.inf)
+    i = int(ahead.argmin())
+    return Crossing(float(found.delay[i]), float(found.omega[i])) if ahead[i] < 1.0 else best
+
+
+def _at_nyquist(response: Response, start: float, end: float) -> Crossing | None:
+    """The first delay ahead at which a real root of the digital loop passes −1."""
+    from scipy.optimize import brentq
+
+    if response.period is None:
+        return None
+    samples = response.samples(np.array([response.highest]))
+    open_loop = inverses(samples.M) @ samples.r
+
+    def gap(delay: np.ndarray) -> np.ndarray:
+        X = open_loop @ response.pipe(np.full(delay.size, response.highest), delay)[0]
+        return np.linalg.det(np.eye(X.shape[-1]) - X).real
+
+    reach = min(2.0 * response.period, abs(end - start))
+    delays = start + math.copysign(1.0, end - start) * np.linspace(0.0, reach, _NYQUIST)
+    delays = delays[delays > 0.0]
+    values = gap(delays)
+    changes = np.flatnonzero(values[1:] * values[:-1] < 0.0)
+    if changes.size == 0:
+        return None
+    ends = sorted(delays[changes[0] : changes[0] + 2].tolist())
+    delay: Any = brentq(lambda delay: gap(np.array([delay]))[0], *ends, xtol=1e-15)
+    return Crossing(float(delay), response.highest)

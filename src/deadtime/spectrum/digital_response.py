@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,34 +67,20 @@ class DigitalResponse(Response):
     def pipe(
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        values, which = np.unique(delay, return_inverse=True)
-        parts = [self._parts(float(value)) for value in values]
-        count = np.array([part[0] for part in parts])[which]
-        early, late, last = (np.stack([part[k] for part in parts])[which] for k in (1, 2, 3))
+        from deadtime.spectrum.compiled import cut_inputs
+
+        A, B = np.ascontiguousarray(self.A), np.ascontiguousarray(self.B)
+        count, early, late, last = cut_inputs(A, B, self.step, delay)
         z = np.exp(1j * omega * self.step)
         old, new = ((z**-c)[:, None, None] for c in (count, count - 1.0))
         rate = -1j * self.step * count[:, None, None]
         p = old * early + new * late
         return p, rate * p + 1j * self.step * new * late, (old - new) * last
 
-    def _parts(self, delay: float) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-        """N, Γ_early, Γ_late and e^{A(h − φ)} B."""
-        from deadtime.exponential import held
+    @property
+    def cuts(self) -> Float[np.ndarray, " cut"]:
+        return self.step * np.arange(1, _CUTS + 1) / _CUTS
 
-        # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
-        count = max(1, math.ceil(delay / self.step))
-        phase = delay - (count - 1) * self.step
-        early = held(self.A, self.B, phase)[1]
-        rest, late = held(self.A, self.B, self.step - phase)
-        return count, rest @ early, late, rest @ self.B
-
-    def pipes(self, omega: np.ndarray) -> list[np.ndarray]:
-        delays = self.step * np.arange(1, _CUTS + 1) / _CUTS
-        return [self.pipe(omega, np.full(omega.size, delay))[0] for delay in delays]
-
-    def speed(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from deadtime.exponential import held
-
-        ages = self.step * np.arange(_CUTS) / (_CUTS - 1)
-        C = np.stack([held(self.A, self.B, age)[0] @ self.B for age in ages])
-        return np.abs(1.0 - np.exp(1j * omega * self.step)), C
+    @property
+    def period(self) -> float | None:
+        return self.step

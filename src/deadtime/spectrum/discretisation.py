@@ -19,14 +19,26 @@ from jaxtyping import Complex, Float
 
 from deadtime.spectrum.ideal import IdealLoop, weights
 
+_CENTRE = 1.618  # of the plant's rate: no root is there but by accident
+
 
 def approximate_roots(loop: IdealLoop, degree: int) -> Complex[np.ndarray, " order"]:
-    """Eigenvalues of the generator on polynomials of a degree, n + m·degree of them."""
-    return np.linalg.eigvals(generator(loop, degree)).astype(complex)
+    """Eigenvalues of the generator on polynomials of a degree, at most n + m·degree of them.
+
+    Those of the plant's size are wanted to its digits, and the generator has entries of degree²/T,
+    which may be any power of ten larger. So its inverse about a point σ of the plant's size is
+    taken, of which they are the large eigenvalues 1/(s − σ).
+    """
+    G, E = generator(loop, degree)
+    centre = _CENTRE * loop.rate
+    inverse = np.linalg.eigvals(np.linalg.solve(G - centre * np.diag(E), np.diag(E)))
+    return centre + 1.0 / inverse[inverse != 0.0].astype(complex)
 
 
-def generator(loop: IdealLoop, degree: int) -> Float[np.ndarray, "order order"]:
-    """The generator as a matrix, of (x, u(θ_1), …, u(θ_degree)), u(0) eliminated."""
+def generator(
+    loop: IdealLoop, degree: int
+) -> tuple[Float[np.ndarray, "order order"], Float[np.ndarray, " order"]]:
+    """G and the diagonal of E: the generator is E⁻¹G, of (x, u(θ_1), …, u(θ_degree)), u(0) gone."""
     n, m = loop.B.shape
     longest = loop.longest
     nodes, derivative, barycentric = _chebyshev(degree)
@@ -39,13 +51,13 @@ def generator(loop: IdealLoop, degree: int) -> Float[np.ndarray, "order order"]:
     now = np.linalg.solve(np.eye(m) - window[0], now)
     later = np.zeros((n, n + m * degree))
     later[:, n:] = np.kron(at[-1, 1:], loop.B)
-    result = np.zeros((n + m * degree, n + m * degree))
-    result[:n] = at[-1, 0] * (loop.B @ now) + later
-    result[:n, :n] += loop.A
-    slope = derivative[1:] * (2.0 / longest)
-    result[n:] = np.kron(slope[:, :1], now)
-    result[n:, n:] += np.kron(slope[:, 1:], np.eye(m))
-    return result
+    G = np.zeros((n + m * degree, n + m * degree))
+    G[:n] = at[-1, 0] * (loop.B @ now) + later
+    G[:n, :n] += loop.A
+    slope = derivative[1:]
+    G[n:] = np.kron(slope[:, :1], now)
+    G[n:, n:] += np.kron(slope[:, 1:], np.eye(m))
+    return G, np.repeat((1.0, 0.5 * longest), (n, m * degree))
 
 
 def _chebyshev(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

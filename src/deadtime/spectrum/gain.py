@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,13 @@ from deadtime.checks import positive
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
-from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.growth import growth_rate
+from deadtime.spectrum.ideal import IdealLoop
+from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.observed_response import digital_response
+from deadtime.spectrum.response import Response
 from deadtime.spectrum.small_matrices import inverses
+from deadtime.wording import inwards
 
 _TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
 _LARGEST = 1e6  # factors beyond are as good as infinite
@@ -57,7 +60,7 @@ class GainMargin:
     message: str
 
 
-def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMargin:
+def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> GainMargin:
     """How wrong the inputs' effect B may be, by one factor, if any one mode lasts for ever.
 
     Parameters
@@ -65,9 +68,10 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMarg
     plant : SwitchedSystem
         The truth at the factor 1. The law has a model of its own, `law.plant`.
     law : Law
-        A law that is a table, or an `OutputFeedback` of one.
-    step : float
-        Sampling period h, in seconds.
+        A law that is a table, or an `OutputFeedback` of one; without a step, one that has a closed
+        form in continuous time.
+    step : float or None
+        Sampling period h, in seconds; None for the ideal loop, updated continuously.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMarg
     (0.5906, 4.3699)
     """
     require_constant(plant, law)
-    step = positive("step", step)
+    step = None if step is None else positive("step", step)
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
@@ -109,16 +113,20 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float = 0.01) -> GainMarg
     return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
 
 
-def _interval(plant: SwitchedSystem, law: Law, mode: int, step: float) -> tuple[float, float]:
+def _interval(
+    plant: SwitchedSystem, law: Law, mode: int, step: float | None
+) -> tuple[float, float]:
     """The factors next to 1 at which this mode is lost."""
-    factors = _candidates(digital_response(plant, law, mode, step), plant.delay)
 
-    def lost(factor: float) -> bool:
-        changed = SwitchedSystem(plant.A, factor * plant.B, plant.delay)
-        return growth_rate(changed, law, mode, step) >= _GROWTH
+    def changed(factor: float) -> SwitchedSystem:
+        return SwitchedSystem(plant.A, factor * plant.B, plant.delay)
 
     def limit(outwards: list[float]) -> float | None:
         """The first factor beyond which the mode is lost; the last is as far as any matters."""
+
+        def lost(factor: float) -> bool:
+            return growth_rate(changed(factor), law, mode, step) >= _GROWTH
+
         for a, b in itertools.pairwise(outwards):
             if lost(math.sqrt(a * b)):
                 return a
@@ -131,12 +139,26 @@ def _interval(plant: SwitchedSystem, law: Law, mode: int, step: float) -> tuple[
             good, bad = (good, middle) if lost(middle) else (middle, bad)
         return good
 
-    high = limit([*factors[factors > 1.0].tolist(), _LARGEST])
+    def candidates(most: float) -> np.ndarray:
+        if step is not None:
+            return _candidates(digital_response(plant, law, mode, step), plant.delay)
+        # Stronger inputs have roots at higher frequencies.
+        response = IdealResponse.of(IdealLoop.of(plant, law, mode))
+        highest = IdealResponse.of(IdealLoop.of(changed(most), law, mode)).highest
+        return _candidates(replace(response, radius=highest), plant.delay)
+
+    factors, low, high = candidates(1.0), None, None
     low = limit([*factors[factors < 1.0][::-1].tolist(), 1.0 / _LARGEST])
+    for most in (_LARGEST,) if step is not None else _LARGEST ** np.linspace(0.2, 1.0, 5):
+        factors = candidates(most)
+        near = factors[(factors > 1.0) & (factors < most)]
+        high = limit([*near.tolist(), float(most)])
+        if high is not None:
+            break
     return 0.0 if low is None else low, math.inf if high is None else high
 
 
-def _candidates(response: DigitalResponse, delay: float) -> Float[np.ndarray, " factor"]:
+def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"]:
     """Every factor at which a root stands at the limit of stability, increasing."""
     highest = response.highest
     count = int(8.0 * highest * (response.memory + delay)) + 256
@@ -167,7 +189,7 @@ def _candidates(response: DigitalResponse, delay: float) -> Float[np.ndarray, " 
     return np.unique(1.0 / real)
 
 
-def _gains(response: DigitalResponse, omega: np.ndarray, delay: float) -> np.ndarray:
+def _gains(response: Response, omega: np.ndarray, delay: float) -> np.ndarray:
     """The eigenvalues of L, (points, m)."""
     samples = response.samples(omega)
     p, _, _ = response.pipe(omega, np.full(omega.size, delay))
@@ -188,7 +210,7 @@ def _matched(gains: np.ndarray) -> np.ndarray:
     return gains
 
 
-def _refined(response: DigitalResponse, delay: float, omega: np.ndarray, ends: np.ndarray) -> float:
+def _refined(response: Response, delay: float, omega: np.ndarray, ends: np.ndarray) -> float:
     """The real eigenvalue between two frequencies, by bisection and then a secant."""
     (a, b), (low, high) = omega, ends
     for _ in range(50):
@@ -206,10 +228,11 @@ def _refined(response: DigitalResponse, delay: float, omega: np.ndarray, ends: n
 def _sentence(lower: tuple[float, int | None], upper: tuple[float, int | None]) -> str:
     text = "the loop stays stable in every constant mode while the inputs act"
     (low, low_mode), (high, high_mode) = lower, upper
+    low_text, high_text = inwards(low, 1.0), inwards(high, 1.0)
     if low_mode is None and high_mode is None:
         return f"{text} at all, however much"
     if high_mode is None:
-        return f"{text} more than {low:.4g} times as much as believed"
+        return f"{text} more than {low_text} times as much as believed"
     if low_mode is None:
-        return f"{text} less than {high:.4g} times as much as believed"
-    return f"{text} between {low:.4g} and {high:.4g} times as much as believed"
+        return f"{text} less than {high_text} times as much as believed"
+    return f"{text} between {low_text} and {high_text} times as much as believed"

@@ -51,6 +51,8 @@ class IdealLoop:
         ∫₀^D̂ e^{−sτ} w(τ) dτ = Σ_j e^{−sτ_j} taps_j to round-off for |s| ≤ `near`.
     near : float
         Twice the largest of the norms of A and S and one over the longer delay, 1/s.
+    rate : float
+        The largest of the norms of A, S, F B and K R, 1/s: how fast the loop is but for its delay.
     """
 
     A: Float[np.ndarray, "n n"]
@@ -65,6 +67,7 @@ class IdealLoop:
     tau: Float[np.ndarray, " node"]
     taps: Float[np.ndarray, "node m m"]
     near: float
+    rate: float
 
     @classmethod
     def of(cls, plant: SwitchedSystem, law: Law, mode: int) -> IdealLoop:
@@ -89,7 +92,10 @@ class IdealLoop:
         norms = np.linalg.norm(A, 2), np.linalg.norm(S, 2), 1.0 / max(plant.delay, lead)
         near = 2.0 * float(max(norms))
         tau, taps = weights(K, S, R, lead, 1.5 * near)
-        return cls(A, B, plant.delay, K, S, R, lead, KE @ L, KE, tau, taps, near)
+        F = KE @ L
+        rate = float(max(*norms[:2], np.linalg.norm(F @ B, 2), np.linalg.norm(K @ R, 2)))
+        rate = rate or 1.0 / max(plant.delay, lead)
+        return cls(A, B, plant.delay, K, S, R, lead, F, KE, tau, taps, near, rate)
 
     def memory(
         self, s: Complex[np.ndarray, " point"]
@@ -149,6 +155,11 @@ class IdealLoop:
         """T, the longer delay, seconds."""
         return max(self.delay, self.lead)
 
+    @property
+    def unit(self) -> float:
+        """How far apart roots are at least, roughly: `rate`, or 1/T where that is less, 1/s."""
+        return min(1.0 / self.longest, self.rate)
+
     def radius(self, right: float, any_delay: bool = False) -> float:
         """R: every root with Re s ≥ `right` has |s| < R; if asked for, whatever the delay.
 
@@ -160,7 +171,7 @@ class IdealLoop:
         whose terms are bounded one by one. Where model and plant agree the last two cancel,
         however large the gains.
         """
-        unit, shift = self.near, 0.0 if any_delay else right
+        unit, shift = 2.0 * self.rate, 0.0 if any_delay else right
         own, ahead = np.exp(-shift * self.delay), np.exp(-shift * self.lead)
         alike = self.delay == self.lead and not any_delay
         A, S, FA, KS, KES = self.A / unit, self.S / unit, self.F, self.K, self.KE

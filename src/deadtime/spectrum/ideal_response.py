@@ -51,8 +51,10 @@ class IdealResponse(Response):
         p = np.exp(rate * delay[:, None, None]) * self.loop.B
         return p, after * p, rate * p
 
-    def pipes(self, omega: np.ndarray) -> list[np.ndarray]:
-        return [np.broadcast_to(self.loop.B, (omega.size, *self.loop.B.shape))]
+    @property
+    def cuts(self) -> Float[np.ndarray, " cut"]:
+        return np.zeros(1)
 
-    def speed(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return omega, self.loop.B[None]
+    @property
+    def period(self) -> float | None:
+        return None

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from deadtime.checks import index
 from deadtime.feedback import Feedback
@@ -28,6 +28,7 @@ from deadtime.steps import Window
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
+LEADING = 32  # eigenvalues that are looked at for doubts about the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +105,16 @@ class LiftedLoop:
         return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
     def growth_rate(self, step: float) -> float:
-        """ln(spectral radius of L)/h, −∞ where that is 0.
+        """ln(spectral radius of L)/h, −∞ where that is 0; `leading` says how it is found."""
+        radius = self.leading()[1]
+        return math.log(radius) / step if radius > 0.0 else -math.inf
+
+    def leading(self) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
+        """Eigenvalues of L of the largest moduli, some of them, and the spectral radius.
 
         Above the order `DENSE` the largest eigenvalues of L^{4W} are found by Arnoldi's method:
         over several windows they grow far apart, while those of L lie close to each other. The
-        rates of the two methods agree to about 1e-9 1/s.
+        rates of the two methods agree to about 1e-9 1/s where eigenvalues are well conditioned.
         """
         if self.order > DENSE:
             from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
@@ -116,15 +122,52 @@ class LiftedLoop:
             periods, shape = 4 * self.held, (self.order, self.order)
             operator: Any = LinearOperator
             power = operator(shape, lambda z: self.after(z.ravel(), periods), dtype=float)
-            options: Any = {"ncv": 80, "tol": 1e-8, "maxiter": 20, "return_eigenvectors": False}
+            options: Any = {"ncv": 80, "tol": 1e-8, "maxiter": 20}
             start = np.random.default_rng(0).normal(size=self.order)
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    largest: Any = eigs(power, 2, v0=start, **options)
-                return _rate(largest, periods * step)
+                    found: Any = eigs(power, 2, v0=start, **options)
+                largest, vectors = found
+                first = int(np.abs(largest).argmax())
+                radius = float(np.abs(largest[first])) ** (1.0 / periods)
+                return np.array([self._quotient(vectors[:, first])]), radius
             except ArpackError:  # many eigenvalues of one modulus, or a power beyond 1e308
                 pass
-        return _rate(np.linalg.eigvals(self.matrix()), step)
+        values = np.linalg.eigvals(self.matrix())
+        values = values[np.argsort(-np.abs(values), kind="stable")[:LEADING]]
+        return values.astype(complex), float(np.abs(values[0]))
+
+    def _quotient(self, z: Complex[np.ndarray, " order"]) -> complex:
+        """The eigenvalue of L to an eigenvector."""
+        now = self.after(np.real(z).copy(), 1) + 1j * self.after(np.imag(z).copy(), 1)
+        return complex(np.vdot(z, now) / np.vdot(z, z).real)
+
+    def doubt(self, values: Complex[np.ndarray, " eigenvalue"]) -> float:
+        """How wrong the largest of some eigenvalues is, relative, by Newton's next step.
+
+        Those of the others count that are so wrong that they might be the largest. Newton's
+        method is for det [[zI − Φ, −z^{−N} (early + z late)], [−F, I − Σ_j G_j z^{−j}]]. At an
+        eigenvalue of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
+        """
+        from deadtime.spectrum.compiled import transform
+        from deadtime.spectrum.newton import decomposed
+
+        (m, n), N, z = self.F.shape, self.count, values[:, None, None]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            g, slope = transform(self.G, 1.0 / values)
+            old, new = z ** (-N), z ** (1 - N)
+            Delta = np.zeros((values.size, n + m, n + m), complex)
+            prime = np.zeros_like(Delta)
+            Delta[:, :n, :n], prime[:, :n, :n] = z * np.eye(n) - self.Phi, np.eye(n)
+            Delta[:, :n, n:] = -(old * self.early + new * self.late)
+            prime[:, :n, n:] = (N * old * self.early + (N - 1) * new * self.late) / z
+            Delta[:, n:, :n], Delta[:, n:, n:] = -self.F, np.eye(m) - g
+            prime[:, n:, n:] = slope / z
+            if not (np.isfinite(Delta).all() and np.isfinite(prime).all()):
+                return math.inf
+            steps = n / np.abs(decomposed(Delta, prime).slope(0))
+        size = np.abs(values)
+        return float(steps[size + steps >= size[0] - steps[0]].max() / size[0])
 
 
 def lifted_loop(
@@ -164,9 +207,3 @@ def aged_row(feedback: Feedback, mode: int) -> int:
     if feedback.context in ("mode", "mode_age"):
         return (mode + 1) * feedback.ages - 1
     return feedback.state_gain.shape[0] - 1
-
-
-def _rate(eigenvalues: np.ndarray, time: float) -> float:
-    """ln(largest modulus)/time."""
-    radius = float(np.abs(eigenvalues).max())
-    return math.log(radius) / time if radius > 0.0 else -math.inf

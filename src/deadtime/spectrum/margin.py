@@ -16,15 +16,18 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.checks import positive
+from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
-from deadtime.spectrum.crossing import first_crossing, relevant
+from deadtime.spectrum.crossing import first_crossing, reaching
 from deadtime.spectrum.growth import growth_rate
 from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.ideal_response import IdealResponse
+from deadtime.spectrum.loop_gain import Band, bands
 from deadtime.spectrum.observed_response import digital_response
 from deadtime.spectrum.response import Response
+from deadtime.wording import error_percent, inwards
 
 FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
 
@@ -86,7 +89,7 @@ class DelayMargin:
 
 
 def constant_delay_margin(
-    plant: SwitchedSystem, law: Law, step: float | None = 0.01
+    plant: SwitchedSystem, law: Law, step: float | None = 0.01, upto: float | None = None
 ) -> DelayMargin:
     """How wrong the delay may be, if any one mode lasts for ever.
 
@@ -99,20 +102,26 @@ def constant_delay_margin(
         form in continuous time.
     step : float or None
         Sampling period h, in seconds; None for the ideal loop, updated continuously.
+    upto : float, optional
+        The longest true delay that is tried, in seconds, above the nominal one. By default ten
+        times the nominal one; or ten times 1/ω, ω the highest frequency at which the loop's gain
+        may be 1, where that is longer.
 
     Returns
     -------
     DelayMargin
-        To about 1e-10 relative. Longer delays are tried up to ten times the nominal one.
+        To about 1e-10 relative; to 1e-6 where the loop's gain only touches 1.
 
     Raises
     ------
     ArgumentError
-        As by `growth_rate`.
+        As by `growth_rate`, and if `upto` is no longer than the nominal delay.
 
     Notes
     -----
-    With several modes the loop may be lost earlier, by switching: that needs a certificate.
+    A root that touches the limit of stability and goes back ends the interval, too: at that delay
+    the loop is not asymptotically stable. With several modes the loop may be lost earlier, by
+    switching: that needs a certificate.
 
     References
     ----------
@@ -131,13 +140,18 @@ def constant_delay_margin(
     """
     require_constant(plant, law)
     step = None if step is None else positive("step", step)
+    if upto is not None and positive("upto", upto) <= plant.delay:
+        raise ArgumentError(
+            f"upto must be longer than the nominal delay, {plant.delay:g} s, got {upto:g}: it is "
+            "the longest true delay that is tried."
+        )
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
     nominal = plant.delay
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
         text = _unstable(worst, float(growth[worst]))
         return DelayMargin(None, None, worst, worst, None, None, growth, nominal, text)
-    lower, upper = _limits(plant, law, step)
+    lower, upper = _limits(plant, law, step, upto)
     return DelayMargin(
         lower.delay,
         upper.delay,
@@ -151,20 +165,31 @@ def constant_delay_margin(
     )
 
 
-def _limits(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_Limit, _Limit]:
+def _limits(
+    plant: SwitchedSystem, law: Law, step: float | None, upto: float | None
+) -> tuple[_Limit, _Limit]:
     """The nearest limits of any mode, below and above."""
     nominal = plant.delay
-    lower, upper = _Limit(0.0, None, None), _Limit(FARTHEST * nominal, None, None)
-    bounded = False
-    for mode in range(plant.modes):
-        response = _response(plant, law, mode, step)
-        grid = relevant(response, nominal)
-        bounded |= grid.samples.omega.size > 0
-        found = first_crossing(response, grid, nominal, lower.delay)
+    responses = [_response(plant, law, mode, step) for mode in range(plant.modes)]
+    parts = [_bands(response, nominal) for response in responses]
+    if upto is None:
+        # In a delay shorter than one radian of every motion that matters, ten times is nothing.
+        radians = [1.0 / part[-1].samples.omega[-1] for part in parts if part]
+        upto = FARTHEST * float(max([nominal, *radians]))
+    lower, upper = _Limit(0.0, None, None), _Limit(upto, None, None)
+    for mode, (response, part) in enumerate(zip(responses, parts, strict=True)):
+        found = first_crossing(response, part, nominal, lower.delay)
         lower = lower if found is None else _Limit(found.delay, mode, found.frequency)
-        found = first_crossing(response, grid, nominal, upper.delay)
+        found = first_crossing(response, part, nominal, upper.delay)
         upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
-    return lower, upper if bounded else upper._replace(delay=math.inf)
+    return lower, upper if any(parts) else upper._replace(delay=math.inf)
+
+
+def _bands(response: Response, delay: float) -> list[Band]:
+    """Where some delay may have a root; none if no delay has any."""
+    found = bands(response, delay)
+    # In the ideal loop the gain is what it is, whatever the delay.
+    return reaching(response, found, delay) if response.period is None else found
 
 
 def _response(plant: SwitchedSystem, law: Law, mode: int, step: float | None) -> Response:
@@ -188,23 +213,10 @@ def _stable(lower: _Limit, upper: _Limit, nominal: float) -> str:
     text = "the loop stays stable in every constant mode"
     if math.isinf(upper.delay):
         return f"{text} whatever the true delay"
-    low, high = _rounded(lower.delay, nominal), _rounded(upper.delay, nominal)
-    longer = _percent(upper.delay / nominal - 1.0)
+    low, high = inwards(lower.delay, nominal), inwards(upper.delay, nominal)
+    longer = error_percent(upper.delay, nominal)
     longer = "longer ones were not tried" if upper.mode is None else longer
     if lower.mode is None:
         return f"{text} while the true delay is below {high} s ({longer})"
-    shorter = _percent(lower.delay / nominal - 1.0)
+    shorter = error_percent(lower.delay, nominal)
     return f"{text} while the true delay is between {low} s and {high} s ({shorter}, {longer})"
-
-
-def _rounded(value: float, nominal: float) -> str:
-    """To a hundredth of its distance from the nominal delay, towards that."""
-    apart = max(abs(nominal - value), 1e-12 * nominal)
-    places = max(0, math.ceil(2.0 - math.log10(apart)))
-    unit = 10.0**-places
-    inside = math.ceil(value / unit) if value < nominal else math.floor(value / unit)
-    return f"{inside * unit:.{places}f}"
-
-
-def _percent(error: float) -> str:
-    return f"{100.0 * error:+.3g} %".replace("-", "−")

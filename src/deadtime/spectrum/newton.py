@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from deadtime.spectrum.ideal import IdealLoop
+from deadtime.spectrum.small_matrices import inverses
 
-_STEPS = 40
+_STEPS, _CIRCLE = 40, 8
 _CONVERGED = 1e-6  # relative: of a multiple root half of the digits are lost
 
 
@@ -47,9 +48,9 @@ def newton(
 ) -> tuple[Complex[np.ndarray, " root"], Float[np.ndarray, " root"]]:
     """Roots of det Δ from every start, s ← s − 1/tr(Δ⁻¹Δ'), and σ_min/σ_max of Δ there.
 
-    Infinite where it does not converge within 1/T of its start.
+    Infinite where it does not converge within `loop.unit` of its start.
     """
-    unit = 1.0 / loop.longest
+    unit = loop.unit
     best, s, real = starts.copy(), starts.copy(), np.imag(starts) == 0.0
     residuals, last = np.full((2, starts.size), np.inf)
     for _ in range(_STEPS if s.size else 0):
@@ -68,13 +69,28 @@ def newton(
 
 
 def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.ndarray, " root"]:
-    """How far round-off δ in Δ moves each root, |u|ᵀ δ |v| / |uᴴ Δ' v|, to first order."""
+    """How far round-off δ in Δ may move each root.
+
+    To first order that is |u|ᵀ δ |v| / |uᴴ Δ' v|, and with it goes what is left to the root of this
+    Δ, a step of Newton's method. Roots close to each other move farther: the answer is the radius
+    of a circle on which ρ(|Δ⁻¹| δ) < 1, so that no change of Δ by δ takes a root across it.
+    """
     if roots.size == 0:
         return np.empty(0)
-    round_off = np.finfo(float).eps * loop.magnitude(roots)
-    now = decomposed(*loop.matrix(roots), round_off)
+    epsilon = np.finfo(float).eps
+    now = decomposed(*loop.matrix(roots), epsilon * loop.magnitude(roots))
     prime, round_off = now.others
     u, v = now.left[:, :, -1], now.right[:, -1].conj()
     change = np.einsum("pi,pij,pj->p", np.abs(u), round_off, np.abs(v))
     slope = np.abs(np.einsum("pi,pij,pj->p", u.conj(), prime, v))
-    return change / np.maximum(slope, 1e-300)
+    left = 1.0 / np.maximum(np.abs(now.slope(0)), 1e-300)
+    radius = np.minimum(1.25 * (change / np.maximum(slope, 1e-300) + left), loop.unit)
+    circle = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
+    grown = np.arange(roots.size)
+    while grown.size:
+        points = (roots[grown, None] + radius[grown, None] * circle).ravel()
+        moved = np.abs(inverses(loop.matrix(points)[0])) @ (epsilon * loop.magnitude(points))
+        across = np.abs(np.linalg.eigvals(moved)).max(axis=1).reshape(-1, _CIRCLE).max(axis=1)
+        grown = grown[(across >= 1.0) & (radius[grown] < loop.unit)]
+        radius[grown] *= 1.5
+    return radius

@@ -79,13 +79,15 @@ class Response(ABC):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """p and its slopes by ω and by the delay, (points, n, m), a delay for each ω or for all."""
 
+    @property
     @abstractmethod
-    def pipes(self, omega: np.ndarray) -> list[np.ndarray]:
-        """p at delays that stand for all delays, a factor of modulus 1 left out."""
+    def cuts(self) -> Float[np.ndarray, " cut"]:
+        """Delays that stand for all, but for what e^{−iωD} turns, seconds."""
 
+    @property
     @abstractmethod
-    def speed(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """c (points,) and C (cuts, n, m): |∂p/∂D| = c |C| at delays that stand for all."""
+    def period(self) -> float | None:
+        """The sampling period, in seconds; None for the ideal loop."""
 
     def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
         """All but the pipe, at the `even_law`'s frequencies or at any others."""

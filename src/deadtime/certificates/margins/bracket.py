@@ -17,7 +17,7 @@ import numpy as np
 
 from deadtime.errors import ArgumentError
 
-GROWS = 1e-7  # 1/s: growth that round-off does not explain
+GROWS = 1e-7  # 1/s: slower growth is no answer
 FLOOR = 1e-6  # of the interval asked for: closer than this nothing is searched
 CHECKS = 9  # values below the proved end at which constant modes are looked at
 ROUNDS = 8  # how often the bracket may move below a witness found there
@@ -30,11 +30,11 @@ class Questions:
     Attributes
     ----------
     grows : callable
-        From a value to whether some constant mode grows: the cheap question.
+        From a value to whether some constant mode provably grows: the cheap question.
     certify : callable
         From a value to a certificate (`.stable`, `.message`, `.witness`).
     falsify : callable
-        From a value to the worst case found (`.growth_rate`, 1/s).
+        From a value to the worst case found (`.growth_rate`, 1/s, and `.proven`).
     answers : dict
         From each value asked about to True, False or None.
     """
@@ -57,10 +57,9 @@ class Questions:
         return certificate
 
     def witness(self, value: float) -> Any | None:
-        """A worst case that grows, if one is found."""
+        """A worst case that provably grows, if one is found."""
         worst = self.falsify(value)
-        rate = worst.growth_rate
-        found = worst if rate is not None and rate > GROWS else None
+        found = worst if worst.growth_rate > GROWS and worst.proven else None
         self._note(value, None if found is None else False)
         return found
 
@@ -175,12 +174,10 @@ class _Search:
             ceiling = bad if bad is not None else refuted
             if ceiling is None or ceiling - good <= self.enough(ceiling, bad is not None):
                 break
-            if good > self.low:
+            if good > self.low or ceiling - gap <= self.low + self.floor:
                 value = 0.5 * (good + ceiling)
             else:
                 value, gap = ceiling - gap, 2.0 * gap
-                if value <= self.low + self.floor:
-                    break
             certificate = self.ask.proof(value)
         return Bracket(good, proof, refuted, witness, None if bad is None else (bad, reason))
 

@@ -20,6 +20,7 @@ from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
 from deadtime.steps import snap
+from deadtime.wording import error_percent, inwards
 
 FINEST = 0.04  # of the interval of constant modes
 MOST_PIECES = 16  # certificates tried on each side
@@ -31,6 +32,7 @@ def delay_margin(
     law: Law,
     step: float | None = 0.01,
     dwell_time: float | None = None,
+    upto: float | None = None,
 ) -> DelayMargin:
     """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
 
@@ -43,9 +45,13 @@ def delay_margin(
     step : float or None
         Sampling period h, in seconds; None for the ideal loop (constant modes only).
     dwell_time : float, optional
-        Without it, every mode lasts for ever: exact, from the spectrum. With it, proved for every
+        Without it, the mode is constant: exact, from the spectrum. With it, proved for every
         switching signal with this dwell time and every constant delay between `lower` and
         `upper`, in seconds.
+    upto : float, optional
+        The longest true delay that is tried, in seconds. By default ten times the nominal one; or
+        ten times 1/ω, ω the highest frequency at which the loop's gain may be 1, where that is
+        longer.
 
     Returns
     -------
@@ -56,7 +62,7 @@ def delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate` and `certify`.
+        As by `growth_rate` and `certify`, and if `upto` is no longer than the nominal delay.
 
     Examples
     --------
@@ -64,11 +70,11 @@ def delay_margin(
     >>> plant = dt.SwitchedSystem([[[0.5]], [[0.6]]], [[[1.0]], [[1.0]]], delay=0.5)
     >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
     >>> alone = delay_margin(plant, law, step=0.5)
-    >>> certified = delay_margin(plant, law, step=0.5, dwell_time=0.5)
+    >>> certified = delay_margin(plant, law, step=0.5, dwell_time=0.6)
     >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
     True
     """
-    constant = constant_delay_margin(plant, law, step)
+    constant = constant_delay_margin(plant, law, step, upto)
     if dwell_time is None:
         return constant
     if step is None:
@@ -94,8 +100,9 @@ def delay_margin(
     upper = _reach(plant.delay, constant.upper, step, holds)
     message = (
         f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for every constant "
-        f"true delay between {lower:.6g} s and {upper:.6g} s ({lower / plant.delay - 1.0:+.2%}, "
-        f"{upper / plant.delay - 1.0:+.2%}). Without switches: {constant.message}"
+        f"true delay between {inwards(lower, plant.delay)} s and {inwards(upper, plant.delay)} s "
+        f"({error_percent(lower, plant.delay)}, {error_percent(upper, plant.delay)}). Without "
+        f"switches: {constant.message}"
     )
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
 
