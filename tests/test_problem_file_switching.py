@@ -110,25 +110,55 @@ def test_the_verdict_compares_no_runs_that_chattering_ended(tmp_path):
     text = """\
 [plant]
 delay = 0.3
-A = [[[1.0]], [[-1.5]]]
+A = [[[1.0]], [[1.2]]]
 B = [[[1.0]], [[1.0]]]
 [gains]
 poles = [-2.0]
 [signal]
-kind = "half-space"
-normal = [1.0]
-offset = 1.0
+kind = "polyhedra"
+regions = [
+  { H = [[1.0]], h = [1.0], mode = 0 },
+  STRIPES
+  { H = [[-1.0]], h = [-1.08], mode = 1 },
+]
 [run]
 x0 = [0.9]
 horizon = 2.0
-step = 0.05
+step = 0.3
 u0 = 1.0
 """
-    (tmp_path / "chatter.toml").write_text(text)
+    stripes = (
+        f"{{ H = [[-1.0], [1.0]], h = [{-1 - k / 1000}, {1 + (k + 1) / 1000}], mode = {k % 2} }},"
+        for k in range(80)
+    )
+    (tmp_path / "chatter.toml").write_text(text.replace("STRIPES", "\n  ".join(stripes)))
     sentences = verdict(compare(load_problem(tmp_path / "chatter.toml")))
     assert len(sentences) == 2
     assert "ends early: chattering" in sentences[0]
     assert sentences[1].startswith("Runs that chatter end early: state-dependent, averaged,")
+
+
+QUADRATIC = """\
+[signal]
+kind = "quadratic"
+S = [[[1.0, 0.3], [0.3, -1.0]], [[-1.0, 0.0], [0.0, 1.0]]]
+"""
+
+
+@pytest.mark.parametrize("step", ["0.1", '"ideal"'])
+def test_quadratic_forms_switch_by_the_state_digital_and_ideal(tmp_path, step):
+    text = PLANT.replace("step = 0.1", f"step = {step}") + QUADRATIC
+    (tmp_path / "forms.toml").write_text(text)
+    problem = load_problem(tmp_path / "forms.toml")
+    assert next(iter(problem.laws)) == "state-dependent"
+    run = problem.simulate("state-dependent")
+    rule = dt.QuadraticRegions([[[1.0, 0.3], [0.3, -1.0]], [[-1.0, 0.0], [0.0, 1.0]]])
+    law = dt.StateDependentPredictor(problem.plant, problem.gains, rule)
+    other = dt.simulate(
+        problem.plant, law, rule, problem.x0, problem.horizon, problem.step, u0=problem.u0
+    )
+    assert run.signal.switches >= 1
+    np.testing.assert_array_equal(run.states, other.states)
 
 
 def test_polyhedra_may_say_the_same_as_a_half_space(tmp_path):
@@ -163,6 +193,9 @@ BAD = [
     ((CONSTANT, law("state-dependent")), r"\[law\.0\]: kind = \"state-dependent\" needs a \[signal\]"),
     ((HALF_SPACE, law("exact")), r"\[law\.0\]: kind = \"exact\" needs a signal that is known"),
     ((HALF_SPACE.replace("[1.0, 0.2]", "[1.0]"),), r"\[signal\]: rule must be one of 2 states"),
+    ((QUADRATIC.replace("0.3], [0.3", "0.3], [0.2"),), r"\[signal\]: S\[0\] must be symmetric, got"),
+    ((QUADRATIC.replace(", [[-1.0, 0.0], [0.0, 1.0]]", ""),),
+     r"\[signal\]: rule must have one form in 2 states for each of the plant's 2 modes, got 1"),
     ((CONSTANT, law("averaged", "dwell_time = 0.0")), r"\[law\.0\]: dwell_time must be positive"),
     ((CONSTANT, law("averaged", "common_gain = true")), r"line 1\d, \[law\.0\]: common_gain = true"),
     (('[switching]\nkind = "fitted"\nlogs = ["none.csv"]\n', FROM_MODEL), r"none\.csv cannot be read"),

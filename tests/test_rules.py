@@ -8,8 +8,8 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.switching import FunctionRule, HalfSpace, Polyhedra
-from deadtime.switching.crossings import first_positive
+from deadtime.switching import FunctionRule, HalfSpace, Polyhedra, QuadraticRegions
+from deadtime.switching.bernstein import first_positive
 from deadtime.switching.rules import as_rule
 
 RNG = np.random.default_rng(2)
@@ -218,11 +218,13 @@ LEFT, RIGHT = ([[1.0]], [0.0]), ([[-1.0]], [0.0])
         (lambda: FunctionRule(lambda x: 0, samples=0), "samples must be an integer of at least 1"),
         (
             lambda: as_rule("rule", "left"),
-            "rule must be a HalfSpace, Polyhedra or a function from a state to a mode, got str.",
+            "rule must be a HalfSpace, Polyhedra, QuadraticRegions or a function from a state to a "
+            "mode, got str.",
         ),
         (
             lambda: as_rule("rule", dt.SwitchingSignal.constant(0)),
-            "rule must be a HalfSpace, Polyhedra or a function from a state to a mode, got Switch",
+            "rule must be a HalfSpace, Polyhedra, QuadraticRegions or a function from a state to a "
+            "mode, got SwitchingSignal.",
         ),
         (
             lambda: HalfSpace([1.0, 0.0]).require(plants.generic()),
@@ -272,3 +274,90 @@ def test_a_hump_is_found_however_thin_and_a_touch_is_none():
     assert first_positive(np.array([-0.25, 1.0, -1.0])) == -1.0  # touches 0 at 1/2, exactly
     assert first_positive(np.zeros(5)) == -1.0
     assert first_positive(np.array([0.0, np.nan, 1.0])) == -1.0
+
+
+# -- quadratic forms ---------------------------------------------------------------------------
+
+FORMS = np.array([[[1.0, 0.5], [0.5, -1.0]], [[-1.0, 0.2], [0.2, 2.0]], [[0.5, -2.0], [-2.0, 0]]])
+
+
+def test_quadratic_regions_give_the_mode_of_the_largest_form():
+    rule = QuadraticRegions(FORMS)
+    x = RNG.normal(size=(1000, 2)) * 10.0 ** RNG.uniform(-8, 8, size=(1000, 1))
+    largest = [max(range(3), key=lambda i, y=y: y @ FORMS[i] @ y) for y in x]
+    assert rule.modes_of(x).tolist() == largest
+    assert rule([0.0, 0.0]) == 0
+    assert repr(rule) == "QuadraticRegions(modes=3, states=2)"
+    assert as_rule("rule", rule) is rule
+    with pytest.raises(ValueError, match="read-only"):
+        rule.S[0, 0, 0] = 1.0
+
+
+def test_a_rule_is_the_same_as_one_of_the_same_numbers_or_function():
+    def ball(x):
+        return int(x @ x > 1.0)
+
+    rules = [
+        (HalfSpace([1.0, 0.0], 0.5), HalfSpace([1.0, 0.0], 0.5), HalfSpace([1.0, 0.0])),
+        (Polyhedra(sectors(3)), Polyhedra(sectors(3)), Polyhedra(sectors(4))),
+        (QuadraticRegions(FORMS), QuadraticRegions(FORMS), QuadraticRegions(-FORMS)),
+        (FunctionRule(ball), FunctionRule(ball), FunctionRule(ball, 9)),
+    ]
+    for one, same, other in rules:
+        assert one.same(same)
+        assert not one.same(other)
+    assert not any(a[0].same(b[0]) for a in rules for b in rules if a is not b)
+
+
+def turned(delay=0.25):
+    """x turns at 1 rad/s in either mode."""
+    return dt.SwitchedSystem([[[0.0, 1.0], [-1.0, 0.0]]] * 2, np.zeros((2, 2, 1)), delay)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+def test_a_thin_quadratic_region_entered_and_left_within_one_step_is_found(width):
+    # Mode 1 where x₂² ≥ x₁²/tan²(width): within `width` of the axis; the angle passes it once.
+    form = np.diag([-1.0, np.tan(width) ** 2])
+    rule = QuadraticRegions([-form, form])
+    plant, angle = turned(), 0.5 * np.pi + 0.17
+    law = dt.DelayedStateFeedback(plant, np.zeros((2, 1, 2)), allow_unstable=True)
+    x0 = [np.cos(angle), np.sin(angle)]
+    one = dt.simulate(plant, law, rule, x0, 2.0, 0.4)
+    assert one.signal.modes.tolist() == [0, 1, 0]
+    assert np.abs(one.signal.times[1:] - [0.17 - width, 0.17 + width]).max() <= 2e-15 / width
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: QuadraticRegions(np.eye(2)), "S must have shape (modes, n, n), got (2, 2)"),
+        (
+            lambda: QuadraticRegions(np.ones((2, 2, 3))),
+            "S must have shape (modes, n, n), got (2, 2, 3): one square matrix per mode.",
+        ),
+        (
+            lambda: QuadraticRegions([np.eye(2), [[1.0, 2.0], [0.0, 1.0]]]),
+            "S[1] must be symmetric, got 2 at (0, 1) and 0 at (1, 0): (S + S.T) / 2 has the same",
+        ),
+        (
+            lambda: QuadraticRegions([np.eye(2), np.diag([1.0, np.nan])]),
+            "S[1, 1, 1] must be finite, got nan.",
+        ),
+        (
+            lambda: QuadraticRegions([np.eye(2), 2 * np.eye(2), np.eye(2)]),
+            "S[2] must differ from S[0]: where two forms are the same, the rule does not say",
+        ),
+        (lambda: QuadraticRegions([]), "S must have shape (modes, n, n), got (0,)"),
+        (
+            lambda: QuadraticRegions(FORMS).require(plants.paper()),
+            "rule must have one form in 2 states for each of the plant's 2 modes, got 3 in 2.",
+        ),
+        (
+            lambda: QuadraticRegions(FORMS).require(plants.generic()),
+            "rule must have one form in 3 states for each of the plant's",
+        ),
+    ],
+)
+def test_quadratic_regions_that_make_no_sense_are_refused_by_name(make, message):
+    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
+        make()

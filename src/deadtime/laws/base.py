@@ -206,5 +206,6 @@ def require_hurwitz(
         raise ArgumentError(
             f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
             f"{rightmost:+.4g} 1/s): the sign is u = +K x, and gains belong to one plant; "
-            "allow_unstable = True accepts it, as gains designed for a long step may need."
+            "allow_unstable = True accepts it, as gains designed for a long step may need, and so "
+            "may loops that are stable only with their delay."
         )

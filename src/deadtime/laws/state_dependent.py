@@ -16,6 +16,7 @@ from deadtime.laws.base import Law, Update, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import TOLERANCE
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.motion import Beside, Motion
 from deadtime.switching.rules import Rule, as_rule
 
 
@@ -28,8 +29,12 @@ class StateDependentPredictor(Law):
 
     The state decides the future, so there is nothing to guess: with the right model and rule it
     is exact, as the oracle is, and knows no signal. Between crossings the model moves by its
-    matrix exponentials. A crossing at exactly t + D counts. It is the one law that is no table:
-    not linear in the state, it runs its model once a period.
+    matrix exponentials; where both modes point at their boundary it slides along it, and there
+    takes the gain of the mode beyond if that leads on, otherwise of the one it came from. A
+    crossing at exactly t + D counts. It is the one law that is no table: not linear in the state,
+    it runs its model once a period. The sampled mode tells it on which side of a boundary x is.
+    Updated continuously (`step=None`) it has a closed form where model and plant are the same:
+    from D on, x follows (A_σ + B_σ K_σ) x under the rule.
 
     Parameters
     ----------
@@ -37,9 +42,9 @@ class StateDependentPredictor(Law):
         The law's model.
     gains : array_like, shape (modes, m, n)
         K_i of u = +K_i x.
-    rule : HalfSpace, Polyhedra or callable
+    rule : HalfSpace, Polyhedra, QuadraticRegions or callable
         r, from a state of shape (n,) to a mode. A function is asked at samples, see
-        `deadtime.switching.FunctionRule`; half-spaces and polyhedra miss no crossing.
+        `deadtime.switching.FunctionRule`; the others miss no crossing.
     allow_unstable : bool
         Accept gains that leave some A_i + B_i K_i unstable.
 
@@ -48,8 +53,9 @@ class StateDependentPredictor(Law):
     ArgumentError
         If the gains or the rule do not fit the plant.
     ChatteringError
-        By the function that `online` returns, if the prediction meets a boundary at which both
-        modes point, so that it cannot go on. `simulate` ends the run there and says so.
+        By the function that `online` returns, if the prediction cannot go on: crossings pile up,
+        or a rule that is a function does not say along what to slide. `simulate` ends the run there
+        and says so.
 
     References
     ----------
@@ -97,8 +103,8 @@ class StateDependentPredictor(Law):
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         raise ArgumentError(
-            "step must be given for StateDependentPredictor: it has no closed form when updated "
-            "continuously; a short step comes close."
+            "step must be given for StateDependentPredictor where the plant follows a signal: its "
+            "ideal loop is known where the state switches the plant, by the rule of the law."
         )
 
     def online(
@@ -113,13 +119,33 @@ class StateDependentPredictor(Law):
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
             if not np.isfinite(x).all():
                 return np.full(past.shape[1], np.nan)
-            arrival = motion.follow(kinds, past[-window.count :], x)
+            arrival = motion.follow(kinds, past[-window.count :], x, mode)
             if arrival.chatter is not None:
                 raise ChatteringError(
                     "chattering in the prediction of StateDependentPredictor, "
                     f"{arrival.chatter.time:.6g} s ahead: {arrival.chatter.reason}."
                 )
-            final = motion.advance(2, arrival.x, arrival.place, past[-1]).place
-            return self.gains[motion.mode_of(final)] @ arrival.x
+            final = arrival
+            if final.beside is None:
+                final = motion.advance(2, arrival.x, arrival.place, past[-1])
+            place = final_place(motion, self.gains, arrival.x, final.place, final.beside)
+            return self.gains[motion.mode_of(place)] @ arrival.x
 
         return control
+
+
+def final_place(
+    motion: Motion,
+    gains: Float[np.ndarray, "mode m n"],
+    x: Float[np.ndarray, " n"],
+    place: int,
+    beside: Beside | None,
+) -> int:
+    """The place whose mode's gain the feedback takes at the end of a prediction.
+
+    On a boundary that the state slides along it is the one beyond, if its own gain leads on there.
+    """
+    if beside is None:
+        return place
+    there = gains[motion.mode_of(beside.place)] @ x
+    return beside.place if motion.leads_on(x, beside, there) else place

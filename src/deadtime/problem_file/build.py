@@ -223,8 +223,8 @@ def _law(parts: _Parts, section: schema.LawSection) -> Law:
         case schema.StateDependentLaw():
             if parts.rule is None:
                 raise ArgumentError(
-                    'kind = "state-dependent" needs a [signal] of kind "half-space" or '
-                    '"polyhedra": that is the rule it runs forward.'
+                    'kind = "state-dependent" needs a [signal] of kind "half-space", '
+                    '"polyhedra" or "quadratic": that is the rule it runs forward.'
                 )
             return StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
         case _:

@@ -257,6 +257,16 @@ class PolyhedraSignal(Section):
     regions: list[Region] = Field(description="Together they must fill the space.")
 
 
+class QuadraticSignal(Section):
+    """Switching by the state: the mode whose form xᵀ S[i] x is the largest."""
+
+    kind: Literal["quadratic"]
+    S: list[Matrix] = Field(description="A symmetric matrix per mode; −S for the smallest form.")
+
+
+RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the state decides
+
+
 class RunSection(Section):
     """The simulation."""
 
@@ -294,7 +304,8 @@ Signal = Annotated[
     | LogSignal
     | ModelSignal
     | HalfSpaceSignal
-    | PolyhedraSignal,
+    | PolyhedraSignal
+    | QuadraticSignal,
     Field(discriminator="kind"),
 ]
 

@@ -10,7 +10,15 @@ import numpy as np
 from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file import schema
-from deadtime.switching import HalfSpace, Markov, Polyhedra, Rule, SemiMarkov, SwitchingSignal
+from deadtime.switching import (
+    HalfSpace,
+    Markov,
+    Polyhedra,
+    QuadraticRegions,
+    Rule,
+    SemiMarkov,
+    SwitchingSignal,
+)
 
 Model = Markov | SemiMarkov
 
@@ -75,6 +83,8 @@ def build_rule(section: schema.Signal) -> Rule | None:
         case schema.PolyhedraSignal():
             regions = [(region.H, region.h) for region in section.regions]
             return Polyhedra(regions, [region.mode for region in section.regions])
+        case schema.QuadraticSignal():
+            return QuadraticRegions(section.S)
         case _:
             return None
 

@@ -1,9 +1,10 @@
 """The digital loop step by step: for a plant that switches by its state, or a law without a table.
 
 The plant follows a signal or a rule; the law is called once a period. A rule's switches are noted
-as they come and handed on as the switching signal that they turned out to be. A plant that
-chatters has no trajectory from there on: the run ends, and for the mismatch before its end alone
-the mode is held.
+as they come and handed on as the switching signal that they turned out to be; while the plant
+slides along a boundary, the mode is the one that it came from. A plant that chatters
+has no trajectory from there on: the run ends, and for the mismatch before its end alone the mode
+is held.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw, Lags
 from deadtime.simulation.record import DigitalRecord, PhaseTable
+from deadtime.simulation.slides import told
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.steps import modes_at, snap
 from deadtime.switching import SwitchingSignal
@@ -68,8 +70,12 @@ def run_online(
         grid.past,
         kept,
         truth.forces,
+        truth.slides if truth.slides and truth.slides.steps else None,
     )
     end, diverged, note = (None, False, "") if stop is None else stop
+    if record.slides is not None:
+        slid = told(record.slides.slides(window.step, horizon if end is None else end))
+        note = f"{note} {slid}".strip()
     if truth.chatter is not None:
         note = _joined(note, truth, end)
     return Outcome(

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from deadtime.checks import read_only
 from deadtime.plant import SwitchedSystem
+from deadtime.simulation.slides import Slides
 from deadtime.steps import Cuts, Window, snap_all
 
 
@@ -60,6 +61,8 @@ class DigitalRecord:
         Samples 0, …, samples − 1 belong to the run.
     forces : (steps, 2, n) or None
         The force that disturbances hold over each phase of each step.
+    slides : Slides or None
+        The steps in which the plant slid along a boundary, if it did.
     """
 
     plant: SwitchedSystem
@@ -72,6 +75,7 @@ class DigitalRecord:
     past: int
     samples: int
     forces: Float[np.ndarray, "step 2 n"] | None = None
+    slides: Slides | None = None
     held: ClassVar[bool] = True
 
     @cached_property
@@ -131,7 +135,7 @@ class DigitalRecord:
 
         step, offset = self.locate(times)
         cuts, (B, acting) = self.cuts, self.driven
-        return states_at(
+        result = states_at(
             self.plant.A,
             B,
             self.window.phase,
@@ -143,6 +147,11 @@ class DigitalRecord:
             self.states,
             acting,
         )
+        if self.slides is not None:
+            for i in np.flatnonzero(np.isin(step, list(self.slides.steps))):
+                k = int(step[i])
+                result[i] = self.slides.state_at(k, float(offset[i]), acting[k])
+        return result
 
     def inputs_at(self, times: np.ndarray) -> Float[np.ndarray, "time m"]:
         """u(t), held, at any times from 0 to the end of the run."""
@@ -176,12 +185,28 @@ class DigitalRecord:
             table.first,
             table.stop,
         )
-        return square_integral(Q, table.index, steps, self.states, self.at_phase, acting)
+        if self.slides is None:
+            return square_integral(Q, table.index, steps, self.states, self.at_phase, acting)
+        slid = [k for k in self.slides.steps if k < steps]
+        # Nothing moves in these steps as far as the quadratic forms go.
+        still = [part.copy() for part in (self.states, self.at_phase, acting)]
+        for part in still:
+            part[slid] = 0.0
+        forms = float(square_integral(Q, table.index, steps, *still))
+        return forms + sum(self._within_slide(k, window.step) for k in slid)
+
+    def _within_slide(self, k: int, end: float) -> float:
+        """`_within_step`, of a step that slides."""
+        assert self.slides is not None
+        rate = float(np.abs(self.plant.A).sum(axis=2).max())
+        return self.slides.square_integral(k, end, self.driven[1][k], rate)
 
     def _within_step(self, k: int, end: float) -> float:
         """∫|x|² over [t_k, t_k + end], end < h."""
         from deadtime.exponential import energy_between
 
+        if self.slides is not None and k in self.slides.steps:
+            return self._within_slide(k, end)
         phase, cuts, (B, acting) = self.window.phase, self.cuts, self.driven
         stop = int(np.searchsorted(cuts.step, k + 1))
         total = 0.0

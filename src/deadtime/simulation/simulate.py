@@ -16,6 +16,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation.compiled import Arrays, Pairs, takes
 from deadtime.simulation.digital import Drawn, Grid, Outcome, run_table
 from deadtime.simulation.ideal import run_ideal
+from deadtime.simulation.ideal_rule import run_ideal_rule
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
@@ -53,7 +54,7 @@ def simulate(
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
         The feedback law.
-    signal : SwitchingSignal, HalfSpace, Polyhedra or callable
+    signal : SwitchingSignal, HalfSpace, Polyhedra, QuadraticRegions or callable
         The plant's switching signal; or the rule by which the state decides the mode, a function
         from a state of shape (n,) to a mode included. What a rule decided is `run.signal`.
     x0 : array_like, shape (n,)
@@ -84,9 +85,10 @@ def simulate(
     Returns
     -------
     Trajectory
-        A loop that diverges is a result: `run.diverged`, and `run.message` says when. So is a
-        rule at whose boundary both modes' vector fields point back, or whose switches pile up:
-        the run ends there, and `run.message` says that it was chattering.
+        A loop that diverges is a result: `run.diverged`, and `run.message` says when. Along a
+        boundary at which both modes point the plant slides, and `run.message` says how long. Where
+        a rule is a function, which does not say along what, or its switches pile up, the run ends,
+        and `run.message` says that it was chattering.
 
     Raises
     ------
@@ -167,10 +169,7 @@ def _ideal(
 ) -> Outcome:
     """The ideal run."""
     if not isinstance(switching, SwitchingSignal):
-        raise ArgumentError(
-            "step must be given where a rule switches the plant: the ideal loop needs a signal "
-            "that is known; a short step comes close."
-        )
+        return run_ideal_rule(plant, law, switching, x0, horizon, u0)
     longest = max(plant.delay, law.plant.delay)
     forecast = law.ideal(switching, horizon)
     history = input_function(u0, plant.inputs, longest)

@@ -43,8 +43,8 @@ class Trajectory:
     diverged : bool
         |x| left 1e100; the run ends at the last sample before that.
     message : str
-        What is worth knowing: when and why the run diverged or was chattering, that its signal was
-        continued. Often empty.
+        What is worth knowing: when and why the run diverged or was chattering, how long it slid
+        along a boundary, that its signal was continued. Often empty.
     measured : (n, samples) or (p, samples) or None
         What the law was told of x, or of its outputs, NaN where nothing arrived; of runs with
         imperfections and of laws that measure outputs.

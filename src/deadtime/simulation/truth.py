@@ -12,9 +12,10 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.record import PhaseTable
+from deadtime.simulation.slides import Part, Slides
 from deadtime.steps import TOLERANCE, Cuts, Window, modes_at, snap
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.motion import Chatter
+from deadtime.switching.motion import Beside, Chatter, Leg
 from deadtime.switching.rules import Rule
 
 _SAME = 1e-10  # of a step: switches that close are one
@@ -32,11 +33,14 @@ class Truth(ABC):
         When the plant began to chatter; from there on its mode is held.
     forces : (steps, 2, n) or None
         The force that disturbances hold over each phase.
+    slides : Slides or None
+        The steps in which the plant slid along a boundary.
     """
 
     mode: int
     chatter: Chatter | None = None
     forces: np.ndarray | None = None
+    slides: Slides | None = None
 
     @abstractmethod
     def move(self, k: int, phase: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -125,11 +129,14 @@ class RuleTruth(Truth):
         self._steps: list[int] = []
         self._offsets: list[float] = []
         self._modes = [self._motion.mode_of(self._place)]
+        self._beside: Beside | None = None
+        self._parts: list[Part] = []
+        self.slides = Slides(self._motion, {})
 
     def move(self, k: int, phase: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         h, begin = self._window.step, self._window.phase if phase else 0.0
         if phase == 0:
-            self.mode = self._modes[-1]
+            self.mode, self._parts = self._modes[-1], []
         elif begin == h:
             return x
         if self._forcing is not None and self.forces is not None:
@@ -137,10 +144,13 @@ class RuleTruth(Truth):
             u = np.concatenate((u, self.forces[k, phase]))
         if self.chatter is not None or not np.abs(x).max() <= _FAR:
             return self._motion.hold(phase, x, self._place, u)
-        move = self._motion.advance(phase, x, self._place, u)
-        self._place = move.place
-        for time, mode in zip(move.times.tolist(), move.modes.tolist(), strict=True):
-            offset = begin + time
+        move = self._motion.advance(phase, x, self._place, u, self._beside)
+        self._keep(k, phase, begin, move.legs)
+        self._place, self._beside = move.place, move.beside
+        for leg in move.legs:
+            mode, offset = self._motion.mode_of(leg.place), begin + leg.time
+            if mode == self._modes[-1]:
+                continue
             self._steps.append(k if offset < h else k + 1)
             self._offsets.append(offset if offset < h else 0.0)
             self._modes.append(mode)
@@ -155,6 +165,17 @@ class RuleTruth(Truth):
             self.chatter = move.chatter._replace(time=time)
         return move.x
 
+    def _keep(self, k: int, phase: int, begin: float, legs: list[Leg]) -> None:
+        """Keep the parts of a step if it slides in one of them."""
+        h = self._window.step
+        ends = [leg.time for leg in legs[1:]] + [(h if phase else self._window.phase) - begin]
+        self._parts += [
+            Part(begin + leg.time, begin + end, phase, leg)
+            for leg, end in zip(legs, ends, strict=True)
+        ]
+        if self.slides is not None and any(leg.beside for leg in legs):
+            self.slides.steps[k] = self._parts
+
     def within(self, k: int, offset: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         raise ArgumentError(
             "imperfections must measure at samples where a rule switches the plant: make the "
@@ -168,6 +189,8 @@ class RuleTruth(Truth):
             time = k * h + offset
             if time - times[-1] <= _SAME * h:
                 modes[-1] = mode
+                if modes[-1] in modes[-2:-1]:
+                    del times[-1], modes[-1]
             elif time < end:
                 times.append(time)
                 modes.append(mode)

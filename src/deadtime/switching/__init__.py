@@ -2,6 +2,7 @@
 
 from deadtime.switching.batch import SignalBatch
 from deadtime.switching.markov import Markov
+from deadtime.switching.quadratic import QuadraticRegions
 from deadtime.switching.rules import FunctionRule, HalfSpace, Polyhedra, Rule
 from deadtime.switching.semi_markov import SemiMarkov
 from deadtime.switching.signal import SwitchingSignal
@@ -11,6 +12,7 @@ __all__ = [
     "HalfSpace",
     "Markov",
     "Polyhedra",
+    "QuadraticRegions",
     "Rule",
     "SemiMarkov",
     "SignalBatch",

@@ -1,21 +1,19 @@
 """Where a trajectory under a held input crosses from region to region, compiled.
 
-A region is a polyhedron {x: G x ≤ h}; rows first[r], …, first[r + 1] − 1 of G and h are those of
-region r. The trajectory leaves it at the first time at which some g(s) = row·x(s) − h is
-positive. While |A|τ ≤ 1/2, g is to round-off the polynomial
+The trajectory leaves a region at the first time at which some of its g (see
+`deadtime.switching.boundaries`) is positive. While |A|τ ≤ 1/2 the state is to round-off its Taylor
+polynomial
 
-    g(s) = g(0) + row·(v s + A v s²/2! + A² v s³/3! + …),    v = A x + B u,
+    x(s) = x + v s + A v s²/2! + A² v s³/3! + …,    v = A x + B u,
 
-and a polynomial lies between the least and the greatest of its Bernstein coefficients on an
-interval. So an interval on which all of them are ≤ 0 holds no crossing, which is a proof and not
-a sample; any other is halved, the left half first, down to 2⁻⁴⁸ of the piece. What enters and
-leaves a region between two samples is found, however short its stay.
+and so g(x(s)) is a polynomial, of which `bernstein` finds by proof where it is first positive: what
+enters and leaves a region between two samples is found, however short its stay. With quadratic g
+the parts are half as long, so that their products end where x does.
 
-g is known to its round-off β only (`deadtime.switching.motion.round_off`), so that a trajectory
-along a boundary would cross it at random: what is looked for is g > β, and the zero of g before
-it is the crossing. Which region is entered is asked where g = β. At the crossing both modes point
-at the boundary if row·(A_i x + B_i u) is positive in the one and negative in the other, beyond
-the round-off of either: the plant chatters.
+g is known to its round-off β only, so that a trajectory along a boundary would cross it at
+random: what is looked for is g > β, and the zero of g before it is the crossing. Which region is
+entered is asked where g = β. If at the crossing both modes point at the boundary, beyond the
+round-off of either, the plant slides along it (`deadtime.switching.sliding`).
 
 This module needs Numba, so it is imported where it is used.
 """
@@ -26,84 +24,26 @@ import numpy as np
 from numba import njit
 
 from deadtime.exponential import held, multiply
-from deadtime.switching.motion import ROUND_OFF
+from deadtime.switching.bernstein import first_positive, zero_before
+from deadtime.switching.boundaries import (
+    band,
+    dot,
+    height,
+    largest,
+    move,
+    nearest,
+    own,
+    product,
+    slope,
+    spread_of,
+    times,
+)
+from deadtime.switching.sliding import LOST, STAYS, slide
 
-_DEPTH = 48
 _LAST_TERM = 1e-18
 _MOST_TERMS = 16
-
-
-@njit(cache=True)
-def _times(M, x):
-    """M x."""
-    result = np.zeros(M.shape[0])
-    for i in range(M.shape[0]):
-        for j in range(x.size):
-            result[i] += M[i, j] * x[j]
-    return result
-
-
-@njit(cache=True)
-def _move(transition, x, u):
-    """Φ x + Γ u."""
-    Phi, Gamma = transition
-    return _times(Phi, x) + _times(Gamma, u)
-
-
-@njit(cache=True)
-def _dot(a, b):
-    total = 0.0
-    for i in range(a.size):
-        total += a[i] * b[i]
-    return total
-
-
-@njit(cache=True)
-def _bernstein(c):
-    """The Bernstein coefficients on [0, 1] of the polynomial Σ c_k s^k."""
-    degree = c.size - 1
-    b = c.copy()
-    choose = 1.0
-    for k in range(1, degree + 1):
-        choose *= (degree - k + 1) / k
-        b[k] /= choose
-    for j in range(degree, 0, -1):
-        for i in range(j, degree + 1):
-            b[i] += b[i - 1]
-    return b
-
-
-@njit(cache=True)
-def first_positive(c):
-    """Where in (0, 1] Σ c_k s^k first exceeds 0, to 2⁻⁴⁸ and at the right end; −1 if nowhere."""
-    b = _bernstein(c)
-    if not b.max() > 0.0:
-        return -1.0
-    stack = np.empty((_DEPTH + 2, c.size))
-    start, level = np.zeros(_DEPTH + 2), np.zeros(_DEPTH + 2, np.int64)
-    stack[0] = b
-    top = 0
-    while top >= 0:
-        b = stack[top].copy()
-        a, depth = start[top], level[top]
-        top -= 1
-        if not b.max() > 0.0:  # neither where it is not a number
-            continue
-        width = 0.5**depth
-        if depth == _DEPTH:
-            # A touch is no crossing: the polynomial itself must be positive at the end.
-            if b[-1] > 0.0:
-                return a + width
-            continue
-        right, left = stack[top + 1], stack[top + 2]
-        for k in range(c.size):
-            left[k], right[c.size - 1 - k] = b[0], b[c.size - 1 - k]
-            for i in range(c.size - 1 - k):
-                b[i] = 0.5 * (b[i] + b[i + 1])
-        start[top + 1], start[top + 2] = a + 0.5 * width, a
-        level[top + 1] = level[top + 2] = depth + 1
-        top += 2
-    return -1.0
+NONE, PILED_UP, STRAYED = 0, 1, 2  # why a plant cannot go on
+_INSIDE = (-1, -1)  # beside no boundary
 
 
 @njit(cache=True)
@@ -133,200 +73,229 @@ def growth(A, tau):
 
 
 @njit(cache=True)
-def _spread(noise, x, u):
-    """The round-off M|x| + N|u| of x."""
-    M, N = noise
-    return _times(M, np.abs(x)) + _times(N, np.abs(u))
+def _heights(boundaries, taylor):
+    """The Taylor coefficients of every g along x(s) = Σ taylor[k] s^k."""
+    forms, rows, _ = boundaries
+    terms = taylor.shape[0]
+    c = np.zeros((rows.shape[0], terms))
+    for j in range(rows.shape[0]):
+        c[j, 0] = height(boundaries, j, taylor[0])
+        for k in range(1, terms):
+            c[j, k] = dot(rows[j], taylor[k])
+            if forms.size:
+                for a in range(k + 1):
+                    c[j, k] += product(forms[j], taylor[a], taylor[k - a])
+    return c
 
 
 @njit(cache=True)
-def _band(row, offset, spread):
-    """β, the round-off of row·x − offset."""
-    return _dot(np.abs(row), spread) + ROUND_OFF * abs(offset)
+def leaving(A, B, noise, boundaries, x, u, tau):
+    """When within (0, τ] the trajectory first leaves a region, beyond round-off.
 
-
-@njit(cache=True)
-def _zero_before(c, s, band):
-    """The zero of Σ c_k s^k next to `s`, where it exceeds `band`; `s` itself if there is none."""
-    root = s
-    for _ in range(4):
-        value, slope = 0.0, 0.0
-        for k in range(c.size - 1, -1, -1):
-            slope = slope * root + value
-            value = value * root + c[k]
-        if not slope > 0.0:
-            return s
-        root = min(max(root - value / slope, 0.0), s)
-    value = 0.0
-    for k in range(c.size - 1, -1, -1):
-        value = value * root + c[k]
-    return root if abs(value) <= band or root == 0.0 else s
-
-
-@njit(cache=True)
-def leaving(A, B, noise, rows, offsets, x, u, tau):
-    """When within (0, τ] the trajectory first leaves {rows·x ≤ offsets}, beyond round-off.
-
-    Returns the time of the crossing, the time at which it is beyond round-off, and its row; −1 for
-    the times if it stays. It starts inside: an offset exceeded at the start is round-off.
+    Returns the time of the crossing, the time at which it is beyond round-off, and which of the
+    boundaries it is; −1 for the times if it stays. It starts inside: a g that is positive at the
+    start is round-off.
     """
-    parts, size = _parts(A, tau)
+    parts, size = _parts(A, 2.0 * tau if boundaries[0].size else tau)
     terms, bound = 1, 1.0
     while bound > _LAST_TERM and terms < _MOST_TERMS:
         terms += 1
         bound *= size / terms
     short = tau / parts
-    c = np.empty((offsets.size, terms + 1))
+    taylor = np.empty((terms + 1, x.size))
     for part in range(parts):
-        spread = _spread(noise, x, u)
-        term = _move((A, B), x, u)
-        for j in range(offsets.size):
-            c[j, 0] = _dot(rows[j], x) - offsets[j]
-        x = x.copy()
+        spread = spread_of(noise, x, u)
+        term = move((A, B), x, u)
+        taylor[0] = x
+        ahead = x.copy()
         for k in range(1, terms + 1):
             term *= short / k
-            x += term
-            for j in range(offsets.size):
-                c[j, k] = _dot(rows[j], term)
-            term = _times(A, term)
-        beyond, row = 2.0, -1
-        for j in range(offsets.size):
+            taylor[k] = term
+            ahead += term
+            term = times(A, term)
+        c = _heights(boundaries, taylor)
+        beyond, row, doubt = 2.0, -1, 0.0
+        for j in range(c.shape[0]):
             risen = c[j].copy()
-            risen[0] = min(c[j, 0] - _band(rows[j], offsets[j], spread), 0.0)
+            uncertain = band(boundaries, j, x, spread)
+            risen[0] = min(c[j, 0] - uncertain, 0.0)
             s = first_positive(risen)
             if 0.0 < s < beyond:
-                beyond, row = s, j
+                beyond, row, doubt = s, j, uncertain
         if row >= 0:
-            s = _zero_before(c[row], beyond, _band(rows[row], offsets[row], spread))
+            s = zero_before(c[row], beyond, doubt)
             return (part + s) * short, (part + beyond) * short, row
+        x = ahead
     return -1.0, -1.0, -1
 
 
 @njit(cache=True)
-def _entered(regions, spread, x, left):
-    """The region other than `left` that holds x, or is nearest to it in units of round-off."""
-    rows, offsets, first, _ = regions
-    best, result = np.inf, left
-    for r in range(first.size - 1):
-        if r != left:
-            outside = -np.inf
-            for j in range(first[r], first[r + 1]):
-                band = _band(rows[j], offsets[j], spread) + 1e-300
-                outside = max(outside, (_dot(rows[j], x) - offsets[j]) / band)
-            if outside < best:
-                best, result = outside, r
-    return result
-
-
-@njit(cache=True)
-def _slope(plant, mode, row, x, u):
-    """row·(A x + B u) in a mode, and its round-off."""
-    A, B, M, N = plant
-    spread = _spread((M[mode], N[mode]), x, u)
-    noise = _times(np.abs(A[mode]), spread) + ROUND_OFF * _times(np.abs(B[mode]), np.abs(u))
-    return _dot(row, _move((A[mode], B[mode]), x, u)), 4.0 * _dot(np.abs(row), noise)
-
-
-@njit(cache=True)
 def _facing(plant, regions, x, u, region, entered, j):
-    """Whether both regions' modes point at the boundary, row j, that leads from one to the other.
+    """Whether both regions' modes point at the boundary, number j, between them.
 
-    They do if beyond round-off the one leaves through it and the other returns through it.
+    The one has just left through it, if ever so slowly; beyond round-off the other returns.
     """
     A, B, M, N = plant
-    rows, offsets, _, modes = regions
+    forms, rows, offsets, _, modes = regions
+    boundaries = forms, rows, offsets
     mode, other = modes[region], modes[entered]
-    away, doubt = _slope(plant, mode, rows[j], x, u)
-    if not away > doubt:
+    away, doubt = slope(plant, mode, boundaries, j, x, u)
+    if not away > -doubt:
         return False
-    back, doubt = _slope(plant, other, rows[j], x, u)
+    back, doubt = slope(plant, other, boundaries, j, x, u)
     if not back < -doubt:
         return False
-    spread = _spread((M[other], N[other]), x, u)
-    ahead = 2.0 * _band(rows[j], offsets[j], spread) / -back
-    beyond = x + ahead * _move((A[other], B[other]), x, u)
-    return modes[_entered(regions, spread, beyond, entered)] == mode
+    spread = spread_of((M[other], N[other]), x, u)
+    ahead = 2.0 * band(boundaries, j, x, spread) / -back
+    beyond = x + ahead * move((A[other], B[other]), x, u)
+    return modes[nearest(regions, spread, beyond, entered)] == mode
 
 
 @njit(cache=True)
-def _stays(A, B, bend, rows, offsets, x, end, u):
-    """Whether all g are negative over a whole piece, since |g''| ≤ 8 bend·max|v|/τ²."""
-    steepest = np.abs(_move((A, B), x, u)).max()
-    for j in range(offsets.size):
-        highest = max(_dot(rows[j], x), _dot(rows[j], end)) - offsets[j]
-        if not highest + bend[j] * steepest <= 0.0:
+def _leads_on(plant, regions, x, u, entered, j):
+    """Whether the mode beyond boundary j leads on from it, surely."""
+    forms, rows, offsets, _, modes = regions
+    ahead, doubt = slope(plant, modes[entered], (forms, rows, offsets), j, x, u)
+    return ahead > doubt
+
+
+@njit(cache=True)
+def seen(plant, regions, x, region, mode):
+    """The region of a mode that x is in to round-off; `region`, which holds x, where there is none.
+
+    On a boundary the mode that is seen says on which side x is; x alone does not.
+    """
+    forms, rows, offsets, first, modes = regions
+    boundaries = forms, rows, offsets
+    spread = times(plant[2][modes[region]], np.abs(x))
+    for r in range(modes.size):
+        inside = modes[r] == mode and mode != modes[region]
+        for j in range(first[r], first[r + 1]):
+            inside = inside and height(boundaries, j, x) <= band(boundaries, j, x, spread)
+        if inside:
+            return r
+    return region
+
+
+@njit(cache=True)
+def _stays(A, B, bend, regions, region, x, end, u):
+    """Whether a region is not left over a whole piece.
+
+    Its g rise above their chords by at most, with b = bend[j], |v|(b₀ + b₁|v| + b₂|x|).
+    """
+    forms, rows, offsets, first, _ = regions
+    boundaries = forms, rows, offsets
+    v, size = largest(move((A, B), x, u)), largest(x)
+    for j in range(first[region], first[region + 1]):
+        highest = max(height(boundaries, j, x), height(boundaries, j, end))
+        if not highest + v * (bend[j, 0] + bend[j, 1] * v + bend[j, 2] * size) <= 0.0:
             return False
     return True
 
 
 @njit(cache=True)
-def advance(plant, regions, piece, x, u, region, at, to):
-    """Run over one piece, from region to region.
+def advance(plant, regions, piece, x, u, region, beside, legs):
+    """Run over one piece, from region to region and along boundaries.
 
-    `plant` is A, B and the round-off M, N; `regions` rows, offsets, first rows, modes; `piece`
-    its length, and Φ, Γ and `bend` over it, for every mode. Fills `at` and `to` with the times and
-    new modes of the switches; more crossings than they hold are chattering. Returns x and the
-    region at the end, how many switches there were, and (time, other mode, whether both modes
-    point at their boundary) of chattering: from that time, −1 for none, the mode was held.
+    `plant` is A, B and the round-off M, N; `piece` its length, Φ, Γ and `bend` over it for every
+    mode, and how many crossings it may have; more are chattering. `beside` is the region beyond and
+    the number of the boundary that x has slid along until now, −1 for none: it goes on beyond if
+    the mode there leads on. `legs` are filled with what follows the first leg, which is in
+    `region`: times, states, regions, and if it slides what is `beside`. Returns x, the region and
+    `beside` at the end, how many legs there are, and why, when and at which other region it could
+    not go on; from there the mode was held.
     """
-    (A, B, M, N), (rows, offsets, first, modes) = plant, regions
-    tau, Phi, Gamma, bend = piece
+    (A, B, M, N), first, modes = plant, regions[3], regions[4]
+    at, states, places, others, along = legs
+    tau, Phi, Gamma, bend, most = piece
     mode = modes[region]
-    end = _move((Phi[mode], Gamma[mode]), x, u)
-    own = slice(first[region], first[region + 1])
-    if _stays(A[mode], B[mode], bend[mode, own], rows[own], offsets[own], x, end, u):
-        return end, region, 0, -1.0, mode, False
-    start, crossings, switches, other = 0.0, 0, 0, mode
-    chatter, facing = -1.0, False
-    while chatter < 0.0:
-        mode = modes[region]
-        own = slice(first[region], first[region + 1])
-        noise = M[mode], N[mode]
-        s, beyond, row = leaving(
-            A[mode], B[mode], noise, rows[own], offsets[own], x, u, tau - start
-        )
-        if s < 0.0:
-            break
-        ahead = _move(held(A[mode], B[mode], beyond), x, u)
-        x = _move(held(A[mode], B[mode], s), x, u)
-        start = min(start + s, tau)
-        entered = _entered(regions, _spread(noise, ahead, u), ahead, region)
-        switched = modes[entered] != mode
+    end = move((Phi[mode], Gamma[mode]), x, u)
+    entered, row = beside
+    slides = entered >= 0 and _facing(plant, regions, x, u, region, entered, row)
+    crosses = entered >= 0 and not slides and _leads_on(plant, regions, x, u, entered, row)
+    if not (slides or crosses) and _stays(A[mode], B[mode], bend[mode], regions, region, x, end, u):
+        return end, region, _INSIDE, 0, (NONE, -1.0, -1)
+    start, crossings, count = 0.0, 0, 0
+    halt = (NONE, -1.0, -1)
+    while True:
+        if not (slides or crosses):
+            mode, noise = modes[region], (M[modes[region]], N[modes[region]])
+            s, beyond, row = leaving(
+                A[mode], B[mode], noise, own(regions, region), x, u, tau - start
+            )
+            if s < 0.0:
+                break
+            ahead = move(held(A[mode], B[mode], beyond), x, u)
+            x = move(held(A[mode], B[mode], s), x, u)
+            start = min(start + s, tau)
+            entered = nearest(regions, spread_of(noise, ahead, u), ahead, region)
+            row += first[region]
         crossings += 1
-        facing = switched and _facing(plant, regions, x, u, region, entered, first[region] + row)
-        if facing or crossings > at.size:
-            chatter, other = start, modes[entered]
+        if crossings > most:
+            halt = (PILED_UP, start, entered)
+            break
+        if modes[entered] == modes[region]:
+            region = entered
             continue
-        if switched:
-            at[switches], to[switches] = start, modes[entered]
-            switches += 1
-        region = entered
+        at[count], states[count] = start, x
+        if crosses or not (slides or _facing(plant, regions, x, u, region, entered, row)):
+            region, crosses = entered, False
+            places[count], others[count], along[count] = region, -1, -1
+            count += 1
+            continue
+        places[count], others[count], along[count] = region, entered, row
+        count += 1
+        between = region, entered, row
+        x, lasted, how, following = slide(plant, regions, between, x, u, tau - start)
+        start = min(start + lasted, tau)
+        if how == STAYS:
+            return x, region, (entered, row), count, halt
+        if how == LOST:
+            halt = (STRAYED, start, entered)
+            break
+        slides, region = False, following
+        at[count], states[count] = start, x
+        places[count], others[count], along[count] = region, -1, -1
+        count += 1
+    mode = modes[region]
     if crossings > 0:
-        mode = modes[region]
-        end = _move(held(A[mode], B[mode], tau - start), x, u)
-    return end, region, switches, chatter, other, facing
+        end = move(held(A[mode], B[mode], tau - start), x, u)
+    return end, region, _INSIDE, count, halt
+
+
+@njit(cache=True)
+def room(most, n):
+    """Empty legs for a piece with at most so many crossings."""
+    size = 2 * most
+    return (
+        np.empty(size),
+        np.empty((size, n)),
+        np.empty(size, np.int64),
+        np.empty(size, np.int64),
+        np.empty(size, np.int64),
+    )
 
 
 @njit(cache=True)
 def follow(plant, regions, pieces, kinds, inputs, x, region):
     """Run over many pieces, number p of kind kinds[p] under inputs[p].
 
-    `pieces` are the lengths, Φ, Γ, `bend` and the most crossings of every kind. Returns x and the
-    region at the end, and (piece, time in it, mode, other mode, whether both point at their
-    boundary) of chattering, at which it stops; the piece is −1 for none.
+    `pieces` are the lengths, Φ, Γ, `bend` and the most crossings of every kind. Returns x, the
+    region, and the one beyond and the number of the boundary that it slides along at the end, and
+    (piece, why, time in it, region, other region) of what kept it from going on; the piece is −1
+    for none.
     """
     lengths, Phi, Gamma, bend, most = pieces
-    modes = regions[3]
-    at, to = np.empty(most.max()), np.empty(most.max(), np.int64)
+    beside, legs = _INSIDE, room(most.max(), x.size)
     for p in range(kinds.size):
         i = kinds[p]
-        piece = lengths[i], Phi[i], Gamma[i], bend[i]
-        x, region, _, chatter, other, facing = advance(
-            plant, regions, piece, x, inputs[p], region, at[: most[i]], to[: most[i]]
+        piece = lengths[i], Phi[i], Gamma[i], bend[i], most[i]
+        x, region, beside, _, halt = advance(
+            plant, regions, piece, x, inputs[p], region, beside, legs
         )
-        if chatter >= 0.0:
-            return x, region, p, chatter, modes[region], other, facing
-    return x, region, -1, -1.0, modes[region], modes[region], False
+        if halt[0] != NONE:
+            return x, region, _INSIDE, (p, halt[0], halt[1], region, halt[2])
+    return x, region, beside, (-1, NONE, -1.0, region, region)
 
 
 @njit(cache=True)
@@ -341,6 +310,6 @@ def frozen_path(Phi, Gamma, kinds, inputs, x):
     for p in range(kinds.size):
         i = kinds[p]
         for s in range(samples):
-            path[p, s] = _move((Phi[i, s], Gamma[i, s]), x, inputs[p])
+            path[p, s] = move((Phi[i, s], Gamma[i, s]), x, inputs[p])
         x = path[p, samples - 1]
     return path

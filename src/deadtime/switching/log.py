@@ -63,7 +63,7 @@ def read_log(
         raise ArgumentError(f"{source} is not UTF-8 text: save it as UTF-8.") from None
     if not rows:
         raise ArgumentError(f"{source} must hold at least one row, got none.")
-    times = np.array([number(f"{source}, line {line}: time", text) for line, text, _ in rows])
+    times = np.array([_seconds(f"{source}, line {line}: time", text) for line, text, _ in rows])
     visited = [_mode(source, line, text, modes, labels) for line, _, text in rows]
     for (before, _, _), (line, _, _), gap in zip(rows, rows[1:], np.diff(times), strict=False):
         if gap <= 0.0:
@@ -77,8 +77,17 @@ def read_log(
         end = times[-1] if repeated else np.inf
         if repeated:
             times, visited = times[:-1], visited[:-1]
-    age_at_start = number(f"{source}: initial_age", age) if age else 0.0
+    age_at_start = _seconds(f"{source}: initial_age", age) if age else 0.0
     return SwitchingSignal(times - start, np.array(visited), end - start, initial_age=age_at_start)
+
+
+def _seconds(name: str, text: str | None) -> float:
+    """The number that a cell's text stands for."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        raise ArgumentError(f"{name} must be a number, got {text!r}.") from None
+    return number(name, value)
 
 
 def _mode(

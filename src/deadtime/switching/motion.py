@@ -9,8 +9,11 @@ A state is known to round-off only, and so are its mode and the direction of the
 a boundary. A crossing counts once it is beyond the round-off of the state, and a vector field
 points at a boundary if it does so beyond its own; below that the mode is kept.
 
-Where both modes point at their boundary no trajectory goes on: crossings pile up, the plant
-chatters. The move then says so, and holds one of the modes from there on.
+Where both modes point at their boundary the state slides along it, in the sense of Filippov
+(`deadtime.switching.sliding`); its place, and mode, is the one that it came from until it leaves
+the boundary. When its input changes it goes on beyond the boundary, if the mode there leads on.
+Where a rule does not say what its boundaries are, or crossings pile up, no trajectory goes on: the
+plant chatters. The move then says so, and holds one of the modes from there on.
 """
 
 from __future__ import annotations
@@ -37,7 +40,10 @@ class Chatter(NamedTuple):
     def facing(cls, time: float, mode: int, other: int, length: float) -> Chatter:
         """Both modes point at their boundary."""
         modes = min(mode, other), max(mode, other)
-        reason = "both vector fields point at the boundary between modes {} and {}".format(*modes)
+        reason = (
+            "both vector fields point at the boundary between modes {} and {}, and a function does "
+            "not say how to slide along it: use HalfSpace, Polyhedra or QuadraticRegions"
+        ).format(*modes)
         return cls(time if time > _INSTANT * length else 0.0, modes, reason)
 
     @classmethod
@@ -49,22 +55,53 @@ class Chatter(NamedTuple):
         )
         return cls(time, (min(mode, other), max(mode, other)), reason)
 
+    @classmethod
+    def strayed(cls, time: float, mode: int, other: int) -> Chatter:
+        """A sliding motion cannot be integrated to round-off."""
+        modes = min(mode, other), max(mode, other)
+        reason = (
+            "the motion along the boundary between modes {} and {} changes too fast to be "
+            "followed: both fields come to touch the boundary at once"
+        ).format(*modes)
+        return cls(time, modes, reason)
+
+
+class Beside(NamedTuple):
+    """The boundary that a state slides along: the place beyond it, and its number."""
+
+    place: int
+    boundary: int
+
+
+class Leg(NamedTuple):
+    """A part of a piece in one motion.
+
+    time, x, place : at its start, seconds from that of the piece
+    beside : along what the state slides, if it does
+    """
+
+    time: float
+    x: np.ndarray
+    place: int
+    beside: Beside | None = None
+
 
 class Move(NamedTuple):
-    """One piece: the state and place at its end, and the switches within it."""
+    """One piece: state, place and boundary at its end, and its legs, the first from its start."""
 
     x: np.ndarray
     place: int
-    times: np.ndarray
-    modes: np.ndarray
+    beside: Beside | None
+    legs: list[Leg]
     chatter: Chatter | None
 
 
 class Arrival(NamedTuple):
-    """Many pieces: the state and place at their end, unless the plant chatters on the way."""
+    """Many pieces: state, place and boundary at their end, unless the plant chatters on the way."""
 
     x: np.ndarray
     place: int
+    beside: Beside | None
     chatter: Chatter | None
 
 
@@ -80,16 +117,26 @@ class Motion(ABC):
         """The mode of a place."""
 
     @abstractmethod
-    def advance(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> Move:
-        """Move over one piece of length number `kind`."""
+    def advance(
+        self, kind: int, x: np.ndarray, place: int, u: np.ndarray, beside: Beside | None = None
+    ) -> Move:
+        """Move over one piece of length number `kind`, from a boundary slid along until now."""
 
     @abstractmethod
     def hold(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> np.ndarray:
         """x at the end of one piece if the mode is held, whatever the rule says."""
 
     @abstractmethod
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray) -> Arrival:
-        """Move over many pieces."""
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
+        """Move over many pieces; from a state on a boundary in the mode that is seen, if it can."""
+
+    @abstractmethod
+    def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
+        """x in a leg, τ seconds after its start."""
+
+    @abstractmethod
+    def leads_on(self, x: np.ndarray, beside: Beside, u: np.ndarray) -> bool:
+        """Whether on a boundary the mode beyond it leads on under an input, surely."""
 
 
 def round_off(

@@ -1,8 +1,9 @@
 """Switching rules: the mode as a function of the state, σ(t) = r(x(t)).
 
-A half-space or polyhedra say where each mode is active; a function of the state may say anything.
-A state on a boundary belongs to mode 1 of a half-space, to the first of the polyhedra that hold
-it. A rule must name one mode for every state: regions that overlap or leave a gap are refused.
+A half-space, polyhedra or quadratic forms (`deadtime.switching.quadratic`) say where each mode is
+active; a function of the state may say anything. A state on a boundary belongs to mode 1 of a
+half-space, to the first of the polyhedra that hold it. A rule must name one mode for every state:
+regions that overlap or leave a gap are refused.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from deadtime.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.motion import Motion
 from deadtime.switching.partition import require_partition
-from deadtime.switching.polyhedral_motion import PolyhedralMotion
+from deadtime.switching.region_motion import RegionMotion, Regions
 from deadtime.switching.sampled_motion import SampledMotion
 from deadtime.switching.signal import SwitchingSignal
 
@@ -41,6 +42,10 @@ class Rule(ABC):
     @abstractmethod
     def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
         """A plant under the rule, made for pieces of these lengths under a held input."""
+
+    @abstractmethod
+    def same(self, other: Rule) -> bool:
+        """Whether the other rule is this one: the same numbers, or the same function."""
 
     def __call__(self, x: ArrayLike) -> int:
         """r(x), the mode of one state of shape (n,)."""
@@ -91,8 +96,15 @@ class PolyhedralRule(Rule):
         return self
 
     def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
-        polyhedra = self.rows, self.offsets, self.first, self.region_modes
-        return PolyhedralMotion.of(self.regions_of, plant.A, plant.B, polyhedra, lengths)
+        n = plant.states
+        planes = np.empty((0, n, n)), self.rows, self.offsets, self.first, self.region_modes
+        return RegionMotion.of(self.regions_of, plant.A, plant.B, Regions(*planes), lengths)
+
+    def same(self, other: Rule) -> bool:
+        return isinstance(other, PolyhedralRule) and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("rows", "offsets", "first", "region_modes")
+        )
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -201,7 +213,8 @@ class FunctionRule(Rule):
 
     A function can only be asked, so its crossings are looked for at samples of every piece of
     time under one input, and then bisected: a stay in a mode that falls between two samples is
-    missed. `HalfSpace` and `Polyhedra` miss none that is deeper than round-off.
+    missed, and where both modes point at their boundary the run ends. `HalfSpace`, `Polyhedra` and
+    `QuadraticRegions` miss none that is deeper than round-off, and slide along their boundaries.
 
     Parameters
     ----------
@@ -240,6 +253,10 @@ class FunctionRule(Rule):
 
         return SampledMotion.of(mode_at, plant.A, plant.B, self.samples, lengths)
 
+    def same(self, other: Rule) -> bool:
+        mine = self.function, self.samples
+        return isinstance(other, FunctionRule) and mine == (other.function, other.samples)
+
     def __repr__(self) -> str:
         name = getattr(self.function, "__name__", type(self.function).__name__)
         return f"FunctionRule({name}, samples={self.samples})"
@@ -251,8 +268,8 @@ def as_rule(name: str, value: Any) -> Rule:
         return value
     if isinstance(value, SwitchingSignal) or not callable(value):
         raise ArgumentError(
-            f"{name} must be a HalfSpace, Polyhedra or a function from a state to a mode, got "
-            f"{type(value).__name__}."
+            f"{name} must be a HalfSpace, Polyhedra, QuadraticRegions or a function from a state "
+            f"to a mode, got {type(value).__name__}."
         )
     return FunctionRule(cast("Callable[[np.ndarray], int]", value))
 

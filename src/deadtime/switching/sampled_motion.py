@@ -10,7 +10,9 @@ from jaxtyping import Float
 
 from deadtime.switching.motion import (
     Arrival,
+    Beside,
     Chatter,
+    Leg,
     Motion,
     Move,
     most_crossings,
@@ -113,50 +115,51 @@ class SampledMotion(Motion):
                 high, state, new = middle, there, found
         return high, state, new
 
-    def advance(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> Move:
+    def advance(
+        self, kind: int, x: np.ndarray, place: int, u: np.ndarray, beside: Beside | None = None
+    ) -> Move:
         length = float(self.lengths[kind])
         most = most_crossings(self.A, length)
-        times: list[float] = []
-        modes = [place]
+        legs = [Leg(0.0, x, place)]
+        mode = place
         start, rest = 0.0, length
         Phi, Gamma = self.Phi[place, kind], self.Gamma[place, kind]
         samples = Phi.shape[0]
         while True:
-            mode = modes[-1]
             points = Phi @ x + Gamma @ u
             change = self._change(points, u[None], mode)
             if change < 0:
-                return Move(points[-1], mode, np.array(times), np.array(modes[1:]), None)
+                return Move(points[-1], mode, None, legs, None)
             low, high = rest * change / samples, rest * (change + 1) / samples
             s, x, entered = self._crossing(mode, x, u, low, high)
             start = min(start + s, length)
             rest = length - start
             facing = self._facing(mode, entered, x, u)
-            if facing or len(times) == most:
+            if facing or len(legs) > most:
                 chatter = (
                     Chatter.facing(start, mode, entered, length)
                     if facing
                     else Chatter.piled_up(start, mode, entered, length, most)
                 )
                 end = self._flow(mode, x, u, rest)
-                return Move(end, mode, np.array(times), np.array(modes[1:]), chatter)
-            times.append(start)
-            modes.append(entered)
+                return Move(end, mode, None, legs, chatter)
+            mode = entered
+            legs.append(Leg(start, x, mode))
             Phi, Gamma = _to_samples(self.A[entered], self.B[entered], rest, samples)
 
     def hold(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> np.ndarray:
         return self.Phi[place, kind, -1] @ x + self.Gamma[place, kind, -1] @ u
 
-    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray) -> Arrival:
+    def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
         from deadtime.switching.crossings import frozen_path
 
-        mode, p = self.place_of(x), 0
+        mode, p = self.place_of(x), 0  # a function decides on boundaries, too
         while p < kinds.size:
             path = frozen_path(self.Phi[mode], self.Gamma[mode], kinds[p:], inputs[p:], x)
             pieces, samples, n = path.shape
             change = self._change(path.reshape(pieces * samples, n), inputs[p:], mode)
             if change < 0:
-                return Arrival(path[-1, -1], mode, None)
+                return Arrival(path[-1, -1], mode, None, None)
             before = change // samples
             p += before
             start = path[before - 1, -1] if before else x
@@ -164,9 +167,15 @@ class SampledMotion(Motion):
             if move.chatter is not None:
                 earlier = float(self.lengths[kinds[:p]].sum())
                 chatter = move.chatter._replace(time=move.chatter.time + earlier)
-                return Arrival(move.x, move.place, chatter)
+                return Arrival(move.x, move.place, None, chatter)
             x, mode, p = move.x, move.place, p + 1
-        return Arrival(x, mode, None)
+        return Arrival(x, mode, None, None)
+
+    def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
+        return self._flow(leg.place, leg.x, u, tau)
+
+    def leads_on(self, x: np.ndarray, beside: Beside, u: np.ndarray) -> bool:
+        return False  # never asked: here nothing slides
 
 
 def _to_samples(
