@@ -63,7 +63,7 @@ def bracket(base: dt.SwitchedSystem, law: Family, dwell_time: float) -> str:
     assert margin.certified < margin.refuted
     worst = margin.witness
     cycle = ", ".join(
-        f"mode {mode} {sojourn:.4g} s"
+        f"mode {mode}, constant" if sojourn == np.inf else f"mode {mode} {sojourn:.4g} s"
         for mode, sojourn in zip(worst.modes, worst.sojourns, strict=True)
     )
     return (

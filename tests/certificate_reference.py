@@ -7,6 +7,7 @@ Which step may follow which is worked out from the instants of the switches.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import itertools
 import json
@@ -113,7 +114,8 @@ class Loop:
 
     def __init__(self, A, B, delay, table, digits=False) -> None:
         self.plant, self.table = Plant(A, B, delay, table.step, digits), table
-        self.held = max(self.plant.count, table.taps)
+        self.silent = not (np.any(table.state_gain) or np.any(table.input_gain))
+        self.held = 0 if self.silent else max(self.plant.count, table.taps)
         self.order = self.plant.n + self.held * self.plant.m
 
     def row(self, mode: int, age: int) -> int:
@@ -135,6 +137,8 @@ class Loop:
 
     def step(self, mode: int, age: int, after: int | None = None, s=1) -> np.ndarray:
         """M of a period that begins in `mode` at an age; a switch at the fraction `s` of it."""
+        if self.silent:  # no input is ever on its way
+            return self.plant.rows(mode, after, s)[:, : self.plant.n]
         u, N = self.inputs(self.row(mode, age)), self.plant.count
         state = np.eye(self.plant.n, self.order).astype(u.dtype)
         x = self.plant.rows(mode, after, s) @ np.concatenate((state, u[N], u[N - 1]))
@@ -152,15 +156,26 @@ def decreases(before, after, M, rho) -> bool:
 # -- admissible signals --------------------------------------------------------------------
 
 
+CLOCK = Fraction(1, 10**5)  # by how much it may be off
+
+
 def may_leave(age: int, dwell_time, step) -> bool:
     """Whether a mode seen `age` times before may be left in the coming period: it began less than
     a period before it was first seen, and lasts to the end of the coming one at most."""
-    return (age + 2) * decimal(step) > decimal(dwell_time)
+    return (age + 2) * decimal(step) > (1 - CLOCK) * decimal(dwell_time)
 
 
 def may_stay(age: int, maximum, step) -> bool:
     """Whether it may last for the coming period."""
-    return maximum is None or (age + 1) * decimal(step) < decimal(maximum)
+    return maximum is None or (age + 1) * decimal(step) < (1 + CLOCK) * decimal(maximum)
+
+
+def instants(age: int, dwell_time, step, maximum=None) -> tuple[float, float]:
+    """The first and the last fraction of the period at which it may be left: with as much as the
+    whole period before it was first seen, and with nothing of it."""
+    low = (1 - CLOCK) * decimal(dwell_time) / decimal(step) - age - 1
+    high = Fraction(1) if maximum is None else (1 + CLOCK) * decimal(maximum) / decimal(step) - age
+    return max(0.0, float(low)), min(1.0, float(high))
 
 
 def steps(modes: int, dwell_time, step, last: int, maximum=None):
@@ -168,7 +183,7 @@ def steps(modes: int, dwell_time, step, last: int, maximum=None):
     for i, a in itertools.product(range(modes), range(last + 1)):
         if may_stay(a, maximum, step):
             yield i, a, i, min(a + 1, last)
-        if may_leave(a, dwell_time, step):
+        if may_leave(a, dwell_time, step) and instants(a, dwell_time, step, maximum)[1] > 0.0:
             yield from ((i, a, j, 0) for j in range(modes) if j != i)
 
 
@@ -257,6 +272,33 @@ def period(loop: Loop, sojourns: list[Fraction]) -> tuple[np.ndarray, int]:
         s = inside[0] if inside else 1
         product = loop.step(sampled[k], age[k], after, s) @ product
     return product, int(total)
+
+
+def over(loop: Loop, modes, gaps, offset: float) -> tuple[np.ndarray, int]:
+    """The loop over a cycle of sojourns in periods, the first `offset` after a sample.
+
+    Returns the product of the steps and how many there are; ages have settled. Two switches within
+    a period follow each other in it.
+    """
+    total = round(sum(gaps))
+    begins = itertools.accumulate(map(Fraction, gaps[:-1]), initial=Fraction(0))
+    starts = [Fraction(offset) + begin for begin in begins]
+    times = [t - total for t in starts] + starts + [t + total for t in starts]
+    sequence = list(modes) * 3
+    near = [Fraction(round(t)) if abs(t - round(t)) < 1e-9 else t for t in times]
+
+    def mode(t):
+        return sequence[sum(time <= t for time in near) - 1]
+
+    sampled = [mode(k) for k in range(2 * total)]
+    age, product = ages(sampled), np.eye(loop.order)
+    for k in range(total, 2 * total):
+        back = k - total
+        inside = [t for t in near if back < t < back + 1]
+        assert len(inside) < 2
+        s, after = (inside[0] - back, mode(inside[0])) if inside else (1, sampled[k])
+        product = loop.step(sampled[back], age[k], after, s) @ product
+    return product, total
 
 
 # -- loops that are products of exponentials -----------------------------------------------
@@ -367,33 +409,38 @@ class Inequalities:
         tall = np.concatenate((np.eye(v), Delta))
         return least_eigenvalue(tall.T @ Theta @ tall)
 
-    def least(self, instants) -> float:
-        """The least of all: of K, and of every step with switches at these fractions."""
+    def least(self, parts) -> float:
+        """The least of all: of K, and of every step with switches at these parts of their range."""
         setting = self.evidence.setting
         last = max(self.evidence.knots[-1], self.loop.table.ages - 1)
         last = max(last, math.floor(decimal(setting.dwell_time) / self.loop.plant.h))
-        maximum, h = setting.maximum_dwell, self.loop.plant.h
-        return min(
-            self.large(),
-            *(
-                self.small(*step, s)
-                for step in steps(self.loop.plant.modes, setting.dwell_time, h, last, maximum)
-                for s in (instants if step[0] != step[2] else [1])
-            ),
-        )
+        dwell_time, maximum, h = setting.dwell_time, setting.maximum_dwell, self.loop.plant.h
+        found = [self.large()]
+        for step in steps(self.loop.plant.modes, dwell_time, h, last, maximum):
+            low, high = instants(step[1], dwell_time, h, maximum)
+            at = low + (high - low) * parts if step[0] != step[2] else [1]
+            found += [self.small(*step, s) for s in at]
+        return min(found)
 
 
 # -- files ---------------------------------------------------------------------------------
 
 
-def rewritten(path, part: str = "", values=(), data: bytes | None = None):
-    """Change entries of a certificate's files as an attacker who makes the digests fit again."""
+def rewritten(path, part: str = "", values=()):
+    """Change entries of a certificate's file as an attacker who makes the digest fit again."""
     content = json.loads(path.read_text())
-    (content[part] if part else content).update(values)
-    if data is not None:
-        path.with_suffix(".bin").write_bytes(data)
-        content["sidecar"]["sha256"] = hashlib.sha256(data).hexdigest()
+    owner = content
+    for key in part.split("."):
+        owner = owner[key] if key else owner
+    owner.update(values)
     content.pop("sha256")
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
+    content["sha256"] = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
     path.write_text(json.dumps(content))
+    return path
+
+
+def packed(array) -> dict:
+    """An array as a certificate's file holds it."""
+    array = np.asarray(array, "<f8")
+    return {"shape": array.shape, "data": base64.b64encode(array.tobytes()).decode()}

@@ -17,6 +17,7 @@ import certificate_reference as reference
 import deadtime as dt
 import plants
 from certificate_reference import Loop, ellipses, steps
+from deadtime.certificates.proof import StretchEvidence
 from deadtime.certificates.proof.transitions import Transitions, interpolation
 from deadtime.errors import ArgumentError
 
@@ -59,7 +60,7 @@ def of_pair(alpha):
 # name: (plant and law, dwell time, step)
 CASES = {
     "generic, averaged": (lambda: of("averaged", GENERIC), 0.25, 0.1),
-    "generic, mean with gains": (lambda: of("mean with gains", GENERIC), 0.1, 0.1),
+    "generic, mean with gains": (lambda: of("mean with gains", GENERIC), 0.11, 0.1),
     "weighted": (lambda: of("weighted"), 0.3, 0.1),
     "single": (lambda: of("single"), 0.3, 0.1),
     "mean": (lambda: of("mean"), 0.17, 0.1),
@@ -106,6 +107,11 @@ def certified(name):
     return plant, law, proved(plant, law, dwell_time, step)
 
 
+def still(evidence):
+    """Along a stretch V falls by ρ² per period and by no more: what rounding may take from that."""
+    return 1e-9 if isinstance(evidence, StretchEvidence) else 0.0
+
+
 def assert_steps_decrease(certificate, loop, instants, maximum=None, most=None):
     """P_{i,a} ≻ 0 and P_{i,a} − Mᵀ P_{j,b} M/ρ² ≻ 0 along all steps, or `most` of them."""
     rng, evidence = np.random.default_rng(1), certificate.evidence
@@ -116,9 +122,11 @@ def assert_steps_decrease(certificate, loop, instants, maximum=None, most=None):
         everything = [everything[k] for k in rng.permutation(len(everything))[:most]]
     for i, a, j, b in everything:
         before, after = certificate.lyapunov(i, a), certificate.lyapunov(j, b)
-        for s in (*rng.random(instants).tolist(), 1) if j != i else (1,):
+        lag = still(evidence) * np.linalg.norm(before) * np.eye(len(before))
+        low, high = reference.instants(a, setting.dwell_time, setting.step, maximum)
+        for s in (*rng.uniform(low, high, instants).tolist(), high) if j != i else (1,):
             M = loop.step(i, a, j, s)
-            assert reference.decreases(before, after, M, evidence.rho), (i, a, j, s)
+            assert reference.decreases(before + lag, after, M, evidence.rho), (i, a, j, s)
 
 
 STEPPED = [
@@ -141,6 +149,8 @@ def assert_runs_decrease(certificate, plant, law, signal, samples, ages=referenc
     """V falls at every sample of a run from random states and inputs; `ages` of sampled modes."""
     rng, setting = np.random.default_rng(2), certificate.evidence.setting
     x0, u0 = rng.normal(size=plant.states), rng.normal(size=(plant.inputs, setting.held))
+    if not setting.inputs:  # V is of the loop once past inputs have arrived
+        u0[:] = 0.0
     run = dt.simulate(plant, law, signal, x0, samples * setting.step, setting.step, u0)
     inputs = np.concatenate((u0, run.inputs), axis=1).T
     sampled = signal(np.arange(samples + 1) * setting.step + 1e-12)
@@ -148,9 +158,11 @@ def assert_runs_decrease(certificate, plant, law, signal, samples, ages=referenc
     for k, age in enumerate(ages(sampled.tolist())):
         past = inputs[k : k + setting.held][::-1]
         xi = np.concatenate((run.states[:, k], past.ravel()))
+        xi = xi[: certificate.evidence.setting.order]  # without input the state alone
         values.append(xi @ certificate.lyapunov(int(sampled[k]), age) @ xi)
     assert (np.array(values) > 0.0).all()
-    assert (np.array(values[1:]) / values[:-1] < certificate.evidence.rho**2).all()
+    most = certificate.evidence.rho**2 * (1.0 + still(certificate.evidence))
+    assert (np.array(values[1:]) / values[:-1] < most).all()
 
 
 @pytest.mark.parametrize(
@@ -205,13 +217,13 @@ def test_where_the_joint_spectral_radius_is_that_of_a_mode_certificates_come_clo
     A = getattr(reference, family)(np.random.default_rng(5))
     A = A - np.linalg.eigvals(A).real.max() * np.eye(3)  # now the joint spectral radius is 1
     loop = free(A - 0.05 * np.eye(3))
-    certificate = proved(*loop, 0.1, 0.1, decay_rate=0.0475)
+    certificate = proved(*loop, 0.11, 0.1, decay_rate=0.0475)
     assert 0.0475 <= certificate.decay_rate <= 0.0475 * (1.0 + 1e-9)
-    certificate = proved(*loop, 0.1, 0.1, decay_rate=0.0)
+    certificate = proved(*loop, 0.11, 0.1, decay_rate=0.0)
     assert certificate.decay_rate == 0.0
     assert certificate.message.endswith("proved: the loop decays.")
-    assert "more than a constant mode has" in undecided(*loop, 0.1, 0.1, decay_rate=0.0501)
-    assert dt.certify(*free(A + 0.001 * np.eye(3)), 0.1, 0.1).stable is False
+    assert "more than a constant mode has" in undecided(*loop, 0.11, 0.1, decay_rate=0.0501)
+    assert dt.certify(*free(A + 0.001 * np.eye(3)), 0.11, 0.1).stable is False
 
 
 @pytest.mark.parametrize(
@@ -247,7 +259,7 @@ def a_problem(rng):
     law = (dt.AveragedPredictor, dt.DelayedStateFeedback)[int(rng.random() < 0.2)]
     law = law(model, 0.1 * rng.normal(size=(2, 1, 2)), allow_unstable=True)
     delay = float(rng.choice([0.1, 0.1, 0.06, 0.17]))
-    return with_delay(model, delay), law, 0.1 * rng.uniform(1.0, 9.0), 0.1
+    return with_delay(model, delay), law, 0.1 * rng.uniform(1.001, 9.0), 0.1
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -279,8 +291,6 @@ def test_an_unstable_mode_that_must_be_left_is_certified_and_not_beyond_the_true
     plant, law = free(A)
     certificate = proved(plant, law, 1.0, 0.1, maximum_dwell=1.8)
     assert "sojourns last between 1.0 s and 1.8 s" in certificate.statement[0]
-    loop = Loop(plant.A, plant.B, plant.delay, law.digital(0.1))
-    assert_steps_decrease(certificate, loop, 3, maximum=1.8)
     assert dt.certify(plant, law, 1.0, 0.1, maximum_dwell=1.02 * limit).stable is False
     plant, law = designed(PAPER.apart(0.65))
     signal = reference.random_signal(np.random.default_rng(6), 2, 0.2, 12.0, 0.7)
@@ -295,10 +305,10 @@ def test_with_an_average_dwell_time_the_function_falls_along_bursts_of_switches(
     assert "average dwell time of 4.0 s (at most 2 + T/4.0 s switches" in certificate.statement[0]
 
     def level(sampled):
-        """What is left of the switches that a window may hold, in samples."""
+        """What is left of the switches that a window may hold, in samples, rounded up."""
         levels = [80]
         for before, now in itertools.pairwise(sampled):
-            levels.append(min(80, levels[-1] + 1 - 40 * (before != now)))
+            levels.append(min(80, levels[-1] + 1 - 39 * (before != now)))
         return levels
 
     signal = reference.bursts(np.random.default_rng(7), 2, average, chatter, 60.0, 0.1)
@@ -334,15 +344,28 @@ def test_ranges_of_delays_and_polytopes_of_plants_are_certified_at_every_point_i
 # -- the graph of steps --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("longest", [None, 0.93])
-@pytest.mark.parametrize("dwell_time", [0.1, 0.17, 0.3, 0.449])
+@pytest.mark.parametrize("longest", [None, 0.93, 0.9])
+@pytest.mark.parametrize("dwell_time", [0.11, 0.17, 0.3, 0.449])
 def test_every_step_of_signals_in_real_time_is_in_the_graph(longest, dwell_time):
     rng, most = np.random.default_rng(0), longest or dwell_time + 0.9
-    signal = dt.SwitchingSignal(*reference.random_signal(rng, 3, dwell_time, 40.0, most))
-    sampled = signal(np.arange(401) * 0.1 + 1e-12).tolist()
+    shortest = dwell_time * (1.0 - 0.9e-5)  # by a clock that is off
+    times, modes = reference.random_signal(rng, 3, shortest, 40.0, most)
+    # From just after a sample to the last one by which the mode may be left; from just before a
+    # sample for as long as it may last.
+    sample = math.ceil(times[-1] / 0.1 + 5.0) * 0.1
+    times += [sample + 1e-7, sample + 1e-7 + shortest]
+    end = math.ceil(times[-1] / 0.1 + 5.0) * 0.1 - 1e-7
+    times += [end, end + (longest or most) * (1.0 + 0.9e-5)]
+    modes += [(modes[-1] + k) % 3 for k in (1, 2, 0, 1)]
+    signal = dt.SwitchingSignal(times, modes)
+    sampled = signal(np.arange(0.0, times[-1] + 0.2, 0.1) + 1e-12).tolist()
     seen = reference.ages(sampled)
+    fractions = {math.floor(t / 0.1 - 1e-12): t / 0.1 % 1.0 for t in times[1:]}
     for context, rows in (("none", 1), ("mode", 1), ("mode_age", 7)):
-        graph = Transitions.of(3, (dwell_time, longest), 1, 0.1, context, rows)
+        graph = Transitions.of(3, (dwell_time, longest), 1, 0.1, 1e-5, context, rows)
+        for k, (age, later) in enumerate(itertools.pairwise(seen)):
+            (low, high) = graph.switches(0, age, 0)[0].instants if not later and k else (0.0, 1.0)
+            assert low <= fractions.get(k, low) <= high
         knots = tuple(sorted({0, graph.last // 3, graph.last}))
         found = reference.by_age(graph.all(knots))
         for (i, j), age, later in zip(itertools.pairwise(sampled), seen, seen[1:], strict=False):
@@ -355,7 +378,7 @@ def test_every_step_of_signals_in_real_time_is_in_the_graph(longest, dwell_time)
 @pytest.mark.parametrize("chatter", [2, 3])
 @pytest.mark.parametrize("average", [0.17, 0.3, 0.75])
 def test_every_step_of_bursts_within_an_average_dwell_time_is_in_the_graph(average, chatter):
-    graph = Transitions.of(3, (average, None), chatter, 0.1, "mode", 1)
+    graph = Transitions.of(3, (average, None), chatter, 0.1, 1e-5, "mode", 1)
     knots, level = tuple(sorted({0, graph.last // 2, graph.last})), graph.last
     found = reference.by_age(graph.all(knots))
     signal = reference.bursts(np.random.default_rng(1), 3, average, chatter, 60.0, 0.1)
@@ -376,7 +399,8 @@ def test_loops_out_of_reach_are_left_open_with_the_reason():
     rule = dt.HalfSpace([1.0, 0.0], 0.0)
     dependent = dt.StateDependentPredictor(PAIR, plants.gains(PAIR), rule)
     assert "is no table but a nonlinear law" in undecided(PAIR, dependent, 0.3, 0.1)
-    assert "is below one period of 0.1 s" in undecided(PAIR, LAW, 0.09, 0.1)
+    assert "is not above one period of 0.1 s" in undecided(PAIR, LAW, 0.09, 0.1)
+    assert "two switches may fall into a step" in undecided(PAIR, LAW, 0.1, 0.1)
     message = undecided(PAPER, designed(PAPER)[1], 0.3, 0.0003)
     assert re.search(r"has order 3,336: .* take about \d+\.\d GB and \d+ min, and 3,000", message)
     proved(*designed(ALONE), 0.05, 0.1)  # one mode needs no dwell time
@@ -393,6 +417,7 @@ def test_loops_out_of_reach_are_left_open_with_the_reason():
         ({"delays": (0.19, 0.21)}, "delays must lie within one period"),
         ({"delays": (0.0, 0.1)}, "delays must be"),
         ({"dwell_time": 0.0}, "dwell_time must be"),
+        ({"clock_tolerance": 0.0}, "clock_tolerance must be a part from 1e-08 to 0.1, got 0"),
         ({"step": -0.1}, "step must be"),
         ({"plant": GENERIC}, "law must be made for a plant with 3 modes, got a law for 2"),
         ({"plant": [PAIR, with_delay(PAIR, 0.2)]}, "one delay at all corners"),

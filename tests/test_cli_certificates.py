@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 import deadtime as dt
+from certificate_reference import rewritten
+from deadtime.certificates import Verification
 from deadtime.cli import main
 
 WITNESS = SimpleNamespace(
-    growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), phase=0.0, signal=None
-)
+    growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), phase=0.0, signal=None,
+    proven=True,
+)  # fmt: skip
 CALM = SimpleNamespace(
-    growth_rate=-0.4, message="decays.", modes=(0, 1), sojourns=(0.2, 0.3), phase=0.01
-)
+    growth_rate=-0.4, message="decays.", modes=(0, 1), sojourns=(0.2, 0.3), phase=0.01,
+    proven=False,
+)  # fmt: skip
 ANSWERS = {
     "averaged": (False, None, "Not stable for every signal: mode 1 for ever grows.", WITNESS),
     "mean": (True, 0.25, "Proved.", None),
@@ -102,6 +106,7 @@ def test_certify_json_holds_everything_and_no_infinity(capsys, made_up):
     assert code == 0
     assert record["step"] == 0.01
     assert record["laws"]["averaged"]["worst_signal"] == {
+        "proven": True,
         "growth_rate": 0.282,
         "modes": [1],
         "sojourns": [None],
@@ -134,16 +139,17 @@ def test_bad_requests_get_one_line_and_code_2(capsys, made_up, arguments, messag
 
 @pytest.mark.parametrize(("proven", "word"), [(True, "proven"), (False, "not proven")])
 def test_verify_tells_by_its_exit_code(capsys, monkeypatch, proven, word):
-    def verify(path):
+    def verify(path, **asked):
         statement = ("About this loop.", "And its numbers.")
-        return SimpleNamespace(
-            proven=proven, message="Proved: About this loop.", statement=statement, seconds=0.25
-        )
+        about = ("Plant 12ab.",)
+        return Verification(proven, "Proved: About this loop.", statement, 0.5, 0.25, about)
 
     monkeypatch.setattr(import_module("deadtime.certificates"), "verify", verify)
     code, out, err = run(capsys, "verify", "cert.json")
     assert (code, err) == (0 if proven else 1, "")
-    assert out == f"Proved: About this loop.\n• And its numbers.\n({word} in 0.25 s)\n"
+    assert (
+        out == f"Proved: About this loop.\n• And its numbers.\n• Plant 12ab.\n({word} in 0.25 s)\n"
+    )
     code, out, _ = run(capsys, "verify", "cert.json", "--json")
     assert code == (0 if proven else 1)
     assert json.loads(out)["proven"] is proven
@@ -170,13 +176,45 @@ def test_what_certify_saves_verify_proves(capsys, saved):
     assert "\n(proven in " in out
 
 
+def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys, saved, tmp_path):
+    slow = ("--step", "0.1")
+    for asked in (
+        *(("--law", "averaged", "--dwell-time", "1.5"), ("--law", "averaged"), ()),
+        ("--dwell-time", "7"),
+    ):
+        code, out, _ = run(capsys, "verify", str(saved), "--problem", "follower", *slow, *asked)
+        assert (code, out[:7]) == (0, "Proved:"), asked
+    for asked, message in (
+        (("follower", *slow, "--law", "mean"), "another table than that of the given law"),
+        (("follower", *slow, "--dwell-time", "0.9"), ", not 0.9 s"),
+        (("follower",), "is about a period of 0.1 s, not "),
+        (("paper", *slow), "a plant with other matrices"),
+    ):
+        code, out, err = run(capsys, "verify", str(saved), "--problem", *asked)
+        assert (code, err) == (1, "")
+        assert out.startswith("Rejected: ")
+        assert message in out
+        assert "\n• Plant " in out
+    code, _, err = run(capsys, "verify", str(saved), "--law", "averaged")
+    assert code == 2
+    assert "--law must come with --problem" in err
+    for part, value in (("law", {"context": ["mode"]}), ("", {"rho": 10**400})):
+        code, out, err = run(capsys, "verify", str(rewritten(copied(saved, tmp_path), part, value)))
+        assert (code, out, err.count("\n")) == (2, "", 1)
+
+
+def copied(path, folder):
+    copy = folder / "copy.json"
+    copy.write_bytes(path.read_bytes())
+    return copy
+
+
 def test_a_file_that_cannot_be_read_is_a_bad_request(capsys, saved, tmp_path):
     code, _, err = run(capsys, "verify", str(tmp_path / "none.json"))
     assert code == 2
     assert err.count("\n") == 1
     altered = tmp_path / "cert.json"
     altered.write_text(saved.read_text().replace("0.2", "0.3", 1))
-    altered.with_suffix(".bin").write_bytes(saved.with_suffix(".bin").read_bytes())
     code, _, err = run(capsys, "verify", str(altered))
     assert code == 2
     assert "altered" in err
@@ -199,4 +237,4 @@ def test_a_law_with_no_certificate_is_reported_not_raised(capsys, law):
     code, out, err = run(capsys, "certify", "paper", *arguments)
     assert (code, err) == (1, "")
     assert "no answer" in out
-    assert "below one period" in " ".join(out.split())
+    assert "is not above one period" in " ".join(out.split())

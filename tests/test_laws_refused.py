@@ -143,3 +143,13 @@ def test_a_dwell_time_whose_table_memory_does_not_hold_is_refused(dwell_time):
     law = dt.AveragedPredictor(PLANT, GAINS, None, dwell_time)
     with pytest.raises(dt.ArgumentError, match=r"dwell_time asks for a table of .* ages"):
         law.digital(H)
+
+
+def test_a_loop_that_is_stable_only_with_its_delay_is_a_case_that_the_message_names():
+    # x'' + x = 0.1 x(t − 1): the delay turns a spring into a damper.
+    plant = dt.SwitchedSystem([[[0.0, 1.0], [-1.0, 0.0]]], [[[0.0], [1.0]]], 1.0)
+    with pytest.raises(dt.ArgumentError, match="loops that are stable only with their delay"):
+        dt.DelayedStateFeedback(plant, [[[0.1, 0.0]]])
+    law = dt.DelayedStateFeedback(plant, [[[0.1, 0.0]]], allow_unstable=True)
+    assert dt.growth_rate(plant, law, 0, None) < -0.03
+    assert dt.delay_margin(plant, law, None).upper == pytest.approx(np.pi / np.sqrt(1.1))

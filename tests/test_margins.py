@@ -178,6 +178,7 @@ def made_up(monkeypatch):
         replaced("certify", "certify", of(ask.certify))
         replaced("worst_case", "falsify", of(ask.falsify))
         replaced("margins.stability", "growth_rate", of(lambda v: 1.0 if ask.grows(v) else -1.0))
+        replaced("margins.stability", "growth_bounds", of(lambda v: (1.0, 1.0)))
         return asked
 
     return install

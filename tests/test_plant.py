@@ -1,6 +1,8 @@
 """The plant: what it holds, and what it refuses."""
 
 import re
+import subprocess
+import sys
 
 import control
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.checks import number, positive
 
 A = [[[2.0, 1.0], [0.0, 1.0]], [[2.3, 1.1], [0.05, 1.2]]]
 B = [[[0.0], [1.0]], [[0.0], [1.02]]]
@@ -135,3 +138,27 @@ def test_errors_are_value_errors_of_the_package():
 def test_from_statespace_refuses_what_is_no_state_space():
     with pytest.raises(dt.ArgumentError, match=r"systems\[0\] must be a StateSpace, got float"):
         dt.SwitchedSystem.from_statespace([1.0], delay=1.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("1", "delay must be a number, got '1', a str: pass it without quotes"),
+        (b"1", "delay must be a number, got b'1', a bytes: pass it without quotes"),
+        (np.array("1")[()], "delay must be a number, got np.str_('1'), a str_: pass it without"),
+        (None, "delay must be a number, got None, a NoneType."),
+        ([1.0, 2.0], "delay must be a number, got [1.0, 2.0], a list."),
+    ],
+)
+def test_what_is_no_number_is_refused_by_name_and_kind(value, message):
+    for check in (number, positive):
+        with pytest.raises(dt.ArgumentError, match=re.escape(message)):
+            check("delay", value)
+
+
+def test_a_delay_in_quotes_is_refused_where_nothing_checks_annotations():
+    source = "import deadtime as dt; dt.SwitchedSystem([[[0.0]]], [[[1.0]]], '1')"
+    run = subprocess.run(
+        [sys.executable, "-c", source], capture_output=True, text=True, check=False
+    )
+    assert "ArgumentError: delay must be a number, got '1', a str" in run.stderr

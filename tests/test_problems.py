@@ -51,5 +51,5 @@ def test_three_mode_loop_needs_switching_too():
 
 
 def test_unknown_law_is_refused():
-    with pytest.raises(dt.ArgumentError, match=r"law must be one of .*'averaged'.*, got 'best'"):
+    with pytest.raises(dt.ArgumentError, match=r"law must be one of .*averaged.*, got 'best'"):
         dt.problems.paper().simulate("best")

@@ -5,8 +5,8 @@ Two actuators, one network: the state schedules
 A reactor has two actuators, and one network that serves one of them at a time; the other gets
 nothing. Who is served when a packet arrives is decided by the state at that time, not by the
 sender. What one learns: where the state decides the mode, the future need not be guessed; the
-rule can be run forward with the plant. And not every rule is a good one: some chatter, which the
-library says.
+rule can be run forward with the plant. And not every rule decides: along the boundary of some the
+state slides, which the library follows and says.
 
 **Source.** The chemical reactor of N. Munro: J. Kautsky, N. K. Nichols and P. Van Dooren, "Robust
 pole assignment in linear state feedback", International Journal of Control 41 (1985), 1129–1155,
@@ -81,12 +81,13 @@ with rc_context(STYLE):
 figure.savefig("shared-network.png", dpi=110)
 
 # %%
-# A rule that chatters
-# --------------------
+# A rule that slides
+# ------------------
 #
 # Serving whichever actuator is asked for more, in the manner of try-once-discard, without a
-# minimum time of service: on the boundary either choice pushes the state back to it. Neither a
-# prediction nor the plant itself can go on from there, and the run says so.
+# minimum time of service: on the boundary either choice pushes the state back to it. Network and
+# plant then follow the limit of ever faster switching, along the boundary; and so does the
+# prediction, which knows no better than the rule itself whom the next packet will reach.
 
 first, second = dt.lqr(dt.SwitchedSystem([REACTOR], [ACTUATORS], DELAY), np.eye(4), np.eye(2))[0]
 less, more = first - second, first + second
@@ -103,4 +104,5 @@ for name, law in (
     ("rule run forward", dt.StateDependentPredictor(plant, gains, larger)),
     ("delay ignored", laws["delay ignored"]),
 ):
-    print(f"{name}: {dt.simulate(plant, law, larger, start, 6.0, STEP).message}")
+    run = dt.simulate(plant, law, larger, start, 6.0, STEP)
+    print(f"{name}: cost {run.metrics()['cost']:.3g}; {run.message}")

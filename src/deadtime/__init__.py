@@ -45,13 +45,14 @@ from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
 from deadtime.robustness import Robustness, robustness
 from deadtime.simulation import Trajectory, simulate
-from deadtime.spectrum import characteristic_roots, gain_margin, growth_rate
+from deadtime.spectrum import characteristic_roots, gain_margin, growth_bounds, growth_rate
 from deadtime.stabilization import stabilize
 from deadtime.switching import (
     FunctionRule,
     HalfSpace,
     Markov,
     Polyhedra,
+    QuadraticRegions,
     SemiMarkov,
     SignalBatch,
     SwitchingSignal,
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
         certify,
         delay_margin,
         falsify,
+        least_dwell_time,
         stability_chart,
         stability_margin,
         theorem_bound,
@@ -110,6 +112,7 @@ __all__ = [
     "OutputFeedback",
     "Polyhedra",
     "ProblemFileError",
+    "QuadraticRegions",
     "Robustness",
     "SemiMarkov",
     "Servo",
@@ -136,9 +139,11 @@ __all__ = [
     "falsify",
     "function_study",
     "gain_margin",
+    "growth_bounds",
     "growth_rate",
     "imperfections",
     "kalman",
+    "least_dwell_time",
     "load_study",
     "lqr",
     "luenberger",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
 LEGEND = (
     "Stable: for every such signal. Decay: the rate at which every run falls at least. Proved: "
-    "verified in ball arithmetic, or refuted by a witness. Growth: of the worst signal found. "
+    "verified in ball arithmetic, also where a witness refutes. Growth: of the worst signal found. "
     "Delay margin: true delays, between which the law as it is keeps every constant mode stable."
 )
 
@@ -48,7 +48,7 @@ def asked_of(problem: Problem, signal: SwitchingSignal) -> tuple[float, float]:
         return problem.dwell_time, step
     dwell = signal.dwell_time if math.isfinite(signal.dwell_time) else problem.horizon
     periods = math.floor(dwell / step * (1.0 + 1e-9))
-    return (round(periods * step, 12) if periods else dwell), step
+    return (round(periods * step, 12) if periods > 1 else dwell), step
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +112,7 @@ def judge(
     dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
-        if name not in problem.laws:
-            raise ArgumentError(f"law must be one of {', '.join(problem.laws)}, got {name!r}.")
+        problem.law(name)
     judged = []
     for name in names:
         progress(f"certifying: {name}")
@@ -254,6 +253,7 @@ def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:
         return None
     return {
         "growth_rate": finite(worst.growth_rate),
+        "proven": worst.proven,
         "modes": list(worst.modes),
         "sojourns": [finite(sojourn) for sojourn in worst.sojourns],
         "phase": worst.phase,

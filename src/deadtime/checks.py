@@ -15,10 +15,17 @@ if TYPE_CHECKING:
 
 def number(name: str, value: object) -> float:
     """A finite real number."""
+    if isinstance(value, (str, bytes)):  # float would read some of them, and comparisons none
+        raise ArgumentError(
+            f"{name} must be a number, got {value!r}, a {type(value).__name__}: pass it without "
+            "quotes, or convert it with float."
+        )
     try:
         result = float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must be a number, got {value!r}.") from None
+        raise ArgumentError(
+            f"{name} must be a number, got {value!r}, a {type(value).__name__}."
+        ) from None
     if not math.isfinite(result):
         raise ArgumentError(f"{name} must be finite, got {result}.")
     return result

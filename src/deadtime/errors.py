@@ -31,7 +31,7 @@ class InfeasibleError(DeadtimeError, ValueError):
 
 
 class ChatteringError(DeadtimeError, RuntimeError):
-    """A prediction switches without end: both modes' vector fields point at their boundary."""
+    """A prediction cannot go on: its switches pile up, or it knows no boundary to slide along."""
 
 
 class WorkerError(DeadtimeError, RuntimeError):

@@ -136,7 +136,7 @@ class SwitchedSystem:
         array([[2.6, 1.2],
                [0.1, 1.4]])
         """
-        if not 0.0 <= alpha < np.inf:
+        if isinstance(alpha, str) or not 0.0 <= alpha < np.inf:
             raise ArgumentError(f"alpha must be ≥ 0 and finite, got {alpha!r}.")
         A, B = (M[0] + alpha * (M - M[0]) for M in (self.A, self.B))
         return SwitchedSystem(A, B, self.delay)

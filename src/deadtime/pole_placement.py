@@ -16,6 +16,8 @@ from deadtime.errors import ArgumentError
 def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
     """One list of n poles per mode, (modes, n) complex, each closed under conjugation."""
     try:
+        if np.asarray(poles).dtype.kind in "US":  # NumPy would read some of them
+            raise TypeError
         given = np.asarray(poles, dtype=np.complex128)
     except (TypeError, ValueError):
         raise ArgumentError(

@@ -27,6 +27,7 @@ from deadtime.laws import (
     Law,
     MeanPredictor,
     SingleModePredictor,
+    StateDependentPredictor,
 )
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
@@ -131,9 +132,13 @@ class Problem:
         >>> paper().simulate("oracle").diverged
         False
         """
-        if law not in self.laws:
-            raise ArgumentError(f"law must be one of {sorted(self.laws)}, got {law!r}.")
-        return self.run(self.laws[law], signal)
+        return self.run(self.law(law), signal)
+
+    def law(self, name: str) -> Law:
+        """One of the problem's laws, by its name."""
+        if name not in self.laws:
+            raise ArgumentError(f"law must be one of {', '.join(self.laws)}, got {name!r}.")
+        return self.laws[name]
 
     def run(self, law: Law, signal: SwitchingSignal | None = None) -> Trajectory:
         """Run any law in the problem's setting."""
@@ -151,8 +156,11 @@ class Problem:
         )
 
     def hold(self, mode: int, horizon: float) -> Trajectory:
-        """Run the first law with one mode for ever, nothing else imperfect, on [0, horizon] s."""
+        """Run the first law in one constant mode, nothing else imperfect, on [0, horizon] s."""
         law = next(iter(self.laws.values()))
+        if self.step is None and isinstance(law, StateDependentPredictor):
+            # Its ideal loop follows the rule; in a constant mode it predicts what an oracle would.
+            law = ExactPredictor(law.plant, law.gains, allow_unstable=True)
         signal = SwitchingSignal.constant(mode)
         return simulate(self.plant, law, signal, self.x0, horizon, self.step, self._history())
 

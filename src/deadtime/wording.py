@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import ROUND_CEILING, ROUND_DOWN, ROUND_FLOOR, Decimal
 
 
 def amount(value: float) -> str:
@@ -22,6 +23,47 @@ def amount(value: float) -> str:
     power = math.floor(math.log10(value))
     digits = str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
     return f"{value / 10.0**power:.1f} × 10{digits}"
+
+
+def inwards(value: float, nominal: float) -> str:
+    """An end of an interval around a nominal value, rounded towards that, never outwards.
+
+    To three digits of its own, or of its distance from the nominal value where that is less.
+
+    Examples
+    --------
+    >>> inwards(0.10017, 5.0), inwards(1.013519, 1.0), inwards(7.019e-9, 2e-9)
+    ('0.101', '1.0135', '7.01e-9')
+    """
+    exact, centre = Decimal(float(value)), Decimal(float(nominal))
+    if not exact.is_finite() or exact in (0, centre):
+        return f"{value:g}"
+    places = min(exact.adjusted(), abs(exact - centre).adjusted()) - 2
+    # A double that stands for a short decimal is that decimal.
+    short = Decimal(repr(float(value)))
+    rounding = ROUND_CEILING if exact < centre else ROUND_FLOOR
+    rounded = short.quantize(Decimal(1).scaleb(min(places, 0)), rounding)
+    if abs(rounded) < 1e-4:
+        mantissa, exponent = f"{rounded:e}".split("e")
+        return f"{mantissa}e{int(exponent)}"
+    return f"{rounded:f}"
+
+
+def error_percent(value: float, nominal: float) -> str:
+    """How far an end of an interval is from the nominal value, in percent, rounded towards 0.
+
+    Examples
+    --------
+    >>> error_percent(1.013519, 1.0), error_percent(0.98641, 1.0), error_percent(3.14159, 1.0)
+    ('+1.35 %', '−1.35 %', '+214 %')
+    """
+    error = 100 * (Decimal(repr(float(value))) / Decimal(repr(float(nominal))) - 1)
+    if error == 0:
+        return "+0 %"
+    rounded = error.quantize(Decimal(1).scaleb(error.adjusted() - 2), ROUND_DOWN)
+    plain = Decimal("1e-4") <= abs(rounded) < Decimal("1e5")
+    text = f"{rounded:+f}" if plain else f"{float(rounded):+.3g}"
+    return f"{text} %".replace("-", "−")
 
 
 def signed(value: float) -> str:

@@ -11,6 +11,7 @@ from deadtime.app.documents import Document
 from deadtime.app.laws import Section
 from deadtime.app.ranges import FROM_FILE, IDEAL, Range, ranges_of, steps_of
 from deadtime.app.settings import Drawn, Given, Settings
+from deadtime.problem_file.schema import RULES
 from deadtime.sweeps.sojourns import FAMILIES
 
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 10)}
@@ -39,7 +40,7 @@ class Controls:
     ) -> None:
         self._chosen, self._changed, self._quiet = chosen, changed, False
         self.signal: Drawn | Given | None = None
-        self._ruled = document.draft["signal"]["kind"] in ("half-space", "polyhedra")
+        self._ruled = document.draft["signal"]["kind"] in RULES
         self.ranges = {one.name: one for one in ranges_of(document)}
         self.sliders = {name: _slider(one) for name, one in self.ranges.items()}
         own = document.draft["run"].get("step", 0.01)

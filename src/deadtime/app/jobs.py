@@ -114,9 +114,7 @@ def margin(
 def _problem(draft: Mapping[str, Any], source: Path, law: str) -> tuple[Problem, Law]:
     """A problem and one of its laws."""
     _, problem, _ = build_what_can(draft, source)
-    if law not in problem.laws:
-        raise ArgumentError(f"law must be one of {', '.join(problem.laws)}, got {law!r}.")
-    return problem, problem.laws[law]
+    return problem, problem.law(law)
 
 
 def _step(problem: Problem) -> float:

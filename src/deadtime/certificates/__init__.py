@@ -1,19 +1,23 @@
 """Certificates: what can be proved about a loop, and what refutes it."""
 
-from deadtime.certificates.certificate import Certificate, Verification, verify
+from deadtime.certificates.certificate import Certificate
 from deadtime.certificates.certify import certify
 from deadtime.certificates.margins import (
+    LeastDwellTime,
     StabilityChart,
     StabilityMargin,
     delay_margin,
+    least_dwell_time,
     stability_chart,
     stability_margin,
 )
 from deadtime.certificates.theorem import TheoremBound, theorem_bound
+from deadtime.certificates.verification import Verification, verify
 from deadtime.certificates.worst_case import WorstCase, falsify
 
 __all__ = [
     "Certificate",
+    "LeastDwellTime",
     "StabilityChart",
     "StabilityMargin",
     "TheoremBound",
@@ -22,6 +26,7 @@ __all__ = [
     "certify",
     "delay_margin",
     "falsify",
+    "least_dwell_time",
     "stability_chart",
     "stability_margin",
     "theorem_bound",

@@ -1,37 +1,42 @@
 """Certify: stability of the digital loop for every admissible signal, proved by machine.
 
-First the modes alone: one that grows for ever is a witness against stability. Then Lyapunov
-functions, the common one first and those of mode and age when it fails (`dwell`), each proposal
-judged by the check of `proof`. When none is found the search for a bad signal has the last word.
+First the constant modes: one that grows is a witness against stability. Then Lyapunov functions,
+the common one first, then those of mode and age, linear in the age or along stretches of periods
+(`dwell`), each proposal judged by the check of `proof`. When none is found the search for a bad
+signal has the last word.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from deadtime.certificates.certificate import Certificate
+from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range
+from deadtime.certificates.dwell.frame import WHOLE
 from deadtime.certificates.dwell.search import Level, Search
-from deadtime.certificates.proof import Check, Evidence
+from deadtime.certificates.dwell.stretch_search import StretchSearch
+from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Family
-from deadtime.certificates.proof.transitions import exact_ratio
+from deadtime.certificates.proof.transitions import shortest
 from deadtime.checks import count, instance, number, positive
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
 
-LEVELS = (Level(0), Level(2), Level(4))
-AGE_LEVELS = (Level(0), Level(2, 3))  # where the rows change with the age, S must, too
+LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
+AGE_LEVELS = (Level(0), None, Level(2, 3))  # where the rows change with the age, V must, too
 FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
 LARGEST = 3000  # order that memory allows
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of what the modes alone allow, tried as the certified decay
 SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
-GROWS = 1e-7  # 1/s: growth that round-off does not explain
+GROWS = 1e-7  # 1/s: slower growth is no answer
 
 
 def certify(
@@ -44,12 +49,13 @@ def certify(
     chatter: int = 1,
     delays: tuple[float, float] | None = None,
     decay_rate: float | None = None,
+    clock_tolerance: float = CLOCK_TOLERANCE,
     search_signals: bool = True,
 ) -> Certificate:
     """Whether the digital loop is stable for every switching signal with a dwell time.
 
     Switches may fall anywhere, not only on the sampling grid. The answer is True with a Lyapunov
-    function, False with a signal under which the loop grows, or None with a reason.
+    function, False with a signal under which the loop provably grows, or None with a reason.
 
     Parameters
     ----------
@@ -59,7 +65,7 @@ def certify(
     law : Law
         A law that is a table with rows by nothing, by mode, or by mode and age.
     dwell_time : float
-        Shortest sojourn τ_d, in seconds, at least one period.
+        Shortest sojourn τ_d, in seconds, more than one period.
     step : float
         Sampling period h, in seconds.
     maximum_dwell : float, optional
@@ -73,6 +79,9 @@ def certify(
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.
+    clock_tolerance : float
+        By what part a sojourn may be shorter than `dwell_time`, or longer than `maximum_dwell`, as
+        the controller's clock counts it; from 1e-8 to 0.1.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
 
@@ -112,7 +121,8 @@ def certify(
         raise ArgumentError("chatter > 1 and maximum_dwell exclude each other: give one of them.")
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
-    reason = _out_of_reach(plants, law, dwell_time, step)
+    tolerance = clock_tolerance_in_range(clock_tolerance)
+    reason = _out_of_reach(plants, law, dwell_time, step, tolerance)
     if reason:
         return Certificate(None, reason)
     table = law.digital(step)
@@ -128,6 +138,7 @@ def certify(
         dwell_time,
         maximum_dwell,
         chatter,
+        tolerance,
     )
     if setting.order > LARGEST:
         return Certificate(None, _too_large(setting.order))
@@ -154,7 +165,9 @@ def _decide(
         if slowest > GROWS and not search_signals:
             return Certificate(None, f"Held in mode {mode} it grows at {slowest:+.4g} 1/s.")
         if slowest > GROWS:
-            return _refuted(corner, law, setting, f"held in mode {mode} for ever it grows")
+            refuted = _refuted(corner, law, setting, f"held in mode {mode} it grows")
+            if refuted.stable is False:
+                return refuted
         if wanted is not None and slowest > -wanted:
             return Certificate(
                 None,
@@ -176,20 +189,19 @@ def _decide(
             return searched[-1]
     return Certificate(
         None,
-        f"Inconclusive: {outcome.reason}, and no admissible signal that grows was found either. "
+        f"Inconclusive: {outcome.reason}, and no admissible signal was proved to grow either. "
         f"{searched[0].message}",
         witness=searched[0].witness,
     )
 
 
-def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Check]:
+def _evidence(
+    setting: Setting, rates: list[float]
+) -> tuple[Evidence | StretchEvidence | None, Check]:
     """The first level that proves stability, at the best decay that it reaches."""
     outcome = Check(False, "no Lyapunov function of the kinds tried was found")
     for level in _levels(setting):
-        wide = setting.order > LARGE or setting.family.ranges
-        if wide and level.eigenvectors > 2:
-            break
-        search = Search(setting, level)
+        search: Any = StretchSearch(setting) if level is None else Search(setting, level)
         rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
         slowest = search.propose(rhos[-1])
         if slowest is None:
@@ -204,13 +216,18 @@ def _evidence(setting: Setting, rates: list[float]) -> tuple[Evidence | None, Ch
     return None, outcome
 
 
-def _levels(setting: Setting) -> tuple[Level, ...]:
-    """What to try, quickest first."""
-    if setting.context != "mode_age":
-        return LEVELS
-    last = setting.transitions.last
-    every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
-    return AGE_LEVELS + every
+def _levels(setting: Setting) -> list[Level | None]:
+    """What to try, quickest first; None: along stretches."""
+    levels: tuple[Level | None, ...] = LEVELS
+    if setting.context == "mode_age":
+        last = setting.transitions.last
+        every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
+        levels = AGE_LEVELS + every
+    along = StretchSearch.suits(setting)
+    if along and setting.order <= WHOLE:  # V of the other kinds would be found along stretches
+        levels = (*levels[: levels.index(None)], None) if setting.inputs else (None,)
+    most = 2 if setting.order > LARGE or setting.family.ranges else 4
+    return [level for level in levels if (along if level is None else level.eigenvectors <= most)]
 
 
 def _rates(wanted: float | None, fastest: float) -> list[float]:
@@ -221,15 +238,21 @@ def _rates(wanted: float | None, fastest: float) -> list[float]:
 
 
 def _refuted(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:
-    """The worst signal: False if the loop grows under it, None with the signal otherwise."""
+    """The worst signal: False if the loop provably grows under it, else None with the signal."""
     from deadtime.certificates.worst_case import falsify
 
-    dwell_time, longest = setting.dwell_time, setting.maximum_dwell
     try:
-        worst = falsify(plant, law, dwell_time, setting.step, maximum_dwell=longest)
+        worst = falsify(
+            plant,
+            law,
+            setting.dwell_time,
+            setting.step,
+            maximum_dwell=setting.maximum_dwell,
+            clock_tolerance=setting.clock_tolerance,
+        )
     except DeadtimeError as error:
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
-    if worst.growth_rate > GROWS:
+    if worst.growth_rate > GROWS and worst.proven:
         also = f" ({why})" if why and worst.signal.switches else ""
         return Certificate(
             False, f"Not stable for every admissible signal{also}: {worst.message}", witness=worst
@@ -267,7 +290,9 @@ def _delays(delays: tuple[float, float] | None, nominal: float, step: float) -> 
     return low, high
 
 
-def _out_of_reach(plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float) -> str:
+def _out_of_reach(
+    plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float, tolerance: float
+) -> str:
     """Why there can be no certificate, if so."""
     if not isinstance(law, TableLaw):
         kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
@@ -279,10 +304,10 @@ def _out_of_reach(plants: list[SwitchedSystem], law: Law, dwell_time: float, ste
             "ExactPredictor foresees the signal, so its table is one for each signal: there is no "
             "one loop to certify."
         )
-    if plants[0].modes > 1 and exact_ratio(dwell_time, step) < 1:
+    if plants[0].modes > 1 and shortest(dwell_time, step, tolerance)[0] < 0:
         return (
-            f"dwell_time = {dwell_time:g} s is below one period of {step:g} s: several switches "
-            "may fall into a step; shorten the step."
+            f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
+            f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."
         )
     return ""
 

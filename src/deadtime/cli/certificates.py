@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,9 +10,11 @@ from deadtime.checks import positive
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
+from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.certificate_table import Judged
+    from deadtime.certificates import Verification
     from deadtime.problems import Problem
 
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml",
         "deadtime certify paper --law averaged",
         "deadtime certify problem.toml --dwell-time 0.5 --out cert.json",
+        "deadtime certify problem.toml --law averaged --least-dwell-time",
     ),
 )
 def certify(
@@ -31,6 +34,7 @@ def certify(
     dwell_time: float | None = None,
     step: float | None = None,
     decay_rate: float | None = None,
+    least_dwell_time: bool = False,
     out: File = None,
     json_output: AsJson = False,
 ) -> int:
@@ -50,21 +54,25 @@ def certify(
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
         The decay rate to certify, in 1/s; by default one close to that of the slowest mode.
+    least_dwell_time
+        Look for the least dwell time instead: the shortest proved, and the longest refuted.
     out
         Save the certificates that are proofs, for `deadtime verify`; of several laws, each into
         a file named after the law.
     json_output
         Print the results as JSON instead of text.
     """
-    from deadtime.certificate_table import STEP, asked_of, judge, judged_record
+    from deadtime.certificate_table import judge, judged_record
 
-    chosen = problem_of(problem)
-    if step is not None:
-        chosen = replace(chosen, step=positive("step", step))
-    if dwell_time is None:
-        dwell, period = asked_of(chosen, chosen.given_signal)
-    else:
-        dwell, period = dwell_time, chosen.step or STEP
+    chosen = _with_step(problem_of(problem), step)
+    if least_dwell_time:
+        if not (dwell_time is None and decay_rate is None and out is None):
+            raise ArgumentError(
+                "--least-dwell-time looks for the dwell time itself: leave out --dwell-time, "
+                "--decay-rate and --out."
+            )
+        return _least_dwell_times(chosen, law, json_output)
+    dwell, period = _asked(chosen, dwell_time)
     names = None if law is None else [law]
     with progress_bar(len(names or chosen.laws), quiet=json_output) as advance:
         judged = judge(chosen, dwell, period, names, decay_rate, advance)
@@ -84,39 +92,114 @@ def certify(
     group=JUDGE,
     help_epilogue=lines(
         "deadtime verify cert.json",
+        "deadtime verify cert.json --problem problem.toml --law mean --dwell-time 0.5",
         "deadtime verify cert.json --json",
     ),
 )
-def verify(certificate: Path, *, json_output: AsJson = False) -> int:
+def verify(
+    certificate: Path,
+    *,
+    problem: Path | None = None,
+    law: str | None = None,
+    dwell_time: float | None = None,
+    step: float | None = None,
+    json_output: AsJson = False,
+) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
 
-    Needs no optimisation solver.
+    Needs no optimisation solver. With a problem the certificate must be about it, too: its plant,
+    its sampling period, its dwell time, and the table of one of its laws.
 
     Parameters
     ----------
     certificate
-        A file that `deadtime certify --out` or `Certificate.save` wrote, its sidecar beside it.
+        A file that `deadtime certify --out` or `Certificate.save` wrote.
+    problem
+        A problem file, or paper, three-mode, follower, that the certificate must be about.
+    law
+        The law of the problem whose table it must be.
+    dwell_time
+        The dwell time in seconds that it must cover; by default that of `certify` for the problem.
+    step
+        The sampling period in seconds that it must have; by default that of the problem.
     json_output
         Print the result as JSON instead of text.
     """
     from deadtime.certificates import verify as check
 
-    result = check(certificate)
-    if json_output:
-        record = {
-            "proven": result.proven,
-            "message": result.message,
-            "statement": list(result.statement),
-            "seconds": result.seconds,
-        }
-        print_json(record)
+    if problem is None:
+        if law is not None:
+            raise ArgumentError("--law must come with --problem: which plant is it a law of?")
+        result = check(certificate, dwell_time=dwell_time, step=step)
     else:
-        print(result.message)
-        for sentence in result.statement:
-            if sentence not in result.message:
-                print(f"• {sentence}")
-        print(f"({'proven' if result.proven else 'not proven'} in {result.seconds:.2g} s)")
+        chosen = _with_step(problem_of(problem), step)
+        chosen_law = None if law is None else chosen.law(law)
+        dwell, period = _asked(chosen, dwell_time)
+        result = check(certificate, chosen.plant, chosen_law, dwell_time=dwell, step=period)
+    if json_output:
+        print_json(asdict(result))
+    else:
+        _print_verification(result)
     return 0 if result.proven else 1
+
+
+def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
+    """The bracket of every law, or of one; 1 if that one has none."""
+    from deadtime.certificate_table import STEP
+    from deadtime.certificates import least_dwell_time
+
+    period, names = problem.step or STEP, list(problem.laws) if law is None else [law]
+    laws, found = [problem.law(name) for name in names], {}
+    with progress_bar(len(names), quiet=json_output) as advance:
+        for name, one in zip(names, laws, strict=True):
+            try:
+                margin = least_dwell_time(problem.plant, one, period)
+                found[name] = (margin.certified, margin.refuted, margin.message)
+            except ArgumentError as error:
+                if law is not None:
+                    raise
+                found[name] = (None, None, str(error))
+            advance(name)
+    if json_output:
+        keys = ("certified", "refuted", "message")
+        answers = {name: dict(zip(keys, one, strict=True)) for name, one in found.items()}
+        print_json({"problem": problem.name, "step": period, "least_dwell_times": answers})
+    else:
+        print(f"{problem.title}\nSampling period {period:g} s.\n")
+        rows = [[name, _seconds(one[0], True), _seconds(one[1])] for name, one in found.items()]
+        print_table(("law", "proved from", "refuted up to"), rows)
+        for name, (_, _, message) in found.items():
+            print(f"• {name}: {message}")
+    return 0 if law is None or found[law][0] is not None else 1
+
+
+def _seconds(value: float | None, up: bool = False) -> str:
+    from deadtime.certificates.margins.dwell_time import in_words
+
+    return (
+        "–" if value is None else "any" if value == float("inf") else f"{in_words(value, up=up)} s"
+    )
+
+
+def _with_step(problem: Problem, step: float | None) -> Problem:
+    return problem if step is None else replace(problem, step=positive("step", step))
+
+
+def _asked(problem: Problem, dwell_time: float | None) -> tuple[float, float]:
+    """The dwell time and the period that a problem asks about, in seconds."""
+    from deadtime.certificate_table import STEP, asked_of
+
+    if dwell_time is None:
+        return asked_of(problem, problem.given_signal)
+    return dwell_time, problem.step or STEP
+
+
+def _print_verification(result: Verification) -> None:
+    print(result.message)
+    for sentence in (*result.statement, *result.about):
+        if sentence not in result.message:
+            print(f"• {sentence}")
+    print(f"({'proven' if result.proven else 'not proven'} in {result.seconds:.2g} s)")
 
 
 def _save(judged: list[Judged], out: Path) -> list[Path]:

@@ -168,8 +168,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     from deadtime.imperfections import Saturation
 
     name = next(iter(problem.laws)) if law is None else law
-    if name not in problem.laws:
-        raise ArgumentError(f"law must be one of {', '.join(problem.laws)}, got {law!r}.")
+    chosen = problem.law(name)
     found = [one for one in problem.imperfections if isinstance(one, Saturation)]
     m = problem.plant.inputs
     limits = None
@@ -180,7 +179,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
             raise ArgumentError("the problem's saturations have no input in common.")
         limits = (low, high)
     period = problem.step or 0.01 if step is None else step
-    return Controller(problem.laws[name], period, limits=limits)
+    return Controller(chosen, period, limits=limits)
 
 
 def _limited(controller: Controller) -> str:

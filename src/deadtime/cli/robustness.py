@@ -9,7 +9,6 @@ from deadtime.checks import positive
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
-from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.robustness import Robustness, Tolerance
@@ -58,13 +57,12 @@ def robustness(
 
     chosen = problem_of(problem)
     name = next(iter(chosen.laws)) if law is None else law
-    if name not in chosen.laws:
-        raise ArgumentError(f"law must be one of {', '.join(chosen.laws)}, got {name!r}.")
+    chosen_law = chosen.law(name)
     period = chosen.step or STEP if step is None else positive("step", step)
     with progress_bar(len(STEPS), quiet=json_output) as advance:
         result = assess(
             chosen.plant,
-            chosen.laws[name],
+            chosen_law,
             chosen.signal,
             chosen.x0,
             chosen.horizon,

@@ -145,7 +145,7 @@ def _require(file: StudyFile, base: _Base, grid: Mapping[str, tuple]) -> None:
     for wrong, message in (
         (problem.plant.modes < 2, "its plant has one mode: a study needs two."),
         (not problem.x0.any(), "its x0 is 0, from where every law stays at 0."),
-        (signal in ("half-space", "polyhedra"), "its state decides the mode: give it a signal."),
+        (signal in schema.RULES, "its state decides the mode: give it a signal."),
         (bool(np.any(problem.u0)), "its u0 must be 0, as all Monte Carlo runs have it."),
         (problem.predict != "applied", 'its predict must be "applied".'),
         (

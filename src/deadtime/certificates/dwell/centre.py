@@ -13,7 +13,7 @@ mode and age needs nothing outside (v, w).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,7 @@ class Model:
         if not any(eigenvectors):
             return model
         blocks = [
-            _dominant(loop_matrix(setting, full[i], i), count)
+            _dominant(loop_matrix(setting, full[i], lasting(setting, i)), count)
             for i, count in enumerate(eigenvectors)
         ]
         Psi = np.concatenate([block for block, _ in blocks])
@@ -95,13 +95,17 @@ class Model:
         return result
 
 
-def loop_matrix(setting: Setting, E: np.ndarray, mode: int) -> np.ndarray:
-    """M of ξ⁺ = M ξ in one mode that has lasted for ever (or as long as it may)."""
-    row = setting.rows[setting.transitions.row(mode, setting.transitions.last)]
-    r = np.zeros((0, setting.order))
-    centre = Centre(E, row, r, np.zeros((1, setting.inputs, 0)), r, np.zeros((0, 0)))
-    one = replace(setting, F=setting.F[:1], G=setting.G[:1])
-    return Channels.of(one, centre).shifted(setting.inputs)[:, : setting.order]
+def lasting(setting: Setting, mode: int) -> int:
+    """The table's row in a mode that has lasted as long as it may."""
+    return setting.transitions.row(mode, setting.transitions.last)
+
+
+def loop_matrix(setting: Setting, E: np.ndarray, row: int) -> np.ndarray:
+    """M of ξ⁺ = M ξ in a period of plant rows E under one row of the table."""
+    n, m, d = setting.states, setting.inputs, setting.order
+    inputs = np.concatenate((setting.rows[row], np.eye(d)[n:]))  # u_k, u_{k−1}, …
+    seen = [np.eye(d)[:n], *(inputs[j * m : (j + 1) * m] for j in setting.family.taps)]
+    return np.concatenate((E @ np.concatenate(seen), inputs[: d - n]))
 
 
 def _directions(
@@ -127,10 +131,9 @@ def _directions(
                 slice(n + (j - 1) * m, n + j * m),
             )
             T[:, :, here], others[:, :, there] = differences[:, :, there], 0.0
-    transitions = setting.transitions
-    lasting = [transitions.row(i, transitions.last) for i in range(transitions.modes)]
+    lasts = [lasting(setting, i) for i in range(setting.transitions.modes)]
     size = max(float(np.abs(differences).max()), 1e-300) * count
-    first = _singular(others[lasting].reshape(-1, d), size)[1]
+    first = _singular(others[lasts].reshape(-1, d), size)[1]
     left = others.reshape(count * m, d)
     left = left - left @ first.T @ first
     values, right = _singular(left, size)
@@ -185,14 +188,13 @@ def _filter(
     at = 0
     # w_i(v, w): w_u = T_i (y, r), y_i = y − D w + D w_u, then w_x = (E_i − E₀) y_i.
     D = channels.D[:y]
-    transitions = setting.transitions
     for i, (Psi, Lambda) in enumerate(blocks):
         rows = slice(at, at + len(Psi))
         would = np.zeros((w, v + w))
         difference = full[i] - model.centre.E
         would[:n, :y] = difference
         if setting.rows_differ:
-            T = model.centre.T[transitions.row(i, transitions.last)]
+            T = model.centre.T[lasting(setting, i)]
             would[n:, : y + r] = T
             would[:n, : y + r] += difference @ D[:, n:] @ T
             would[:n, v:] = -difference @ D

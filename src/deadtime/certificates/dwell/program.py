@@ -9,7 +9,7 @@ Where R leaves something of the rows, w_u = T_c r + δ with |δ| ≤ |rest ξ|: 
 on the right of the first, and κ |δ|² on the left of the second, which then holds for all (v, δ).
 Everything is in units in which w is as large as Δ makes it and v as large as its peak response.
 What the solver says is a proposal: the frequencies between the chosen ones are looked at, and
-the proof in the end looks at nothing of this. Clarabel is called directly.
+the proof in the end looks at nothing of this.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.dwell.centre import Model
+from deadtime.certificates.dwell.cones import maximise, packed, packing, squares, unpacked
 from deadtime.certificates.dwell.response import Response
 from deadtime.certificates.proof.transitions import Transition, interpolation
 
@@ -76,20 +77,6 @@ class Solution:
     status: str
 
 
-def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
-    columns, rows = np.tril_indices(size)
-    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
-
-
-def _squares(left: np.ndarray) -> np.ndarray:
-    """left* E left for every basis matrix E of a packed symmetric matrix: (entries, k, k)."""
-    rows, columns, _ = packing(len(left))
-    product = left[rows][:, :, None].conj() * left[columns][:, None, :]
-    both = product + product.conj().transpose(0, 2, 1)
-    return np.where((rows == columns)[:, None, None], product, both)
-
-
 def solve(
     model: Model,
     found: Response,
@@ -106,24 +93,24 @@ def solve(
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
     for sample in samples:
         block = _at_step(model, sample, units, knots, rho, unknowns)
-        blocks.append(_packed(block))
+        blocks.append(packed(block))
         cones.append(block.shape[1])
     bounds = np.zeros((unknowns, v + w, v + w))
-    bounds[:pi_size] = _squares(np.eye(v + w))
-    bound = _packed(bounds)
+    bounds[:pi_size] = squares(np.eye(v + w))
+    bound = packed(bounds)
     nonnegative = np.zeros((1, unknowns))
     nonnegative[0, -2] = 1.0
     A = np.concatenate([*blocks, nonnegative, bound, -bound])
     rows, columns, _ = packing(v + w)
     eye = (rows == columns).astype(float)
     b = np.concatenate([np.zeros(len(A) - 2 * len(eye)), eye, eye])
-    answer = _clarabel(-A, b, [*cones, 1, v + w, v + w])
+    answer = maximise(-A, b, [*cones, 1, v + w, v + w])
     if answer is None:
         return None
     x, status = answer
-    Pi = _unpacked(x[:pi_size], v + w)
+    Pi = unpacked(x[:pi_size], v + w)
     parts = x[pi_size:-2].reshape(model.setting.A.shape[1], len(knots), s_size)
-    S = np.array([[_unpacked(part, s) for part in mode] for mode in parts])
+    S = np.array([[unpacked(part, s) for part in mode] for mode in parts])
     return Solution(float(x[-1]), float(x[-2]), Pi, S.reshape(*parts.shape[:2], s, s), status)
 
 
@@ -134,10 +121,10 @@ def _at_frequencies(
     blocks, w = [], signals[0].shape[2]
     for Y, weight, rest in zip(*signals, strict=True):
         M = np.zeros((unknowns, 2 * w, 2 * w))
-        both: Any = np.concatenate((-_squares(Y), -rest[None], -weight[None]))
+        both: Any = np.concatenate((-squares(Y), -rest[None], -weight[None]))
         real = np.block([[both.real, -both.imag], [both.imag, both.real]])
         M[:pi_size], M[-2:] = real[:-2], real[-2:]
-        blocks.append(_packed(M))
+        blocks.append(packed(M))
     return blocks, [2 * w] * len(blocks)
 
 
@@ -158,7 +145,7 @@ def _at_step(
     T[v:, :v] = sample.delta * units.v / units.w[:, None]
     T[v:, v:] = np.eye(w)[:, n : n + extra]
     M = np.zeros((unknowns, v + extra, v + extra))
-    M[:pi_size] = _squares(T)
+    M[:pi_size] = squares(T)
     M[-2, v:, v:] = np.eye(extra)
     M[-1, :v, :v] = -np.eye(v)
     if s:
@@ -170,45 +157,8 @@ def _at_step(
             (step.mode, step.age, here, 1.0),
             (step.after, step.next_age, there, -1.0),
         ):
-            squares = _squares(left)
+            products = squares(left)
             for knot, weight in interpolation(knots, age):
                 at = pi_size + (mode * len(knots) + knot) * s_size
-                M[at : at + s_size] += sign * float(weight) * squares
+                M[at : at + s_size] += sign * float(weight) * products
     return M
-
-
-def _packed(M: np.ndarray) -> np.ndarray:
-    """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
-    rows, columns, factors = packing(M.shape[1])
-    return (M[:, rows, columns] * factors).T
-
-
-def _unpacked(entries: np.ndarray, size: int) -> np.ndarray:
-    rows, columns, _ = packing(size)
-    result = np.zeros((size, size))
-    result[rows, columns] = result[columns, rows] = entries
-    return result
-
-
-def _clarabel(A: np.ndarray, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] | None:
-    """Maximise the last unknown subject to b − A x in the cones; None if that fails."""
-    import clarabel
-    from scipy.sparse import csc_matrix
-
-    solver: Any = clarabel
-
-    unknowns = A.shape[1]
-    cost = np.zeros(unknowns)
-    cost[-1] = -1.0
-    settings = solver.DefaultSettings()
-    settings.verbose = False
-    cones = [solver.PSDTriangleConeT(size) for size in sizes]
-    nothing = csc_matrix((unknowns, unknowns))
-    try:
-        solution = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings).solve()
-    except (KeyboardInterrupt, SystemExit):
-        raise
-    except BaseException:  # a panic in compiled code is no Exception
-        return None
-    x = np.array(solution.x)
-    return (x, str(solution.status)) if np.isfinite(x).all() else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from deadtime.certificates.dwell.response import (
 from deadtime.certificates.dwell.riccati import solve_riccati
 from deadtime.certificates.proof import Check, Evidence, check
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.family import Segment
+from deadtime.certificates.proof.family import Family, Segment
 from deadtime.certificates.proof.transitions import Transition
 
 LEAST_MARGIN = 1e-9
@@ -71,6 +72,12 @@ class Search:
 
     def propose(self, rho: float) -> Proposal | None:
         """A solution with a margin at all frequencies looked at, or None."""
+        try:
+            return self._proposal(rho)
+        except np.linalg.LinAlgError:  # the centre has an eigenvalue on |z| = ρ to the last digit
+            return None
+
+    def _proposal(self, rho: float) -> Proposal | None:
         fine = response(self.model, self.fine, rho)
         for _ in range(ROUNDS):
             chosen = response(self.model, self.angles, rho)
@@ -106,21 +113,18 @@ class Search:
 
     def _samples(self) -> list[Sample]:
         found: list[Sample] = []
-        steps: dict[tuple[int, int], np.ndarray] = {}
+        steps: dict[Any, np.ndarray] = {}
         kept = _thinned(self.setting)
         for transition in self.setting.transitions.all(self.knots):
             if kept is not None and transition.age not in kept:
                 continue
-            pair = transition.mode, transition.after
-            if pair not in steps:
-                orders = self.setting.family.orders(*pair)
-                instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
-                steps[pair] = np.concatenate(
-                    [self.setting.family.corners(order, instants) for order in orders]
-                )
-            found += [Sample(transition, self.model.delta(E, transition.row)) for E in steps[pair]]
+            key = transition.mode, transition.after, transition.instants
+            if key not in steps:
+                steps[key] = sampled_rows(self.setting.family, transition)
+            found += [Sample(transition, self.model.delta(E, transition.row)) for E in steps[key]]
             if not transition.switches:
-                self.looked_at.add((transition, self.setting.family.orders(*pair)[0], 0.0))
+                order = self.setting.family.orders(transition.mode, transition.after)[0]
+                self.looked_at.add((transition, order, 0.0))
         return found
 
     def _add(self, failed: Transition, u: float) -> bool:
@@ -139,6 +143,17 @@ class Search:
         for E in family.corners(order, np.array([inner])):
             self.samples.append(Sample(failed, self.model.delta(E, failed.row)))
         return True
+
+
+def sampled_rows(family: Family, step: Transition) -> np.ndarray:
+    """The plant's rows E (samples, n, k) of a step at some instants of its switch."""
+    orders, found = family.orders(step.mode, step.after), []
+    instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
+    for order in orders:
+        shares = family.shares(order, step.instants)
+        if shares is not None:
+            found.append(family.corners(order, shares[0] + (shares[1] - shares[0]) * instants))
+    return np.concatenate(found)
 
 
 def _thinned(setting: Setting) -> set[int] | None:

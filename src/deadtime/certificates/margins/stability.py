@@ -11,7 +11,7 @@ from deadtime.checks import number, positive
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import growth_rate
+from deadtime.spectrum import growth_bounds, growth_rate
 
 if TYPE_CHECKING:
     from deadtime.certificates.certificate import Certificate
@@ -30,7 +30,8 @@ class StabilityMargin:
         The largest value for which the loop is certified for every admissible signal. Nothing
         is said about the values between two that were asked about.
     refuted : float or None
-        The smallest value for which a growing signal was found; None if none was.
+        The smallest value for which a signal was found along which the loop provably grows; None
+        if none was.
     ratio : float or None
         refuted / certified; infinite where certified ≤ 0, None where refuted is None.
     proven : bool
@@ -145,7 +146,11 @@ def _questions(problem: Callable[[float], Loop], dwell_time: float, step: float)
 
     def grows(value: float) -> bool:
         plant, law = loop(value)
-        return any(growth_rate(plant, law, mode, step) > GROWS for mode in range(plant.modes))
+        return any(
+            growth_rate(plant, law, mode, step) > GROWS
+            and growth_bounds(plant, law, mode, step)[0] > 0.0
+            for mode in range(plant.modes)
+        )
 
     return Questions(
         grows,

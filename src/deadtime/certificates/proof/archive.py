@@ -1,76 +1,123 @@
-"""Certificates on disk: a JSON file that can be read, and a binary file beside it.
+"""Certificates on disk: one JSON file, its matrices as base64 of little-endian binary64.
 
-The JSON holds the problem and the claim in words and numbers, the layout of the binary file and
-its SHA-256, and a SHA-256 of its own content. The binary file holds the matrices, little-endian
-binary64, in C order, one after the other. The digests find accidents; what makes a certificate
-true is that the check passes on the numbers read.
+verifier/FORMAT.md says what every entry means and what has to hold. The file also carries a SHA-256
+of its content, which finds accidents; what makes a certificate true is that the check passes on the
+numbers read, and that the file claims no more than they prove.
 """
 
 from __future__ import annotations
 
+import base64
+import binascii
 import hashlib
 import json
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
+from deadtime.certificates.proof.statement import decay_rate
+from deadtime.certificates.proof.stretches import StretchEvidence
 from deadtime.errors import CertificateFileError
 from deadtime.version import __version__
 
-FORMAT = "deadtime certificate 1"
-CENTRE = ("E", "row", "R", "T", "Psi", "F")
-ARRAYS = ("P", "Pi", "S")
+FORMAT = "deadtime certificate 2"
+HINTS = ("E", "row", "R", "T", "F")  # of the centre
+MOST_BYTES = 2**31
+TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
+KEYS = {
+    "plant": "A B delays",
+    "law": "context ages step F G",
+    "signals": "dwell_time maximum_dwell chatter clock_tolerance",
+}
+LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P"}
 
 
-def save_evidence(evidence: Evidence, path: Path, words: dict[str, Any]) -> tuple[Path, Path]:
-    """Write the evidence to `path` (JSON) and beside it (.bin); `words` are shown to readers."""
+@dataclass(frozen=True)
+class Archived:
+    """A certificate's file, read (immutable): its evidence, and what it says of itself."""
+
+    evidence: Evidence | StretchEvidence
+    decay_rate: float | None
+    digest: str
+
+
+def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
+    """Write the evidence to `path`."""
     setting = evidence.setting
-    arrays = {f"law.{name}": getattr(setting, name) for name in ("F", "G")}
-    arrays |= {f"centre.{name}": getattr(evidence.centre, name) for name in CENTRE}
-    arrays |= {name: getattr(evidence, name) for name in ARRAYS}
-    data = b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays.values())
-    sidecar = path.with_suffix(".bin")
     content = {
         "format": FORMAT,
         "version": __version__,
-        **words,
+        "decay_rate": decay_rate(evidence),
         "plant": {"A": setting.A.tolist(), "B": setting.B.tolist(), "delays": setting.delays},
-        "law": {"context": setting.context, "ages": setting.ages, "step": setting.step},
+        "law": {
+            "context": setting.context,
+            "ages": setting.ages,
+            "step": setting.step,
+            "F": _packed(setting.F),
+            "G": _packed(setting.G),
+        },
         "signals": {
             "dwell_time": setting.dwell_time,
             "maximum_dwell": setting.maximum_dwell,
             "chatter": setting.chatter,
+            "clock_tolerance": setting.clock_tolerance,
         },
         "rho": evidence.rho,
-        "knots": evidence.knots,
-        "sidecar": {
-            "file": sidecar.name,
-            "bytes": len(data),
-            "sha256": hashlib.sha256(data).hexdigest(),
-            "arrays": [[name, array.shape] for name, array in arrays.items()],
-        },
+        **_function(evidence),
     }
-    content["sha256"] = _digest(content)
+    content["sha256"] = digest(content)
     try:
-        sidecar.write_bytes(data)
         path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise CertificateFileError(
             f"path {str(path)!r} cannot be written ({error.strerror}): choose another one."
         ) from None
-    return path, sidecar
+    return path
 
 
-def load_evidence(path: Path) -> tuple[Evidence, dict[str, Any]]:
-    """The evidence of a file and its JSON.
+def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
+    """V, and what only this package's check of it uses."""
+    if isinstance(evidence, StretchEvidence):
+        V = {"kind": "stretches", "knots": evidence.knots, "P": _packed(evidence.P)}
+        return {"lyapunov": V, "hints": {}}
+    centre = evidence.centre
+    arrays = {"P": evidence.P, "Psi": centre.Psi, "S": evidence.S}
+    hints = {name: _packed(getattr(centre, name)) for name in HINTS}
+    V = {"kind": "linear", "knots": evidence.knots}
+    V |= {name: _packed(array) for name, array in arrays.items()}
+    return {"lyapunov": V, "hints": hints | {"Pi": _packed(evidence.Pi)}}
+
+
+def load_evidence(path: Path) -> Archived:
+    """The evidence of a file.
 
     Raises `CertificateFileError` for files that are missing, cut short, altered or foreign.
     """
+    content = _content(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        rate = content["decay_rate"]
+        evidence = _evidence(content)
+        return Archived(evidence, None if rate is None else _float(rate), content["sha256"])
+    except (
+        KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, binascii.Error
+    ) as error:  # fmt: skip
+        raise CertificateFileError(
+            f"path {str(path)!r} lacks parts of a certificate ({error!r:.200})."
+        ) from None
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """The JSON of a file whose digest fits."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
+        text = path.read_bytes().decode("utf-8")
+        content = json.loads(text, object_pairs_hook=_without_repeats)
+    except (OSError, ValueError, RecursionError) as error:
         raise CertificateFileError(
             f"path {str(path)!r} must be a certificate's JSON file: {error}."
         ) from None
@@ -78,72 +125,106 @@ def load_evidence(path: Path) -> tuple[Evidence, dict[str, Any]]:
         raise CertificateFileError(
             f"path {str(path)!r} is no {FORMAT}: give the JSON file that `save` wrote."
         )
-    if content.pop("sha256", None) != _digest(content):
+    stored = content.get("sha256")
+    if stored != digest({key: value for key, value in content.items() if key != "sha256"}):
         raise CertificateFileError(
             f"path {str(path)!r} was altered after it was written: its digest does not match."
         )
-    try:
-        arrays = _arrays(content["sidecar"], path)
-        return _evidence(content, arrays), content
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        if isinstance(error, CertificateFileError):
-            raise
-        raise CertificateFileError(
-            f"path {str(path)!r} lacks parts of a certificate ({error})."
-        ) from None
+    return content
 
 
-def _arrays(sidecar: dict[str, Any], path: Path) -> dict[str, np.ndarray]:
-    """The matrices of the binary file."""
-    beside = path.with_name(Path(sidecar["file"]).name)
-    try:
-        data = beside.read_bytes()
-    except OSError as error:
-        raise CertificateFileError(
-            f"{str(beside)!r} cannot be read ({error.strerror}): the binary file belongs beside "
-            "the JSON file."
-        ) from None
-    if len(data) != sidecar["bytes"]:
-        raise CertificateFileError(
-            f"{str(beside)!r} has {len(data):,} bytes, not {sidecar['bytes']:,}: it was cut short "
-            "or replaced."
-        )
-    if hashlib.sha256(data).hexdigest() != sidecar["sha256"]:
-        raise CertificateFileError(f"{str(beside)!r} was altered: its digest does not match.")
-    arrays, at = {}, 0
-    for name, shape in sidecar["arrays"]:
-        size = int(np.prod(shape))
-        array = np.frombuffer(data, "<f8", size, 8 * at).astype(np.float64)
-        arrays[name] = array.reshape(shape)
-        at += size
-    return arrays
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object whose keys are all different: which of two values counts is nobody's to guess."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        raise ValueError("a key occurs twice")
+    return content
 
 
-def _evidence(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> Evidence:
-    plant, law, signals = content["plant"], content["law"], content["signals"]
+def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
+    plant, law, signals, V = (content[key] for key in ("plant", "law", "signals", "lyapunov"))
+    _require_keys("", content, TOP)
+    _text(content["version"])
+    for name, keys in KEYS.items():
+        _require_keys(name, content[name], keys)
+    if V["kind"] not in list(LYAPUNOV):
+        raise ValueError(f"lyapunov.kind {V['kind']!r:.40} is neither 'linear' nor 'stretches'")
+    _require_keys("lyapunov", V, LYAPUNOV[V["kind"]])
     low, high = plant["delays"]
     maximum = signals["maximum_dwell"]
     setting = Setting(
-        np.array(plant["A"], dtype=float),
-        np.array(plant["B"], dtype=float),
-        (float(low), float(high)),
-        arrays["law.F"],
-        arrays["law.G"],
-        law["context"],
+        _nested(plant["A"]),
+        _nested(plant["B"]),
+        (_float(low), _float(high)),
+        _array(law["F"]),
+        _array(law["G"]),
+        _text(law["context"]),
         law["ages"],
-        float(law["step"]),
-        float(signals["dwell_time"]),
-        None if maximum is None else float(maximum),
+        _float(law["step"]),
+        _float(signals["dwell_time"]),
+        None if maximum is None else _float(maximum),
         signals["chatter"],
+        _float(signals["clock_tolerance"]),
     )
-    centre = Centre(**{name: arrays[f"centre.{name}"] for name in CENTRE})
-    knots = tuple(content["knots"])
-    return Evidence(
-        setting, centre, arrays["P"], arrays["Pi"], arrays["S"], knots, float(content["rho"])
-    )
+    knots, rho = tuple(V["knots"]), _float(content["rho"])
+    if V["kind"] == "stretches":
+        return StretchEvidence(setting, _array(V["P"]), knots, rho)
+    hints = {name: _array(content["hints"][name]) for name in HINTS}
+    centre = Centre(Psi=_array(V["Psi"]), **hints)
+    Pi = _array(content["hints"]["Pi"])
+    return Evidence(setting, centre, _array(V["P"]), Pi, _array(V["S"]), knots, rho)
 
 
-def _digest(content: dict[str, Any]) -> str:
+def _require_keys(name: str, content: dict[str, Any], keys: str) -> None:
+    """Refuse entries that nobody checks: a file may claim nothing else."""
+    extra = sorted(set(content) - set(keys.split()))
+    if extra:
+        raise ValueError(f"{extra[0]!r:.40} is no entry of {name or 'a certificate'}")
+
+
+def claims_too_much(archived: Archived) -> str:
+    """What a file says of itself beyond what its numbers prove, if anything."""
+    proved, claimed = decay_rate(archived.evidence), archived.decay_rate
+    if claimed is not None and not 0.0 <= claimed <= proved:
+        return f"it claims a decay rate of {claimed!r} 1/s, its numbers prove {proved!r} at most"
+    return ""
+
+
+def _text(value: Any) -> Any:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.40} is no text")
+    return value
+
+
+def _float(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{value!r:.40} is no number")
+    return float(value)
+
+
+def _nested(value: Any) -> np.ndarray:
+    """An array from lists of lists of numbers."""
+    flat = np.array(value, dtype=object)
+    return np.array([_float(entry) for entry in flat.ravel()]).reshape(flat.shape)
+
+
+def _packed(array: np.ndarray) -> dict[str, Any]:
+    data = np.ascontiguousarray(array, "<f8").tobytes()
+    return {"shape": array.shape, "data": base64.b64encode(data).decode("ascii")}
+
+
+def _array(packed: dict[str, Any]) -> np.ndarray:
+    """A float64 array of the stored shape."""
+    shape = packed["shape"]
+    if not all(isinstance(n, int) and not isinstance(n, bool) and n >= 0 for n in shape):
+        raise ValueError(f"{shape!r:.40} is no shape")
+    data = base64.b64decode(packed["data"], validate=True)
+    if math.prod(shape) * 8 != len(data):
+        raise ValueError(f"{len(data)} bytes do not have the shape {shape!r:.40}")
+    return np.frombuffer(data, "<f8").astype(np.float64).reshape(shape)
+
+
+def digest(content: dict[str, Any]) -> str:
     """SHA-256 of the content, however it is laid out."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

@@ -1,7 +1,8 @@
 """The check: whether evidence proves what it claims, in balls and one large factorisation.
 
-Nothing is taken from whoever made the evidence but its numbers. `evidence` has the inequalities,
-`small` and `large` how each of the two kinds is verified.
+Nothing is taken from whoever made the evidence but its numbers. There are two kinds:
+`evidence` has the inequalities of one, `small` and `large` how they are verified, `stretches`
+those of the other.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from deadtime.certificates.proof.channels import Channels
 from deadtime.certificates.proof.evidence import Evidence
 from deadtime.certificates.proof.large import LargeInequalities
 from deadtime.certificates.proof.small import SmallInequalities
+from deadtime.certificates.proof.stretches import StretchEvidence, StretchInequalities
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.validate import malformed
 
@@ -40,25 +42,47 @@ class Check:
     failed: tuple[Transition, float] | None = None
 
 
-def check(evidence: Evidence) -> Check:
+def check(evidence: Evidence | StretchEvidence) -> Check:
     """Verify the evidence; False means that this evidence is no proof, not that none exists."""
     reason = malformed(evidence)
     if reason:
         return Check(False, reason)
     with balls.precision():
-        channels = Channels.of(evidence.setting, evidence.centre)
-        small, count = SmallInequalities(evidence, channels), 0
-        for transition in evidence.setting.transitions.all(evidence.knots):
-            cells, instant = small.holds(transition)
-            count += cells
-            if instant is not None:
-                at = f"mode {transition.mode} at age {transition.age}"
-                to = f" to mode {transition.after}" if transition.switches else ""
-                reason = f"the inequality of the step from {at}{to} fails"
-                return Check(False, reason, count, (transition, instant))
-        large = LargeInequalities(evidence, channels, small)
-        if not large.positive():
-            return Check(False, "the Lyapunov function is not positive", count)
-        if not large.large():
-            return Check(False, "the inequality K ≻ 0 fails", count)
+        if isinstance(evidence, StretchEvidence):
+            return _check_stretches(evidence)
+        return _check_split(evidence)
+
+
+def _check_split(evidence: Evidence) -> Check:
+    """One large inequality, and the small ones of every transition."""
+    channels = Channels.of(evidence.setting, evidence.centre)
+    small, count = SmallInequalities(evidence, channels), 0
+    for transition in evidence.setting.transitions.all(evidence.knots):
+        cells, instant = small.holds(transition)
+        count += cells
+        if instant is not None:
+            return Check(False, _fails(transition), count, (transition, instant))
+    large = LargeInequalities(evidence, channels, small)
+    if not large.positive():
+        return Check(False, "the Lyapunov function is not positive", count)
+    if not large.large():
+        return Check(False, "the inequality K ≻ 0 fails", count)
     return Check(True, "", count)
+
+
+def _check_stretches(evidence: StretchEvidence) -> Check:
+    """One inequality for every stretch."""
+    inequalities, count = StretchInequalities(evidence), 0
+    if not inequalities.positive():
+        return Check(False, "the Lyapunov function is not positive", count)
+    for stretch in evidence.setting.transitions.stretches(evidence.knots):
+        cells, instant = inequalities.holds(stretch)
+        count += cells
+        if instant is not None:
+            return Check(False, _fails(stretch.step), count, (stretch.step, instant))
+    return Check(True, "", count)
+
+
+def _fails(step: Transition) -> str:
+    to = f" to mode {step.after}" if step.switches else ""
+    return f"the inequality of the step from mode {step.mode} at age {step.age}{to} fails"

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.certificates.proof import balls
+
 UNIT = 2.0**-53
 
 
@@ -65,6 +67,17 @@ def congruence(middle: np.ndarray) -> np.ndarray | None:
     # By numpy.linalg.inv: SciPy's triangular solver waits for threads, even at this size.
     W = np.tril(np.linalg.inv(factor)) * unit
     return W if np.isfinite(W).all() and (np.diag(W) != 0.0).all() else None
+
+
+def congruent(X: Any) -> tuple[float, Any] | None:
+    """(a lower bound of the least eigenvalue of W X Wᵀ, Wᵀ) for a small ball X ≻ 0; else None."""
+    W = congruence(balls.middle(X))
+    if W is None:
+        return None
+    left = balls.exact(W)
+    right = left.transpose()
+    least = least_dominance(left * X * right)
+    return (least, right) if least > 0.0 else None
 
 
 def least_dominance(X: Any) -> float:

@@ -12,6 +12,7 @@ L the Fréchet derivative of the exponential, the top right block of exp [[X, Y]
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -58,10 +59,16 @@ class Enclosure:
     slopes: list[tuple[int, Any]]
 
 
-def cells_of(family: Family, mode: int, after: int) -> list[Cell]:
-    """The cells that cover every step from `mode` to `after`."""
-    corners = np.eye(len(family.A))
-    return [Cell(order, (0.0, 1.0), (0.0, 1.0), corners) for order in family.orders(mode, after)]
+def cells_of(
+    family: Family, mode: int, after: int, instants: tuple[float, float] = (0.0, 1.0)
+) -> list[Cell]:
+    """The cells that cover every step from `mode` to `after` with a switch at these instants."""
+    corners, cells = np.eye(len(family.A)), []
+    for order in family.orders(mode, after):
+        shares = family.shares(order, instants)
+        if shares is not None:
+            cells.append(Cell(order, shares, (0.0, 1.0), corners))
+    return cells
 
 
 class Enclosures:
@@ -95,7 +102,11 @@ class Enclosures:
             (0, cell.u, any(part.share != "all" for part in cell.order)),
             (1, cell.f, family.ranges),
         )
-        moving = [(k, (b - a) / 2) for k, (a, b), there in halves if there and b > a]
+        moving = [
+            (k, math.nextafter(0.5 * (b - a), math.inf))
+            for k, (a, b), there in halves
+            if there and b > a
+        ]
         if moving or hull is not None:
             factors = self._factors(cell, u, f, weights, hull)
             for k, half in moving:

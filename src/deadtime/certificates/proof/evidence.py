@@ -30,8 +30,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.family import Family
-from deadtime.certificates.proof.transitions import Transitions
+from deadtime.certificates.proof.transitions import Transitions, interpolation
 
 if TYPE_CHECKING:
     from deadtime.feedback import Context
@@ -54,6 +55,10 @@ class Setting:
     dwell_time, maximum_dwell, chatter
         The admissible signals: seconds, seconds or None for sojourns without end, and N₀; above
         1, dwell_time is an average dwell time.
+    clock_tolerance : float
+        δ: sojourns last from (1 − δ) dwell_time to (1 + δ) maximum_dwell.
+
+    Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
 
     A: Float[np.ndarray, "vertex mode n n"]
@@ -67,11 +72,13 @@ class Setting:
     dwell_time: float
     maximum_dwell: float | None = None
     chatter: int = 1
+    clock_tolerance: float = CLOCK_TOLERANCE
 
     @cached_property
     def family(self) -> Family:
         """The steps of the plant."""
-        return Family.of(self.A, self.B, self.delays, self.step)
+        delays = self.delays if self.inputs else (self.step, self.step)
+        return Family.of(self.A, self.B[..., : self.inputs], delays, self.step)
 
     @cached_property
     def transitions(self) -> Transitions:
@@ -81,6 +88,7 @@ class Setting:
             (self.dwell_time, self.maximum_dwell),
             self.chatter,
             self.step,
+            self.clock_tolerance,
             self.context,
             self.ages,
         )
@@ -90,15 +98,15 @@ class Setting:
         """n."""
         return self.A.shape[2]
 
-    @property
+    @cached_property
     def inputs(self) -> int:
-        """m."""
-        return self.B.shape[3]
+        """m; 0 where no row ever sends one."""
+        return self.B.shape[3] if np.any(self.F) or np.any(self.G) else 0
 
     @property
     def held(self) -> int:
         """W, the past inputs in ξ."""
-        return max(self.family.count, self.G.shape[1])
+        return max(self.family.count, self.G.shape[1] if self.inputs else 0)
 
     @property
     def order(self) -> int:
@@ -108,11 +116,11 @@ class Setting:
     @cached_property
     def rows(self) -> Float[np.ndarray, "row m order"]:
         """row_c, exact."""
-        count, m, n = self.F.shape
+        count, n, m, taps = len(self.F), self.states, self.inputs, self.G.shape[1]
         result = np.zeros((count, m, self.order))
-        result[:, :, :n] = self.F
-        taps = self.G.shape[1]
-        result[:, :, n : n + taps * m] = self.G.transpose(0, 2, 1, 3).reshape(count, m, taps * m)
+        if m:
+            stacked = self.G.transpose(0, 2, 1, 3).reshape(count, m, taps * m)
+            result[:, :, :n], result[:, :, n : n + taps * m] = self.F, stacked
         return result
 
     @cached_property
@@ -169,3 +177,10 @@ class Evidence:
     S: Float[np.ndarray, "mode knot s s"]
     knots: tuple[int, ...]
     rho: float
+
+    def lyapunov(self, mode: int, age: int) -> Float[np.ndarray, "order order"]:
+        """V_{mode,age}, in floats; ages up to the last that is told apart."""
+        Psi = self.centre.Psi
+        weights = interpolation(self.knots, age)
+        S = sum(float(weight) * self.S[mode, knot] for knot, weight in weights)
+        return self.P + Psi.T @ S @ Psi

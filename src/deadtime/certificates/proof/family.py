@@ -23,6 +23,8 @@ from jaxtyping import Float
 
 from deadtime.steps import Window
 
+ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -101,6 +103,29 @@ class Family:
                 Segment(after, False, "after"),
             ),
         ]
+
+    def shares(
+        self, order: tuple[Segment, ...], instants: tuple[float, float] = (0.0, 1.0)
+    ) -> tuple[float, float] | None:
+        """The range of u that holds all switches between two fractions of the period.
+
+        None if no switch of this order of events lies there; (0, 1) for a full step.
+        """
+        if order[0].mode == order[-1].mode:
+            return 0.0, 1.0
+        if not self.split:
+            return instants
+        low, high = (fraction * self.step for fraction in instants)
+        first, last = self.phases
+        if order[0].share == "before":  # u = s/φ
+            least, most = low / last, high / first if first else 1.0
+        else:  # u = (s − φ)/(h − φ), which falls with φ
+            least = (low - last) / (self.step - last) if last < self.step else 0.0
+            most = (high - first) / (self.step - first)
+        part = self.step - last if order[0].share == "all" else first or last
+        wrong = ROUND_OFF + 8.0 * np.spacing(self.step * (self.count + 1)) / max(part, 1e-300)
+        least, most = least - wrong, most + wrong
+        return (max(0.0, least), min(1.0, most)) if least <= 1.0 and most >= 0.0 else None
 
     def generators(self, early: bool) -> Float[np.ndarray, "vertex mode k k"]:
         """𝒜 of every corner and mode."""

@@ -101,15 +101,15 @@ class LargeInequalities:
         largest = float(np.linalg.norm(self.evidence.S)) * grow
         if not self.small.forms:
             return np.inf
-        for form in self.small.forms.values():
-            c = 0.0
+        for theta in self.small.forms.values():
+            form, c = theta.form, 0.0
             if eta:
                 blocks = balls.blocks([[form.wv, form.ww]])
                 centre, error = (x[self.evidence.setting.states :] for x in balls.split(blocks))
                 below = float((np.abs(centre) + error)[:, u:].sum())
                 c += 2.0 * _above((centre, error), wide) * eta + below * eta**2
             if epsilon:
-                pull = _above(balls.split(form.SF), wide)
+                pull = _above(balls.split(theta.SF), wide)
                 c += (2.0 * pull * epsilon + largest * epsilon**2) / self.evidence.rho**2
             if not np.isfinite(c):
                 return np.inf

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from deadtime.certificates.proof.evidence import Evidence, Setting
+from deadtime.certificates.proof.stretches import StretchEvidence
 
 
-def decay_rate(evidence: Evidence) -> float:
+def decay_rate(evidence: Evidence | StretchEvidence) -> float:
     """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate not known."""
     if evidence.rho >= 1.0:
         return 0.0
@@ -38,7 +39,7 @@ def signals_in_words(setting: Setting) -> str:
     return f"for every switching signal with a dwell time of {dwell}"
 
 
-def statement(evidence: Evidence, cells: int) -> tuple[str, ...]:
+def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
     words = signals_in_words(setting)
@@ -51,27 +52,43 @@ def statement(evidence: Evidence, cells: int) -> tuple[str, ...]:
     )
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
+    when = "over a period"
+    if isinstance(evidence, StretchEvidence):
+        ages = ", ".join(map(str, evidence.knots))
+        when = f"from one node (a mode at one of the ages {ages}) to the next"
+        falls = f"per period {falls}" if rate else falls
     pace = f" decays at least like exp(−{rounded_down(rate, 6)} t)" if rate else " decays to zero"
     rows = {
         "none": "nothing (one row)",
         "mode": "the sampled mode",
         "mode_age": f"the sampled mode and its age in samples, {setting.ages} ages",
     }[setting.context]
-    kind = "Lyapunov function of mode and age" if evidence.S.size else "common Lyapunov function"
+    kind, parts = _how(evidence)
     how = (
-        f"Proved by machine: a {kind} of order {setting.order}, one factorisation with a rigorous "
-        f"error bound, and {cells} small inequalities in ball arithmetic of 128 bits that cover "
-        "every instant of a switch within a period."
+        f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
+        "ball arithmetic of 128 bits that cover every instant of a switch within a period."
     )
     return (
         f"{words[0].upper()}{words[1:]}, switching at any instant, and for every "
         f"initial state and past input, the digital loop of {plants} with this table{pace}; "
-        f"over a period the Lyapunov function falls {falls}.",
+        f"{when} the Lyapunov function falls {falls}.",
         f"Period {setting.step!r} s; input delay {delay}. A ratio of a delay to the period within "
         "1e-9 of an integer counts as that integer, as in the loop that runs.",
         f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}. "
         "Plant entries, delay and period are all reals within half a unit in the last place of the "
-        "stored ones: the decimals that were written and the binary64 numbers alike. Dwell times "
-        "are the decimals. Arithmetic of the running loop is taken as exact.",
+        "stored ones: the decimals that were written and the binary64 numbers alike. By the "
+        "controller's clock a sojourn may be shorter than the dwell time"
+        f"{' or longer than the maximum' * (setting.maximum_dwell is not None)} by the part "
+        f"{setting.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
         how,
     )
+
+
+def _how(evidence: Evidence | StretchEvidence) -> tuple[str, str]:
+    """The kind of Lyapunov function, and what else was checked but inequalities in balls."""
+    if isinstance(evidence, StretchEvidence):
+        return "Lyapunov function of mode and age, followed along whole stretches of periods", ""
+    split = "one factorisation with a rigorous error bound, and "
+    if evidence.S.size:
+        return "Lyapunov function of mode and age", split
+    return "common Lyapunov function", split

@@ -1,19 +1,29 @@
 """The transitions that a class of signals allows, as a graph on (mode, age).
 
-At a sample the mode i has been seen for a samples before. Over the next period the plant either
-stays in i, a *full* step to (i, a + 1), or switches once, at any instant in it, a *mixed* step
-to (j, 0). With r = τ_d/h and a switch s into its period, a sojourn of q full steps between two
-mixed ones lasts (h − s) + q h + s', s, s' ∈ (0, h]; that is τ_d or more only if q > r − 2, and
-at whole r only if q ≥ r − 1:
+Signals are right-continuous, and a switch in (k h, (k + 1) h] belongs to the period k: one that
+falls on a sample is seen by it. At a sample the mode i has been seen for a samples before. Over
+the next period the plant either stays in i, a *full* step to (i, a + 1), or switches once, s into
+it, a *mixed* step to (j, 0). A sojourn of q full steps between two mixed ones lasts
+(h − s) + q h + s', with s, s' ∈ (0, h], so between q h and (q + 2) h, neither included.
 
-    q ≥ ⌊τ_d/h⌋ − 1.
+What counts as admissible is measured by the controller's clock, of which a tolerance δ is known:
+a sojourn lasts at least (1 − δ) τ_d. With r = (1 − δ) τ_d/h, (q + 2) h must exceed r h (and as τ_d
+and h stand for all reals within half a unit in the last place, r is taken 2⁻⁵⁰ of it smaller):
 
-All pairs (s, s') are allowed at that q, which is more than the dwell time allows. A maximum
-dwell time τ_max allows q ≤ ⌈τ_max/h⌉ − 1; without one a mode may last for ever.
+    q ≥ ⌊r⌋ − 1,
+
+which is τ_d/h − 2 where τ_d/h is whole. At that q the sojourn has to end late, for h − s ≤ h:
+
+    s' ≥ (r − ⌊r⌋) h.
+
+A longest sojourn of (1 + δ) τ_max = R h allows q ≤ ⌈R⌉ − 1, at that q with s' ≤ (R − q) h, for
+h − s ≥ 0; without one a mode may last for any time. All else that s and s' have to do with each
+other is left out, and their range is closed: [0, h]. So the graph has every admissible signal and
+a few more.
 
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
-the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ r, and a switch takes
-r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
+the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
+takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
 switch per period is not described.
 """
 
@@ -25,26 +35,82 @@ from fractions import Fraction
 
 import numpy as np
 
+READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
 
-def exact_ratio(time: float, step: float) -> Fraction:
-    """time/step of the decimals that print as these numbers."""
-    return Fraction(repr(float(time))) / Fraction(repr(float(step)))
+
+def decimal(value: float) -> Fraction:
+    """The decimal that prints as a number."""
+    return Fraction(repr(float(value)))
+
+
+def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, float]:
+    """(the fewest full steps of a sojourn, the earliest s'/h there), rounded down.
+
+    −1 full steps: one period may hold two switches.
+
+    Examples
+    --------
+    >>> shortest(0.2, 0.1, 1e-5), shortest(0.25, 0.1, 1e-5)
+    ((0, 0.9999799999999981), (1, 0.4999749999999977))
+    """
+    part = (1 - decimal(tolerance)) * (1 - READINGS)
+    periods = part * decimal(dwell_time) / decimal(step)
+    whole = math.floor(periods)
+    return whole - 1, max(0.0, math.nextafter(float(periods - whole), 0.0))
+
+
+def longest(maximum_dwell: float, step: float, tolerance: float) -> tuple[int, float]:
+    """(the most full steps of a sojourn with a longest one, the latest s'/h there), rounded up."""
+    part = (1 + decimal(tolerance)) * (1 + READINGS)
+    periods = part * decimal(maximum_dwell) / decimal(step)
+    most = math.ceil(periods) - 1
+    return most, min(1.0, math.nextafter(float(periods - most), 1.0))
 
 
 @dataclass(frozen=True)
 class Transition:
-    """One step of the graph: from (mode, age) under a row to (after, next_age)."""
+    """One step of the graph: from (mode, age) under a row to (after, next_age).
+
+    `instants` are the first and the last fraction of the period at which it may switch.
+    """
 
     mode: int
     age: int
     row: int
     after: int
     next_age: int
+    instants: tuple[float, float] = (0.0, 1.0)
 
     @property
     def switches(self) -> bool:
         """Whether the plant switches in this step."""
         return self.mode != self.after
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Periods from one node to the next that the loop meets: full steps, one step, full steps.
+
+    Attributes
+    ----------
+    knot, next_knot : int
+        Which of the ages told apart the nodes have, in the modes before and after the step.
+    waits, follows : int
+        How many full steps come before and after the step.
+    step : Transition
+        The one that may switch.
+    """
+
+    knot: int
+    waits: int
+    step: Transition
+    follows: int
+    next_knot: int
+
+    @property
+    def periods(self) -> int:
+        """The length L."""
+        return self.waits + 1 + self.follows
 
 
 @dataclass(frozen=True)
@@ -67,6 +133,9 @@ class Transitions:
         What selects the table's row.
     ages : int
         Rows per mode of a (mode, age) table.
+    earliest, latest : float
+        The first instant of a switch at the age `first`, and the last at `last` where a mode must
+        be left then: fractions of the period.
     """
 
     modes: int
@@ -76,6 +145,8 @@ class Transitions:
     bucket: int | None
     context: str
     ages: int
+    earliest: float = 0.0
+    latest: float = 1.0
 
     @classmethod
     def of(
@@ -84,24 +155,24 @@ class Transitions:
         times: tuple[float, float | None],
         chatter: int,
         step: float,
+        tolerance: float,
         context: str,
         ages: int,
     ) -> Transitions:
         """The graph of a (dwell time, maximum dwell time) at a period, in seconds."""
         dwell_time, maximum_dwell = times
         if modes == 1:
-            last = ages - 1 if context == "mode_age" else 0
-            return cls(1, 0, last, False, None, context, ages)
-        ratio = exact_ratio(dwell_time, step)
-        first = math.floor(ratio) - 1
+            return cls(1, 0, ages - 1, False, None, context, ages)
+        first, earliest = shortest(dwell_time, step, tolerance)
         if chatter > 1:
-            last = max(first, math.ceil(chatter * ratio))
+            last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
             return cls(modes, first, last, False, first, context, ages)
         if maximum_dwell is not None:
-            last = max(first, math.ceil(exact_ratio(maximum_dwell, step)) - 1)
-            return cls(modes, first, last, True, None, context, ages)
-        last = max(first, ages - 1) if context == "mode_age" else first
-        return cls(modes, first, last, False, None, context, ages)
+            last, latest = longest(maximum_dwell, step, tolerance)
+            return cls(modes, first, last, True, None, context, ages, earliest, latest)
+        # The last age stands for all later ones, at which a mode may be left at any instant.
+        last = max(first + 1, ages - 1)
+        return cls(modes, first, last, False, None, context, ages, earliest)
 
     def row(self, mode: int, age: int) -> int:
         """The row of the table at (mode, age)."""
@@ -122,7 +193,7 @@ class Transitions:
         with it; there the first and the last step of each segment imply the others.
         """
         everything = self.context == "mode_age" and self.bucket is None
-        marks = {*knots, self.first, self.last, 0}
+        marks = {*knots, self.first, self.first + 1, self.last, 0}
         marks |= {knot + (self.bucket or 0) for knot in knots}
         ends = {a for mark in marks for a in (mark - 1, mark)}
         found = []
@@ -133,11 +204,40 @@ class Transitions:
                 for row in self.rows(i, a):
                     if a < self.last or not self.ends:
                         found.append(Transition(i, a, row, i, min(a + 1, self.last)))
-                    if a >= self.first:
-                        after = 0 if self.bucket is None else a - self.bucket
-                        others = (j for j in range(self.modes) if j != i)
-                        found += [Transition(i, a, row, j, after) for j in others]
+                    found += self.switches(i, a, row)
         return found
+
+    def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
+        """The stretches between nodes at these ages, which `validate` found to cover the graph."""
+        found = []
+        for i in range(self.modes):
+            for k, age in enumerate(knots):
+                if k + 1 < len(knots):
+                    end = knots[k + 1]
+                    full = Transition(i, end - 1, self.row(i, end - 1), i, end)
+                    found.append(Stretch(k, end - 1 - age, full, 0, k + 1))
+                else:
+                    end = self.last + 1
+                    if not self.ends:
+                        full = Transition(i, self.last, self.row(i, self.last), i, self.last)
+                        found.append(Stretch(k, 0, full, 0, k))
+                for at in range(max(self.first, age), end):
+                    mixed = self.switches(i, at, self.row(i, at))
+                    found += [Stretch(k, at - age, step, knots[0], 0) for step in mixed]
+        return found
+
+    def switches(self, mode: int, age: int, row: int) -> list[Transition]:
+        """The mixed steps from (mode, age)."""
+        if age < self.first:
+            return []
+        after = 0 if self.bucket is None else age - self.bucket
+        low = self.earliest if age == self.first else 0.0
+        high = self.latest if age == self.last else 1.0
+        return [Transition(mode, age, row, j, after, (low, high)) for j in self.others(mode)]
+
+    def others(self, mode: int) -> list[int]:
+        """The modes that one may switch to."""
+        return [j for j in range(self.modes) if j != mode]
 
 
 def interpolation(knots: tuple[int, ...], age: int) -> list[tuple[int, Fraction]]:

@@ -12,13 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.certificates import clock
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
+from deadtime.certificates.proof.stretches import StretchEvidence
 
 SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
 MOST_AGES = 100_000
+MOST_STRETCHES = 5_000
 
 
-def malformed(evidence: Evidence) -> str:
+def malformed(evidence: Evidence | StretchEvidence) -> str:
     """What is wrong with the evidence, if anything is; in the order in which parts depend."""
     setting = evidence.setting
     return (
@@ -26,7 +29,12 @@ def malformed(evidence: Evidence) -> str:
         or _plants_and_table(setting)
         or _context(setting)
         or _times(setting)
-        or _evidence(evidence)
+        or _rho_and_knots(evidence.rho, evidence.knots)
+        or (
+            _stretches(evidence)
+            if isinstance(evidence, StretchEvidence)
+            else _split(evidence, evidence.centre)
+        )
     )
 
 
@@ -47,6 +55,9 @@ def _numbers(setting: Setting) -> str:
         value = getattr(setting, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             return f"{name} is not a whole number of at least 1"
+    tolerance = setting.clock_tolerance
+    if not (isinstance(tolerance, float) and clock.LEAST <= tolerance <= clock.MOST):
+        return f"clock_tolerance is not in [{clock.LEAST:g}, {clock.MOST:g}]"
     return ""
 
 
@@ -104,9 +115,19 @@ def _times(setting: Setting) -> str:
     return ""
 
 
-def _evidence(evidence: Evidence) -> str:
-    """The centre and P, Π, S, knots, ρ."""
-    setting, centre, knots = evidence.setting, evidence.centre, evidence.knots
+def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
+    """ρ in (0, 1], ages that ascend."""
+    if not (isinstance(rho, float) and 0.01 <= rho <= 1.0):
+        return "rho is not in [0.01, 1]"
+    ages = [knot for knot in knots if isinstance(knot, int) and not isinstance(knot, bool)]
+    if not ages or len(ages) < len(knots):
+        return "knots are not whole numbers"
+    return "knots do not ascend" if ages[0] < 0 or any(b <= a for a, b in pairwise(ages)) else ""
+
+
+def _split(evidence: Evidence, centre: Centre) -> str:
+    """The centre and P, Π, S, knots."""
+    setting = evidence.setting
     sizes = _misshapen(_expected(evidence, setting, centre))
     if sizes:
         return sizes
@@ -114,14 +135,32 @@ def _evidence(evidence: Evidence) -> str:
         array = getattr(evidence, name)
         if not np.array_equal(array, np.swapaxes(array, -1, -2)):
             return f"{name} is not symmetric"
-    if not all(isinstance(knot, int) for knot in knots):
-        return "knots are not whole numbers"
-    if not knots or knots[0] != 0 or any(b <= a for a, b in pairwise(knots)):
+    if evidence.knots[0] != 0:
         return "knots do not ascend from 0"
     if not setting.rows_differ and not np.array_equal(centre.row, setting.rows[0]):
         return "row is not the table's row"
-    if not (isinstance(evidence.rho, float) and 0.01 <= evidence.rho <= 1.0):
-        return "rho is not in [0.01, 1]"
+    return ""
+
+
+def _stretches(evidence: StretchEvidence) -> str:
+    """P, and knots that every path through the graph meets."""
+    setting, knots = evidence.setting, evidence.knots
+    graph, family, d = setting.transitions, setting.family, setting.order
+    sizes = _misshapen({"P": (evidence.P, (setting.A.shape[1], len(knots), d, d))})
+    if sizes:
+        return sizes
+    if not np.array_equal(evidence.P, np.swapaxes(evidence.P, -1, -2)):
+        return "P is not symmetric"
+    if graph.bucket is not None:
+        return "an average dwell time has no stretches"
+    if knots[0] > graph.first or knots[-1] > graph.last:
+        return f"knots must begin at {graph.first} or before, and end at {graph.last}"
+    if not graph.ends and knots[-1] != graph.last:
+        return f"knots must end at {graph.last}, from where a mode may last"
+    if (family.ranges or len(setting.A) > 1) and knots != tuple(range(graph.last + 1)):
+        return "knots must be all ages where the steps of a stretch are not known"
+    if graph.modes * len(graph.others(0)) * (graph.last - graph.first + 1) > MOST_STRETCHES:
+        return "there are too many stretches"
     return ""
 
 

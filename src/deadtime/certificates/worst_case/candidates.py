@@ -1,7 +1,7 @@
 """Cycles worth evaluating: from branch and bound and from random cycles, all of them climbed.
 
-Switches fall on samples; for a law that knows the mode also all of them right after samples,
-where it sees them a period late, which is often worse.
+Switches fall on samples; for a law that knows the mode also right after samples, where it sees
+them a period late (`kinds`), which is often worse.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Int
 
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
+from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.products import Sojourns, compressed
 from deadtime.certificates.worst_case.search import LETTERS, branch_and_bound
@@ -27,7 +28,6 @@ DELAYS = 8  # the longest of them, at least
 STARTS = 14  # random cycles per mode
 MOST_SOJOURNS = 6  # in a random cycle
 TOLERANCE = 1e-2  # of the branch and bound: growth over a delay
-LATE = 2.0**-10  # of a period: right after a sample
 SLOWEST = 2000.0  # samples; slower motions do not make sojourns any longer
 TIGHT = 6  # cycles that are tried over the shortest length, too
 TURNS = 40  # cycles without a grid: how many sojourns at most
@@ -46,37 +46,33 @@ class Candidates:
 def candidates(
     loop: SampledLoop, constants: list[tuple[Cycle, Growth]], dwell: Dwell, budget: int
 ) -> Candidates:
-    """Cycles that are worth evaluating; `constants` are the modes for ever, and their growth."""
+    """Cycles that are worth evaluating; `constants` are the constant modes and their growth."""
     lengths = _lengths(loop, constants, dwell)
     if lengths.size == 0:
         return Candidates(list(_without_grid(loop.plant.modes, dwell)), None, 0)
-    step = loop.window.step
+    step, modes = loop.window.step, loop.plant.modes
     floor = max(growth.rate for _, growth in constants) - loop.shift
     floor = -math.inf if math.isfinite(dwell.most) else floor * step
-    grids = [(loop, 0.0)]
-    if loop.feedback.context != "none":
-        grids.append((replace(loop, late=1), LATE))
+    late, mixed = dwell.late
+    kinds = Kinds.of(loop.feedback, modes, mixed)
+    sojourns = compressed(loop, lengths, kinds)
+    letters = _letters(lengths, max(3, LETTERS // modes))
+    searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.held, budget // 2)
     found: dict[Cycle, float] = {}
-    evaluated, bounds, share = 0, [], budget // (2 * len(grids))
-    for grid, offset in grids:
-        sojourns = compressed(grid, lengths)
-        letters = _letters(lengths, max(3, LETTERS // sojourns.modes))
-        searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.held, share)
-        bounds.append(searched.bound)
-        climbing = 0
-        for start in chain(searched.words, _random_words(sojourns)):
-            word, looked = climbed(sojourns, start)
-            climbing += looked
-            gaps = tuple(lengths[word.index].astype(float).tolist())
-            cycle = Cycle(tuple(word.modes.tolist()), gaps).turned().reduced()
-            if not cycle.constant:
-                found[replace(cycle, offset=offset)] = word.rate
-            if climbing >= share:
-                break
-        evaluated += searched.evaluated + climbing
+    climbing = 0
+    for start in chain(searched.words, _random_words(sojourns, STARTS * modes)):
+        word, looked = climbed(sojourns, start)
+        climbing += looked
+        parts = (kinds.mode[word.kinds], lengths[word.index], kinds.late[word.kinds])
+        cycle = Cycle.on_grid(list(zip(*(part.tolist() for part in parts), strict=True)), late)
+        if not cycle.constant:
+            found[cycle] = max(word.rate, found.get(cycle, -math.inf))
+        if climbing >= budget // 2:
+            break
     best = sorted(found, key=lambda cycle: -found[cycle])
-    upper = None if None in bounds else loop.shift + max(bounds) / step
-    return Candidates([*_tight(best[:TIGHT], dwell), *best], upper, evaluated)
+    upper = None if searched.bound is None else loop.shift + searched.bound / step
+    tried = [*_tight(best[:TIGHT], dwell), *best]
+    return Candidates(tried, upper, searched.evaluated + climbing)
 
 
 def _lengths(
@@ -113,21 +109,22 @@ def _period(loop: SampledLoop, cycle: Cycle, growth: Growth) -> float:
     return 2.0 * math.pi / max(turn, 1e-12)
 
 
-def _random_words(sojourns: Sojourns) -> Iterator[Word]:
+def _random_words(sojourns: Sojourns, number: int) -> Iterator[Word]:
     """Cycles to climb from."""
-    rng = np.random.default_rng(2)
-    counts = [n for n in range(2, MOST_SOJOURNS + 1) if sojourns.modes > 2 or n % 2 == 0]
+    rng, follows = np.random.default_rng(2), sojourns.kinds.follows
     span = float(max(2, sojourns.length[-1] - sojourns.length[0]))
-    for start in range(STARTS * sojourns.modes):
-        count = counts[start % len(counts)]
-        turns = rng.integers(1, sojourns.modes, size=count)
-        modes = np.cumsum(turns) % sojourns.modes
-        while modes[0] == modes[-1]:
-            modes[-1] = (modes[-2] + rng.integers(1, sojourns.modes)) % sojourns.modes
+    while number:
+        count = int(rng.integers(2, MOST_SOJOURNS + 1))
+        word = [int(rng.integers(len(follows)))]
+        while len(word) < count:
+            word.append(int(rng.choice(np.flatnonzero(follows[word[-1]]))))
+        if not follows[word[-1], word[0]]:
+            continue
+        number, kinds = number - 1, np.array(word)
         added = span ** rng.random(count)
         index = np.searchsorted(sojourns.length, sojourns.length[0] + added)
         index = index.clip(0, sojourns.length.size - 1)
-        yield Word(modes, index, float(sojourns.rates(modes, index[None])[0]))
+        yield Word(kinds, index, float(sojourns.rates(kinds, index[None])[0]))
 
 
 def _tight(cycles: list[Cycle], dwell: Dwell) -> list[Cycle]:

@@ -19,6 +19,10 @@ from jaxtyping import Float
 from deadtime.steps import snap
 from deadtime.switching import SwitchingSignal
 
+INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
+LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
+SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
+
 
 @dataclass(frozen=True)
 class Dwell:
@@ -28,10 +32,32 @@ class Dwell:
     most: float
 
     @classmethod
-    def of(cls, dwell_time: float, maximum_dwell: float | None, step: float) -> Dwell:
-        """From seconds; a ratio within 1e-9 of an integer is that integer."""
+    def of(
+        cls, dwell_time: float, maximum_dwell: float | None, step: float, tolerance: float = 0.0
+    ) -> Dwell:
+        """From seconds, and how wrong the clock may be; a ratio within 1e-9 of an integer is it."""
         longest = math.inf if maximum_dwell is None else snap(maximum_dwell / step)
-        return cls(snap(dwell_time / step), longest)
+        part = tolerance * INSIDE
+        return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))
+
+    @property
+    def late(self) -> tuple[float, bool]:
+        """How long after its sample a late switch falls, in periods, and whether it may be alone.
+
+        A sojourn that begins late and ends in time is shorter by that than its samples tell, one
+        that begins in time and ends late is longer. Where either is not allowed, all switches of a
+        cycle are late or none.
+
+        Examples
+        --------
+        >>> Dwell(2.0, math.inf).late, Dwell(1.9, math.inf).late
+        ((0.0009765625, False), (0.0009765625, True))
+        """
+        spare = math.ceil(self.least) - self.least
+        if math.isfinite(self.most):
+            spare = min(spare, self.most - math.floor(self.most))
+        late = min(LATE, 0.5 * spare)
+        return (late, True) if late >= SEEN else (LATE, False)
 
     def totals(self, count: int) -> tuple[int, int] | None:
         """The least and the largest whole length of `count` sojourns; None if there is none.
@@ -132,12 +158,22 @@ class Cycle:
                 return Cycle(self.modes[:size], self.gaps[:size], self.offset)
         return self
 
-    def turned(self) -> Cycle:
-        """The rotation that is the same for all rotations, for a cycle on the grid."""
-        turns = range(len(self.modes))
-        pairs = list(zip(self.modes, self.gaps, strict=True))
-        first = min(pairs[i:] + pairs[:i] for i in turns)
-        return Cycle(tuple(mode for mode, _ in first), tuple(gap for _, gap in first))
+    @classmethod
+    def on_grid(cls, sojourns: list[tuple[int, int, bool]], late: float) -> Cycle:
+        """From modes, lengths in samples, and whether each begins `late` after its sample.
+
+        All rotations give the same cycle.
+
+        Examples
+        --------
+        >>> Cycle.on_grid([(1, 3, False), (0, 2, True)], late=0.125)
+        Cycle(modes=(0, 1), gaps=(1.875, 3.125), offset=0.125)
+        """
+        first = min(sojourns[i:] + sojourns[:i] for i in range(len(sojourns)))
+        modes, lengths, after = zip(*first, strict=True)
+        begins = late * np.array(after)
+        gaps = np.array(lengths) + np.roll(begins, -1) - begins
+        return cls(modes, tuple(gaps.tolist()), float(begins[0])).reduced()
 
 
 def mode_cycles(modes: int, count: int) -> Iterator[tuple[int, ...]]:

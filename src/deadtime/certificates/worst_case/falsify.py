@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
@@ -17,7 +18,7 @@ from deadtime.feedback import Feedback
 from deadtime.laws import ExactPredictor, Law
 from deadtime.laws.base import TableLaw, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import LiftedLoop, aged_row
+from deadtime.spectrum import aged_row, constant_growth
 from deadtime.switching import SwitchingSignal
 
 
@@ -28,13 +29,15 @@ def falsify(
     step: float = 0.01,
     *,
     maximum_dwell: float | None = None,
+    clock_tolerance: float = CLOCK_TOLERANCE,
     budget: int = 80_000,
 ) -> WorstCase:
     """The worst admissible switching signal found for a digital loop, and its growth rate.
 
-    Admissible signals stay in every mode for at least the dwell time; constant ones are among
-    them. What is found is a fact: the loop grows (or decays) at that rate along that signal. That
-    no worse signal exists is not: `certify` is for that.
+    Admissible signals stay in every mode for at least the dwell time, as the controller's clock
+    measures it; constant ones are among them. Growth along the signal found is a fact where it
+    is proved (`WorstCase.proven`); where it cannot be, but some constant mode grows provably, that
+    is the answer. That no worse signal exists is not proved: `certify` is for that.
 
     Parameters
     ----------
@@ -47,7 +50,12 @@ def falsify(
     step : float
         Sampling period h, seconds.
     maximum_dwell : float, optional
-        The longest sojourn, seconds; no mode may then last for ever (but for a plant of one mode).
+        The longest sojourn, seconds; constant modes are not admissible then (but for a plant of
+        one mode).
+    clock_tolerance : float
+        How far the controller's clock may be off, relative, from 0 to 0.1: sojourns of
+        `dwell_time` (1 − tolerance) are admissible, and of `maximum_dwell` (1 + tolerance). So a
+        mode that begins just after a sample may end at the sample a dwell time later.
     budget : int
         How many cycles and beginnings of cycles may be looked at on the compressed loop, about.
 
@@ -60,14 +68,15 @@ def falsify(
     ------
     ArgumentError
         If the law and the plant do not belong together, the law is an oracle or no table, the
-        dwell time is below one period, or `maximum_dwell` leaves no periodic signal.
+        dwell time is below one period, `clock_tolerance` is out of range, or `maximum_dwell`
+        leaves no periodic signal.
 
     Notes
     -----
     Constant signals first, then cycles on the grid: branch and bound over words of sojourns on a
     compressed loop (`search`, `products`), the best evaluated on the loop itself by the spectral
     radius over a cycle (`loop`), then improved over switch instants off the grid (`instants`).
-    Deterministic. N = 100 takes 1 to 2 seconds on one core, N = 1,000 about 5.
+    Growth is proved afterwards (`proof`). Deterministic.
 
     Examples
     --------
@@ -75,14 +84,15 @@ def falsify(
     >>> problem = dt.problems.paper()
     >>> worst = falsify(problem.plant, problem.laws["averaged"], dwell_time=0.2, step=0.05)
     >>> worst.message
-    'The loop grows at +0.28 /s when mode 1 lasts for ever.'
+    'The loop grows at +0.28 /s when mode 1 is constant.'
     >>> worst.simulate(cycles=5).diverged
     False
     """
     feedback = _checked(plant, law, dwell_time, maximum_dwell, step)
     count("budget", budget)
+    tolerance = clock_tolerance_in_range(clock_tolerance, least=0.0)
     bounded = maximum_dwell is not None and plant.modes > 1
-    dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step)
+    dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step, tolerance)
     constants, loop = _constants(plant, feedback)
     found = [] if bounded else constants
     evaluated, upper = len(constants), None
@@ -92,8 +102,16 @@ def falsify(
         better, looked = improved(loop, dwell, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         found = [*found, *better]
-    cycle, growth = worst_of(found, loop)
-    return worst_case(loop, law, dwell_time, cycle, growth, evaluated, upper)
+    result = worst_case(loop, law, dwell_time, *worst_of(found, loop), evaluated, upper)
+    if result.proven or result.growth_rate <= 0.0:
+        return result
+    # Growth that is no fact gives way to that of a constant mode that is one.
+    constant = [rated for rated in found if rated[0].constant and rated[1].rate > 0.0]
+    for rated in sorted(constant, key=lambda rated: -rated[1].rate):
+        other = worst_case(loop, law, dwell_time, *rated, evaluated, upper)
+        if other.proven:
+            return other
+    return result
 
 
 def _checked(
@@ -128,10 +146,10 @@ def _checked(
 
 
 def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], SampledLoop]:
-    """Every mode for ever, and the loop weighted by about the largest of these rates."""
+    """The constant modes, and the loop weighted by about the largest of their rates."""
     step = feedback.step
     rates = [
-        LiftedLoop.of(plant, feedback, mode, aged_row(feedback, mode)).growth_rate(step)
+        constant_growth(plant, feedback, mode, aged_row(feedback, mode))
         for mode in range(plant.modes)
     ]
     longest = max(plant.delay, feedback.taps * step)

@@ -6,8 +6,7 @@ overflows nor underflows when w is near 1/(growth over a period):
     ũ_k = F x̃_k + Σ_j w^j G_j ũ_{k−j},
     x̃_{k+1} = w (Φ₁ (Φ₀ x̃_k + w^N Γ₀ ũ_{k−N}) + w^{N−1} Γ₁ ũ_{k−N+1}).
 
-A period begins with its sample. With `late` = 1 it begins right after it, and ends with the next
-one: the input of a sample is then the last of the past inputs, not the first of the new ones.
+A period begins with its sample.
 `index`, Φ, Γ are a phase table (`deadtime.exponential.phases`); row c of the law is F[c] and
 G[c] (m, taps·m), weighted, the oldest input first. This module needs Numba, so it is imported
 where it is used.
@@ -37,7 +36,7 @@ def _control(F, G, x, pipe, now):
 
 
 @njit(cache=True)
-def forward(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, x, inputs, states):
+def forward(index, Phi, Gamma, count, weight, F, G, rows, repeats, x, inputs, states):
     """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
 
     `states` (samples, n) gets x̃ at the end of every period.
@@ -50,9 +49,8 @@ def forward(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, x, inpu
     for k in range(repeats * cycle):
         step = k % cycle
         row, now = rows[step], past + k
-        if not late:
-            _control(F[row], G[row], x, pipe, now * m)
-        acts = now - count - late
+        _control(F[row], G[row], x, pipe, now * m)
+        acts = now - count
         e, f = index[step]
         for i in range(n):
             total = 0.0
@@ -71,18 +69,16 @@ def forward(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, x, inpu
                 total += Phi[f, i, j] * middle[j]
             x[i] = weight * total
             states[k, i] = x[i]
-        if late:
-            _control(F[row], G[row], x, pipe, now * m)
 
 
 @njit(cache=True)
-def after(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, held, z):
+def after(index, Phi, Gamma, count, weight, F, G, rows, repeats, held, z):
     """The lifted state z = (x, the `held` last inputs, the oldest first) after some cycles."""
     n, m, samples = F.shape[2], F.shape[1], repeats * rows.size
     x, result = z[:n].copy(), np.empty(z.size)
     inputs, states = np.empty((held + samples, m)), np.empty((samples, n))
     inputs[:held] = z[n:].copy().reshape(held, m)
-    forward(index, Phi, Gamma, count, weight, F, G, rows, late, repeats, x, inputs, states)
+    forward(index, Phi, Gamma, count, weight, F, G, rows, repeats, x, inputs, states)
     result[:n] = x
     result[n:] = inputs[samples:].reshape(-1)
     return result
@@ -101,7 +97,7 @@ def _felt(F, G, p, pipe, now):
 
 
 @njit(cache=True)
-def transposed(index, Phi, Gamma, count, weight, F, G, rows, late, p, inputs):
+def transposed(index, Phi, Gamma, count, weight, F, G, rows, p, inputs):
     """Carry a functional of the lifted state back over one cycle, in place.
 
     It is (p, the last W rows of `inputs` (W + samples, m)) at the end, and (p, the first W) at
@@ -114,9 +110,7 @@ def transposed(index, Phi, Gamma, count, weight, F, G, rows, late, p, inputs):
     middle = np.empty(n)
     for k in range(cycle - 1, -1, -1):
         row, now = rows[k], past + k
-        if late:
-            _felt(F[row], G[row], p, pipe, now * m)
-        acts = now - count - late
+        acts = now - count
         e, f = index[k]
         for j in range(m):
             for i in range(n):
@@ -132,5 +126,4 @@ def transposed(index, Phi, Gamma, count, weight, F, G, rows, late, p, inputs):
             p[j] = 0.0
             for i in range(n):
                 p[j] += Phi[e, i, j] * middle[i]
-        if not late:
-            _felt(F[row], G[row], p, pipe, now * m)
+        _felt(F[row], G[row], p, pipe, now * m)

@@ -58,9 +58,6 @@ class SampledLoop:
         The table's taps, weighted, the oldest input first.
     shift : float
         1/s; a rate near those that are sought, so that numbers stay near 1.
-    late : int
-        1 to begin a period right after its sample: cycles on this grid are those whose switches
-        all fall just after a sample, so that the law sees them a period late. Else 0.
     """
 
     plant: SwitchedSystem
@@ -68,7 +65,6 @@ class SampledLoop:
     window: Window
     G: Float[np.ndarray, "context m window"]
     shift: float
-    late: int = 0
 
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, shift: float) -> SampledLoop:
@@ -87,7 +83,7 @@ class SampledLoop:
     @property
     def held(self) -> int:
         """W, the number of past inputs in ζ."""
-        return max(self.window.count + self.late, self.feedback.taps)
+        return max(self.window.count, self.feedback.taps)
 
     @property
     def order(self) -> int:
@@ -95,7 +91,7 @@ class SampledLoop:
         return self.plant.states + self.held * self.plant.inputs
 
     def table(self, cycle: Cycle) -> Table:
-        """The periods of a cycle that has been going on for ever."""
+        """The periods of a cycle that has been going on without a beginning."""
         step, feedback = self.window.step, self.feedback
         signal, periods = cycle.signal(step), cycle.periods
         phases = PhaseTable.of(self.plant, self.window, Cuts.of(signal, self.window), periods)
@@ -138,7 +134,7 @@ class SampledLoop:
         window = self.window
         return (
             phases.index, phases.Phi, phases.Gamma, window.count, self.weight, F, self.G,
-            table.rows, self.late,
+            table.rows,
         )  # fmt: skip
 
     def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:

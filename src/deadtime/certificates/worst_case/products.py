@@ -8,8 +8,8 @@ set Y, too. With Yᵀ X = P S Qᵀ (singular values) the oblique projection
 
 keeps what is both reached and felt (an empirical form of balanced truncation; Moore, IEEE TAC
 26, 1981). The sojourn of k samples in mode i becomes U M_i(k) V. On the paper's example,
-N = 20 to 1,000, 16 dimensions give growth rates to about 1e-4 1/s, 5e-3 at worst. They rank
-cycles; none is trusted.
+N = 20 to 1,000, 16 dimensions give growth rates to about 1e-4 1/s, 5e-3 at worst, 2e-2 where
+some switches are seen late and others not. They rank cycles; none is trusted.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import SampledLoop, Table
 
 RANK = 16
@@ -37,58 +38,61 @@ class Sojourns:
     ----------
     length : (lengths,)
         Their lengths in samples, rising.
-    matrix : (modes, lengths, rank, rank)
+    matrix : (kinds, lengths, rank, rank)
         Scaled to unit norm.
-    log : (modes, lengths)
+    log : (kinds, lengths)
         The logarithm of what was divided by.
+    kinds : Kinds
+        Of which mode each sojourn is, and what may follow what.
     """
 
     length: Int[np.ndarray, " length"]
-    matrix: Float[np.ndarray, "mode length rank rank"]
-    log: Float[np.ndarray, "mode length"]
-
-    @property
-    def modes(self) -> int:
-        """Number of modes."""
-        return self.matrix.shape[0]
+    matrix: Float[np.ndarray, "kind length rank rank"]
+    log: Float[np.ndarray, "kind length"]
+    kinds: Kinds
 
     def rates(
-        self, modes: Int[np.ndarray, " sojourn"], index: Int[np.ndarray, "cycle sojourn"]
+        self, word: Int[np.ndarray, " sojourn"], index: Int[np.ndarray, "cycle sojourn"]
     ) -> Float[np.ndarray, " cycle"]:
-        """The growth per sample of cycles of these modes, by the indices of their lengths."""
-        product = self.matrix[modes[0], index[:, 0]]
-        for i, k in zip(modes[1:], index.T[1:], strict=True):
+        """The growth per sample of cycles of these kinds, by the indices of their lengths."""
+        product = self.matrix[word[0], index[:, 0]]
+        for i, k in zip(word[1:], index.T[1:], strict=True):
             product = self.matrix[i, k] @ product
         radius = np.abs(np.linalg.eigvals(product)).max(axis=1)
         with np.errstate(divide="ignore"):
-            logs = np.log(radius) + self.log[modes, index].sum(axis=1)
+            logs = np.log(radius) + self.log[word, index].sum(axis=1)
         return logs / self.length[index].sum(axis=1)
 
 
-def compressed(loop: SampledLoop, lengths: Int[np.ndarray, " length"]) -> Sojourns:
-    """All modes' sojourns of these lengths, in samples."""
+def compressed(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kinds) -> Sojourns:
+    """The sojourns of all kinds and these lengths, in samples."""
     n, m, W = loop.plant.states, loop.plant.inputs, loop.held
     longest = int(lengths[-1])
-    tables = [entered(loop, mode, longest) for mode in range(loop.plant.modes)]
-    V, U = _projection(loop, tables, lengths)
+    entries = zip(kinds.mode.tolist(), kinds.before.tolist(), strict=True)
+    tables = [_entered(loop, i, p, int(lengths[0]), longest) for i, p in entries]
+    V, U = _projection(loop, tables, lengths, kinds)
     rank = V.shape[1]
     matrix = np.empty((len(tables), lengths.size, rank, rank))
-    for mode, table in enumerate(tables):
+    for kind, table in enumerate(tables):
         for column in range(rank):
             states, inputs = loop.run(table, 1, V[:, column])
             pipe = np.lib.stride_tricks.sliding_window_view(inputs.ravel(), W * m)[::m]
             reached = states[lengths - 1] @ U[:, :n].T + pipe[lengths] @ U[:, n:].T
-            matrix[mode, :, :, column] = reached
+            matrix[kind, :, :, column] = reached
     size = np.sqrt((matrix**2).sum(axis=(2, 3)))
     with np.errstate(divide="ignore"):
         log = np.log(size)
-    return Sojourns(lengths, matrix / np.maximum(size, 1e-300)[:, :, None, None], log)
+    return Sojourns(lengths, matrix / np.maximum(size, 1e-300)[:, :, None, None], log, kinds)
 
 
-def entered(loop: SampledLoop, mode: int, periods: int) -> Table:
-    """The periods of a mode that has just been entered, at a sample."""
+def _entered(loop: SampledLoop, mode: int, before: int, shortest: int, periods: int) -> Table:
+    """The periods of a mode that has just been entered; see `Kinds` for `before`."""
     phases = loop.table(Cycle((mode,), (float(periods),))).phases
-    return Table(phases, loop.feedback.rows(np.full(periods, mode)))
+    rows = loop.feedback.rows(np.full(periods, mode))
+    if before >= 0:
+        old = loop.feedback.rows(np.full(shortest + 1, before))[-1:]
+        rows = np.concatenate((old, rows[:-1]))
+    return Table(phases, rows)
 
 
 def _first(table: Table, periods: int) -> Table:
@@ -100,15 +104,15 @@ def _first(table: Table, periods: int) -> Table:
 
 
 def _projection(
-    loop: SampledLoop, tables: list[Table], lengths: np.ndarray
+    loop: SampledLoop, tables: list[Table], lengths: np.ndarray, kinds: Kinds
 ) -> tuple[np.ndarray, np.ndarray]:
     """V (order, rank) and U (rank, order)."""
     order = loop.order
     if order <= RANK:
         return np.eye(order), np.eye(order)
     rng = np.random.default_rng(1)
-    X = _snapshots(loop, tables, lengths, rng, back=False)
-    Y = _snapshots(loop, tables, lengths, rng, back=True)
+    X = _snapshots(loop, tables, lengths, kinds, rng, back=False)
+    Y = _snapshots(loop, tables, lengths, kinds, rng, back=True)
     P, S, Qt = np.linalg.svd(Y.T @ X)
     rank = max(1, min(RANK, int(np.count_nonzero(S / S[0] > SMALLEST))))
     root = np.sqrt(S[:rank])
@@ -119,18 +123,20 @@ def _snapshots(
     loop: SampledLoop,
     tables: list[Table],
     lengths: np.ndarray,
+    kinds: Kinds,
     rng: np.random.Generator,
     back: bool,
 ) -> np.ndarray:
     """Lifted states (or functionals) at the switches of random runs, scaled, one a column."""
-    found, W, modes = [], loop.held, len(tables)
+    found, W = [], loop.held
+    follows = kinds.follows.T if back else kinds.follows
     for _ in range(RUNS):
         z = rng.normal(size=loop.order)
-        mode, time = int(rng.integers(modes)), 0
+        kind, time = int(rng.integers(len(tables))), 0
         while True:
             wanted = lengths[0] + rng.exponential(W) * rng.integers(2)
             k = int(lengths[min(np.searchsorted(lengths, wanted), lengths.size - 1)])
-            part = _first(tables[mode], k)
+            part = _first(tables[kind], k)
             z = loop.before(part, z) if back else loop.after(part, 1, z)
             size = float(np.abs(z).max())
             if not 0.0 < size < math.inf:
@@ -140,8 +146,8 @@ def _snapshots(
                 found.append(z / np.linalg.norm(z))
             if time > DELAYS * W:
                 break
-            if modes > 1:
-                mode = (mode + int(rng.integers(1, modes))) % modes
+            if len(tables) > 1:
+                kind = int(rng.choice(np.flatnonzero(follows[kind])))
     if not found:
         return np.eye(loop.order)[:, :1]
     return np.array(found).T

@@ -1,7 +1,7 @@
 """Branch and bound over words of sojourns, on the compressed loop.
 
-A word is a sequence of (mode, length); words are grown by a sojourn at a time. With A_w the
-product of a word's matrices, T_w its length and |·| a norm,
+A word is a sequence of (kind of sojourn, length); words are grown by a sojourn at a time. With A_w
+the product of a word's matrices, T_w its length and |·| a norm,
 
     β(w) = min over prefixes p of w of ln|A_p| / T_p
 
@@ -55,7 +55,7 @@ class Found:
 class _Level:
     """All words of one number of sojourns that have children."""
 
-    modes: Int[np.ndarray, "word sojourn"]
+    kinds: Int[np.ndarray, "word sojourn"]
     index: Int[np.ndarray, "word sojourn"]
     product: Float[np.ndarray, "word rank rank"]
     log: Float[np.ndarray, " word"]
@@ -78,27 +78,28 @@ class _Search:
     def first(self) -> _Level:
         """The words of one sojourn."""
         S, letters = self.sojourns, self.letters
-        modes = np.repeat(np.arange(S.modes), letters.size)[:, None]
-        index = np.tile(letters, S.modes)[:, None]
-        product, log = S.matrix[modes[:, 0], index[:, 0]], S.log[modes[:, 0], index[:, 0]]
+        count = S.matrix.shape[0]
+        kinds = np.repeat(np.arange(count), letters.size)[:, None]
+        index = np.tile(letters, count)[:, None]
+        product, log = S.matrix[kinds[:, 0], index[:, 0]], S.log[kinds[:, 0], index[:, 0]]
         time = S.length[index[:, 0]].astype(float)
-        return _Level(modes, index, product, log, time, (log + _excess(product)) / time)
+        return _Level(kinds, index, product, log, time, (log + _excess(product)) / time)
 
     def grown(self, level: _Level) -> _Level:
         """All words with one more sojourn."""
         S, parts = self.sojourns, []
-        for mode in range(S.modes):
-            parents = np.flatnonzero(level.modes[:, -1] != mode)
+        for kind in range(S.matrix.shape[0]):
+            parents = np.flatnonzero(S.kinds.follows[level.kinds[:, -1], kind])
             count, letters = parents.size, self.letters.size
-            product = S.matrix[mode, self.letters][None] @ level.product[parents][:, None]
+            product = S.matrix[kind, self.letters][None] @ level.product[parents][:, None]
             product, size = _scaled(product)
-            log = size + level.log[parents][:, None] + S.log[mode, self.letters]
+            log = size + level.log[parents][:, None] + S.log[kind, self.letters]
             time = level.time[parents][:, None] + S.length[self.letters]
             bound = np.minimum(level.bound[parents][:, None], (log + _excess(product)) / time)
-            modes = np.full((count * letters, 1), mode)
+            kinds = np.full((count * letters, 1), kind)
             index = np.tile(self.letters, count)[:, None]
             parts.append((
-                np.hstack((np.repeat(level.modes[parents], letters, axis=0), modes)),
+                np.hstack((np.repeat(level.kinds[parents], letters, axis=0), kinds)),
                 np.hstack((np.repeat(level.index[parents], letters, axis=0), index)),
                 product.reshape(count * letters, *product.shape[2:]),
                 log.ravel(), time.ravel(), bound.ravel(),
@@ -107,7 +108,7 @@ class _Search:
 
     def close(self, level: _Level) -> None:
         """Note the growth of the words that are cycles."""
-        cyclic = level.modes[:, 0] != level.modes[:, -1]
+        cyclic = self.sojourns.kinds.follows[level.kinds[:, -1], level.kinds[:, 0]]
         level = level.only(cyclic & (level.bound > self.best - self.tolerance))
         if not level.time.size:
             return
@@ -120,10 +121,10 @@ class _Search:
         with np.errstate(divide="ignore"):
             rates = (np.log(radius) + level.log[likely]) / level.time[likely]
         words = [
-            Word(level.modes[w], level.index[w], float(rate))
+            Word(level.kinds[w], level.index[w], float(rate))
             for w, rate in zip(likely, rates, strict=True)
         ]
-        self.cycles[level.modes.shape[1]] = words
+        self.cycles[level.kinds.shape[1]] = words
         self.best = max(self.best, float(rates.max()))
 
 
@@ -141,7 +142,7 @@ def branch_and_bound(
     """
     search = _Search(_adapted(sojourns, letters, floor), letters, tolerance, floor)
     level, evaluated, complete = search.first(), 0, True
-    while level.modes.shape[1] < LONGEST:
+    while level.kinds.shape[1] < LONGEST:
         level = search.grown(level)
         evaluated += level.time.size
         search.close(level)
@@ -158,9 +159,9 @@ def branch_and_bound(
 
 
 def _promising(level: _Level) -> np.ndarray:
-    """The words of largest bound, as many from each beginning of modes as there are."""
+    """The words of largest bound, as many from each beginning as there are."""
     order = np.argsort(-level.bound, kind="stable")
-    _, group = np.unique(level.modes[order, :BEGINNING], axis=0, return_inverse=True)
+    _, group = np.unique(level.kinds[order, :BEGINNING], axis=0, return_inverse=True)
     group = group.ravel()
     place = np.empty(order.size, np.int64)
     for one in range(int(group.max()) + 1):
@@ -183,7 +184,7 @@ def _adapted(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
         P += 1e-9 * np.eye(rank)
     L = np.linalg.cholesky(P).T
     matrix, size = _scaled(L @ sojourns.matrix @ np.linalg.inv(L))
-    return Sojourns(sojourns.length, matrix, sojourns.log + size)
+    return Sojourns(sojourns.length, matrix, sojourns.log + size, sojourns.kinds)
 
 
 def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.checks import count
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
@@ -28,11 +29,16 @@ class WorstCase:
     Attributes
     ----------
     signal : SwitchingSignal
-        From time 0, several cycles long; constant, without end, where one mode for ever is worst.
+        From time 0, several cycles long; constant, without end, where a constant mode is worst.
     growth_rate : float
-        1/s, of the loop along the signal repeated for ever; positive for a loop that is unstable.
+        1/s, of the loop along the signal repeated without end, as computed in floating point.
+    proven : bool
+        Whether it is proved, in ball arithmetic, that the loop grows: that it is not stable.
+    proof : GrowthProof
+        `.rate`, the growth that is proved, 1/s, and where nothing is, `.reason`.
     modes : tuple of int, sojourns : tuple of float
         The cycle: the modes in turn and how long each lasts, seconds; one mode and inf if constant.
+        A sojourn may be below the dwell time by as much as the clock's tolerance allows.
     x0 : (n,), u0 : (m, W)
         State at time 0 and inputs before it, held samples, the oldest first, along the direction
         that grows; as `simulate` takes them. Where that direction turns, x0 and u0 are its real
@@ -56,11 +62,17 @@ class WorstCase:
     message: str
     evaluated: int
     upper_estimate: float | None
+    proof: GrowthProof
     plant: SwitchedSystem = field(repr=False)
     law: Law = field(repr=False)
     dwell_time: float = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
+
+    @property
+    def proven(self) -> bool:
+        """Whether it is proved that the loop grows."""
+        return self.proof.proven
 
     @property
     def phase(self) -> float:
@@ -104,13 +116,15 @@ def worst_case(
         signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
         sojourns = (math.inf,)
     else:
-        times = max(CYCLES, math.ceil(DELAYS * plant.delay / (cycle.periods * step)))
-        signal = repeated(cycle, times, dwell_time, step)
-        sojourns = tuple(max(gap * step, dwell_time) for gap in cycle.gaps)
+        number = max(CYCLES, math.ceil(DELAYS * plant.delay / (cycle.periods * step)))
+        signal = repeated(cycle, number, dwell_time, step)
+        missing = [dwell_time - gap * step for gap in cycle.gaps]
+        sojourns = tuple(dwell_time if 0.0 < t < SLACK * step else dwell_time - t for t in missing)
     modes, sojourns = _pattern(cycle.modes, sojourns)
-    message = _message(growth.rate, modes, sojourns, cycle.offset * step)
+    proof = prove(loop, cycle, growth.rate)
+    message = _message(growth.rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
     return WorstCase(
-        signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate,
+        signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
         plant, law, dwell_time, step, cycle,
     )  # fmt: skip
 
@@ -136,7 +150,7 @@ def _pattern(
 
 
 def repeated(cycle: Cycle, cycles: int, dwell_time: float, step: float) -> SwitchingSignal:
-    """The cycle over and over, no sojourn shorter than `dwell_time` by round-off."""
+    """The cycle over and over, no sojourn shorter than `dwell_time` by round-off, seconds."""
     starts = cycle.periods * np.arange(cycles)[:, None]
     times = ((starts + cycle.instants()) * step).ravel()
     modes, age = np.tile(cycle.modes, cycles), 0.0
@@ -167,17 +181,30 @@ def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarr
     return x0, u0
 
 
-def _message(rate: float, modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float) -> str:
+def _how(
+    modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float, dwell_time: float
+) -> str:
+    """The signal in words; a sojourn below the dwell time with all the digits that show it."""
     if len(modes) == 1:
-        how = f"mode {modes[0]} lasts for ever"
-    else:
-        parts = [f"mode {i} for {s:.4g} s" for i, s in zip(modes, sojourns, strict=True)]
-        how = ", ".join(parts[:-1]) + f" and {parts[-1]} "
-        how += "alternate" if len(modes) == 2 else "follow each other"
-        after = f"{phase:.3g} s after a sample" if phase > 0.0 else "at a sample"
-        how += f", mode {modes[0]} beginning {after}"
-    if rate > 0.0:
+        return f"mode {modes[0]} is constant"
+    parts = [
+        f"mode {i} for {s:{'.10g' if s < dwell_time else '.4g'}} s"
+        for i, s in zip(modes, sojourns, strict=True)
+    ]
+    how = ", ".join(parts[:-1]) + f" and {parts[-1]} "
+    how += "alternate" if len(modes) == 2 else "follow each other"
+    after = f"{phase:.3g} s after a sample" if phase > 0.0 else "at a sample"
+    return f"{how}, mode {modes[0]} beginning {after}"
+
+
+def _message(rate: float, proof: GrowthProof, how: str) -> str:
+    if proof.proven:
         return f"The loop grows at +{rate:.3g} /s when {how}."
+    if rate > 0.0:
+        return (
+            f"Growth of +{rate:.3g} /s was computed when {how}, but it could not be proved: "
+            f"{proof.reason}."
+        )
     if rate == 0.0:
         return f"No admissible signal was found that grows; the loop keeps its size when {how}."
     none = "No admissible signal was found that grows"

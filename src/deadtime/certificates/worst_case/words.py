@@ -11,16 +11,16 @@ from jaxtyping import Int
 from deadtime.certificates.worst_case.products import Sojourns
 
 KEPT = 5  # cycles of each number of sojourns that are improved,
-ALIKE = 3  # and of them with the same modes in turn
+ALIKE = 3  # and of them with the same kinds in turn
 NEAR = 20  # part of the range of lengths within which cycles count as the same
 MOST_CLIMBED = 600  # cycles looked at to improve one
 
 
 @dataclass(frozen=True, eq=False)
 class Word:
-    """A cycle on the grid: modes, indices of their lengths, and its growth per sample."""
+    """A cycle on the grid: kinds, indices of their lengths, and its growth per sample."""
 
-    modes: Int[np.ndarray, " sojourn"]
+    kinds: Int[np.ndarray, " sojourn"]
     index: Int[np.ndarray, " sojourn"]
     rate: float
 
@@ -32,11 +32,11 @@ def distinct(words: list[Word], sojourns: Sojourns) -> list[Word]:
     for word in sorted(words, key=lambda word: -word.rate):
         if not math.isfinite(word.rate):
             continue
-        turns = [(np.roll(word.modes, i), np.roll(word.index, i)) for i in range(word.modes.size)]
+        turns = [(np.roll(word.kinds, i), np.roll(word.index, i)) for i in range(word.kinds.size)]
         alike = [
             min(np.abs(index - other.index).max() for index in same)
             for other in kept
-            if (same := [index for modes, index in turns if np.array_equal(modes, other.modes)])
+            if (same := [index for kinds, index in turns if np.array_equal(kinds, other.kinds)])
         ]
         if len(alike) < ALIKE and min(alike, default=np.inf) > near:
             kept.append(word)
@@ -58,11 +58,11 @@ def climbed(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
     reach = max(1, sojourns.length.size // 8)
     while reach and evaluated < MOST_CLIMBED:
         trials = np.clip(index + reach * moves, 0, top)
-        rates = sojourns.rates(word.modes, trials)
+        rates = sojourns.rates(word.kinds, trials)
         evaluated += len(trials)
         best = int(np.argmax(rates))
         if rates[best] > rate + 1e-12:
             index, rate = trials[best], float(rates[best])
         else:
             reach //= 2
-    return Word(word.modes, index, rate), evaluated
+    return Word(word.kinds, index, rate), evaluated

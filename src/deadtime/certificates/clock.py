@@ -1,0 +1,20 @@
+"""The tolerance of the clock that sojourns are measured with, relative to the controller's."""
+
+from __future__ import annotations
+
+from deadtime.checks import number
+from deadtime.errors import ArgumentError
+
+CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator round
+LEAST, MOST = 1e-8, 0.1  # the simulator moves switches within 1e-9 periods of a sample onto it
+
+
+def clock_tolerance_in_range(value: object, least: float = LEAST) -> float:
+    """A tolerance that a proof can cover; of a search alone `least` may be 0."""
+    tolerance = number("clock_tolerance", value)
+    if not least <= tolerance <= MOST:
+        raise ArgumentError(
+            f"clock_tolerance must be a part from {least:g} to {MOST:g}, got {tolerance:g}: by how "
+            "much the clock that the dwell time is measured with may differ from the controller's."
+        )
+    return tolerance

@@ -1,0 +1,66 @@
+"""Linear functions that are to be positive semidefinite, as Clarabel takes them.
+
+Symmetric matrices are packed: the upper half by columns, what is off the diagonal times √2 where
+the solver sees it. Clarabel is called directly.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
+    columns, rows = np.tril_indices(size)
+    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
+
+
+def squares(left: np.ndarray) -> np.ndarray:
+    """left* E left for every basis matrix E of a packed symmetric matrix: (entries, k, k)."""
+    rows, columns, _ = packing(len(left))
+    product = left[rows][:, :, None].conj() * left[columns][:, None, :]
+    both = product + product.conj().transpose(0, 2, 1)
+    return np.where((rows == columns)[:, None, None], product, both)
+
+
+def packed(M: np.ndarray) -> np.ndarray:
+    """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
+    rows, columns, factors = packing(M.shape[1])
+    return (M[:, rows, columns] * factors).T
+
+
+def unpacked(entries: np.ndarray, size: int) -> np.ndarray:
+    """The symmetric matrix of its packed entries."""
+    rows, columns, _ = packing(size)
+    result = np.zeros((size, size))
+    result[rows, columns] = result[columns, rows] = entries
+    return result
+
+
+def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] | None:
+    """Maximise the last unknown subject to b − A x in the cones; None if that fails.
+
+    A is an array or a sparse matrix.
+    """
+    import clarabel
+    from scipy.sparse import csc_matrix
+
+    solver: Any = clarabel
+
+    unknowns = A.shape[1]
+    cost = np.zeros(unknowns)
+    cost[-1] = -1.0
+    settings = solver.DefaultSettings()
+    settings.verbose = False
+    cones = [solver.PSDTriangleConeT(size) for size in sizes]
+    nothing = csc_matrix((unknowns, unknowns))
+    try:
+        solution = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings).solve()
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException:  # a panic in compiled code is no Exception
+        return None
+    x = np.array(solution.x)
+    return (x, str(solution.status)) if np.isfinite(x).all() else None

@@ -1,0 +1,90 @@
+"""Stretches of periods as matrices in floats, for the search: what happens from node to node.
+
+`proof.transitions.Stretch` says what a stretch is. Here its matrix is a product of those of its
+periods, taken at a few instants of the switch; the proof covers the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadtime.certificates.dwell.centre import loop_matrix
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.transitions import Stretch, Transition
+
+Node = tuple[int, int]  # (mode, which knot)
+
+
+@dataclass(frozen=True, eq=False)
+class Leap:
+    """A stretch at one instant of its switch: ξ after it is M ξ."""
+
+    stretch: Stretch
+    M: np.ndarray
+
+    @property
+    def here(self) -> Node:
+        """The node it starts from."""
+        return self.stretch.step.mode, self.stretch.knot
+
+    @property
+    def there(self) -> Node:
+        """The node it ends at."""
+        return self.stretch.step.after, self.stretch.next_knot
+
+    def scaled(self, rho: float, units: np.ndarray) -> np.ndarray:
+        """M in other units of ξ, divided by ρ to the number of periods."""
+        return units[:, None] * self.M / units * rho**-self.stretch.periods
+
+
+class Leaps:
+    """Makes leaps of one setting; products of full steps are kept."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+        self.known: dict[tuple[int, int, int], np.ndarray] = {}
+
+    def of(self, stretch: Stretch, instants: tuple[float, ...] | None = None) -> list[Leap]:
+        """Leaps at fractions of the period at which it switches; by default at both ends."""
+        step = stretch.step
+        before = self.full(step.mode, step.age - stretch.waits, step.age)
+        after = self.full(step.after, 0, stretch.follows)
+        steps = plant_rows(self.setting, step, instants or step.instants)
+        periods = [loop_matrix(self.setting, E, step.row) for E in steps]
+        return [Leap(stretch, after @ M @ before) for M in periods]
+
+    def full(self, mode: int, start: int, end: int) -> np.ndarray:
+        """The product of the full steps from one age to another, by halves."""
+        key = mode, start, end
+        if key not in self.known:
+            if end == start:
+                product = np.eye(self.setting.order)
+            elif end == start + 1:
+                product = self._full_step(mode, start)
+            else:
+                middle = (start + end) // 2
+                product = self.full(mode, middle, end) @ self.full(mode, start, middle)
+            self.known[key] = product
+        return self.known[key]
+
+    def _full_step(self, mode: int, age: int) -> np.ndarray:
+        row = self.setting.transitions.row(mode, age)
+        E = plant_rows(self.setting, Transition(mode, age, row, mode, age + 1), (0.0,))[0]
+        return loop_matrix(self.setting, E, row)
+
+
+def plant_rows(setting: Setting, step: Transition, instants: tuple[float, ...]) -> np.ndarray:
+    """E (samples, n, k) of a step that switches at these fractions of the period.
+
+    At all corners of the polytope, and at both ends of a range of delays.
+    """
+    family, found = setting.family, []
+    for instant in sorted(set(instants)):
+        for order in family.orders(step.mode, step.after):
+            share = family.shares(order, (instant, instant))
+            if share is not None:
+                found.append(family.corners(order, np.array([0.5 * sum(share)])))
+                break
+    return np.concatenate(found)

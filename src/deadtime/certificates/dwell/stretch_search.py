@@ -1,0 +1,184 @@
+"""The search for evidence along stretches: matrices, program, directions, check.
+
+The nodes are few: the first age at which a mode may be left and the last that is told apart, two
+between them where the order is small. Where steps are not known (a range of delays, a polytope
+of plants) no stretch has one matrix, so every age is a node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadtime.certificates.dwell.frame import WHOLE, balanced, functionals, metric
+from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
+from deadtime.certificates.dwell.shape import Shape
+from deadtime.certificates.dwell.stretch_program import ADDED, Looked, left, solve
+from deadtime.certificates.proof import Check, StretchEvidence, check
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.transitions import Transition
+
+LEAST_MARGIN = 1e-9
+ROUNDS = 6  # of adding directions
+REPAIRS = 4  # of adding instants where a proof failed
+ENOUGH = 0.05  # of the margin: what must be left in all directions
+PIECES = 3  # between the first and the last age, where the order is small
+AT_FIRST = 6  # ages per pair of modes and node that the program starts from
+WORST = 12  # leaps added in a round
+MOST_WORK = 4e8  # leaps times order³
+MOST_UNKNOWNS = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """The leaps of a setting at one ρ that the program has to look at, in units ζ = frame ξ."""
+
+    shape: Shape
+    leaps: list[tuple[Node, Node, np.ndarray]]
+    frame: np.ndarray
+
+    def look(self, k: int) -> Looked:
+        """The leap k as the program looks at it first."""
+        here, there, M = self.leaps[k]
+        return Looked.at(here, there, M, self.shape)
+
+
+def knots_of(setting: Setting) -> tuple[int, ...]:
+    """The ages of the nodes."""
+    graph = setting.transitions
+    if _unknown(setting):
+        return tuple(range(graph.last + 1))
+    pieces = PIECES if setting.order <= WHOLE else 1
+    marks = np.linspace(graph.first, graph.last, pieces + 1).round().astype(int)
+    return tuple(sorted({int(mark) for mark in marks}))
+
+
+class StretchSearch:
+    """Looks for V at nodes in one setting; instants that a proof asked for are kept."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting, self.knots = setting, knots_of(setting)
+        self.leaps = Leaps(setting)
+        self.stretches = setting.transitions.stretches(self.knots)
+        self.known: list[Leap] = [leap for one in self.stretches for leap in self.leaps.of(one)]
+        self.added: set[tuple[Transition, float]] = set()
+
+    @staticmethod
+    def suits(setting: Setting) -> bool:
+        """Whether there are stretches, and not too much of them."""
+        graph = setting.transitions
+        if graph.bucket is not None or graph.modes == 1:
+            return False
+        d, modes = setting.order, graph.modes
+        if d > WHOLE and (_unknown(setting) or 2 * (graph.first + 1) < setting.held):
+            return False  # over two stretches the delay line is not yet emptied
+        entries = min(d, WHOLE) * (min(d, WHOLE) + 1) // 2 + 1
+        if modes * len(knots_of(setting)) * entries > MOST_UNKNOWNS:
+            return False
+        leaps = 2 * modes * (modes - 1) * (graph.last - graph.first + 1)
+        return leaps * max(d, 8) ** 3 <= MOST_WORK
+
+    def propose(self, rho: float) -> StretchEvidence | None:
+        """V at the nodes with a margin at all leaps known, or None."""
+        loops = self._loops(rho)
+        if loops is None:
+            return None
+        looked = self._to_begin_with(loops)
+        for _ in range(ROUNDS):
+            answer = solve(loops.shape, list(looked.values()))
+            if answer is None or answer[0] < LEAST_MARGIN:
+                return None
+            margin, V = answer[0], loops.shape.values(answer[1])
+            wanting = self._wanting(loops, V, margin, looked)
+            if not wanting:
+                return self._evidence(loops, V, rho)
+        return None
+
+    def prove(self, proposal: StretchEvidence) -> tuple[StretchEvidence | None, Check]:
+        """The proposal or a better one, and what the check says; instants that fail are added."""
+        outcome = check(proposal)
+        for _ in range(REPAIRS):
+            if outcome.proven or outcome.failed is None or not self._add(*outcome.failed):
+                break
+            again = self.propose(proposal.rho)
+            if again is None:
+                return None, outcome
+            proposal = again
+            outcome = check(proposal)
+        return proposal, outcome
+
+    def _loops(self, rho: float) -> Loops | None:
+        """The leaps at one ρ; None where a constant mode grows."""
+        graph = self.setting.transitions
+        periods = [self.leaps.full(i, graph.last, graph.last + 1) for i in range(graph.modes)]
+        units = balanced(periods)
+        found = [(leap.here, leap.there, leap.scaled(rho, units)) for leap in self.known]
+        lasting = [M for here, there, M in found if here == there]
+        T = metric(lasting, found)
+        back = np.linalg.inv(T)
+        found = [(here, there, T @ M @ back) for here, there, M in found]
+        staying = [one for one in found if one[0][0] == one[1][0]]
+        moving = [one for one in found if one[0][0] != one[1][0]]
+        H = functionals(moving, len(T))
+        nodes = tuple((i, k) for i in range(graph.modes) for k in range(len(self.knots)))
+        if _unknown(self.setting):
+            shape, moving = Shape.of(H, {}, {}, nodes), found
+        else:
+            loops = {here: M for here, there, M in staying if here == there}
+            links = {here: M for here, there, M in staying if here != there}
+            shape = Shape.of(H, loops, links, nodes)
+        return None if shape is None else Loops(shape, moving, T * units)
+
+    def _to_begin_with(self, loops: Loops) -> dict[int, Looked]:
+        """A few leaps of every pair of nodes, over all ages."""
+        groups: dict[tuple[Node, Node], list[int]] = {}
+        for k, (here, there, _) in enumerate(loops.leaps):
+            groups.setdefault((here, there), []).append(k)
+        chosen = [
+            group[k]
+            for group in groups.values()
+            for k in np.unique(np.linspace(0, len(group) - 1, AT_FIRST).round().astype(int))
+        ]
+        return {k: loops.look(k) for k in chosen}
+
+    def _wanting(
+        self, loops: Loops, V: dict[Node, np.ndarray], margin: float, looked: dict[int, Looked]
+    ) -> bool:
+        """Whether leaps lack a part of the margin; the worst are looked at more closely."""
+        low = []
+        for k, (here, there, M) in enumerate(loops.leaps):
+            values, vectors = np.linalg.eigh(left(V, here, there, M))
+            if values[0] < ENOUGH * margin:
+                low.append((float(values[0]), k, vectors[:, :ADDED][:, values[:ADDED] < margin]))
+        fresh = 0
+        for _, k, vectors in sorted(low, key=lambda item: item[:2]):
+            if k not in looked and fresh < WORST:
+                looked[k] = loops.look(k)
+                fresh += 1
+            if k in looked:
+                looked[k].widen(vectors)
+        return bool(low)
+
+    def _evidence(self, loops: Loops, V: dict[Node, np.ndarray], rho: float) -> StretchEvidence:
+        modes, d = self.setting.transitions.modes, self.setting.order
+        P = np.zeros((modes, len(self.knots), d, d))
+        for (mode, knot), X in V.items():
+            P[mode, knot] = loops.frame.T @ X @ loops.frame
+        P = P / np.trace(P[0, 0])
+        return StretchEvidence(self.setting, 0.5 * (P + np.swapaxes(P, -1, -2)), self.knots, rho)
+
+    def _add(self, failed: Transition, instant: float) -> bool:
+        """Look at a step at this instant, too; False if that is done already."""
+        if (failed, instant) in self.added:
+            return False
+        self.added.add((failed, instant))
+        for stretch in self.stretches:
+            if stretch.step == failed:
+                self.known += self.leaps.of(stretch, (instant,))
+        return failed.switches
+
+
+def _unknown(setting: Setting) -> bool:
+    """Whether the steps are not known: a range of delays, or a polytope of plants."""
+    return setting.family.ranges or len(setting.A) > 1

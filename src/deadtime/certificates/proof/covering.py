@@ -1,0 +1,190 @@
+"""Quadratic inequalities for every step that the plant can take: the steps covered by cells.
+
+    vv + wvᵀ Δ + Δᵀ wv + Δᵀ ww Δ ≻ 0,    Δ = [(E − E₀) L; lower],
+
+for all plant rows E of the steps from a mode to another. Over a cell E = E_c + Σ t_k D_k + R:
+t_k in [−1, 1] (or in a simplex, for a polytope), D_k the middles of the slopes, R what they
+leave, of second order in the size of the cell.
+
+As a function of E the form is concave where the block ww_xx of E is ⪯ 0, so its least value over
+the t is at a corner; there R changes it by at most |2 (R L Wᵀ)ᵀ (wv + ww Δ)_x Wᵀ + …| in units
+W in which it is about I. Where ww_xx is not ⪯ 0 the D_k count as part of R.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.definite import congruent
+from deadtime.certificates.proof.enclosure import Cell, Enclosure, Enclosures, cells_of
+from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.transitions import Transition
+
+DEEPEST = 20  # bisections of a cell
+MOST_CELLS = 1500  # of one inequality
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A quadratic form in Δ, and how Δ comes from the plant's rows; all in balls.
+
+    Attributes
+    ----------
+    vv : (v, v), wv : (w, v), ww : (w, w)
+        The blocks.
+    E : (n, k)
+        E₀.
+    L : (k, v)
+        What E is applied to.
+    concave : bool
+        Whether ww ⪯ 0 in its first n rows and columns.
+    """
+
+    vv: Any
+    wv: Any
+    ww: Any
+    E: Any
+    L: Any
+    concave: bool
+
+    @classmethod
+    def of(cls, vv: Any, wv: Any, ww: Any, E: Any, L: Any) -> Form:
+        """The form of its blocks."""
+        from flint import arb_mat
+
+        n = E.nrows()
+        xx = arb_mat([line[:n] for line in ww.tolist()[:n]]) * -1
+        return cls(vv, wv, ww, E, L, congruent(xx) is not None)
+
+
+class Covering:
+    """Checks forms over all steps of a family; what one form needed to enclose serves the next."""
+
+    def __init__(self, family: Family) -> None:
+        self.family = family
+        self.enclosures = Enclosures(family)
+        self.known: dict[Any, Enclosure] = {}
+
+    def holds(self, form: Form, step: Transition, lower: list[Any]) -> tuple[int, float | None]:
+        """Check all cells of a step; `lower` are further rows of Δ.
+
+        Returns how many cells there were, and where it fails, if it does: the instant of the switch
+        as a fraction of the period.
+        """
+        count = 0
+        for whole in cells_of(self.family, step.mode, step.after, step.instants):
+            pending = [(whole, 0)]
+            while pending:
+                cell, depth = pending.pop()
+                count += 1
+                direction = self._direction(form, lower, cell)
+                if direction is None:
+                    continue
+                if direction < 0 or depth == DEEPEST or count == MOST_CELLS:
+                    return count, self._instant(cell)
+                pending += [(half, depth + 1) for half in cell.halves(direction)]
+        return count, None
+
+    def _instant(self, cell: Cell) -> float:
+        u, family = 0.5 * sum(cell.u), self.family
+        part = family.phases[1] / family.step
+        if not family.split:
+            return u
+        return part + u * (1.0 - part) if cell.order[0].share == "all" else u * part
+
+    def enclosure(self, cell: Cell) -> Enclosure:
+        """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""
+        key = (cell.order, cell.u, cell.f, cell.corners.tobytes())
+        if key not in self.known:
+            self.known[key] = self.enclosures.of(cell)
+        return self.known[key]
+
+    def _direction(self, form: Form, lower: list[Any], cell: Cell) -> int | None:
+        """None if the inequality holds on a cell; else the direction to bisect, or −1."""
+        from flint import arb_mat
+
+        enclosure = self.enclosure(cell)
+        points, rest = _corners(enclosure, form.concave)
+        sizes, held = dict.fromkeys(rest, 0.0), True
+        for E in points:
+            Delta = arb_mat(((E - form.E) * form.L).tolist() + lower)
+            cross = Delta.transpose() * form.wv
+            found = congruent(
+                form.vv + cross + cross.transpose() + Delta.transpose() * form.ww * Delta
+            )
+            if found is None:
+                return _widest(enclosure) if len(points) > 1 else -1
+            least, Wt = found
+            bounds = _changes(form, Delta, Wt, rest)
+            if not sum(bounds.values()) * (1.0 + 1e-12) < least:
+                held = False
+                sizes = {k: max(sizes[k], bound) for k, bound in bounds.items()}
+        if held:
+            return None
+        return max(sizes, key=lambda k: sizes[k])
+
+
+def _changes(form: Form, Delta: Any, Wt: Any, rest: dict[int, Any]) -> dict[int, float]:
+    """How far R of each direction may change the form at a corner, in the units W.
+
+    2 (R L)ᵀ (wv + ww Δ)_x + (R L)ᵀ ww_xx (R L), the last with all of R on one side.
+    """
+    from flint import arb_mat
+
+    n = form.E.nrows()
+    if not rest:
+        return {}
+    total: Any = None
+    for R in rest.values():
+        total = R if total is None else total + R
+    seen = form.L * Wt
+    wide = {k: R * seen for k, R in rest.items()}
+    xx = arb_mat([line[:n] for line in form.ww.tolist()[:n]])
+    pull = balls.top(form.wv + form.ww * Delta, n) * Wt * 2 + xx * (total * seen)
+    return {k: balls.frobenius(R.transpose() * pull) for k, R in wide.items()}
+
+
+def _corners(enclosure: Enclosure, concave: bool) -> tuple[list[Any], dict[int, Any]]:
+    """The corners in the t, and R by direction as balls around 0."""
+    rest: dict[int, Any] = {}
+    moves: dict[int, list[Any]] = {}
+    for k, slope in enclosure.slopes:
+        middle = balls.exact(balls.middle(slope))
+        left = _symmetric(slope - middle if concave else slope)
+        moves.setdefault(k, []).extend([middle] if k == 2 else [middle, middle * -1])
+        rest[k] = left if k not in rest else _union(rest[k], left)
+    if not concave or not moves:
+        return [enclosure.centre], rest
+    points = []
+    for move in product(*moves.values()):
+        point = enclosure.centre
+        for part in move:
+            point = point + part
+        points.append(point)
+    return points, rest
+
+
+def _symmetric(matrix: Any) -> Any:
+    """[−r, r] around 0, r the largest modulus, entry by entry."""
+    from flint import arb_mat
+
+    entries = [balls.symmetric(x) for x in matrix.entries()]
+    return arb_mat(matrix.nrows(), matrix.ncols(), entries)
+
+
+def _union(first: Any, second: Any) -> Any:
+    from flint import arb_mat
+
+    pairs = zip(first.entries(), second.entries(), strict=True)
+    return arb_mat(first.nrows(), first.ncols(), [x.union(y) for x, y in pairs])
+
+
+def _widest(enclosure: Enclosure) -> int:
+    """The direction in which a cell is widest."""
+    sizes = [(float(np.linalg.norm(balls.middle(slope))), k) for k, slope in enclosure.slopes]
+    return max(sizes)[1]

@@ -1,0 +1,161 @@
+"""V at nodes of mode and age, pulled back exactly along stretches of periods; the second kind.
+
+The nodes are (i, a) with a in `knots`, a_0 < a_1 < …, and V_{i,k}(ξ) = ξᵀ P_{i,k} ξ there. From a
+node the loop goes along one of these stretches to the next node that it meets:
+
+    full steps to the next knot; from the last one, where a mode may last, one full step to it;
+    full steps to an age at which the plant may switch, a mixed step to j, a_0 full steps there.
+
+With M the product of the matrices of the L periods of a stretch, what is proved is
+
+    P_here − Mᵀ P_next M/ρ^{2L} ≻ 0    for every stretch and every instant of its switch,
+
+so V falls by ρ^{2L} from node to node. In between V is what it will be at the next node, nothing is
+lost: for a plant without input these are the inequalities e^{A_iᵀτ} P_j e^{A_iτ} ≺ P_i [Geromel and
+Colaneri, SIAM J. Control Optim. 45 (2006) 1915], at whole periods.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.covering import Covering, Form
+from deadtime.certificates.proof.definite import congruent
+from deadtime.certificates.proof.enclosure import cells_of
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.transitions import Stretch
+from deadtime.errors import ArgumentError
+
+
+@dataclass(frozen=True, eq=False)
+class StretchEvidence:
+    """A certificate's numbers (immutable): the setting, V at the nodes, and ρ.
+
+    Attributes
+    ----------
+    P : (modes, knots, d, d)
+    knots : tuple of int
+        Ages of the nodes, ascending.
+    rho : float
+        ρ, the decay over a period.
+    """
+
+    setting: Setting
+    P: Float[np.ndarray, "mode knot order order"]
+    knots: tuple[int, ...]
+    rho: float
+
+    def lyapunov(self, mode: int, age: int) -> Float[np.ndarray, "order order"]:
+        """V_{mode,age}, in floats: what it will be at the next node if the mode lasts so long.
+
+        Between nodes it may be singular, and need not fall over a period with a switch.
+        """
+        knot = bisect_left(self.knots, age)
+        if knot == len(self.knots):
+            raise ArgumentError(
+                f"age must be at most {self.knots[-1]}, got {age}: after it the mode has to be "
+                "left, and the Lyapunov function depends on when."
+            )
+        with balls.precision():
+            ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
+        M, periods = balls.middle(ahead), self.knots[knot] - age
+        return M.T @ self.P[mode, knot] @ M / self.rho ** (2 * periods)
+
+
+@dataclass(frozen=True, eq=False)
+class Period:
+    """A period under one row of the table, ξ⁺ = (E seen + rest) ξ (immutable), in balls.
+
+    Attributes
+    ----------
+    seen : (k, d)
+        What the plant's rows E are applied to, y = seen ξ.
+    rest : (d, d)
+        The input sent and the ones that shift; zero in the plant's rows.
+    """
+
+    seen: Any
+    rest: Any
+
+    @classmethod
+    def of(cls, setting: Setting, row: np.ndarray) -> Period:
+        """Under one row (m, d) of the table."""
+        n, m, d, taps = setting.states, setting.inputs, setting.order, setting.family.taps
+        u = np.zeros((setting.held + 1, m, d))
+        u[0] = row
+        for j in range(1, setting.held + 1):
+            u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
+        seen = np.concatenate((np.eye(n, d), *(u[j] for j in taps)))
+        rest = np.concatenate((np.zeros((n, d)), *u[: setting.held]))
+        return cls(balls.exact(seen), balls.exact(rest))
+
+    def loop(self, E: Any) -> Any:
+        """The lifted loop's matrix."""
+        from flint import arb_mat
+
+        return arb_mat((E * self.seen).tolist() + self.rest.tolist()[E.nrows() :])
+
+
+class StretchInequalities:
+    """The inequalities of one piece of evidence of this kind, in balls."""
+
+    def __init__(self, evidence: StretchEvidence) -> None:
+        from flint import arb
+
+        self.evidence = evidence
+        self.setting = evidence.setting
+        self.rho = arb(evidence.rho)
+        self.covering = Covering(self.setting.family)
+        self.rows = [Period.of(self.setting, row) for row in self.setting.rows]
+        self.known: dict[tuple[int, int, int], Any] = {}
+
+    def positive(self) -> bool:
+        """Whether V ≻ 0 at every node."""
+        nodes = (P for mode in self.evidence.P for P in mode)
+        return all(congruent(balls.exact(P)) is not None for P in nodes)
+
+    def holds(self, stretch: Stretch) -> tuple[int, float | None]:
+        """Check one stretch, for every instant of its switch; as `Covering.holds`.
+
+        ξ⁺ = (E seen + rest) ξ in the one period that may hold a switch: a form in E.
+        """
+        P, n, step = self.evidence.P, self.setting.states, stretch.step
+        before = self.full(step.mode, step.age - stretch.waits, step.age)
+        after = self.full(step.after, 0, stretch.follows)
+        period = self.rows[step.row]
+        there = balls.exact(P[step.after, stretch.next_knot]) * self.rho ** (-2 * stretch.periods)
+        Q = after.transpose() * there * after
+        seen, rest = period.seen * before, period.rest * before
+        top = balls.top(Q, n)
+        vv = balls.exact(P[step.mode, stretch.knot]) - rest.transpose() * Q * rest
+        ww = balls.top(top.transpose(), n) * -1
+        form = Form.of(vv, top * rest * -1, ww, balls.zeros(n, seen.nrows()), seen)
+        return self.covering.holds(form, step, [])
+
+    def full(self, mode: int, start: int, end: int) -> Any:
+        """The product of the full steps from one age to another.
+
+        By halves: multiplied one by one the balls would grow as the product of norms.
+        """
+        key = mode, start, end
+        if key not in self.known:
+            if end == start:
+                product = balls.exact(np.eye(self.setting.order))
+            elif end == start + 1:
+                product = self._full_step(mode, start)
+            else:
+                middle = (start + end) // 2
+                product = self.full(mode, middle, end) * self.full(mode, start, middle)
+            self.known[key] = product
+        return self.known[key]
+
+    def _full_step(self, mode: int, age: int) -> Any:
+        (whole,) = cells_of(self.setting.family, mode, mode)
+        E = self.covering.enclosure(whole).centre
+        return self.rows[self.setting.transitions.row(mode, age)].loop(E)

@@ -1,0 +1,229 @@
+"""Verify a certificate from its file: what it proves, of which loop, and for which signals."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deadtime.certificates.proof import check, load_evidence
+from deadtime.certificates.proof.archive import claims_too_much
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
+from deadtime.certificates.proof.validate import malformed
+from deadtime.checks import count, instance, number, positive
+from deadtime.laws.base import Law, TableLaw
+from deadtime.plant import SwitchedSystem
+
+SHOWN = 12  # digits of a digest
+FIRST = 4  # numbers of an array
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What verifying a certificate's file found (immutable).
+
+    Attributes
+    ----------
+    proven : bool
+        Whether the file's numbers prove its statement, and it is about what was asked.
+    message : str
+        A plain sentence; which inequality fails, if one does, or what the file is about instead.
+    statement : tuple of str
+        What is proved, made from the numbers that were checked.
+    decay_rate : float or None
+        1/s, recomputed from them.
+    seconds : float
+        How long it took.
+    about : tuple of str
+        The plant, the table and the signals of the file: first numbers, and digests to compare.
+    """
+
+    proven: bool
+    message: str
+    statement: tuple[str, ...]
+    decay_rate: float | None
+    seconds: float
+    about: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a certificate is wanted for (immutable); None where nothing is asked."""
+
+    plant: SwitchedSystem | None = None
+    law: Law | None = None
+    step: float | None = None
+    dwell_time: float | None = None
+    maximum_dwell: float | None = None
+    chatter: int | None = None
+    clock_tolerance: float | None = None
+
+    def missing_from(self, setting: Setting) -> str:
+        """How a certificate falls short of it, if it does."""
+        return self._loop(setting) or self._signals(setting)
+
+    def _loop(self, setting: Setting) -> str:
+        plant, law, step = self.plant, self.law, self.step
+        if plant is not None:
+            known = zip(setting.A, setting.B, strict=True)
+            if not any(np.array_equal(A, plant.A) and np.array_equal(B, plant.B) for A, B in known):
+                return "the certificate is about a plant with other matrices."
+            low, high = setting.delays
+            if not low <= plant.delay <= high:
+                return f"the certificate is about a plant with a delay in [{low}, {high}] s."
+        if step is not None and step != setting.step:
+            return f"the certificate is about a period of {setting.step!r} s, not {step!r} s."
+        if law is None:
+            return ""
+        if not isinstance(law, TableLaw):
+            return f"the certificate is about a table, and {type(law).__name__} is none."
+        table = law.digital(setting.step)
+        kinds = (table.context, table.ages) == (setting.context, setting.ages)
+        F, G = table.state_gain, table.input_gain
+        if not (kinds and np.array_equal(F, setting.F) and np.array_equal(G, setting.G)):
+            return "the certificate is about another table than that of the given law."
+        return ""
+
+    def _signals(self, setting: Setting) -> str:
+        """The class that was asked for has to lie in that of the certificate."""
+        if setting.A.shape[1] == 1:
+            return ""
+        proved = f"the certificate is {signals_in_words(setting)}"
+        if self.dwell_time is not None and self.dwell_time < setting.dwell_time:
+            return f"{proved}, not {self.dwell_time!r} s."
+        longest, chatter = self.maximum_dwell, self.chatter
+        asked_longest = self.dwell_time is not None or longest is not None
+        if asked_longest and setting.maximum_dwell is not None:
+            if longest is None:
+                return f"{proved}, not for sojourns of any length."
+            if longest > setting.maximum_dwell:
+                return f"{proved}, not {longest!r} s."
+        if chatter is not None and chatter > setting.chatter:
+            return f"{proved}, not for a chatter of {chatter}."
+        tolerance = self.clock_tolerance
+        if tolerance is not None and tolerance > setting.clock_tolerance:
+            return (
+                "the certificate allows for a clock that is off by "
+                f"{setting.clock_tolerance!r}, not by {tolerance!r}."
+            )
+        return ""
+
+
+def verify(
+    path: str | Path,
+    plant: SwitchedSystem | None = None,
+    law: Law | None = None,
+    *,
+    step: float | None = None,
+    dwell_time: float | None = None,
+    maximum_dwell: float | None = None,
+    chatter: int | None = None,
+    clock_tolerance: float | None = None,
+) -> Verification:
+    """Verify a certificate from its file: no solver, nothing believed but the numbers.
+
+    Whatever else is given, the certificate must be about it: the plant and the law's table number
+    by number, and every signal of the class that the other arguments describe.
+
+    Parameters
+    ----------
+    path : path
+        The JSON file that `Certificate.save` wrote.
+    plant : SwitchedSystem, optional
+        The plant; of a polytope, one of its corners.
+    law : Law, optional
+        The law whose table it is.
+    step, dwell_time, maximum_dwell : float, optional
+        The period, the shortest and the longest sojourn, in seconds. A dwell time without a
+        maximum asks for sojourns of any length.
+    chatter : int, optional
+        N₀ of an average dwell time.
+    clock_tolerance : float, optional
+        The part by which the clock may be off.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed.
+    CertificateFileError
+        If the file is missing, cut short, altered, or no certificate.
+
+    Examples
+    --------
+    >>> import tempfile, deadtime as dt
+    >>> plant = dt.problems.paper().plant.apart(0.5)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = dt.certify(plant, law, 0.2, step=0.1).save(f"{folder}/cert.json")
+    ...     longer = dt.verify(path, plant, law, dwell_time=0.25)
+    ...     shorter = dt.verify(path, plant, law, dwell_time=0.15)
+    >>> longer.proven, shorter.proven
+    (True, False)
+    """
+    began = time.perf_counter()
+    times = {"step": step, "dwell_time": dwell_time, "maximum_dwell": maximum_dwell}
+    step, dwell_time, maximum_dwell = (
+        None if value is None else positive(name, value) for name, value in times.items()
+    )
+    for name, value, kind in (("plant", plant, SwitchedSystem), ("law", law, Law)):
+        if value is not None:
+            instance(name, value, kind)
+    chatter = None if chatter is None else count("chatter", chatter)
+    tolerance = None if clock_tolerance is None else number("clock_tolerance", clock_tolerance)
+    asked = Asked(plant, law, step, dwell_time, maximum_dwell, chatter, tolerance)
+    archived = load_evidence(Path(path))
+    evidence, setting = archived.evidence, archived.evidence.setting
+
+    def rejected(why: str, about: tuple[str, ...] = ()) -> Verification:
+        seconds = time.perf_counter() - began
+        return Verification(False, f"Rejected: {why}", (), None, seconds, about)
+
+    reason = malformed(evidence)
+    if reason:
+        return rejected(f"{reason}.")
+    about = in_first_numbers(setting, archived.digest)
+    other = asked.missing_from(setting)
+    if other:
+        return rejected(other, about)
+    excess = claims_too_much(archived)
+    if excess:
+        return rejected(f"{excess}.", about)
+    outcome = check(evidence)
+    if not outcome.proven:
+        return rejected(f"{outcome.reason}.", about)
+    sentences, seconds = statement(evidence, outcome.cells), time.perf_counter() - began
+    message = f"Proved: {sentences[0]}"
+    return Verification(True, message, sentences, decay_rate(evidence), seconds, about)
+
+
+def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
+    """What a certificate is about, so that a reader can tell it from another one."""
+    corners, modes, n, m = setting.B.shape
+    low, high = setting.delays
+    delay = f"{low!r} s" if low == high else f"{low!r} to {high!r} s"
+    polytope = f", a polytope of {corners} plants" if corners > 1 else ""
+    rows, taps = setting.G.shape[:2]
+    return (
+        f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: {modes} modes, "
+        f"{n} states, {m} inputs, delay {delay}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
+        f"B[0] = {_first(setting.B[0, 0])}",
+        f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
+        f"{setting.context}, {rows} rows of {taps} past inputs; state gain {_first(setting.F[0])}",
+        f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
+        f"File {digest[:SHOWN]}",
+    )
+
+
+def _digest(*arrays: np.ndarray) -> str:
+    """First digits of the SHA-256 of arrays as little-endian binary64, in C order."""
+    data = b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays)
+    return hashlib.sha256(data).hexdigest()[:SHOWN]
+
+
+def _first(array: np.ndarray) -> str:
+    numbers = [f"{value:.6g}" for value in array.ravel()[:FIRST]]
+    return f"[{', '.join(numbers)}{', …' if array.size > FIRST else ''}]"

@@ -1,0 +1,200 @@
+"""Proof that a loop grows along a cycle: the numbers as stored, in ball arithmetic (Arb).
+
+Over a cycle of K periods the lifted state of order d goes through a matrix M. Its eigenvalues are
+not computed: ill-conditioned ones would come out wrong. From
+
+    |tr M^q| = |Σ_i λ_i^q| ≤ d ρ^q
+
+follows ρ ≥ (|tr M^q|/d)^(1/q), so a trace above d proves ρ > 1. It is tried at q = 1, 2, 4, …;
+where the leading eigenvalues turn and their sum happens to vanish, it does not at the next q.
+Constant modes have bounds of their own, at any order (`deadtime.spectrum.enclosure`).
+
+The matrices of the plant and the rows of the law's table are the binary64 numbers stored, and the
+switches fall where the signal's binary64 times say, in the first cycle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadtime.certificates.worst_case.cycles import Cycle
+from deadtime.certificates.worst_case.loop import SampledLoop
+from deadtime.spectrum import aged_row
+from deadtime.spectrum.enclosure import LARGEST, enclosed_growth, exact_held, exact_matrix
+from deadtime.steps import Cuts
+
+BITS = (192, 384, 768, 1536)
+BEYOND = 3.0  # ln of what a trace is carried on beyond d
+TURNS = 4  # more squarings, for eigenvalues that turn
+TOGETHER = 32  # periods
+PERIOD, SQUARING = 5e-8, 1e-8  # seconds per d² and d³, about
+MOST_SECONDS = 30.0
+LARGE = 200  # order from which any growth that is proved will do
+
+
+@dataclass(frozen=True)
+class GrowthProof:
+    """Whether growth is proved (immutable).
+
+    Attributes
+    ----------
+    proven : bool
+        Whether the loop grows beyond doubt.
+    rate : float or None
+        1/s, above 0: it grows at this rate or faster; None if not proven.
+    reason : str
+        Why it is not proven.
+    """
+
+    proven: bool
+    rate: float | None = None
+    reason: str = ""
+
+
+def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
+    """Prove that a loop grows along a cycle, at which it grows at about `rate` in floats, 1/s."""
+    if not rate > 0.0:
+        return GrowthProof(False, reason="no growth was computed")
+    if cycle.constant:
+        return _constant(loop, cycle.modes[0])
+    order, step = loop.order, loop.window.step
+    time = cycle.periods * step
+    squarings = max(1, math.ceil(math.log2((math.log(order) + BEYOND) / (rate * time))) + TURNS)
+    seconds = PERIOD * cycle.periods * order**2 + SQUARING * squarings * order**3
+    if seconds > MOST_SECONDS:
+        return GrowthProof(
+            False,
+            reason=f"a cycle of {cycle.periods:,} periods of a loop of order {order:,} is beyond "
+            "reach; lengthen the step",
+        )
+    for bits in BITS:
+        found = _by_traces(loop, cycle, squarings, bits)
+        if found is not None:
+            return found
+    return GrowthProof(False, reason=f"{BITS[-1]} bits do not suffice")
+
+
+def _constant(loop: SampledLoop, mode: int) -> GrowthProof:
+    if loop.order > LARGEST:
+        reason = f"the loop has order {loop.order:,}, and {LARGEST:,} is the limit"
+        return GrowthProof(False, reason=f"{reason}; lengthen the step")
+    feedback = loop.feedback
+    low, high = enclosed_growth(loop.plant, feedback, mode, aged_row(feedback, mode))
+    if low > 0.0:
+        return GrowthProof(True, low)
+    return GrowthProof(False, reason=f"the growth rate is between {low:.4g} /s and {high:.4g} /s")
+
+
+def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> GrowthProof | None:
+    """None where the balls are too wide to tell."""
+    from flint import arb, ctx
+
+    best, worn = 0.0, False
+    with ctx.workprec(bits):
+        M, d = _over(loop, cycle), loop.order
+        time = arb(cycle.periods) * loop.window.step
+        for k in range(squarings + 1):
+            trace = abs(M.trace())
+            if trace > d:
+                proved = float(((trace / d).log() / (time * 2**k)).lower())
+                best = max(best, float(np.nextafter(proved, 0.0)))
+            worn = not trace.abs_upper() - trace.abs_lower() < max(0.5 * d, trace.abs_lower())
+            if worn or k == squarings or (best > 0.0 and d > LARGE):
+                break
+            M = M * M
+    if best > 0.0:
+        return GrowthProof(True, best)
+    if worn:
+        return None
+    return GrowthProof(False, reason=f"the traces of up to {2**squarings:,} cycles stay below {d}")
+
+
+def _over(loop: SampledLoop, cycle: Cycle) -> Any:
+    """M of ζ = (x, u_{k−W}, …, u_{k−1}) over one cycle, in balls.
+
+    A few periods at a time, as functions of ζ at their beginning.
+    """
+    from flint import arb_mat
+
+    n, size = loop.plant.states, loop.held * loop.plant.inputs
+    gains = _gains(loop)
+    rows, moves = loop.table(cycle).rows.tolist(), _moves(loop, cycle)
+    M = exact_matrix(np.eye(loop.order))
+    for k in range(0, len(rows), TOGETHER):
+        part = slice(k, k + TOGETHER)
+        x, new = _ahead(loop, [gains[row] for row in rows[part]], moves[part])
+        moved = (arb_mat(x + new) * M).tolist()
+        M = arb_mat(moved[:n] + (M.tolist()[n:] + moved[n:])[-size:])
+    return M
+
+
+def _gains(loop: SampledLoop) -> list[list[list[Any]]]:
+    """The rows of the law's table, as balls: F, then G with the oldest input first."""
+    F, G = loop.feedback.state_gain, loop.feedback.input_gain
+    m = F.shape[1]
+    return [
+        exact_matrix(np.hstack((F[row], G[row, ::-1].transpose(1, 0, 2).reshape(m, -1)))).tolist()
+        for row in range(len(F))
+    ]
+
+
+def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) -> tuple[list, list]:
+    """x after some periods, and their inputs, as rows over ζ at the beginning."""
+    from flint import arb_mat
+
+    n, m, N, d = loop.plant.states, loop.plant.inputs, loop.window.count, loop.order
+    unit = exact_matrix(np.eye(d)).tolist()
+    x, line = unit[:n], unit[n:]
+    for count, (gain, move) in enumerate(zip(gains, moves, strict=True)):
+        recent = min(count * m, len(gain[0]) - n)
+        older = len(gain[0]) - n - recent  # of these the rows are those of the unit matrix
+        short = arb_mat([row[:n] + row[n + older :] for row in gain])
+        u = (short * arb_mat(x + line[len(line) - recent :])).tolist()
+        for row, full in zip(u, gain, strict=True):
+            for j in range(older):
+                row[d - older + j] += full[n + j]
+        line = line + u
+        first = len(line) - (N + 1) * m
+        x = (move * arb_mat(x + line[first : first + 2 * m])).tolist()
+    return x, line[d - n :]
+
+
+def _moves(loop: SampledLoop, cycle: Cycle) -> list[Any]:
+    """[Φ, early, late] of x⁺ = Φ x + early u_{k−N} + late u_{k−N+1} of every period, in balls."""
+    window = loop.window
+    cuts = Cuts.of(cycle.signal(window.step), window)
+    known: dict[tuple, Any] = {}
+    moves, mode, p = [], int(cuts.mode[0]), 0
+    for k in range(cycle.periods):
+        key: list[tuple[float, int]] = [(0.0, mode)]
+        while p < cuts.step.size and cuts.step[p] == k:
+            p += 1
+            mode = int(cuts.mode[p])
+            key.append((float(cuts.offset[p - 1]), mode))
+        if tuple(key) not in known:
+            known[tuple(key)] = _move(loop, key)
+        moves.append(known[tuple(key)])
+    return moves
+
+
+def _move(loop: SampledLoop, parts: list[tuple[float, int]]) -> Any:
+    """[Φ, early, late] of a period with these modes from these times on."""
+    from flint import arb, arb_mat
+
+    (n, m), (h, phase) = loop.plant.B.shape[1:], (loop.window.step, loop.window.phase)
+    Phi, inputs = exact_matrix(np.eye(n)), [arb_mat(n, m), arb_mat(n, m)]
+    ends = [start for start, _ in parts[1:]] + [h]
+    for (start, mode), end in zip(parts, ends, strict=True):
+        for a, b in ((start, min(end, phase)), (max(start, phase), end)):
+            if b <= a:
+                continue
+            over, held = exact_held(loop.plant.A[mode], loop.plant.B[mode], arb(b) - arb(a))
+            Phi, inputs = over * Phi, [over * part for part in inputs]
+            which = 0 if a < phase else 1
+            inputs[which] = inputs[which] + held
+    columns = zip(Phi.tolist(), inputs[0].tolist(), inputs[1].tolist(), strict=True)
+    return arb_mat([[*state, *early, *late] for state, early, late in columns])

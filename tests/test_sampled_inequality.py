@@ -1,0 +1,132 @@
+"""M(s)ᵀ V₊ M(s) ≤ ρ² V at sampled instants, from certificates' files alone, in floats.
+
+Nothing here is a proof, and nothing is shared with one: matrices come from SciPy's exponential,
+the steps that may follow each other from the instants of the switches.
+"""
+
+import itertools
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import certificate_forgeries as forgeries
+import certificate_reference as reference
+from certificate_corpus import CORPUS
+
+FILES = sorted(path.stem for path in CORPUS.glob("*.json"))
+
+
+class Sampled:
+    """A file's loops, at points of its ranges, and its V at every age."""
+
+    def __init__(self, content, rng) -> None:
+        self.law, self.signals = content["law"], content["signals"]
+        V, plant = content["lyapunov"], content["plant"]
+        self.knots, self.linear = V["knots"], V["kind"] == "linear"
+        self.rho = content["rho"]
+        self.P = forgeries.unpacked(V["P"])
+        if self.linear:
+            self.Psi, self.S = (forgeries.unpacked(V[name]) for name in ("Psi", "S"))
+        F, G = (forgeries.unpacked(self.law[name]) for name in "FG")
+        table = SimpleNamespace(state_gain=F, input_gain=G, taps=G.shape[1], **self.law)
+        A, B = (np.array(plant[name]) for name in "AB")
+        weights = [*np.eye(len(A)), *rng.dirichlet(np.ones(len(A)), 2 * (len(A) > 1))]
+        low, high = plant["delays"]
+        delays = {low + 1e-9 * (low < high), high, *rng.uniform(low, high, 2 * (low < high))}
+        self.modes, self.travels = A.shape[1], F.any() or G.any()
+        self.loops = [
+            reference.Loop(*(np.tensordot(w, X, 1) for X in (A, B)), float(D), table)
+            for w, D in itertools.product(weights, delays)
+        ]
+
+    def V(self, mode, age):
+        if not self.linear:
+            return self.P[mode][self.knots.index(age)]
+        S = self.S[mode]
+        flat = [np.interp(age, self.knots, x) for x in S.reshape(len(self.knots), -1).T]
+        return self.P + self.Psi.T @ np.reshape(flat, S.shape[1:]) @ self.Psi
+
+    def step(self, loop, *arguments):
+        M = loop.step(*arguments)
+        return M if self.travels else M[: loop.plant.n, : loop.plant.n]
+
+    def instants(self, age, count, rng):
+        """Fractions of a period at which the mode may be left, the ends among them."""
+        h, times = self.law["step"], self.signals
+        low, high = 0.0, 1.0
+        clock = 1.0 - times["clock_tolerance"], 1.0 + times["clock_tolerance"]
+        if times["chatter"] == 1:
+            low = max(0.0, clock[0] * times["dwell_time"] / h - age - 1)
+            if times["maximum_dwell"] is not None:
+                high = min(1.0, clock[1] * times["maximum_dwell"] / h - age)
+        low = min(low + 1e-12, 1.0)
+        return [low, high, *rng.uniform(low, high, count)] if low <= high else []
+
+    def walks(self, count, rng):
+        """(before, after, M, periods): steps, or for few knots the stretches between them."""
+        h, times = self.law["step"], self.signals
+        longest = times["maximum_dwell"]
+        r = times["dwell_time"] / h * (1 - times["clock_tolerance"])
+        last = max(self.knots[-1], self.law["ages"], int(r)) + 1
+        if longest is not None:
+            last = int(np.ceil(longest / h * (1 + times["clock_tolerance"]))) - 1
+        elif not self.linear:
+            last = self.knots[-1]
+        if times["chatter"] > 1:
+            last = max(int(r), self.knots[-1])
+        first = self.knots[0] if not self.linear else 0
+        for loop, i, start in itertools.product(self.loops, range(self.modes), range(last + 1)):
+            if not self.linear and start not in self.knots:
+                continue
+            M = np.eye(loop.order if self.travels else loop.plant.n)
+            for age in range(start, last + 1):
+                for j in range(self.modes):
+                    if j == i or age + 1 < int(r):
+                        continue
+                    after = first if times["chatter"] == 1 else age + 1 - int(r)
+                    for s in self.instants(age, count, rng):
+                        X = self.step(loop, i, age, j, s) @ M
+                        for a in range(first):
+                            X = self.step(loop, j, a) @ X
+                        yield (i, start), (j, after), X, age - start + 1 + first
+                if longest is not None and age == last:
+                    break
+                M = self.step(loop, i, age) @ M
+                following = min(age + 1, last)
+                if self.linear or following in self.knots:
+                    yield (i, start), (i, following), M, age - start + 1
+                    break
+
+    def least(self, count=1, seed=0):
+        """The least eigenvalue of V − MᵀV₊M/ρ^(2L) along them all, scaled to a diagonal of 1."""
+        rng, found = np.random.default_rng(seed), []
+        for before, after, M, periods in self.walks(count, rng):
+            V = self.V(*before)
+            change = M.T @ self.V(*after) @ M / self.rho ** (2 * periods)
+            found += [reference.least_eigenvalue(V), reference.least_eigenvalue(V - change)]
+        return min(found)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_inequality_of_every_step_holds_at_sampled_instants(name):
+    content = json.loads((CORPUS / f"{name}.json").read_text(encoding="utf-8"))
+    assert Sampled(content, np.random.default_rng(1)).least() > 0.0
+
+
+@pytest.mark.parametrize(
+    "forgery",
+    [
+        ("every-age", forgeries.put("signals.dwell_time", 0.41)),
+        ("stretches-every-age", forgeries.put("signals.clock_tolerance", 0.5)),
+        ("paper-far", forgeries.put("signals.clock_tolerance", 0.4)),
+        ("rate", forgeries.put("rho", lambda rho: 0.97 * rho)),
+        ("stretches-maximum-free", forgeries.put("signals.maximum_dwell", 6.0)),
+        ("paper-far", forgeries.entries("law.F", forgeries.scaled((0, 0, 0), 1.02))),
+        ("range", forgeries.put("rho", lambda rho: 0.97 * rho)),
+    ],
+)
+def test_it_is_violated_by_false_claims(forgery):
+    content = json.loads(forgeries.forged(forgery))
+    assert Sampled(content, np.random.default_rng(1)).least() < 0.0
