@@ -237,14 +237,14 @@ def test_an_interrupt_keeps_what_is_done():
             raise KeyboardInterrupt
 
     laws = {"averaged": LAWS["averaged"]}
-    whole = run(laws=laws, scenarios=3000)
+    whole = run(laws=laws, scenarios=16 * 2048)
     data = run(laws=laws, scenarios=400_000, progress=at_the_second_block)
     assert data.attrs["interrupted"] == 1
     done = data.scenario.size
     assert 2048 < done < 400_000
     assert data.attrs["message"] == f"interrupted after {done:,} of 400,000 scenarios."
     both = np.intersect1d(data.scenario.values, whole.scenario.values)
-    assert both.size > 2000
+    assert both.size >= 2048  # which blocks are done by then is up to the threads
     found, wanted = (d.ise.sel(scenario=both).values for d in (data, whole))
     np.testing.assert_array_equal(found, wanted)
 

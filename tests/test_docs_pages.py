@@ -30,6 +30,7 @@ LANGUAGES = (
     *("python", "console", "text", "toml", "c", "bash"),
     *("{toctree}", "{eval-rst}", "{include} ../CHANGELOG.md"),
     *("{include} ../CONTRIBUTING.md", "{include} ../benchmarks/README.md"),
+    "{include} ../../verifier/FORMAT.md",
 )
 
 

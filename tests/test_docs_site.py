@@ -25,7 +25,7 @@ LINK = re.compile(r'<a class="reference internal" href="([^"]*)"')
 def site(tmp_path_factory):
     """The site as built, strictly, from a copy of what it is made of."""
     place = tmp_path_factory.mktemp("site")
-    for name in ("docs", "examples", "benchmarks", "studies", "tests", "src"):
+    for name in ("docs", "examples", "benchmarks", "studies", "tests", "src", "verifier"):
         (place / name).symlink_to(ROOT / name)
     # The gallery is written beside the pages: they are copied.
     (place / "docs").unlink()

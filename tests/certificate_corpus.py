@@ -1,0 +1,146 @@
+"""Certificates of small loops of every kind, for whoever verifies them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import deadtime as dt
+import plants
+from certificate_reference import ellipses, packed, rewritten
+
+CORPUS = Path(__file__).parents[1] / "verifier/corpus"
+PAPER = dt.problems.paper().plant
+THREE = dt.problems.three_mode().plant
+
+
+def with_delay(plant, delay):
+    return dt.SwitchedSystem(plant.A, plant.B, delay)
+
+
+def designed(plant, poles=(-1.0, -2.0), dwell_time=None):
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, poles), None, dwell_time)
+
+
+GENERIC = plants.generic().apart(0.05)  # three modes, three states, two inputs, N = 3
+PAIR = with_delay(PAPER.apart(0.3), 0.234)  # with a period of 0.1, N = 3 and φ = 0.034
+ALONE = dt.SwitchedSystem(PAIR.A[:1], PAIR.B[:1], 0.234)
+MILD = dt.SwitchedSystem(PAPER.apart(0.5).A - 2.0 * np.eye(2), PAPER.apart(0.5).B, 0.234)
+WEAK = np.tile([[-0.5, -0.5]], (2, 1, 1))
+ALIKE = dt.SwitchedSystem(PAIR.A[[0, 0]], PAIR.B[[0, 0]], 0.5)
+
+
+def of(law, plant=PAIR):
+    return plant, plants.LAWS[law](plant)
+
+
+def mild(delay, law=dt.AveragedPredictor):
+    return dt.SwitchedSystem(1.02 * MILD.A, 0.97 * MILD.B, delay), law(MILD, WEAK)
+
+
+def free(A, delay=0.1):
+    plant = dt.SwitchedSystem(A, np.ones((*A.shape[:2], 1)), delay)
+    none = np.zeros((len(A), 1, A.shape[1]))
+    return plant, dt.DelayedStateFeedback(plant, none, allow_unstable=True)
+
+
+def corners(*factors):
+    return [dt.SwitchedSystem(a * MILD.A, b * MILD.B, MILD.delay) for a, b in factors]
+
+
+def of_pair(alpha):
+    far = THREE.apart(alpha)
+    plant = dt.SwitchedSystem(far.A[:2], far.B[:2], far.delay)
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, (-2.0, -3.0)), None, 0.8)
+
+
+UNSTABLE = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])
+DELAYED = dt.DelayedStateFeedback(MILD, WEAK)
+Case = tuple[Callable[[], tuple], float, float, dict]
+
+# name: (plant and law, dwell time, period, what else)
+CASES: dict[str, Case] = {
+    "generic-averaged": (lambda: of("averaged", GENERIC), 0.25, 0.1, {}),
+    "generic-mean": (lambda: of("mean with gains", GENERIC), 0.11, 0.1, {}),
+    "weighted": (lambda: of("weighted"), 0.3, 0.1, {}),
+    "single": (lambda: of("single"), 0.3, 0.1, {}),
+    "mean": (lambda: of("mean"), 0.17, 0.1, {}),
+    "averaged-dwell": (lambda: of("averaged, dwell-aware"), 0.1634, 0.1, {}),
+    "mean-dwell": (lambda: of("mean, dwell-aware"), 0.31, 0.1, {}),
+    "expected": (lambda: of("expected"), 0.3, 0.1, {}),
+    "delayed": (lambda: (MILD, DELAYED), 0.3, 0.1, {}),
+    "short-delay": (lambda: designed(with_delay(PAIR, 0.034)), 0.2, 0.1, {}),
+    "one-period": (lambda: designed(with_delay(PAIR, 0.1)), 0.2, 0.1, {}),
+    "short-delay-mode": (lambda: mild(0.034, dt.DelayedStateFeedback), 0.2, 0.1, {}),
+    "later-plant": (lambda: mild(0.434), 0.3, 0.1, {}),
+    "sooner-plant": (lambda: mild(0.034), 0.3, 0.1, {}),
+    "every-age": (lambda: of_pair(0.5), 0.8, 0.2, {}),
+    "one-mode": (lambda: designed(ALONE), 0.3, 0.1, {}),
+    "alike": (lambda: designed(ALIKE), 0.3, 0.1, {}),
+    "paper": (lambda: designed(PAPER.apart(0.6)), 0.2, 0.1, {}),
+    "paper-far": (lambda: designed(PAPER.apart(0.65)), 0.2, 0.1, {}),
+    "paper-dwell": (lambda: designed(PAPER.apart(0.6), dwell_time=0.4), 0.4, 0.1, {}),
+    "three": (lambda: designed(THREE.apart(0.5), (-2.0, -3.0)), 0.9, 0.1, {}),
+    "free-rate-0": (lambda: free(ellipses(2.0, 0.5)), 0.25, 0.1, {"decay_rate": 0.0}),
+    "maximum-free": (lambda: free(UNSTABLE), 1.0, 0.1, {"maximum_dwell": 1.8}),
+    "maximum": (lambda: designed(PAPER.apart(0.65)), 0.2, 0.1, {"maximum_dwell": 0.7}),
+    "maximum-dwell": (
+        lambda: of("averaged, dwell-aware"),
+        *(0.1634, 0.1, {"maximum_dwell": 0.5}),
+    ),
+    "average-free": (lambda: free(ellipses(4.0, 0.8)), 4.0, 0.1, {"chatter": 2}),
+    "average": (lambda: designed(PAPER.apart(0.6)), 0.2, 0.1, {"chatter": 3}),
+    "average-dwell": (lambda: of("averaged, dwell-aware"), 0.3, 0.1, {"chatter": 2}),
+    "range": (lambda: (MILD, DELAYED), 0.3, 0.1, {"delays": (0.2, 0.29)}),
+    "range-narrow": (lambda: designed(PAIR), 0.3, 0.1, {"delays": (0.233, 0.235)}),
+    "polytope": (
+        lambda: (corners((1, 1), (1.1, 1), (1, 0.9)), dt.AveragedPredictor(MILD, WEAK)),
+        *(0.3, 0.1, {"decay_rate": 0.1}),
+    ),
+    "polytope-mode": (lambda: (corners((1, 1), (1.05, 1)), DELAYED), 0.2, 0.1, {}),
+    "tolerant": (lambda: designed(PAIR), 0.3, 0.1, {"clock_tolerance": 0.05}),
+    "rate": (lambda: designed(PAIR), 0.2, 0.1, {"decay_rate": 0.3}),
+}
+
+
+# The same with V at a few ages only: the name of the case, and the ages.
+STRETCHES = {
+    "stretches-paper": ("paper", (0, 1)),
+    "stretches-paper-far": ("paper-far", (0, 1)),
+    "stretches-dwell": ("paper-dwell", (1, 4)),
+    "stretches-every-age": ("every-age", (2, 4)),
+    "stretches-maximum": ("maximum", (0, 3)),
+    "stretches-maximum-free": ("maximum-free", (5,)),
+    "stretches-generic": ("generic-averaged", (1, 2)),
+    "stretches-off-grid": ("averaged-dwell", (0, 2)),
+    "stretches-range": ("range", (0, 1, 2)),
+    "stretches-polytope": ("polytope-mode", (0, 1)),
+    "stretches-one-mode": ("one-mode", (0,)),
+}
+
+
+def save(name: str, path: Path) -> Path:
+    """Write the certificate of a case.
+
+    Where V decreases at every step it does along every stretch of steps: so V of a linear one at
+    a few ages makes one along stretches.
+    """
+    case, ages = STRETCHES.get(name, (name, ()))
+    loop, dwell_time, step, options = CASES[case]
+    found = dt.certify(*loop(), dwell_time, step, **options)
+    assert found.proven, (case, found.message)
+    found.save(path)
+    if ages:
+        modes = range(found.evidence.setting.A.shape[1])
+        P = np.array([[found.lyapunov(i, a) for a in ages] for i in modes])
+        P = 0.5 * (P + P.swapaxes(-1, -2))
+        V = {"kind": "stretches", "knots": list(ages), "P": packed(P)}
+        rewritten(path, "", {"lyapunov": V, "hints": {}})
+    return path
+
+
+if __name__ == "__main__":
+    for name in (*CASES, *STRETCHES):
+        save(name, CORPUS / f"{name}.json")

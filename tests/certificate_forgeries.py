@@ -1,0 +1,196 @@
+"""What an attacker writes into certificates of the corpus, and makes the digest fit again."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+
+import numpy as np
+
+from certificate_corpus import CORPUS, PAPER
+from certificate_reference import packed
+
+HUGE = 10**400
+
+
+def unpacked(array) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(array["data"]), "<f8").reshape(array["shape"]).copy()
+
+
+def put(path, value):
+    """Put a value at a path of keys, or what a function makes of the one there."""
+
+    def edit(content):
+        *owners, last = path.split(".")
+        for key in owners:
+            content = content[key]
+        content[last] = value(content[last]) if callable(value) else value
+
+    return edit
+
+
+def entries(path, change):
+    """Change the numbers of an array."""
+    return put(path, lambda array: packed(change(unpacked(array))))
+
+
+def scaled(index, factor):
+    def change(X):
+        X[index] *= factor
+        return X
+
+    return change
+
+
+def turned(X):
+    return X[::-1]
+
+
+def cleared(X):
+    return 0.0 * X
+
+
+def nested(path, change):
+    return put(path, lambda rows: change(np.array(rows)).tolist())
+
+
+def other_modes(X):
+    return X[:, ::-1]
+
+
+def without(key):
+    return lambda content: content.pop(key)
+
+
+AGED, AVERAGE, LONGEST = "every-age", "average-free", "maximum-free"
+FAR, PAIR, PIECES = "paper-far", "rate", "stretches-every-age"
+DWELL, UNTIL = "stretches-dwell", "stretches-maximum-free"
+
+# (name of the certificate, change of its content): false claims, which no check may prove
+FALSE = [
+    (AGED, put("signals.dwell_time", 0.41)),
+    (FAR, put("signals.dwell_time", 0.11)),
+    ("paper-dwell", put("signals.dwell_time", 0.21)),
+    (PIECES, put("signals.dwell_time", 0.61)),
+    (DWELL, put("signals.dwell_time", 0.21)),
+    (PAIR, put("signals.dwell_time", 0.09)),
+    (PAIR, put("signals.dwell_time", 1e-300)),
+    (AGED, put("signals.clock_tolerance", 0.5)),
+    (FAR, put("signals.clock_tolerance", 0.4)),
+    (PAIR, put("signals.clock_tolerance", 0.8)),
+    (LONGEST, put("signals.maximum_dwell", 6.0)),
+    (LONGEST, put("signals.maximum_dwell", None)),
+    (LONGEST, put("signals.maximum_dwell", 900.0)),
+    (UNTIL, put("signals.maximum_dwell", 6.0)),
+    (UNTIL, put("signals.maximum_dwell", None)),
+    ("maximum", put("signals.maximum_dwell", None)),
+    (AVERAGE, put("signals.chatter", 6)),
+    (AVERAGE, put("signals.dwell_time", 2.0)),
+    (AVERAGE, put("signals.dwell_time", 0.5)),
+    *((name, put("rho", lambda rho: 0.97 * rho)) for name in (PAIR, AGED, LONGEST, PIECES, UNTIL)),
+    *((name, put("decay_rate", 1.0)) for name in (PAIR, AVERAGE, "range", PIECES)),
+    (PAIR, put("decay_rate", lambda rate: rate * (1 + 1e-10))),
+    ("free-rate-0", put("decay_rate", 1e-300)),
+    (FAR, put("plant.A", [PAPER.apart(0.66).A.tolist()])),
+    (FAR, nested("plant.A", scaled((0, 1, 0, 0), 1.02))),
+    (PAIR, nested("plant.A", lambda A: -A)),
+    (PAIR, nested("plant.B", scaled((0, 0), 1.2))),
+    (FAR, nested("plant.B", scaled((0, 1), 0.97))),
+    ("expected", nested("plant.A", scaled((0, 1), 1.3))),
+    ("delayed", nested("plant.B", other_modes), entries("law.F", lambda F: -F)),
+    (PAIR, nested("plant.A", lambda A: 1e6 * A)),
+    (PAIR, nested("plant.A", lambda A: 1e300 * A)),
+    (PAIR, nested("plant.B", lambda B: 1e300 * B)),
+    (FAR, entries("law.F", scaled((0, 0, 0), 1.02))),
+    (PAIR, entries("law.F", cleared)),
+    (PAIR, entries("law.G", cleared)),
+    (PIECES, entries("law.F", turned)),
+    ("single", entries("law.G", scaled((0, 0), 1.1))),
+    ("generic-averaged", entries("law.F", lambda F: F[:, ::-1])),
+    ("paper-dwell", entries("law.F", turned)),
+    (PAIR, put("plant.delays", [0.2, 0.2])),
+    (PAIR, put("plant.delays", [0.295, 0.295])),
+    ("range", put("plant.delays", [0.2, 0.31])),
+    ("range-narrow", put("plant.delays", [0.201, 0.299])),
+    ("stretches-range", put("plant.delays", [0.1, 0.3])),
+    ("polytope-mode", put("plant.A", lambda A: [A[0], (4.0 * np.array(A[1])).tolist()])),
+    (PAIR, entries("lyapunov.P", lambda P: -P)),
+    (PAIR, entries("lyapunov.P", scaled((0, 0), 0.9))),
+    (PAIR, entries("lyapunov.P", scaled((0, 0), -1.0))),
+    (PAIR, entries("lyapunov.P", lambda P: np.eye(len(P)))),
+    (FAR, entries("lyapunov.P", scaled((3, 4), 1.05))),
+    (PAIR, entries("lyapunov.P", cleared)),
+    (PAIR, entries("lyapunov.P", lambda P: np.triu(P))),
+    (AGED, entries("lyapunov.S", np.tril)),
+    (PIECES, entries("lyapunov.P", turned)),
+    (PIECES, entries("lyapunov.P", lambda P: P[:, ::-1])),
+    (FAR, entries("lyapunov.S", turned)),
+    (FAR, entries("lyapunov.S", lambda S: S[:, ::-1])),
+    (AGED, entries("lyapunov.S", lambda S: -S)),
+    (AVERAGE, entries("lyapunov.S", lambda S: S[:, ::-1])),
+    (AVERAGE, entries("lyapunov.Psi", lambda Psi: 1.1 * Psi)),
+    (AVERAGE, put("lyapunov.knots", [0, 3])),
+    (LONGEST, put("lyapunov.knots", [0, 2])),
+    (PIECES, put("lyapunov.knots", [3, 4])),
+    (PIECES, put("lyapunov.knots", [2, 5])),
+    (UNTIL, put("lyapunov.knots", [30])),
+    ("stretches-range", put("lyapunov.knots", [0, 1, 3])),
+    ("mean", put("law.step", 0.05)),
+    (PAIR, entries("lyapunov.P", lambda P: P[:4, :4])),
+    (AGED, put("law.step", 0.4)),
+]
+
+# malformed: no certificates at all
+MALFORMED = [
+    *((PAIR, put("rho", rho)) for rho in (1.01, 0.0, -0.9, HUGE, None, "1", True)),
+    *((PAIR, put("law.step", step)) for step in (0, -0.1, HUGE, None, [0.1])),
+    *((PAIR, put("plant.delays", D)) for D in ([0.3, 0.2], [0.2], 0.2, [HUGE, HUGE], [0, 0])),
+    (PAIR, put("plant.A", [1.0, 2.0])),
+    (PAIR, put("plant.A", lambda A: A[0])),
+    (PAIR, put("plant.A", [[[[HUGE, 0], [0, 1]]] * 2])),
+    (PAIR, put("plant.A", [[[[math.inf, 0], [0, 1]]] * 2])),
+    (PAIR, put("plant.B", lambda B: [B[0][:1]])),
+    (PAIR, put("law.context", ["mode"])),
+    (PAIR, put("law.context", "mode")),
+    (PAIR, put("law.context", "\ud800")),
+    ("expected", put("law.context", "none")),
+    *((PAIR, put("law.ages", ages)) for ages in (0, 1.5, HUGE, True, math.inf)),
+    (AGED, put("law.ages", 4)),
+    *((PAIR, put("law.F.shape", shape)) for shape in ([10**9] * 2, [math.inf], [-1, 1, 2], "1")),
+    *((PAIR, put("lyapunov.P.data", data)) for data in (3, "\ud800", "AAAA", "?", None)),
+    (PAIR, entries("lyapunov.P", lambda P: math.nan * P)),
+    (PAIR, entries("law.F", lambda F: math.inf * F)),
+    (PAIR, put("lyapunov.kind", ["linear"])),
+    (PAIR, put("lyapunov.kind", "stretches")),
+    (PIECES, put("lyapunov.kind", "linear")),
+    *((FAR, put("lyapunov.knots", knots)) for knots in ([1, 0], [0, 0], [0], [0, 1.5], [1, 2], 0)),
+    (PIECES, put("lyapunov.knots", [-1, 2])),
+    *((PAIR, put("signals.chatter", chatter)) for chatter in (0, True, 1.5, -1)),
+    (LONGEST, put("signals.chatter", 2)),
+    (LONGEST, put("signals.maximum_dwell", 0.5)),
+    *((LONGEST, put("signals.maximum_dwell", T)) for T in (math.inf, math.nan, HUGE, "9")),
+    *((PAIR, put("signals.clock_tolerance", d)) for d in (0.0, -0.1, 1.0, None)),
+    *((PAIR, put(part, None)) for part in ("law", "plant", "signals", "lyapunov")),
+    *((PAIR, without(key)) for key in ("rho", "lyapunov", "plant")),
+    (PAIR, lambda c: c.update(claim="all")),
+    (PAIR, lambda c: c["signals"].update(note="all of them")),
+    (PAIR, put("format", "deadtime certificate 1")),
+]
+
+
+def signed(content) -> str:
+    """The text of a certificate with a digest that fits."""
+    content = {key: value for key, value in content.items() if key != "sha256"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    content["sha256"] = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+    return json.dumps(content)
+
+
+def forged(forgery) -> str:
+    name, *edits = forgery
+    content = json.loads((CORPUS / f"{name}.json").read_text(encoding="utf-8"))
+    for edit in edits:
+        edit(content)
+    return signed(content)

@@ -1,0 +1,218 @@
+"""The second verifier: it proves the corpus, no forgery, and shares no code with the package."""
+
+import ast
+import importlib.util
+import itertools
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+
+import certificate_corpus as corpus
+import certificate_forgeries as forgeries
+import certificate_reference as reference
+import deadtime as dt
+from deadtime.errors import CertificateFileError
+
+VERIFY = Path(__file__).parents[1] / "verifier/verify.py"
+FILES = sorted(corpus.CORPUS.glob("*.json"))
+
+
+def run(*arguments):
+    """Exit code and lines of the verifier, isolated from this repository."""
+    command = [sys.executable, "-I", str(VERIFY), *map(str, arguments)]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=500)
+    assert "Traceback" not in found.stderr
+    return found.returncode, found.stdout.splitlines()
+
+
+def by_the_package(path):
+    try:
+        return dt.verify(path).proven
+    except CertificateFileError:
+        return False
+
+
+def test_the_verifier_is_one_short_file_that_imports_python_and_flint_alone():
+    text = VERIFY.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 500
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {name.name.split(".")[0] for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(str(node.module).split(".")[0])
+    assert found - {"flint"} <= set(sys.stdlib_module_names)
+
+
+def test_both_verifiers_prove_all_of_the_corpus():
+    assert {path.stem for path in FILES} == {*corpus.CASES, *corpus.STRETCHES}
+    assert len(FILES) >= 30
+    code, lines = run(*FILES)
+    assert [line for line in lines if ": PROVED: " not in line] == []
+    assert (code, len(lines)) == (0, len(FILES))
+    assert [path.stem for path in FILES if not by_the_package(path)] == []
+
+
+def test_neither_verifier_proves_a_forgery_and_the_exit_code_tells_false_from_malformed(tmp_path):
+    assert len(forgeries.FALSE) + len(forgeries.MALFORMED) >= 60
+    for forged, code, verdict in (
+        (forgeries.FALSE, 1, "NOT PROVED"),
+        (forgeries.MALFORMED, 2, "UNREADABLE"),
+    ):
+        paths = [tmp_path / f"{code}-{k}-{forged[k][0]}.json" for k in range(len(forged))]
+        for path, forgery in zip(paths, forged, strict=True):
+            path.write_text(forgeries.forged(forgery))
+        found, lines = run("--limit", 20, *paths)
+        assert [line for line in lines if f": {verdict}: " not in line] == []
+        assert (found, len(lines)) == (code, len(paths))
+        assert [path.name for path in paths if by_the_package(path)] == []
+
+
+TEXT = (corpus.CORPUS / "rate.json").read_text(encoding="utf-8")
+BROKEN = {
+    "empty": "",
+    "no object": "[1]",
+    "cut short": TEXT[:1000],
+    "changed": TEXT.replace('"rho": 0.9', '"rho": 0.8'),
+    "a key twice": TEXT.replace('"rho"', '"rho": 0.5, "rho"', 1),
+    "deep": "[" * 10**6,
+    "no text": "\udcff\udc80",
+    "digits": '{"rho": ' + "1" * 10**5 + "}",
+    "not a number": TEXT.replace('"rho"', '"rho": NaN, "a"', 1),
+}
+
+
+def test_whatever_is_no_certificate_gets_a_line_and_no_traceback(tmp_path):
+    paths = [tmp_path / name for name in BROKEN]
+    for path, text in zip(paths, BROKEN.values(), strict=True):
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    code, lines = run(*paths, tmp_path, tmp_path / "nothing", "/dev/zero")
+    assert (code, len(lines)) == (2, len(paths) + 3)
+    assert all(": UNREADABLE: " in line for line in lines)
+    assert sum("no such file" in line for line in lines) == 3
+    assert run(FILES[0], paths[0])[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("forgery", "reason"),
+    [
+        (("rate", forgeries.put("signals.dwell_time", 0.09)), "dwell time is below one period"),
+        (("rate", forgeries.put("decay_rate", 1.0)), "decay_rate is above −ln ρ/h"),
+        (("range", forgeries.put("plant.delays", [0.2, 0.31])), "not within one period"),
+        (("rate", forgeries.put("plant.delays", [200.0, 200.0])), "order is above"),
+        (("rate", forgeries.put("plant.delays", [0.35, 0.35])), "P has not the order 6"),
+        (("rate", forgeries.put("plant.delays", [1e-12, 1e-12])), "not within one period"),
+        (("rate", forgeries.entries("lyapunov.P", np.triu)), "P or S is not symmetric"),
+        (("rate", forgeries.entries("lyapunov.P", lambda P: -P)), "V is not positive definite"),
+        (("rate", forgeries.put("plant.A", [[[[1e9, 0], [0, 1]]] * 2])), "norm of A h or B h"),
+        (("rate", forgeries.put("rho", 0.2)), "mode 0 at age 0: V does not decrease"),
+        (
+            ("stretches-maximum-free", forgeries.put("lyapunov.knots", [30])),
+            "the last knot is not",
+        ),
+        (
+            ("stretches-range", forgeries.put("lyapunov.knots", [0, 1, 3])),
+            "not the last age, 2",
+        ),
+        (("paper-far", forgeries.put("signals.dwell_time", 0.11)), "the switch"),
+    ],
+)
+def test_the_reason_names_what_fails(forgery, reason, tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(forgeries.forged(forgery))
+    code, (line,) = run(path)
+    assert code == 1
+    assert reason in line
+
+
+def test_what_there_is_no_time_for_is_refused_in_bounded_time(tmp_path):
+    assert "NOT PROVED: there was no time" in run("--limit", 0, FILES[0])[1][0]
+    path = tmp_path / "a.json"
+    name, T = "stretches-maximum", 900.0  # 9,000 periods
+    path.write_text(forgeries.forged((name, forgeries.put("signals.maximum_dwell", T))))
+    assert run("--limit", 5, path)[0] == 1
+    far = forgeries.put("signals.dwell_time", 1e6)  # a common function needs no dwell time
+    path.write_text(forgeries.forged(("paper", far)))
+    assert run("--limit", 5, path)[0] == 0
+
+
+def test_the_line_tells_the_loop_and_the_signals():
+    (line,) = run(corpus.CORPUS / "maximum.json")[1]
+    for words in ("n = 2, m = 1, 2 modes", "h = 0.1 s", "D = 1.0 s", "sojourns of 0.2 s to 0.7 s"):
+        assert words in line
+    lines = run(*(corpus.CORPUS / f"{name}.json" for name in ("range", "polytope", "average")))[1]
+    assert "every constant D of 0.2 to 0.29 s" in lines[0]
+    assert "3 vertices" in lines[1]
+    assert "3 + T/(0.2 s) switches or fewer in any T" in lines[2]
+
+
+# -- its enclosures, against fifty digits --------------------------------------------------
+
+
+def module():
+    spec = importlib.util.spec_from_file_location("verify", VERIFY)
+    assert spec is not None
+    assert spec.loader is not None
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found
+
+
+def contains(ball, x):
+    """Whether a ball holds an mpmath number, up to 40 digits."""
+    text = mpmath.nstr(x, 45, strip_zeros=False)
+    return ball.contains(type(ball)(text)) or abs(ball - type(ball)(text)) < 1e-35
+
+
+def test_exponentials_and_periods_are_enclosed():
+    verify, rng = module(), np.random.default_rng(3)
+    verify.ctx.prec = verify.BITS
+    with mpmath.workdps(reference.DIGITS):
+        for size in (1e-3, 1.0, 30.0):
+            X = size * rng.normal(size=(4, 4))
+            found = verify.exponential(verify.arb_mat(X.tolist())).tolist()
+            exact = reference.exponential(reference.many_digits(X))
+            assert all(contains(found[i][j], exact[i, j]) for i, j in np.ndindex(4, 4))
+        content, _ = verify.parsed(str(corpus.CORPUS / "polytope-mode.json"))
+        loop = verify.Loop(verify.certificate(content), float("inf"))
+        A, B = (np.array(content["plant"][name]) for name in "AB")
+        for late, share in itertools.product((0, 1), rng.uniform(0, 1, (3, 2)).round(3)):
+            u, weight = (verify.fmpq(*x.as_integer_ratio()) for x in share.tolist())
+            cell = (((u * 0,), (u,)), ((u * 0,),), ((u * 0,), (weight,)))
+            enclosed = loop.enclosure(0, 1, late, cell)[0][-1]
+            mixed = [(1 - share[1]) * X[0] + share[1] * X[1] for X in (A, B)]
+            plant = reference.Plant(*mixed, loop.c.low, loop.c.step, digits=True)
+            at = plant.phase * reference.decimal(share[0])
+            if late:
+                at = plant.phase + (plant.h - plant.phase) * reference.decimal(share[0])
+            E = plant.rows(0, 1, at / plant.h)
+            ball = (enclosed[0] + enclosed[1]).tolist()
+            assert all(
+                ball[i][j].contains(float(E[i, j])) or abs(ball[i][j] - float(E[i, j])) < 1e-12
+                for i, j in np.ndindex(*E.shape)
+            )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("step", [0.02, 0.01])
+def test_certificates_of_long_delays_are_proved_in_a_minute(step, tmp_path):
+    plant, law = corpus.designed(corpus.PAPER.apart(0.62))
+    path = dt.certify(plant, law, 0.2, step).save(tmp_path / "a.json")
+    assert run("--limit", 60, path)[0] == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [*corpus.CASES, *corpus.STRETCHES])
+def test_the_corpus_made_anew_is_proved(name, tmp_path):
+    path = corpus.save(name, tmp_path / f"{name}.json")
+    assert run(path)[0] == 0
+    old = json.loads((corpus.CORPUS / f"{name}.json").read_text(encoding="utf-8"))
+    new = json.loads(path.read_text(encoding="utf-8"))
+    assert {key: old[key] for key in ("plant", "signals")} == {
+        key: new[key] for key in ("plant", "signals")
+    }

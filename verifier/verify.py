@@ -1,0 +1,500 @@
+"""python verifier/verify.py certificate.json ...: needs python-flint, and nothing of deadtime's.
+
+FORMAT.md, beside this file, says what a certificate holds, and that it has to prove
+    V − Mᵀ V₊ M/g ≻ 0,    g = ρ^(2L),                                                       (1)
+for every link, a stretch of L periods from a node of the graph to the next.
+
+**Only n rows move.** In one period of a link the instant s of a switch may vary. Its matrix is
+[E Y₀; U₀]: E (n rows) propagates (x, u_{k−N}, u_{k−N+1}) = Y₀ ξ, U₀ has the rows of u_k, ….
+With the products Q and S of the periods before and after it M = S [E Y; U], Y = Y₀ Q, U = U₀ Q.
+Let Sᵀ V₊ S = [a, bᵀ; b, c], a ≻ 0 (checked), and complete the square:
+    V − Mᵀ V₊ M/g = H − Kᵀ (a/g) K,  H = V − (Uᵀ c U − Zᵀ a⁻¹ Z)/g,  K = E Y + a⁻¹ Z,  Z = bᵀ U.
+It is ≻ 0 only if H is, and then, by the two Schur complements of [H, Kᵀ; K, g a⁻¹], exactly if
+    F(E) = g a⁻¹ − [E I] G [E I]ᵀ ≻ 0,    G = W H⁻¹ Wᵀ,    W = [Y; a⁻¹ Z].                   (2)
+Only (2), of order n, depends on s. If T H Tᵀ is within ε < 1 of I in the norm ∞, its eigenvalues
+are ≥ 1 − ε, so H ≻ 0 and H⁻¹ ⪯ TᵀT/(1 − ε); with this for H⁻¹, (2) says more. T may be anything.
+
+**All instants.** The instant, and where they vary the delay in its range and the weights of the
+vertices, are parameters p. On a cell of p with centre q, by the mean value theorem for each entry,
+    E(p) ∈ E(q) + Σ (p_k − q_k) D_k + R,  ∂E/∂p_k ∈ D_k ± r_k on the cell,  |R| ≤ Σ |p_k − q_k| r_k,
+and p is in the hull of the cell's corners: E is in the hull of sets E_c + R, one per corner. F is
+concave, for G ⪰ 0: (2) holds on the cell if it does for all E_c + R. In balls,
+    F(E_c + R) = F(E_c) − R Nᵀ − N Rᵀ − R G₁₁ Rᵀ,    N = the first columns of [E_c I] G,
+is ≻ 0 if T F Tᵀ is within ε < 1 of I, T from its centre: R counts in units in which F is I. A cell
+that fails is halved (R falls with the square of its size), unless its centre fails too.
+
+**A period** is cut at t_1 ≤ t_2 into pieces, E = e^{X_3 (h − t_2)} e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
+X = [A, B; 0, 0] with the B of the input that acts. As X commutes with its exponential,
+    ∂E/∂p = Σ_k ∂t_k/∂p (the pieces after t_k) (X_k − X_{k+1}) (the pieces before it).
+s = u φ or φ + u (h − φ), for E has a kink at s = φ. With vertices, X = X⁰ + Σ λ_v (Xᵛ − X⁰), and
+∂e^{Xτ}/∂λ_v is the upper right block of exp τ[X, Xᵛ − X⁰; 0, X]. e^X = (e^{X/2^k})^(2^k), where
+|X/2^k| = θ ≤ 1/8 in the norm ∞: 24 terms of its series leave < θ²⁵/25!/(1 − θ/26) in every entry.
+
+**Ages.** For "linear", V_{i,a} and V at the next node are affine in the age a between breakpoints
+(knots, `last`, q₀, q₀ + 1, with a bucket q₀ + knots, all ages where rows go by age), and M is the
+same: so (1) at the first and the last age there implies the others, as it does for V ≻ 0.
+
+**Rounding.** P, Ψ, S, F, G, ρ are exact; V and up to order 16 its leading minors are rational.
+A, B, delays and the period are balls of half a unit in the last place; ages come from rational
+quotients of decimals. All else is in Arb's balls at 160 bits, which hold the exact results: a
+comparison is true only if it is for all of a ball.
+"""
+
+import argparse
+import base64
+import hashlib
+import itertools
+import json
+import math
+import struct
+import sys
+import time
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+
+from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
+
+BITS, TERMS, EXACT_ORDER, CELLS, DEEPEST = 160, 24, 16, 20000, 60  # cells kept; their bisections
+LARGEST_FILE, LARGEST_ORDER, LARGEST_NORM = 1 << 30, 1500, 1024  # bytes; of ξ; of A h and B h
+
+
+def need(condition, message):
+    if not condition:
+        raise ValueError(message)
+
+
+def take(value, name, keys):
+    odd = sorted(set(value) ^ set(keys.split()))
+    need(not odd, f"{name} lacks, or has too many: {ascii(odd)[:80]}")
+    return [value[k] for k in keys.split()]
+
+
+def real(value, name):
+    need(type(value) in (int, float), f"{name} is not a number")
+    need(abs(value) <= sys.float_info.max and float(value) == value, f"{name} is not binary64")
+    return float(value)
+
+
+def whole(value, name, least):
+    need(type(value) is int and value >= least, f"{name} is not an integer, {least} or more")
+    return value
+
+
+def nested(value, name, *shape):
+    """Lists of lists of numbers of a shape; None stands for any length above 0."""
+    if not shape:
+        return real(value, name)
+    need(value and shape[0] in (None, len(value)), f"{name} has not the shape that it should have")
+    return [nested(entry, name, *shape[1:]) for entry in value]
+
+
+def array(value, name, *shape):
+    """The same from base64."""
+    sizes, data = take(value, name, "shape data")
+    fits = all(k in (None, whole(s, name, 0)) for s, k in zip(sizes, shape, strict=True))
+    raw = base64.b64decode(data, validate=True)
+    need(fits and len(raw) == 8 * math.prod(sizes), f"{name} has not the shape {shape}")
+    flat = [real(x, name) for x in struct.unpack(f"<{len(raw) // 8}d", raw)]
+    for k in range(len(sizes) - 1, 0, -1):
+        r, count = sizes[k], math.prod(sizes[:k])
+        flat = [flat[i * r : i * r + r] for i in range(count)]
+    return flat
+
+
+def parsed(path):
+    """The file's object and its digest, which has to fit."""
+    path, twice = Path(path), "a key occurs twice"
+    need(path.is_file() and path.stat().st_size <= LARGEST_FILE, "no such file, or too large a one")
+    hook = lambda pairs: need(len(dict(pairs)) == len(pairs), twice) or dict(pairs)  # noqa: E731
+    content = json.loads(path.read_bytes().decode(), object_pairs_hook=hook)
+    stated = content.pop("sha256", None)
+    line = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    digest = hashlib.sha256(line.encode()).hexdigest()
+    need(stated == digest, "its digest does not fit: cut short, or changed since it was written")
+    return content, digest
+
+
+def certificate(content):
+    """What the file says, checked for shapes and ranges."""
+    keys = "format version decay_rate plant law signals rho lyapunov hints"
+    form, _, rate, plant, law, signals, rho, lyapunov, _ = take(content, "the file", keys)
+    need(form == "deadtime certificate 2", "the format is not 'deadtime certificate 2'")
+    c = SimpleNamespace(rho=real(rho, "rho"), rate=real(0 if rate is None else rate, "decay_rate"))
+    A, B, delays = take(plant, "plant", "A B delays")
+    c.vertices, c.modes, c.n, c.m = len(A), len(A[0]), len(A[0][0]), len(B[0][0][0])
+    c.A = nested(A, "A", c.vertices, c.modes, c.n, c.n)
+    c.B = nested(B, "B", c.vertices, c.modes, c.n, c.m)
+    c.low, c.high = nested(delays, "delays", 2)
+    c.context, ages, step, F, G = take(law, "law", "context ages step F G")
+    c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
+    rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
+    need(rows and (c.context == "mode_age" or c.ages == 1), "context is unknown, or ages not 1")
+    c.F, c.G = array(F, "F", rows, c.m, c.n), array(G, "G", rows, None, c.m, c.m)
+    keys = "dwell_time maximum_dwell chatter clock_tolerance"
+    dwell, maximum, chatter, tolerance = take(signals, "signals", keys)
+    c.dwell, c.tolerance = real(dwell, "dwell_time"), real(tolerance, "clock_tolerance")
+    c.chatter, c.maximum = whole(chatter, "chatter", 1), maximum
+    fits = 0 < c.low <= c.high and c.step > 0 and c.dwell > 0 and 1e-8 <= c.tolerance < 1
+    need(fits and 0 < c.rho <= 1, "delays, step, dwell_time, clock_tolerance or rho out of range")
+    fits = maximum is None or (c.dwell <= real(maximum, "maximum_dwell") and c.chatter == 1)
+    need(fits, "maximum_dwell is below dwell_time, or chatter is not 1")
+    c.linear = lyapunov["kind"] == "linear"
+    kind, knots, P, *rest = take(lyapunov, "lyapunov", "kind knots P" + " Psi S" * c.linear)
+    fits = c.linear or (kind == "stretches" and c.chatter == 1)
+    need(fits, "lyapunov.kind is neither 'linear' nor 'stretches' with chatter 1")
+    c.knots = [whole(k, "knots", 0) for k in knots]
+    need(c.knots and c.knots == sorted(set(c.knots)), "knots do not ascend")
+    need(not c.linear or c.knots[0] == 0, "the first knot is not 0")
+    shape = c.modes, len(knots)
+    c.P = array(P, "P", *shape[: 0 if c.linear else 2], None, None)
+    c.Psi = array(rest[0], "Psi", None, None) if c.linear else []
+    c.S = array(rest[1], "S", *shape, len(c.Psi), len(c.Psi)) if c.linear else []
+    return c
+
+
+def ball(x):
+    """All reals within half a unit in the last place."""
+    return arb(x) + arb(0, math.ulp(x)) * arb(0.5)
+
+
+def eye(n):
+    return arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
+
+
+def block(rows):
+    lines = [zip(*(X.tolist() for X in row), strict=True) for row in rows]
+    return arb_mat([[x for entries in parts for x in entries] for line in lines for parts in line])
+
+
+def part(X, top, bottom, left, right):
+    entries = [x for row in X.tolist()[top:bottom] for x in row[left:right]]
+    return arb_mat(bottom - top, right - left, entries)
+
+
+def norm(X):
+    """An upper bound of the norm ∞."""
+    sums = [sum((x.abs_upper() for x in row), arb(0)).upper() for row in X.tolist()]
+    return max(sums) if all(s.is_finite() for s in sums) else arb.pos_inf()
+
+
+def exponential(X):
+    size, n, halvings = norm(X), X.nrows(), 0
+    need(size < LARGEST_NORM, f"the norm of A h or B h is above {LARGEST_NORM}")
+    while not size <= 0.125:
+        size, halvings = size / 2, halvings + 1
+    X, one, total = X * (arb(1) / 2**halvings), eye(n), eye(n)
+    for k in range(TERMS, 0, -1):
+        total = one + X * total * (arb(1) / k)
+    rest = size ** (TERMS + 1) / arb(math.factorial(TERMS + 1)) / (1 - size / (TERMS + 2))
+    total += arb_mat(n, n, [arb(0, 1) * rest] * (n * n))
+    for _ in range(halvings):
+        total = total * total
+    return total
+
+
+def inverse_factor(H):
+    """About L⁻¹ for the centre of H = L Lᵀ, not finite if there is no L; nothing is claimed."""
+    H, n = H.mid(), H.nrows()
+    if n == 1:
+        return arb_mat([[H[0, 0].rsqrt()]]).mid()
+    k = n // 2
+    T = inverse_factor(part(H, 0, k, 0, k))
+    L = part(H, k, n, 0, k) * T.transpose()
+    rest = inverse_factor(part(H, k, n, k, n) - L * L.transpose())
+    return block([[T, arb_mat(k, n - k)], [rest * L * T * arb(-1), rest]]).mid()
+
+
+def positive(H):
+    """T and a bound ε of |T H Tᵀ − I|; H ≻ 0 if ε < 1."""
+    T = inverse_factor(H)
+    return T, norm(T * H * T.transpose() - eye(H.nrows()))
+
+
+def rational(rows):
+    return fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in row] for row in rows])
+
+
+class Loop:
+    """The loop of a certificate: its ages, rows, Lyapunov function and periods."""
+
+    def __init__(self, c, deadline):
+        self.c, self.n, self.modes, self.deadline = c, c.n, range(c.modes), deadline
+        gains = itertools.chain(*c.F, *itertools.chain(*c.G))
+        self.acts, self.h = any(map(any, gains)), ball(c.step)  # else no input travels
+        self.N, self.ends = self.clock() if self.acts else (0, [(self.h, arb(0))] * 2)
+        self.q0, self.q1, self.last = self.ages()
+        self.ranged, self.held = self.acts and c.low < c.high, max(self.N, len(c.G[0])) * self.acts
+        self.k, self.d = c.n + 2 * c.m * self.acts, c.n + c.m * self.held
+        need(self.d <= LARGEST_ORDER, f"its order is above this verifier's {LARGEST_ORDER}")
+        for X in [c.P] if c.linear else itertools.chain(*c.P):
+            need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
+        room = 2 + 10**6 // self.d**2
+        self.table, self.V = lru_cache(room)(self.new_table), lru_cache(room)(self.new_V)
+        self.full = lru_cache(room)(self.new_full)
+        self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
+
+    def clock(self):
+        """N, and φ and h − φ at both ends of the range of delays."""
+        c, h, ends = self.c, self.h, []
+        ratios = [Fraction(repr(D)) / Fraction(repr(c.step)) for D in (c.low, c.high)]
+        near = [round(r) if abs(r - round(r)) <= Fraction(1, 10**9) else r for r in ratios]
+        N = math.ceil(near[1])
+        for D, ratio in zip((c.low, c.high), near, strict=True):
+            past, phase = ratio - N + 1, ball(D) - (N - 1) * h
+            ends.append((h * past, h * (1 - past)) if past in (0, 1) else (phase, h - phase))
+            fits = N >= 1 and past >= 0 and ends[-1][0] >= 0 and ends[-1][1] >= 0
+            need(fits, "the delays are not within one period")
+        return N, ends
+
+    def ages(self):
+        """q₀, q₁ (None: no bound) and `last`."""
+        c, tolerance, room = self.c, Fraction(repr(self.c.tolerance)), Fraction(1, 2**50)
+        h, dwell, most = (Fraction(repr(float(x or 1))) for x in (c.step, c.dwell, c.maximum))
+        self.shortest = (1 - tolerance) * (1 - room) * dwell / h
+        self.longest = (1 + tolerance) * (1 + room) * most / h
+        self.bucket, q0 = c.chatter > 1 and c.modes > 1, math.floor(self.shortest) - 1
+        if c.modes == 1:
+            return 0, None, c.ages - 1
+        need(q0 >= 0, "the dwell time is below one period")
+        if c.maximum is not None:
+            return q0, math.ceil(self.longest) - 1, math.ceil(self.longest) - 1
+        # Without a bucket the last age stands for all later ones.
+        last = math.ceil(c.chatter * dwell / h) if self.bucket else max(q0 + 1, c.ages - 1)
+        return q0, None, max(q0, last)
+
+    def rows(self, mode, age):
+        """The rows that may act."""
+        if self.c.context != "mode_age":
+            return [mode if self.c.context == "mode" else 0]
+        every = range(mode * self.c.ages, (mode + 1) * self.c.ages)
+        return every if self.bucket else [every[min(age, self.c.ages - 1)]]
+
+    def new_table(self, row):
+        """Y₀ and U₀ of a row."""
+        n, m, d, old = self.n, self.c.m, self.d, self.N * self.c.m
+        if not self.acts:
+            return eye(d), arb_mat(0, n)
+        G = self.c.G[row] + [[[0.0] * m] * m] * (self.held - len(self.c.G[row]))
+        now = [[*self.c.F[row][i], *(x for g in G for x in g[i])] for i in range(m)]
+        one, u = eye(d).tolist(), now + eye(d).tolist()[n:]  # u_k, u_{k−1}, …, u_{k−W}
+        return arb_mat(one[:n] + u[old : old + m] + u[old - m : old]), arb_mat(u[: d - n])
+
+    def new_V(self, mode, age):
+        """V at a node, if it is ≻ 0."""
+        c, d = self.c, self.d
+        V = rational(c.P if c.linear else c.P[mode][c.knots.index(age)])
+        if c.Psi:
+            Psi, S, knots = rational(c.Psi), c.S[mode], [*c.knots, max(age, c.knots[-1]) + 1]
+            k = next(k for k in range(len(S)) if age < knots[k + 1])
+            share = fmpq(age - knots[k], knots[k + 1] - knots[k])
+            after = rational(S[min(k + 1, len(S) - 1)])
+            V += Psi.transpose() * (rational(S[k]) * (1 - share) + after * share) * Psi
+        need(V.transpose() == V, "P or S is not symmetric")
+        balls = arb_mat(d, d, [arb(x) for x in V.entries()])
+        minors = (fmpq_mat([row[:k] for row in V.tolist()[:k]]).det() for k in range(1, d + 1))
+        fits = all(x > 0 for x in minors) if d <= EXACT_ORDER else positive(balls)[1] < 1
+        need(fits, f"V is not positive definite in mode {mode} at age {age}")
+        return balls
+
+    def generator(self, vertex, mode, fresh):
+        """X of a piece on which u_{k−N}, or else u_{k−N+1}, acts."""
+        c, zeros, rows = self.c, [0] * self.c.m, []
+        for a, b in zip(c.A[vertex][mode], c.B[vertex][mode], strict=True):
+            row = [*map(ball, a), *zeros * fresh, *map(ball, b), *zeros * (1 - fresh)]
+            rows.append(row[: self.k])
+        return arb_mat(rows + [[0] * self.k] * (self.k - self.n))
+
+    def period(self, i, j, late, p, slopes):
+        """E, and if asked for its derivatives by u, by the place f in the range, by λ_1, …."""
+        (u, f, *weights), k, zero = p, self.k, arb_mat(self.k, self.k)
+        (phase, left), (phase_1, left_1) = self.ends
+        rise = phase_1 - phase
+        phase, left = phase + f * rise, left + f * (left_1 - left)
+        # Pieces (mode, which input, duration), and how u and f move the instant before each.
+        pieces = (i, 0, u * phase), (j, 0, (1 - u) * phase), (j, 1, left)
+        moved = (0, 0), (phase, u * rise), (0, rise)
+        if late:
+            pieces = (i, 0, phase), (i, 1, u * left), (j, 1, (1 - u) * left)
+            moved = (0, 0), (0, rise), (left, (1 - u) * rise)
+        E, D, before = eye(k), [zero] * (2 + len(weights)), zero
+        for (mode, fresh, duration), by in zip(pieces, moved, strict=True):
+            first, *others = [self.X(v, mode, fresh) for v in range(self.c.vertices)]
+            steps = [X - first for X in others]
+            X = sum((w * dX for w, dX in zip(weights, steps, strict=True)), first)
+            P = exponential(X * duration)
+            if slopes:
+                D[:2] = [D[r] + (before - X) * E * by[r] for r in (0, 1)]
+                D = [P * slope for slope in D]
+                for v, dX in enumerate(steps, 2):
+                    doubled = exponential(block([[X, dX], [zero, X]]) * duration)
+                    D[v] += part(doubled, 0, k, k, 2 * k) * E
+            E, before = P * E, X
+        return [part(Q, 0, self.n, 0, k) for Q in (E, *D)]
+
+    def new_enclosure(self, i, j, late, simplices):
+        """(E, R) at the centre and at the corners of a cell; how much each simplex moves E."""
+        corners = [[x for v in vs for x in v] for vs in itertools.product(*simplices)]
+        places = [*zip(*corners, strict=True)]
+        middle = [sum(x, fmpq(0)) / len(x) for x in places]
+        widths = [max(abs(x - y) for x in xs) for xs, y in zip(places, middle, strict=True)]
+        box = [y + arb(0, 1) * arb(w) for y, w in zip(middle, widths, strict=True)]
+        E = self.period(i, j, late, [arb(y) for y in middle], False)[0]
+        D = self.period(i, j, late, box, True)[1:] if any(widths) else []
+        spread = ((S - S.mid()) * arb(w) for S, w in zip(D, widths, strict=False))
+        spread = sum(spread, arb_mat(self.n, self.k))
+        found = [(E.mid(), E - E.mid())]
+        for corner in corners:
+            moves = (S.mid() * arb(x - y) for S, x, y in zip(D, corner, middle, strict=False))
+            X = sum(moves, E)
+            found.append((X.mid(), X - X.mid() + spread))
+        u, f, *v = [float(norm(S) * w) for S, w in zip(D, widths, strict=False)] or (0.0, 0.0)
+        return found, [u, f, sum(v)]
+
+    def new_full(self, mode, start, end):
+        """The product of the periods without a switch; by halves, so that the balls grow less."""
+        need(time.monotonic() < self.deadline, "there was no time for it; --limit gives more")
+        if end - start != 1:
+            half = (start + end) // 2
+            late = self.full(mode, half, end) if end > start else eye(self.d)
+            return late * self.full(mode, start, half) if end > start else late
+        (Y, U), cell = self.table(self.rows(mode, start)[0]), self.roots(mode, mode)[0]
+        E, R = self.enclosure(mode, mode, *cell)[0][0]
+        return block([[(E + R) * Y], [U]]) if self.acts else (E + R) * Y
+
+    def roots(self, i, j, age=0):
+        """Cells that cover the parameters: part of the period, simplices of u, of f and of λ."""
+        (p0, r0), (p1, r1), count, found = *self.ends, range(self.c.vertices), []
+        f = ((fmpq(0),), (fmpq(1),)) if self.ranged else ((fmpq(0),),)
+        low = 0 if self.bucket or i == j else max(0, self.shortest - age - 1)
+        high = 0 if i == j else min(1, self.longest - age) if self.c.maximum else 1
+        low, high = (self.h * x.numerator / x.denominator for x in (low, high))  # s of a switch
+        weights = tuple(tuple(fmpq(p == q) for p in count[1:]) for q in count)
+        spans = [(low / p1, high / p0), ((low - p1) / r1, (high - p0) / r0)]  # of u, for all φ
+        for late, (first, last) in enumerate(spans[: 2 - (i == j or r0.is_zero())]):
+            u0 = float(first.lower()) - 2**-50 if first.is_finite() and i != j else 0.0
+            u1 = float(last.upper()) + 2**-50 if last.is_finite() and i != j else float(i != j)
+            ends = sorted({fmpq(*min(1.0, max(0.0, u)).as_integer_ratio()) for u in (u0, u1)})
+            if u0 <= 1 and u1 >= 0:
+                found.append((late, (tuple((x,) for x in ends), f, weights)))
+        return found
+
+
+def linear(loop):
+    V, last, c = loop.V, loop.last, loop.c
+    found = {0, last, loop.q0, loop.q0 + 1, *c.knots}
+    found |= {k + loop.q0 for k in c.knots if loop.bucket}
+    found |= set(range(min(c.ages, last + 1)))
+    starts = {a for a in found if a <= last}
+    for a, i in itertools.product(sorted(starts | {a - 1 for a in starts if a > 0}), loop.modes):
+        for row in loop.rows(i, a):
+            if loop.q1 is None or a < last:
+                prove(loop, f"mode {i} at age {a}", V(i, a), V(i, min(a + 1, last)), row, (i, i))
+            for j in (j for j in loop.modes if j != i and a >= loop.q0):
+                V_next = V(j, a - loop.q0 if loop.bucket else 0)
+                prove(loop, f"the switch {i} to {j} at age {a}", V(i, a), V_next, row, (i, j), a)
+
+
+def stretches(loop):
+    knots, last, V, unbounded = loop.c.knots, loop.last, loop.V, loop.q1 is None
+    need(unbounded * last <= knots[-1] <= last, f"the last knot is not the last age, {last}")
+    need(len(loop.modes) == 1 or knots[0] <= loop.q0, "the first knot is past a switch")
+    fixed = not loop.ranged and loop.c.vertices == 1
+    need(fixed or len(knots) > last, "not every age is a knot, though delay or plant varies")
+    after = [loop.full(j, 0, knots[0]) for j in loop.modes]
+    for i, (start, end) in itertools.product(loop.modes, itertools.pairwise([*knots, last + 1])):
+        for a in range(start, end):
+            (row,), name, L = loop.rows(i, a), f"mode {i} from age {start} to {a}", a - start + 1
+            before = loop.full(i, start, a)
+            for j in (j for j in loop.modes if j != i and a >= loop.q0):
+                to = f"{name}, then {j}", V(i, start), V(j, knots[0]), row, (i, j), a
+                prove(loop, *to, L + knots[0], before, after[j])
+            if a + 1 == end and (end <= last or unbounded):
+                prove(loop, name, V(i, start), V(i, min(end, last)), row, (i, i), a, L, before)
+
+
+def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=None):
+    """Inequality (1) of a link from V to W, for all parameters; None stands for I."""
+    n, d, k, g, (Y, U) = loop.n, loop.d, loop.k, arb(loop.c.rho) ** (2 * periods), loop.table(row)
+    Y, U = (Y * before, U * before) if before is not None else (Y, U)
+    W = after.transpose() * W * after if after is not None else W
+    a, b, c = part(W, 0, n, 0, n), part(W, n, d, 0, n), part(W, n, d, n, d)
+    need(positive(a)[1] < 1, f"{name}: V after it is too close to singular")
+    inverse, Z = a.inv(), b.transpose() * U if loop.acts else arb_mat(n, d)
+    H = V + Z.transpose() * inverse * Z * (1 / g)
+    if loop.acts:
+        H -= U.transpose() * (c * U) * (1 / g)
+    T, error = positive(H)
+    need(error < 1, f"{name}: V does not decrease, whatever the state")
+    TW = T * block([[Y], [inverse * Z]]).transpose()
+    G, target = TW.transpose() * TW * (1 / (1 - error)), inverse * g
+
+    def holds(E, R):
+        EI = block([[E, eye(n)]])
+        N = EI * G
+        change = R * part(N, 0, n, 0, k).transpose()
+        F = target - N * EI.transpose() - change - change.transpose()
+        return positive(F - R * part(G, 0, k, 0, k) * R.transpose())[1] < 1
+
+    cells = [(cell, 0) for cell in loop.roots(*modes, age)]
+    while cells:
+        need(time.monotonic() < loop.deadline, "there was no time for it; --limit gives more")
+        cell, depth = cells.pop()
+        (centre, *corners), moves = loop.enclosure(*modes, *cell)
+        if not all(holds(*at) for at in corners):
+            lost = depth == DEEPEST or not any(moves) or not holds(*centre)
+            need(not lost, f"{name}: V does not decrease")
+            cells += [(half, depth + 1) for half in halves(*cell, moves.index(max(moves)))]
+
+
+def halves(late, simplices, index):
+    """The cell with one of its simplices cut in two across its longest edge."""
+    pairs = itertools.combinations(simplices[index], 2)
+    ends = max(pairs, key=lambda p: max(abs(x - y) for x, y in zip(*p, strict=True)))
+    middle = tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
+    for end in ends:
+        cut = tuple(middle if v == end else v for v in simplices[index])
+        yield late, (*simplices[:index], cut, *simplices[index + 1 :])
+
+
+def summary(c):
+    """The loop in its first numbers, and its signals in words."""
+    longest = "or more" if c.maximum is None else f"to {c.maximum!r} s"
+    signals = f"sojourns of {c.dwell!r} s {longest}"
+    if c.chatter > 1:
+        signals = f"{c.chatter} + T/({c.dwell!r} s) switches or fewer in any T, one in a period"
+    D = f"D = {c.low!r} s" if c.low == c.high else f"every constant D of {c.low!r} to {c.high!r} s"
+    first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
+    plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
+    rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
+    loop = f"n = {c.n}, m = {c.m}, {plant}, h = {c.step!r} s, {D}, {first}, rows by {c.context}"
+    return f"{rate}; {loop}; {signals} by a clock off by {c.tolerance!r} at most"
+
+
+def main():
+    codes = "Exit code: 0 all are proved, 1 one is not, 2 one cannot be read or has been changed."
+    parser = argparse.ArgumentParser(description=f"Check certificates of stability. {codes}")
+    parser.add_argument("files", nargs="+", metavar="certificate.json")
+    parser.add_argument("--limit", type=float, default=600.0, help="seconds for a file (600)")
+    arguments, ctx.prec, worst = parser.parse_args(), BITS, 0
+    sys.stdout.reconfigure(errors="backslashreplace")
+    for path in arguments.files:
+        start, c, about, code, verdict = time.monotonic(), None, "", 0, "PROVED"
+        try:
+            content, digest = parsed(path)
+            c = certificate(content)
+            about = f": {summary(c)}; sha256 {digest[:16]}"
+            need(arb(c.rate) * ball(c.step) <= -arb(c.rho).log(), "decay_rate is above −ln ρ/h")
+            (linear if c.linear else stretches)(Loop(c, start + arguments.limit))
+        except Exception as error:  # whatever a foreign file brings about
+            code, verdict = (1, "NOT PROVED: ") if c else (2, "UNREADABLE: ")
+            verdict += f"{error}" if type(error) is ValueError else repr(error)
+        line = f"{path}: {verdict}{about}; {time.monotonic() - start:.1f} s".split()
+        print(" ".join(line), flush=True)
+        worst = max(worst, code)
+    sys.exit(worst)
+
+
+if __name__ == "__main__":
+    main()
