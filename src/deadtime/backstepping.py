@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from deadtime.checks import shaped
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.laws.base import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.breakpoints import merged, subdivided
@@ -30,7 +31,7 @@ from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False)
-class Backstepping:
+class Backstepping(Frozen):
     """The transformation at one time t: between U and W on [t − D, t], given X(t).
 
     Parameters
@@ -63,6 +64,7 @@ class Backstepping:
     def __post_init__(self) -> None:
         checked_gains(self.plant, self.gains, allow_unstable=True)
         self.signal.require_modes(self.plant.modes)
+        super().__post_init__()
 
     def direct(self, x: Float[np.ndarray, " n"], u: InputHistory) -> Piecewise:
         """W on [−D, 0] (times relative to t) from X(t) and U: equations (10), (14)."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from numbers import Real
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,22 +13,36 @@ from deadtime.errors import ArgumentError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+_FILL = "fill them (.filled) or leave them out (.compressed)"
+_REAL = "pass its .real if the imaginary part is round-off"
+_WHAT = {"c": f": {_REAL}", "U": ", text: convert it with float"}
+_LONG = 200  # letters of a value in a message
+
 
 def number(name: str, value: object) -> float:
     """A finite real number."""
     if isinstance(value, (str, bytes)):  # float would read some of them, and comparisons none
         raise ArgumentError(
-            f"{name} must be a number, got {value!r}, a {type(value).__name__}: pass it without "
-            "quotes, or convert it with float."
+            f"{name} must be a number, got {brief(value)}, a {type(value).__name__}: pass it "
+            "without quotes, or convert it with float."
         )
+    if isinstance(value, np.ndarray):  # float would read arrays of one entry, and masked ones
+        if np.ma.is_masked(value):
+            raise ArgumentError(f"{name} must be a number, got a masked one: {_FILL}.")
+        if value.ndim:
+            raise ArgumentError(f"{name} must be one number, got an array of shape {value.shape}.")
+    if isinstance(value, (complex, np.complexfloating)):
+        raise ArgumentError(f"{name} must be a real number, got {brief(value)}: {_REAL}.")
     try:
         result = float(value)  # pyright: ignore[reportArgumentType]
+    except OverflowError:
+        raise ArgumentError(f"{name} must be below 1.8e308 in size, got {brief(value)}.") from None
     except (TypeError, ValueError):
         raise ArgumentError(
-            f"{name} must be a number, got {value!r}, a {type(value).__name__}."
+            f"{name} must be a number, got {brief(value)}, a {type(value).__name__}."
         ) from None
     if not math.isfinite(result):
-        raise ArgumentError(f"{name} must be finite, got {result}.")
+        raise ArgumentError(f"{name} must be finite, got {_as_given(value, result)}.")
     return result
 
 
@@ -42,9 +57,11 @@ def positive(name: str, value: object, unit: str = "s") -> float:
 def index(name: str, value: object, count: int) -> int:
     """An integer in 0, …, count − 1."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise ArgumentError(f"{name} must be an integer in 0..{count - 1}, got {value!r}.")
+        raise ArgumentError(f"{name} must be an integer in 0..{count - 1}, got {brief(value)}.")
     if not 0 <= value < count:
-        raise ArgumentError(f"{name} must be in 0..{count - 1}, got {value}: modes count from 0.")
+        raise ArgumentError(
+            f"{name} must be in 0..{count - 1}, got {brief(value)}: modes count from 0."
+        )
     return int(value)
 
 
@@ -57,7 +74,7 @@ def instance(name: str, value: object, kind: type) -> None:
 def count(name: str, value: object, least: int = 1) -> int:
     """An integer of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ArgumentError(f"{name} must be an integer of at least {least}, got {value!r}.")
+        raise ArgumentError(f"{name} must be an integer of at least {least}, got {brief(value)}.")
     return int(value)
 
 
@@ -66,37 +83,84 @@ def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
 
     `form` is how the message writes the expected shape, such as ``(modes, n, n)``.
     """
-    try:
-        raw = np.asarray(value)
-    except ValueError:
-        raise ArgumentError(
-            f"{name} must have shape {form}, got rows of different lengths: "
-            "give every mode the same number of states and inputs."
-        ) from None
-    if raw.dtype.kind not in "biuf":
-        raise ArgumentError(f"{name} must hold real numbers, got an array of {raw.dtype}.")
+    raw = _raw_array(name, value, "hold real numbers", f"have shape {form}")
     if raw.ndim != ndim:
-        raise ArgumentError(f"{name} must have shape {form}, got {raw.shape}{_hint(raw, ndim)}.")
+        raise ArgumentError(
+            f"{name} must have shape {form}, got {raw.shape}{_hint(raw, ndim, form)}."
+        )
     if raw.size == 0:
         raise ArgumentError(f"{name} must have shape {form}, got the empty shape {raw.shape}.")
-    bad = np.argwhere(~np.isfinite(raw))
+    result = _floats(raw)
+    bad = np.argwhere(~np.isfinite(result))
     if bad.size:
-        where = ", ".join(map(str, bad[0]))
-        raise ArgumentError(f"{name}[{where}] must be finite, got {raw[tuple(bad[0])]}.")
-    result = np.array(raw, dtype=np.float64, order="C")
+        where, place = ", ".join(map(str, bad[0])), tuple(bad[0])
+        given = _as_given(raw[place], result[place])
+        raise ArgumentError(f"{name}[{where}] must be finite, got {given}.")
     result.flags.writeable = False
     return result
 
 
 def as_floats(name: str, value: ArrayLike, form: str) -> np.ndarray:
     """An array of floats of any shape; NaN and infinity pass."""
+    wanted = f"hold real numbers, {form}"
+    return _floats(_raw_array(name, value, wanted, wanted))
+
+
+def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
+    """`value` as an array of real numbers; messages say that it must `reals` and `shape`."""
     try:
-        raw = np.asarray(value)
+        raw = np.asarray(unmasked(name, value))
+        if raw.dtype.kind == "O" and raw.size and all(isinstance(x, Real) for x in raw.flat):
+            raw = raw.astype(np.float64)  # such as integers beyond 64 bits
+    except OverflowError:
+        raise ArgumentError(
+            f"{name} must {reals}, got an entry of 1.8e308 or more, which floats do not hold."
+        ) from None
     except ValueError:
-        raw = np.empty(0, object)
+        raise ArgumentError(
+            f"{name} must {shape}, got rows of different lengths: "
+            "give every mode the same number of states and inputs."
+        ) from None
     if raw.dtype.kind not in "biuf":
-        raise ArgumentError(f"{name} must hold real numbers, {form}, got {value!r}.")
-    return raw.astype(float)
+        what = _WHAT.get(raw.dtype.kind, "")
+        raise ArgumentError(f"{name} must {reals}, got an array of {raw.dtype}{what}.")
+    return raw
+
+
+def unmasked(name: str, value: Any) -> Any:
+    """A value without masked entries, which `numpy.asarray` would take as if they were there."""
+    if _masked(value):
+        raise ArgumentError(f"{name} must be whole, got masked entries: {_FILL}.")
+    return value
+
+
+def _floats(raw: np.ndarray) -> np.ndarray:
+    """A C-contiguous copy in double precision; infinite where that does not hold a number."""
+    with np.errstate(over="ignore"):
+        return np.array(raw, dtype=np.float64, order="C")
+
+
+def _masked(value: object) -> bool:
+    """Whether entries are masked, those of lists of arrays included."""
+    if isinstance(value, (list, tuple)):
+        return any(map(_masked, value))
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
+
+
+def _as_given(value: object, result: float) -> str:
+    """How a number that is not finite was written: a longdouble may be beyond floats."""
+    beyond = isinstance(value, np.longdouble) and np.isfinite(value) and not np.isfinite(result)
+    return f"{value}, which is beyond 1.8e308" if beyond else str(result)
+
+
+def brief(value: object) -> str:
+    """A value as messages print it, on one line and never long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print integers of more than some 4300 digits
+        return "an integer of thousands of digits"
+    text = " ".join(text.split())
+    return text if len(text) <= _LONG else f"{text[:_LONG]}…"
 
 
 def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
@@ -115,10 +179,11 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
-def _hint(raw: np.ndarray, ndim: int) -> str:
+def _hint(raw: np.ndarray, ndim: int, form: str) -> str:
     """What to do about an array that lacks exactly one axis."""
     if raw.ndim == 2 and ndim == 3:
-        return ": stack one matrix per mode ([M] for a single mode, [[[0], [1]], …] for columns)"
+        example = "[[[1, 2]], …] for rows" if "m, n" in form else "[[[0], [1]], …] for columns"
+        return f": stack one matrix per mode ([M] for a single mode, {example})"
     if raw.ndim == 3 and ndim == 2:
         return ": give one matrix, not one per mode"
     return ""

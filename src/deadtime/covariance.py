@@ -28,7 +28,16 @@ def noise_covariance(
     n, size = A.shape[0], float(np.abs(W).max())
     if tau == 0.0 or size == 0.0:
         return np.zeros((n, n))
-    doublings = max(0, math.ceil(math.log2(max(2.0 * tau * np.linalg.norm(A, 1), 1.0))))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _covariance(A, W, tau, size)
+
+
+def _covariance(A: np.ndarray, W: np.ndarray, tau: float, size: float) -> np.ndarray:
+    """`noise_covariance` with |W|_max = `size`; not finite where e^{Aτ} is not."""
+    n, span = A.shape[0], 2.0 * tau * float(np.abs(A).sum(axis=0).max())
+    if not math.isfinite(span):
+        return np.full((n, n), np.nan)
+    doublings = max(0, math.ceil(math.log2(max(span, 1.0))))
     short = tau / 2.0**doublings
     E = transition(np.block([[-A, W / size], [np.zeros((n, n)), A.T]]), short)
     Phi = E[n:, n:].T

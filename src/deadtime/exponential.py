@@ -78,7 +78,9 @@ def balance(A):
 
 @njit(cache=True)
 def _doublings(size):
-    """The least s with size / 2^s ≤ 1/2."""
+    """The least s with size / 2^s ≤ 1/2, at most 1025; −1 where no s is, of a size not finite."""
+    if not size < np.inf:
+        return -1
     count = 0
     while size > 0.5:
         size *= 0.5
@@ -100,12 +102,17 @@ def advance(Phi, Gamma, x, u, result):
 
 @njit(cache=True)
 def held(A, B, tau):
-    """Φ (n, n) and Γ (n, m) over a piece of length `tau` seconds with the input held."""
+    """Φ (n, n) and Γ (n, m) over a piece of length `tau` seconds with the input held.
+
+    Both are NaN where |A|τ is beyond what floats hold.
+    """
     n = A.shape[0]
     unit = balance(A)
     balanced = A * unit / unit.reshape(n, 1)
     size = norm(balanced) * tau
     count = _doublings(size)
+    if count < 0:
+        return np.full((n, n), np.nan), np.full(B.shape, np.nan)
     short = tau / 2.0**count
     term = short * np.eye(n)
     W = term.copy()
@@ -141,7 +148,8 @@ def energy_gramian(A, B, tau):
     """Q (n + m, n + m) with ∫₀^τ |x|² dt = zᵀ Q z, z = (x(0), u), the input held.
 
     States are measured in units in which A is balanced, inputs in units in which B is as large
-    as A, so that bad scaling does not ask for needless doublings.
+    as A, so that bad scaling does not ask for needless doublings. Q is NaN where |A|τ is beyond
+    what floats hold.
     """
     n, m = B.shape
     if tau == 0.0:
@@ -160,6 +168,8 @@ def energy_gramian(A, B, tau):
     Z[:n, n:] = scaled
     size = 2.0 * norm(Z) * tau
     count = _doublings(size)
+    if count < 0:
+        return np.full((n + m, n + m), np.nan)
     short = tau / 2.0**count
     term = np.zeros((n + m, n + m))
     for i in range(n):

@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 
 Context = Literal["none", "mode", "mode_age", "step"]
 
@@ -52,7 +53,7 @@ class Factor(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Feedback:
+class Feedback(Frozen):
     """A digital feedback law as a table (immutable).
 
     Attributes
@@ -98,8 +99,7 @@ class Feedback:
                 "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
                 "is too long for this plant."
             )
-        for array in (self.state_gain, self.input_gain, *(self.factor or ())):
-            array.flags.writeable = False
+        super().__post_init__()
 
     @property
     def taps(self) -> int:

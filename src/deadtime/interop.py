@@ -107,7 +107,7 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
     from deadtime.exponential import held_modes
 
     instance("plant", plant, SwitchedSystem)
-    window = Window.of(plant.delay, positive("step", step))
+    window = Window.of_plant(plant, step)
     rest = window.step - window.phase
     n, m, N = plant.states, plant.inputs, window.count
     first, second = (held_modes(plant.A, plant.B, tau) for tau in (window.phase, rest))

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import real_array
 from deadtime.errors import ArgumentError, InfeasibleError
-from deadtime.laws.base import checked_gains
+from deadtime.frozen import Frozen
+from deadtime.laws.base import checked_gains, rightmost_eigenvalue
 from deadtime.lmi import attempts, balanced_units, symmetric_value
 from deadtime.plant import SwitchedSystem
 
@@ -27,7 +28,7 @@ SMALLEST = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class CommonLyapunov:
+class CommonLyapunov(Frozen):
     """One quadratic Lyapunov function for all modes (immutable).
 
     Attributes
@@ -114,7 +115,10 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
 def hurwitz_gains(plant: SwitchedSystem, gains: ArrayLike) -> Float[np.ndarray, "mode m n"]:
     """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz."""
     K = checked_gains(plant, gains, allow_unstable=True)
-    rightmost = np.linalg.eigvals(closed_loops(plant, K)).real.max(axis=1)
+    rightmost = [
+        rightmost_eigenvalue(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i])
+        for i in range(plant.modes)
+    ]
     worst = int(np.argmax(rightmost))
     if rightmost[worst] >= 0.0:
         raise ArgumentError(

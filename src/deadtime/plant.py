@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import positive, real_array, shaped
+from deadtime.checks import brief, number, positive, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class SwitchedSystem:
+class SwitchedSystem(Frozen):
     """A switched linear system with one constant input delay (immutable).
 
     Parameters
@@ -60,7 +61,9 @@ class SwitchedSystem:
         modes, n = A.shape[:2]
         shaped("A", A, (modes, n, n), "(modes, n, n)")
         shaped("B", B, (modes, n, B.shape[2]), "(modes, n, m)")
-        vars(self).update(A=A, B=B, delay=positive("delay", delay))
+        delay = positive("delay", delay)
+        vars(self).update(A=A, B=B, delay=delay)
+        require_exponential("delay", A, delay)
 
     @classmethod
     def from_statespace(cls, systems: Sequence[Any], delay: float) -> SwitchedSystem:
@@ -136,9 +139,13 @@ class SwitchedSystem:
         array([[2.6, 1.2],
                [0.1, 1.4]])
         """
-        if isinstance(alpha, str) or not 0.0 <= alpha < np.inf:
-            raise ArgumentError(f"alpha must be ≥ 0 and finite, got {alpha!r}.")
-        A, B = (M[0] + alpha * (M - M[0]) for M in (self.A, self.B))
+        try:
+            far = number("alpha", alpha)
+        except ArgumentError:
+            far = -1.0
+        if far < 0.0:
+            raise ArgumentError(f"alpha must be ≥ 0 and finite, got {brief(alpha)}.")
+        A, B = (M[0] + far * (M - M[0]) for M in (self.A, self.B))
         return SwitchedSystem(A, B, self.delay)
 
     def __repr__(self) -> str:
@@ -146,3 +153,15 @@ class SwitchedSystem:
             f"SwitchedSystem(modes={self.modes}, states={self.states}, "
             f"inputs={self.inputs}, delay={self.delay:g})"
         )
+
+
+def require_exponential(name: str, A: Float[np.ndarray, "mode n n"], tau: float) -> float:
+    """|A|τ, the largest of all modes; a time for which floats do not hold it is refused."""
+    with np.errstate(over="ignore"):
+        size = float(np.abs(A).sum(axis=2).max()) * tau
+    if not np.isfinite(size):
+        raise ArgumentError(
+            f"{name} must be short enough for e^(A·{name}), got {tau:g} s with entries of A up to "
+            f"{np.abs(A).max():.3g} 1/s: |A|·{name} is beyond what floats hold, 1.8e308."
+        )
+    return size

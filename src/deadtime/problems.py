@@ -18,6 +18,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.gains import place
 from deadtime.imperfections import Imperfection
 from deadtime.laws import (
@@ -42,7 +43,7 @@ _SIGNAL_NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Published:
+class Published(Frozen):
     """A number as a source prints it, beside ours."""
 
     name: str
@@ -51,7 +52,7 @@ class Published:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Frozen):
     """A complete setting: what `simulate` needs, with names and sources (immutable).
 
     Attributes
@@ -113,6 +114,7 @@ class Problem:
         if not self.modes:
             names = tuple(f"mode {i}" for i in range(self.plant.modes))
             object.__setattr__(self, "modes", names)
+        super().__post_init__()
 
     @property
     def given_signal(self) -> SwitchingSignal:

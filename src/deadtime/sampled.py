@@ -38,10 +38,11 @@ def quotient(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.
 def quotient_poles(poles: np.ndarray, step: float, i: int) -> np.ndarray:
     """(e^{ph} − 1)/h for poles p in 1/s, which must not oscillate faster than samples can."""
     turning = np.abs(np.imag(poles))
-    if (turning * step >= np.pi * (1.0 - 1e-9)).any():
+    if (turning >= np.pi * (1.0 - 1e-9) / step).any():
         worst = poles[np.argmax(turning)]
         raise ArgumentError(
             f"poles of mode {i}: {worst:g} oscillates faster than a period of {step:g} s shows: "
             f"|Im p| must be below π/h = {np.pi / step:.4g} 1/s; shorten the step."
         )
-    return np.expm1(poles * step) / step
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too long is refused elsewhere
+        return np.expm1(poles * step) / step

@@ -10,13 +10,14 @@ from jaxtyping import Float
 
 from deadtime.checks import positive
 from deadtime.errors import InfeasibleError
+from deadtime.frozen import Frozen
 from deadtime.lmi import attempts, balanced_units, symmetric_value
 from deadtime.lyapunov import SMALLEST, growth_in_norm
 from deadtime.plant import SwitchedSystem
 
 
 @dataclass(frozen=True, eq=False)
-class JointDesign:
+class JointDesign(Frozen):
     """Gains with the Lyapunov matrix that they share (immutable).
 
     Attributes

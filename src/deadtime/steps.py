@@ -18,15 +18,22 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.checks import positive
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
+from deadtime.plant import SwitchedSystem, require_exponential
+from deadtime.sampled import held_pair
 from deadtime.switching import SwitchingSignal
 
 TOLERANCE = 1e-9
+_SURE = 600.0  # of |A|·step: e^(A·step) is within floats
 MOST_PERIODS = 1_000_000  # of delay: more is a slip of units
 
 
 def snap(ratio: float) -> float:
     """The ratio itself, or the integer that it is within 1e-9 of."""
+    if math.isinf(ratio):
+        return ratio
     nearest = math.floor(ratio + 0.5)
     return float(nearest) if abs(ratio - nearest) <= TOLERANCE else ratio
 
@@ -73,6 +80,15 @@ class Window:
         phase = step if ratio == count else delay - (count - 1) * step
         return cls(step, count, phase)
 
+    @classmethod
+    def of_plant(cls, plant: SwitchedSystem, step: float) -> Window:
+        """The window of a plant's delay at a period, over which it has an exponential."""
+        step = positive("step", step)
+        if require_exponential("step", plant.A, step) > _SURE:
+            for A, B in zip(plant.A, plant.B, strict=True):
+                held_pair(A, B, step)
+        return cls.of(plant.delay, step)
+
     @property
     def delay(self) -> float:
         """The delay (N − 1) h + φ, in seconds."""
@@ -80,7 +96,7 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
-class Cuts:
+class Cuts(Frozen):
     """The switches of a signal, laid on the steps of a window.
 
     Attributes

@@ -21,13 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
 _FILTERS = (0.02, 0.06, 0.2)  # of the delay: time constants to start from
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class Choice(Frozen):
     """Gains (modes, m, n), and the filter's T (m, m) or None."""
 
     gains: Float[np.ndarray, "mode m n"]

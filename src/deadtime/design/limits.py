@@ -31,6 +31,7 @@ from jaxtyping import Complex
 from deadtime.checks import index, instance
 from deadtime.design.weights import delay_weight, half_angle, half_angle_weight
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.pole_placement import reachable
 
@@ -40,7 +41,7 @@ _LOST = 1e-9  # of a direction
 
 
 @dataclass(frozen=True, eq=False)
-class DelayLimit:
+class DelayLimit(Frozen):
     """What the delay margin of one mode can be at all (immutable).
 
     Attributes

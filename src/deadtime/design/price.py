@@ -62,7 +62,7 @@ def cost_and_growth(
     from deadtime.exponential import energy_gramian, held
 
     A, B, step = read_only(plant.A[mode]), read_only(plant.B[mode]), feedback.step
-    window = Window.of(plant.delay, step)
+    window = Window.of_plant(plant, step)
     lengths = (window.phase, step - window.phase)
     moves = [held(A, B, length) for length in lengths]
     Phi, Gamma = (np.stack(parts) for parts in zip(*moves, strict=True))

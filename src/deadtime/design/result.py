@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.design.limits import DelayLimit
+from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.laws.low_pass import LowPassPredictor
 from deadtime.spectrum.margin import DelayMargin
@@ -43,7 +44,7 @@ class TradeOff:
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(Frozen):
     """Gains and a law with a requested delay margin, or the largest margin found (immutable).
 
     Attributes

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import as_floats, instance, number, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
 
@@ -50,7 +51,7 @@ class Limits(NamedTuple):
     relative: bool
 
 
-class Imperfection(ABC):
+class Imperfection(Frozen, ABC):
     """Something between the law and its plant."""
 
     kind: ClassVar[int]

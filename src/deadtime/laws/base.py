@@ -15,6 +15,7 @@ from deadtime.checks import positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.steps import Window
 from deadtime.switching import SwitchingSignal
@@ -43,7 +44,7 @@ class Remembering(ABC):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Law(ABC):
+class Law(Frozen, ABC):
     """A predictor-feedback law.
 
     Attributes
@@ -103,7 +104,7 @@ class Law(ABC):
 
     def window(self, step: float) -> Window:
         """The window of the model's delay at a sampling period."""
-        return Window.of(self.plant.delay, positive("step", step))
+        return Window.of_plant(self.plant, step)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -201,7 +202,7 @@ def require_hurwitz(
     name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray, allow_unstable: bool
 ) -> None:
     """Refuse a gain that leaves A + B K unstable, unless the caller says it is meant."""
-    rightmost = np.linalg.eigvals(A + B @ K).real.max()
+    rightmost = rightmost_eigenvalue(name, place, A, B, K)
     if rightmost >= 0.0 and not allow_unstable:
         raise ArgumentError(
             f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
@@ -209,3 +210,17 @@ def require_hurwitz(
             "allow_unstable = True accepts it, as gains designed for a long step may need, and so "
             "may loops that are stable only with their delay."
         )
+
+
+def rightmost_eigenvalue(
+    name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray
+) -> float:
+    """The largest real part of an eigenvalue of A + B K, 1/s; an error where floats hold none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        loop = A + B @ K
+    if not np.isfinite(loop).all():
+        raise ArgumentError(
+            f"{name} must keep A + B K of {place} below 1.8e308, got entries up to "
+            f"{np.abs(K).max():.3g}: measure states or inputs in other units."
+        )
+    return float(np.linalg.eigvals(loop).real.max())

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import instance, real_array
+from deadtime.checks import instance, real_array, unmasked
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback
 from deadtime.forecast import Forecast
@@ -101,7 +101,7 @@ class LowPassPredictor(TableLaw):
 def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
     """T as an (m, m) matrix whose eigenvalues have positive real parts."""
     try:
-        array = np.asarray(value)
+        array = np.asarray(unmasked("time_constant", value))
     except ValueError:
         raise ArgumentError(
             f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got rows of "

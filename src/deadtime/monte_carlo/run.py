@@ -22,7 +22,7 @@ from deadtime.monte_carlo.named import named_laws
 from deadtime.monte_carlo.source import SwitchingModel, source_of
 from deadtime.monte_carlo.workers import Progress, processors, run_blocks, shown
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.simulate import require_few_steps
+from deadtime.simulation.simulate import require_steps
 from deadtime.steps import Window
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
@@ -143,10 +143,10 @@ def monte_carlo(
         raise ArgumentError(f"backend must be one of {list(BACKENDS)}, got {backend!r}.")
     x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     delay = max(plant.delay, *(law.plant.delay for law in named.values()))
-    require_few_steps(max(horizon, delay), step)
+    require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    loop = Loop(plant, Window.of(plant.delay, step), x0, horizon, _actuators(imperfections))
+    loop = Loop(plant, Window.of_plant(plant, step), x0, horizon, _actuators(imperfections))
     results = _room(loop, len(named), scenarios, trajectories)
     engine = engine_of(backend, loop)
     tables = _tables(engine, loop, named, imperfections)

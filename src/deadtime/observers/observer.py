@@ -27,13 +27,14 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import as_floats, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.sampled import held_pair
 from deadtime.steps import Window
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Observer:
+class Observer(Frozen):
     """A switched observer with a gain per mode (immutable).
 
     Parameters
@@ -108,7 +109,7 @@ class Observer:
     @property
     def window(self) -> Window:
         """The inputs on their way."""
-        return Window.of(self.plant.delay, self.step)
+        return Window.of_plant(self.plant, self.step)
 
     @cached_property
     def error_matrices(self) -> Float[np.ndarray, "mode n n"]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from deadtime.frozen import Frozen
 from deadtime.imperfections import Imperfection, Noise
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
@@ -60,7 +61,7 @@ class Setting:
 
 
 @dataclass(frozen=True, eq=False)
-class Tolerance:
+class Tolerance(Frozen):
     """How the runs fare as one imperfection grows (immutable).
 
     Attributes
@@ -87,7 +88,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True, eq=False)
-class NoisePrice:
+class NoisePrice(Frozen):
     """What measurement noise costs: E cost = `base` + `slope`·std² in a loop that is linear.
 
     Attributes

@@ -46,7 +46,7 @@ class Grid:
         cls, plant: SwitchedSystem, law: Law, horizon: float, step: float, u0: InitialInput
     ) -> Grid:
         """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
-        window = Window.of(plant.delay, step)
+        window = Window.of_plant(plant, step)
         samples = math.floor(snap(horizon / step)) + 1
         past = max(window.count, law.window(step).count)
         inputs = np.zeros((past + samples, plant.inputs))
@@ -110,7 +110,16 @@ def run_table(
     asked = inputs.copy() if arrays.relative.size else inputs
     kept, states, at_phase = _run(table, feedback, rows, x0, grid, asked, arrays, shift)
     record = DigitalRecord(
-        plant, window, cuts, table, states, at_phase, inputs[: past + kept], past, kept, forces
+        plant,
+        window,
+        cuts,
+        table,
+        read_only(states),
+        read_only(at_phase),
+        read_only(inputs[: past + kept]),
+        past,
+        kept,
+        forces,
     )
     diverged = kept < samples
     end = (kept - 1) * step if diverged else None

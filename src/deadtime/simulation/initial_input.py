@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import real_array, shaped
+from deadtime.checks import real_array, shaped, unmasked
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.simulation.collocation import Nodes, gauss
 
 _TOLERANCE = 1e-12
@@ -18,7 +19,7 @@ _MOST_PIECES = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class InputHistory:
+class InputHistory(Frozen):
     """Inputs before time 0 as a function (T,) → (T, m) and the times at which it is not smooth."""
 
     function: Callable[[np.ndarray], np.ndarray]
@@ -90,7 +91,7 @@ def _constant_or_held(u0: ArrayLike | None, m: int) -> tuple[np.ndarray, np.ndar
     if u0 is None:
         return constant, None
     try:
-        given = np.asarray(u0)
+        given = np.asarray(unmasked("u0", u0))
     except ValueError:
         raise ArgumentError(
             "u0 must be a number, (m,), (m, N) or a function, got rows of different lengths."

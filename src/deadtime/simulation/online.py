@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.checks import read_only
 from deadtime.errors import ChatteringError
 from deadtime.laws.base import Law, Update
 from deadtime.plant import SwitchedSystem
@@ -64,9 +65,9 @@ def run_online(
         window,
         cuts,
         PhaseTable.of(plant, window, cuts, total),
-        states,
-        at_phase,
-        grid.inputs[: grid.past + kept],
+        read_only(states),
+        read_only(at_phase),
+        read_only(grid.inputs[: grid.past + kept]),
         grid.past,
         kept,
         truth.forces,

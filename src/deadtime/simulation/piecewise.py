@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.frozen import Frozen
 from deadtime.simulation.collocation import gauss
 
 
 @dataclass(frozen=True, eq=False)
-class Piecewise:
+class Piecewise(Frozen):
     """A vector-valued function of time, a polynomial on each segment; values are right limits.
 
     Attributes

@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.checks import read_only
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.slides import Slides
 from deadtime.steps import Cuts, Window, snap_all
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseTable:
+class PhaseTable(Frozen):
     """The transitions of the steps of a run, as `deadtime.exponential.phases` returns them."""
 
     index: Int[np.ndarray, "step 2"]
@@ -46,7 +47,7 @@ class PhaseTable:
 
 
 @dataclass(frozen=True, eq=False)
-class DigitalRecord:
+class DigitalRecord(Frozen):
     """One digital run: the plant, how its time was cut, and the states and inputs on the grid.
 
     Attributes
@@ -90,10 +91,10 @@ class DigitalRecord:
             acting[: steps + more, f] = self.inputs[first : first + steps + more]
         acting[steps, 1] = 0.0
         if self.forces is None:
-            return B, acting
+            return B, read_only(acting)
         unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
         forced = read_only(np.concatenate((B, unit), axis=2))
-        return forced, np.dstack((acting, self.forces[: steps + 1]))
+        return forced, read_only(np.dstack((acting, self.forces[: steps + 1])))
 
     def grid(self, end: float) -> Float[np.ndarray, " T"]:
         """The samples, and the end of the run when that is no sample."""
@@ -192,7 +193,7 @@ class DigitalRecord:
         still = [part.copy() for part in (self.states, self.at_phase, acting)]
         for part in still:
             part[slid] = 0.0
-        forms = float(square_integral(Q, table.index, steps, *still))
+        forms = float(square_integral(Q, table.index, steps, *map(read_only, still)))
         return forms + sum(self._within_slide(k, window.step) for k in slid)
 
     def _within_slide(self, k: int, end: float) -> float:

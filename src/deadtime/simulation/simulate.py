@@ -21,6 +21,7 @@ from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
+from deadtime.steps import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules import as_rule
 
@@ -123,7 +124,7 @@ def simulate(
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
         step = positive("step", step)
-        require_few_steps(max(horizon, plant.delay, law.plant.delay), step)
+        require_steps(horizon, max(plant.delay, law.plant.delay), step)
         grid = Grid.of(plant, law, horizon, step, u0)
         outcome = _digital(plant, law, switching, x0, horizon, grid, others, predict, disturbances)
     end = horizon if outcome.end is None else outcome.end
@@ -168,6 +169,11 @@ def _ideal(
     u0: InitialInput,
 ) -> Outcome:
     """The ideal run."""
+    if horizon < TOLERANCE * plant.delay:
+        raise ArgumentError(
+            f"horizon must be at least {TOLERANCE:.0e} of the delay = {plant.delay:g} s, got "
+            f"{horizon:g} s: are both in seconds? Lengthen it."
+        )
     if not isinstance(switching, SwitchingSignal):
         return run_ideal_rule(plant, law, switching, x0, horizon, u0)
     longest = max(plant.delay, law.plant.delay)
@@ -208,9 +214,17 @@ def _digital(
     return run_online(plant, law, switching, x0, horizon, grid, imperfect, disturbances)
 
 
-def require_few_steps(longest: float, step: float) -> None:
-    """Refuse a step that the horizon, or a delay, holds too often."""
-    if longest / step > _MOST_SAMPLES:
+def require_steps(horizon: float, delay: float, step: float) -> None:
+    """Refuse a step that the horizon, or a delay, holds too often, and a horizon that holds none.
+
+    A horizon within round-off of the start, by the measure of a step, is no time at all.
+    """
+    if horizon < TOLERANCE * step:
+        raise ArgumentError(
+            f"horizon must hold at least {TOLERANCE:.0e} of a step, got horizon = {horizon:g} s "
+            f"and step = {step:g} s: are both in seconds? Lengthen the one or shorten the other."
+        )
+    if max(horizon, delay) / step > _MOST_SAMPLES:
         raise ArgumentError(
             f"step = {step:g} s is too short: horizon and delay must hold at most "
             f"{_MOST_SAMPLES:.0e} steps; lengthen it or shorten the horizon."

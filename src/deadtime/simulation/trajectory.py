@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.checks import read_only
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.ideal import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory:
+class Trajectory(Frozen):
     """A simulated run (immutable). Arrays index (signal, time); values are right limits.
 
     Attributes
@@ -118,7 +120,9 @@ class Trajectory:
         time, norm = time[late], norm[late]
         if self.end == 0.0 or norm.size < 2:
             return -np.inf if self.diverged else np.inf
-        return float(-np.polyfit(time, np.log(norm), 1)[0])
+        # Of the end's share, so that the shortest run has a slope too.
+        with np.errstate(over="ignore"):
+            return float(-np.polyfit(time / self.end, np.log(norm), 1)[0] / np.float64(self.end))
 
     def plot(self, title: str | None = None) -> Figure:
         """States, inputs and mode over time, as a matplotlib figure.
@@ -219,7 +223,7 @@ def trajectory_of(
     `mode_at` is σ with switches snapped to samples; `gains` are the K of the mismatch.
     """
     time = record.grid(end) if times is None else times[times <= end]
-    states, inputs = record.states_at(time), record.inputs_at(time)
+    states, inputs = read_only(record.states_at(time)), read_only(record.inputs_at(time))
     mismatch = None
     if gains is not None:
         K, ahead = gains[mode_at(time + plant.delay)], record.ahead_of(time)

@@ -44,6 +44,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from deadtime.checks import count as checked_count
+from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import checked_mode
@@ -56,7 +57,7 @@ _APART = 1e-10  # relative, of roots between which a line can be drawn
 
 
 @dataclass(frozen=True, eq=False)
-class CharacteristicRoots:
+class CharacteristicRoots(Frozen):
     """The rightmost characteristic roots of a loop (immutable).
 
     Attributes

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
+from deadtime.sampled import held_pair
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.response import Response
 
@@ -29,12 +30,10 @@ class DigitalResponse(Response):
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, mode: int) -> DigitalResponse:
         """The loop with one mode for ever."""
-        from deadtime.exponential import held
-
         row = aged_row(feedback, mode)
         A, B, h = plant.A[mode], plant.B[mode], feedback.step
         F, G = feedback.state_gain[row], feedback.input_gain[row]
-        return cls(A, B, F, G, h, held(A, B, h)[0])
+        return cls(A, B, F, G, h, held_pair(A, B, h)[0])
 
     @property
     def memory(self) -> float:

@@ -76,7 +76,7 @@ def _coefficients(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
     """p_0 = 1, p_1, …, p_d in balls."""
     from flint import acb, acb_mat, arb
 
-    window = Window.of(plant.delay, feedback.step)
+    window = Window.of_plant(plant, feedback.step)
     A, B = plant.A[mode], plant.B[mode]
     Phi, early = exact_held(A, B, window.phase)
     rest, late = exact_held(A, B, arb(window.step) - arb(window.phase))

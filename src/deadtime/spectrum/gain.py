@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.checks import positive
+from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
@@ -35,7 +36,7 @@ _GROWTH = 1e-8  # 1/s: what round-off may make of a loop that only just decays
 
 
 @dataclass(frozen=True, eq=False)
-class GainMargin:
+class GainMargin(Frozen):
     """Factors of the inputs' effect that leave a loop stable (immutable).
 
     Attributes

@@ -30,6 +30,7 @@ from deadtime.switching import SwitchingSignal
 
 # A Gauss panel of so many nodes integrates e^{at} to round-off for |a| · length ≤ _RATE.
 _NODES, _RATE = 16, 8.0
+_MOST_PANELS = 100_000
 _TERMS = 60
 
 
@@ -84,7 +85,7 @@ class IdealLoop:
         A, B, L = A * t / t[:, None], B / t[:, None], L * t / r[:, None]
         K, S, R, lead = K * r, S * r / r[:, None], R / r[:, None], forecast.lead
         KE = K @ held(S, R, lead)[0]
-        if not np.isfinite(KE).all():
+        if not (np.isfinite(KE).all() and np.isfinite(KE @ L @ B).all()):
             raise ArgumentError(
                 "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
                 "is too long for this plant."
@@ -202,6 +203,11 @@ def weights(
 
     if lead == 0.0:
         return np.empty(0), np.empty((0, R.shape[1], R.shape[1]))
+    if not rate * lead <= _RATE * _MOST_PANELS:
+        raise ArgumentError(
+            f"delay must be shorter for characteristic roots: the loop's fastest rate times the "
+            f"delay is {rate * lead:.3g}, and at most {_RATE * _MOST_PANELS:.0g} is possible."
+        )
     panels = int(np.ceil(rate * lead / _RATE)) + 1
     length = lead / panels
     z, weight = np.polynomial.legendre.leggauss(_NODES)

@@ -57,7 +57,7 @@ class LiftedLoop:
         """The loop of a mode of the plant under a row of a table, at the table's period."""
         from deadtime.exponential import held
 
-        window = Window.of(plant.delay, feedback.step)
+        window = Window.of_plant(plant, feedback.step)
         A, B = plant.A[mode], plant.B[mode]
         Phi, early = held(A, B, window.phase)
         rest, late = held(A, B, window.step - window.phase)

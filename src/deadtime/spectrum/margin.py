@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from deadtime.checks import positive
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
@@ -41,7 +42,7 @@ class _Limit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class DelayMargin:
+class DelayMargin(Frozen):
     """True delays that leave a loop stable (immutable).
 
     Attributes

@@ -38,7 +38,7 @@ class Period(NamedTuple):
         """One mode over a period."""
         from deadtime.exponential import held
 
-        window = Window.of(plant.delay, step)
+        window = Window.of_plant(plant, step)
         A, B = plant.A[mode], plant.B[mode]
         Phi, early = held(A, B, window.phase)
         rest, late = held(A, B, step - window.phase)

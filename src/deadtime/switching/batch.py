@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.checks import read_only, shaped
+from deadtime.checks import read_only, shaped, unmasked
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.switching.signal import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class SignalBatch:
+class SignalBatch(Frozen):
     """Right-continuous switching signals σ_0, σ_1, … one after the other (immutable).
 
         σ_i(t) = modes[k] for times[k] ≤ t < times[k + 1],    first[i] ≤ k < first[i + 1]
@@ -151,7 +152,7 @@ class SignalBatch:
 
 def _own(name: str, values: ArrayLike, kinds: str) -> np.ndarray:
     """An array of int64 or float64 that nobody else writes to."""
-    raw = np.asarray(values)
+    raw = np.asarray(unmasked(name, values))
     if raw.dtype.kind not in kinds:
         what = "real numbers" if "f" in kinds else "integers"
         raise ArgumentError(f"{name} must hold {what}, got an array of {raw.dtype}.")

@@ -42,18 +42,22 @@ from deadtime.switching.sliding import LOST, STAYS, slide
 
 _LAST_TERM = 1e-18
 _MOST_TERMS = 16
+MOST_PARTS = 2**17
 NONE, PILED_UP, STRAYED = 0, 1, 2  # why a plant cannot go on
 _INSIDE = (-1, -1)  # beside no boundary
 
 
 @njit(cache=True)
 def _parts(A, tau):
-    """The least power of two that cuts τ into parts with |A|τ ≤ 1/2, and |A|τ of a part."""
+    """The least power of two that cuts τ into parts with |A|τ ≤ 1/2, and |A|τ of a part.
+
+    At most `MOST_PARTS`: `RegionMotion` refuses pieces that would take more.
+    """
     size = 0.0
     for i in range(A.shape[0]):
         size = max(size, np.abs(A[i]).sum() * tau)
     parts = 1
-    while size > 0.5:
+    while size > 0.5 and parts < MOST_PARTS:
         size *= 0.5
         parts *= 2
     return parts, size

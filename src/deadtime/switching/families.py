@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.frozen import Frozen
 from deadtime.switching.sojourns import Distribution, Fixed
 
 Parameters = dict[str, float]
@@ -24,7 +25,7 @@ EQUAL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class Observed(Frozen):
     """What logs say about the sojourns in one mode, seconds.
 
     Attributes

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import count, positive, real_array
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.switching.quantiles import Quantiles
 from deadtime.switching.random import Draw, jump_signal, require_few
 from deadtime.switching.signal import SwitchingSignal
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Markov:
+class Markov(Frozen):
     """A Markov process of modes: in mode i, a switch to mode j comes at the rate Λ_ij.
 
         P(σ(t + s) = j | σ(t) = i) = (e^{sΛ})_ij

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.switching.sojourns import Distribution, Fixed, describe
 
 
@@ -58,7 +59,7 @@ def require_drawable(sojourn: Sequence[Distribution]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Quantiles:
+class Quantiles(Frozen):
     """The inverse survival functions of all modes.
 
     Attributes

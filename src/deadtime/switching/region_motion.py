@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.checks import read_only
+from deadtime.errors import ArgumentError
 from deadtime.switching.motion import (
     Arrival,
     Beside,
@@ -66,9 +67,17 @@ class RegionMotion(Motion):
     ) -> RegionMotion:
         """The motion among regions, `regions_of` saying which of them hold given states."""
         from deadtime.exponential import balance, held_modes
+        from deadtime.switching.crossings import MOST_PARTS
 
         unit = balance(np.abs(A).sum(axis=0))
         A, B = A * unit / unit[:, None], B / unit[:, None]
+        rate, longest = float(np.abs(A).sum(axis=2).max()), max(lengths)
+        if not rate * longest <= 0.25 * MOST_PARTS:
+            raise ArgumentError(
+                f"step must be short enough to follow the plant to a rule's boundaries: |A|·step = "
+                f"{rate * longest:.3g}, at most {0.25 * MOST_PARTS:.0f} is possible; shorten it, "
+                "or measure states in other units."
+            )
         forms, rows = regions.forms * unit * unit[:, None], regions.rows * unit
         # All read-only: one type for the compiled functions, whatever the rule.
         scaled = Regions(*(read_only(part) for part in (forms, rows, *regions[2:])))

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import count, index, number, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.motion import Motion
 from deadtime.switching.partition import require_partition
@@ -28,7 +29,7 @@ from deadtime.switching.signal import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Rule(ABC):
+class Rule(Frozen, ABC):
     """A map from states to modes."""
 
     @abstractmethod
@@ -235,6 +236,7 @@ class FunctionRule(Rule):
 
     def __post_init__(self) -> None:
         count("samples", self.samples)
+        super().__post_init__()
 
     def modes_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
         return np.array([self.function(x) for x in states])

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import count, number, positive, real_array, shaped
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.switching.families import Goodness
 from deadtime.switching.hazards import count_ages, hazards, require_short
 from deadtime.switching.quantiles import Quantiles, drawable
@@ -38,7 +39,7 @@ else:
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class SemiMarkov:
+class SemiMarkov(Frozen):
     """A semi-Markov process of modes: stay in mode i for a random time S_i, then jump to mode j.
 
         P(S_i > t) = sf_i(t),    P(next mode is j) = T_ij,  whatever happened before

@@ -15,14 +15,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.checks import number, positive, real_array
+from deadtime.checks import as_floats, brief, number, positive, real_array
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 
 MOST_SWITCHES = 1e7
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class SwitchingSignal:
+class SwitchingSignal(Frozen):
     """A piecewise constant, right-continuous switching signal σ (immutable).
 
     Parameters
@@ -97,7 +98,7 @@ class SwitchingSignal:
 
     def __call__(self, t: ArrayLike) -> Int[np.ndarray, ...]:
         """σ(t) at times t ≥ 0 of any shape; past the end the last mode goes on."""
-        t = np.asarray(t, dtype=np.float64)
+        t = as_floats("t", t, "seconds")
         if not (t >= 0.0).all():
             raise ArgumentError("t must be ≥ 0: a switching signal starts at time 0.")
         return self.modes[np.searchsorted(self.times, t, side="right") - 1]
@@ -132,6 +133,8 @@ class SwitchingSignal:
     def average_dwell_time(self, chatter: float = 1.0) -> float:
         """The largest τ_a with at most chatter + (t − s)/τ_a switches in every [s, t], seconds.
 
+        Takes a time and a memory proportional to the switches.
+
         References
         ----------
         Hespanha and Morse, "Stability of switched systems with average dwell-time", CDC 1999.
@@ -141,11 +144,11 @@ class SwitchingSignal:
         >>> SwitchingSignal([0, 1.0, 1.1, 3.0], [0, 1, 0, 1]).average_dwell_time(chatter=2)
         2.0
         """
-        t = self.times[1:]
-        span = t[None, :] - t[:, None]
-        excess = np.arange(t.size)[None, :] - np.arange(t.size)[:, None] + 1 - chatter
-        binding = excess > 0
-        return float((span[binding] / excess[binding]).min()) if binding.any() else np.inf
+        from deadtime.switching.average import least_slope
+
+        if (allowed := number("chatter", chatter)) < 0.0:
+            raise ArgumentError(f"chatter must be ≥ 0, a number of switches, got {allowed:g}.")
+        return float(least_slope(self.times[1:], allowed))
 
     def require_dwell_time(self, dwell_time: float) -> SwitchingSignal:
         """The signal itself, when it keeps the declared dwell time; an error otherwise."""
@@ -199,7 +202,7 @@ class SwitchingSignal:
         array([0. , 0.2, 0.5, 0.7])
         """
         length = real_array("sojourns", sojourns, "(modes in a period,)", 1)
-        cycle = _mode_array(np.asarray(modes), length.size)
+        cycle = _mode_array(modes, length.size)
         if length.min() <= 0.0:
             raise ArgumentError(f"sojourns must be positive, in s, got {length.min():g}.")
         horizon = positive("horizon", horizon)
@@ -277,5 +280,5 @@ def _mode_array(modes: ArrayLike, count: int) -> np.ndarray:
     if values.size != count:
         raise ArgumentError(f"modes must have one entry per time, {count}, got {values.size}.")
     if (values != np.rint(values)).any() or values.min() < 0 or values.max() > 2**31:
-        raise ArgumentError(f"modes must be integers counted from 0, got {values.tolist()}.")
+        raise ArgumentError(f"modes must be integers counted from 0, got {brief(values.tolist())}.")
     return values.astype(np.int64)

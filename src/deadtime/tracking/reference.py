@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.checks import real_array, shaped
+from deadtime.checks import as_floats, number, real_array, shaped, unmasked
 from deadtime.errors import ArgumentError
 from deadtime.steps import TOLERANCE
 
@@ -39,7 +39,8 @@ class Reference:
 
 def checked_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
     """A number for every output, or one for each."""
-    whole = np.full(size, value) if np.ndim(value) == 0 else value
+    given = unmasked("reference", value)
+    whole = np.full(size, number("reference", given)) if np.ndim(given) == 0 else given
     array = real_array("reference", whole, "(tracked,)", 1)
     return shaped("reference", array, (size,), "(tracked,)")
 
@@ -47,7 +48,7 @@ def checked_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
 def _schedule(times: Any, values: Any, size: int) -> Callable[[float], np.ndarray]:
     """Each value from its time on; the first from the start."""
     times = real_array("reference, times", times, "(T,)", 1)
-    values = np.asarray(values, dtype=float)
+    values = as_floats("reference, values", values, "(T,) or (T, tracked)")
     values = np.tile(values[:, None], size) if values.ndim == 1 else values
     values = real_array("reference, values", values, "(T,) or (T, tracked)", 2)
     shaped("reference, values", values, (times.size, size), "(T, tracked)")

@@ -40,13 +40,14 @@ from numpy.typing import ArrayLike
 from deadtime import gains as design
 from deadtime.checks import instance, positive, real_array
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 from deadtime.observers.observer import output_matrices, per_mode
 from deadtime.plant import SwitchedSystem
 from deadtime.sampled import held_pair
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Servo:
+class Servo(Frozen):
     """A plant extended by what tracking needs (immutable); see the module for the equations.
 
     Parameters

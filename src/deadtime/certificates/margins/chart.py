@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.certificates.margins.stability import Loop, StabilityMargin, stability_margin
+from deadtime.checks import as_floats
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 
 
 @dataclass(frozen=True, eq=False)
-class StabilityChart:
+class StabilityChart(Frozen):
     """Margins over the dwell time, for several laws (immutable).
 
     Attributes
@@ -72,7 +74,7 @@ def stability_chart(
     ArgumentError
         If there is no law or no dwell time.
     """
-    times = np.unique(np.asarray(dwell_times, dtype=np.float64))
+    times = np.unique(as_floats("dwell_times", dwell_times, "(T,) seconds"))
     if not laws or not times.size:
         raise ArgumentError("laws and dwell_times must hold at least one entry each.")
     margins: dict[str, tuple[StabilityMargin | None, ...]] = {}

@@ -33,13 +33,14 @@ from jaxtyping import Float
 from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transitions, interpolation
+from deadtime.frozen import Frozen
 
 if TYPE_CHECKING:
     from deadtime.feedback import Context
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class Setting(Frozen):
     """What a certificate is about: plants, a table, and the signals (immutable).
 
     Attributes
@@ -130,7 +131,7 @@ class Setting:
 
 
 @dataclass(frozen=True, eq=False)
-class Centre:
+class Centre(Frozen):
     """The system that the loop is written around (immutable); its numbers are choices.
 
     Attributes
@@ -156,7 +157,7 @@ class Centre:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(Frozen):
     """A certificate's numbers (immutable): the setting, the centre, and P, Π, S, ρ.
 
     Attributes

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.frozen import Frozen
 from deadtime.steps import Window
 
 ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
@@ -40,7 +41,7 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class Family(Frozen):
     """A plant, or a polytope of plants, at a period, with a delay or a range of delays.
 
     Attributes

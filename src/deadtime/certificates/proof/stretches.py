@@ -31,10 +31,11 @@ from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Stretch
 from deadtime.errors import ArgumentError
+from deadtime.frozen import Frozen
 
 
 @dataclass(frozen=True, eq=False)
-class StretchEvidence:
+class StretchEvidence(Frozen):
     """A certificate's numbers (immutable): the setting, V at the nodes, and ρ.
 
     Attributes

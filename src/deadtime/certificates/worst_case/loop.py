@@ -73,7 +73,7 @@ class SampledLoop:
         decay = math.exp(-shift * feedback.step) ** np.arange(1, taps + 1)
         weighted = (feedback.input_gain * decay[:, None, None])[:, ::-1]
         G = np.ascontiguousarray(weighted.transpose(0, 2, 1, 3).reshape(contexts, m, taps * m))
-        return cls(plant, feedback, Window.of(plant.delay, feedback.step), G, shift)
+        return cls(plant, feedback, Window.of_plant(plant, feedback.step), G, shift)
 
     @property
     def weight(self) -> float:

@@ -12,6 +12,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.checks import count
+from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
@@ -23,7 +24,7 @@ SLACK = 1e-9  # of a period: round-off in a sojourn
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WorstCase:
+class WorstCase(Frozen):
     """The worst admissible switching signal found, and the loop's growth along it (immutable).
 
     Attributes
