@@ -92,7 +92,7 @@ def test_from_statespace_refuses_systems_of_different_sizes():
     ("a", "b", "delay", "message"),
     [
         (A[0], B, 1.0, "A must have shape (modes, n, n), got (2, 2): stack one matrix per mode"),
-        (A, [0.0, 1.0], 1.0, "B must have shape (modes, n, m), got (2,)."),
+        (A, [0.0, 1.0], 1.0, "B must have shape (modes, n, m), got (2,): stack one matrix"),
         (
             A,
             [[0, 1], [0, 1.02]],
@@ -106,7 +106,12 @@ def test_from_statespace_refuses_systems_of_different_sizes():
             "A must have shape (modes, n, n) = (1, 1, 1), got (1, 1, 2).",
         ),
         (A, B[:1], 1.0, "B must have shape (modes, n, m) = (2, 2, 1), got (1, 2, 1)."),
-        (A, [[[0.0, 1.0]]] * 2, 1.0, "B must have shape (modes, n, m) = (2, 2, 2), got (2, 1, 2)."),
+        (
+            A,
+            [[[0.0, 1.0]]] * 2,
+            1.0,
+            "B must have shape (modes, n, m) = (2, 2, 1), got (2, 1, 2): pass the transpose.",
+        ),
         ([A[0], [[1.0]]], B, 1.0, "A must have shape (modes, n, n), got rows of different lengths"),
         ([[["x"]]], [[[1.0]]], 1.0, "A must hold real numbers, got an array of <U1."),
         ([[[1j]]], [[[1.0]]], 1.0, "A must hold real numbers, got an array of complex128."),

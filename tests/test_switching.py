@@ -1,6 +1,8 @@
 """Switching signals: right-continuous, merged, random with a dwell time, read from logs."""
 
 import re
+import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -81,6 +83,61 @@ def test_the_average_dwell_time_is_the_largest_that_holds_in_every_window(signal
     average = signal.average_dwell_time(float(chatter))
     bounds = [length / (count - chatter) for count, length in windows(signal) if count > chatter]
     assert average == pytest.approx(min(bounds, default=np.inf), rel=1e-15)
+
+
+def quadratic_average_dwell_time(signal, chatter):
+    """Straight from the definition: all pairs of switches."""
+    t = signal.times[1:]
+    excess = np.arange(t.size)[None, :] - np.arange(t.size)[:, None] + 1 - chatter
+    span = t[None, :] - t[:, None]
+    return float((span[excess > 0] / excess[excess > 0]).min(initial=np.inf))
+
+
+@pytest.mark.parametrize("chatter", [0.0, 0.5, 1.0, 1.5, 2.0, 3.25, 10.0, 299.0, 300.0, 301.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_average_dwell_time_is_that_of_all_pairs_of_switches(seed, chatter):
+    rng = np.random.default_rng(seed)
+    gaps = [
+        rng.exponential(1.0, 300),
+        rng.pareto(0.7, 300) + 1e-3,  # bursts and long rests
+        rng.integers(1, 4, 300) / 8.0,  # many ties
+        np.sort(rng.exponential(1.0, 300)),  # ever slower
+    ][seed]
+    signal = dt.SwitchingSignal(np.append(0.0, np.cumsum(gaps)), np.arange(301) % 2)
+    wanted = quadratic_average_dwell_time(signal, chatter)
+    assert signal.average_dwell_time(chatter) == wanted
+
+
+@pytest.mark.parametrize("switches", [20_000, 1_000_000])
+def test_the_average_dwell_time_of_many_switches_takes_memory_in_proportion(switches):
+    gaps = np.random.default_rng(7).exponential(1.0, switches)
+    gaps[switches // 2 :][:50] = 0.01
+    signal = dt.SwitchingSignal(np.append(0.0, np.cumsum(gaps)), np.arange(switches + 1) % 2)
+    signal.average_dwell_time()
+    tracemalloc.start()
+    before = time.process_time()
+    found = signal.average_dwell_time(40.0)
+    taken = time.process_time() - before
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    burst = signal.times[1:][switches // 2 - 1 :][:51]
+    assert found <= (burst[-1] - burst[0]) / (51 - 40.0)
+    assert found > 0.01
+    assert most < 20 * switches + 1e6  # bytes: the hull's indices, and little else
+    assert taken < 2.0  # seconds, of some 0.02
+
+
+@pytest.mark.parametrize(
+    ("chatter", "message"),
+    [
+        (-1.0, "chatter must be ≥ 0, a number of switches, got -1."),
+        (np.nan, "chatter must be finite"),
+        ("2", "chatter must be a number"),
+    ],
+)
+def test_a_chatter_that_is_no_number_of_switches_is_refused(chatter, message):
+    with pytest.raises(dt.ArgumentError, match=message):
+        dt.SwitchingSignal([0.0, 1.0], [0, 1]).average_dwell_time(chatter)
 
 
 def test_periodic_repeats_its_sojourns_up_to_the_horizon():

@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 _FILL = "fill them (.filled) or leave them out (.compressed)"
-_REAL = "pass its .real if the imaginary part is round-off"
-_WHAT = {"c": f": {_REAL}", "U": ", text: convert it with float"}
+_WHAT = {
+    "c": " Pass its .real if the imaginary part is round-off.",
+    "U": " Convert text with float.",
+}
 _LONG = 200  # letters of a value in a message
 
 
@@ -32,7 +34,7 @@ def number(name: str, value: object) -> float:
         if value.ndim:
             raise ArgumentError(f"{name} must be one number, got an array of shape {value.shape}.")
     if isinstance(value, (complex, np.complexfloating)):
-        raise ArgumentError(f"{name} must be a real number, got {brief(value)}: {_REAL}.")
+        raise ArgumentError(f"{name} must be a real number, got {brief(value)}.{_WHAT['c']}")
     try:
         result = float(value)  # pyright: ignore[reportArgumentType]
     except OverflowError:
@@ -123,7 +125,7 @@ def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
         ) from None
     if raw.dtype.kind not in "biuf":
         what = _WHAT.get(raw.dtype.kind, "")
-        raise ArgumentError(f"{name} must {reals}, got an array of {raw.dtype}{what}.")
+        raise ArgumentError(f"{name} must {reals}, got an array of {raw.dtype}.{what}")
     return raw
 
 
@@ -180,8 +182,8 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def _hint(raw: np.ndarray, ndim: int, form: str) -> str:
-    """What to do about an array that lacks exactly one axis."""
-    if raw.ndim == 2 and ndim == 3:
+    """What to do about an array that lacks axes, or has one too many."""
+    if raw.ndim in (1, 2) and ndim == 3:
         example = "[[[1, 2]], …] for rows" if "m, n" in form else "[[[0], [1]], …] for columns"
         return f": stack one matrix per mode ([M] for a single mode, {example})"
     if raw.ndim == 3 and ndim == 2:

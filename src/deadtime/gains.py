@@ -54,9 +54,9 @@ def place(
     Raises
     ------
     ArgumentError
-        If a mode is not controllable, or not when sampled; a pole is repeated more often than the
-        rank of B, lacks its conjugate or oscillates faster than the samples; or the placement
-        fails its own check.
+        If a mode is not controllable, or not when sampled; a pole does not decay, is repeated
+        more often than the rank of B, lacks its conjugate or oscillates faster than the samples;
+        or the placement fails its own check.
 
     Examples
     --------
@@ -71,8 +71,19 @@ def place(
     -1.0
     """
     wanted = pole_lists(poles, plant.modes, plant.states)
+    for i, row in enumerate(wanted):
+        if (fastest := row[np.argmax(row.real)]).real >= 0.0:
+            raise ArgumentError(
+                f"poles of mode {i} must have negative real parts, got {_written(fastest)}: a loop "
+                f"with this pole does not decay; write {_written(-fastest)} for one that does."
+            )
     step = None if step is None else positive("step", step)
     return np.stack([_place_mode(plant, i, wanted[i], step) for i in range(plant.modes)])
+
+
+def _written(pole: complex) -> str:
+    """A pole as it is written, a real one without its imaginary part."""
+    return f"{pole.real:g}" if pole.imag == 0.0 else f"{pole:g}"
 
 
 def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | None) -> np.ndarray:

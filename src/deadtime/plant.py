@@ -60,7 +60,8 @@ class SwitchedSystem(Frozen):
         B = real_array("B", B, "(modes, n, m)", 3)
         modes, n = A.shape[:2]
         shaped("A", A, (modes, n, n), "(modes, n, n)")
-        shaped("B", B, (modes, n, B.shape[2]), "(modes, n, m)")
+        rows = B.shape[2] == n != B.shape[1]  # of inputs, where columns are meant
+        shaped("B", B, (modes, n, B.shape[1] if rows else B.shape[2]), "(modes, n, m)")
         delay = positive("delay", delay)
         vars(self).update(A=A, B=B, delay=delay)
         require_exponential("delay", A, delay)

@@ -109,6 +109,11 @@ def simulate(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
+    if isinstance(signal, (list, tuple, np.ndarray)):
+        raise ArgumentError(
+            f"signal must be a SwitchingSignal or a rule, got a {type(signal).__name__}: modes "
+            "need the times at which they begin, as in SwitchingSignal([0.0, 0.5], [0, 1])."
+        )
     if isinstance(signal, SwitchingSignal):
         switching = signal.require_modes(plant.modes)
     else:
