@@ -24,7 +24,8 @@ RINGS = (
     ("certificates", "backstepping", "controller", "export", "design"),
     ("monte_carlo", "robustness"),
     ("problems",),
-    ("comparison", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
+    ("asked",),
+    ("comparison", "slips", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
     ("fit_plots", "fit_report", "toml_file", "certificate_table", "tightness"),
     (
         "margin_plots",

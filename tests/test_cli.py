@@ -171,7 +171,7 @@ def test_bound_json_is_the_library_s(folder, capsys):
     problem = dt.problems.follower()
     assert code == 0
     for form, printed in json.loads(out).items():
-        bound = dt.theorem_bound(problem.plant, problem.gains, problem.signal.dwell_time, form=form)
+        bound = dt.theorem_bound(problem.plant, problem.gains, problem.dwell_time, form=form)
         assert printed["epsilon_star"] == bound.epsilon_star
         assert printed["holds"] == bound.holds
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING, Any
 
+from deadtime.asked import STEP, dwell_time_of
 from deadtime.checks import positive
 from deadtime.errors import ArgumentError
 from deadtime.problems import Problem
 from deadtime.switching import SwitchingSignal
-from deadtime.wording import signed
+from deadtime.wording import sentence_of, signed
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -26,15 +27,8 @@ LEGEND = (
 )
 
 
-STEP = 0.01  # for problems whose loop is ideal, seconds
-
-
 def asked_of(problem: Problem, signal: SwitchingSignal) -> tuple[float, float]:
-    """The dwell time and the sampling period that certificates of a problem are about, seconds.
-
-    The problem's dwell time; where it states none, that of the signal, down to whole periods: what
-    holds for every signal with the shorter one holds for those with the longer one. A signal that
-    never switches is taken to dwell for the problem's horizon.
+    """The dwell time (`dwell_time_of`) and the period that certificates are about, seconds.
 
     Examples
     --------
@@ -43,12 +37,7 @@ def asked_of(problem: Problem, signal: SwitchingSignal) -> tuple[float, float]:
     >>> round(problem.signal.dwell_time, 4), asked_of(problem, problem.signal)
     (0.202, (0.2, 0.01))
     """
-    step = problem.step or STEP
-    if problem.dwell_time is not None:
-        return problem.dwell_time, step
-    dwell = signal.dwell_time if math.isfinite(signal.dwell_time) else problem.horizon
-    periods = math.floor(dwell / step * (1.0 + 1e-9))
-    return (round(periods * step, 12) if periods > 1 else dwell), step
+    return dwell_time_of(problem, signal).value, problem.step or STEP
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +111,7 @@ def judge(
 
 def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]) -> Judged:
     from deadtime.certificates import certify, falsify
+    from deadtime.spectrum.affordable import left_out
     from deadtime.spectrum.margin import constant_delay_margin
 
     plant, law = problem.plant, problem.laws[name]
@@ -134,6 +124,9 @@ def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]
     try:
         if worst is None and certificate.stable:
             worst = falsify(plant, law, dwell_time, step)
+        too_long = left_out("delay margin", plant, law, step)
+        if too_long:
+            return Judged(name, certificate, worst, None, sentence_of(too_long))
         margin = constant_delay_margin(plant, law, step)
     except ArgumentError as error:
         reason = "" if certificate.stable is None else str(error)
@@ -218,10 +211,17 @@ def _shortened(value: float, rounding: str) -> str:
 
 
 def delay_sentence(problem: Problem) -> list[str]:
-    """What a wrong delay does to the problem's first law; nothing where that cannot be asked."""
+    """What a wrong delay does to the problem's first law; nothing where that cannot be asked.
+
+    Where it would take long, that it was left out.
+    """
+    from deadtime.spectrum.affordable import left_out
     from deadtime.spectrum.margin import constant_delay_margin
 
     name, law = next(iter(problem.laws.items()))
+    too_long = left_out("delay margin", problem.plant, law, problem.step)
+    if too_long:
+        return [sentence_of(too_long)]
     try:
         margin = constant_delay_margin(problem.plant, law, problem.step)
     except ArgumentError:

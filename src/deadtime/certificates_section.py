@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from deadtime.asked import dwell_time_of
 from deadtime.certificate_table import (
     HEADINGS,
     Judged,
@@ -30,6 +31,8 @@ class Section:
     ----------
     dwell_time, step : float
         What the certificates are about, seconds.
+    source : str
+        Where the dwell time comes from.
     headings, rows, sentences
         The table of verdicts, and a sentence or two per law.
     statement, statement_of : tuple of str, str
@@ -38,6 +41,7 @@ class Section:
     """
 
     dwell_time: float
+    source: str
     step: float
     headings: tuple[str, ...]
     rows: list[tuple[str, ...]]
@@ -60,6 +64,7 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     """
     problem = result.problem
     dwell, step = asked_of(problem, result.signal)
+    source = dwell_time_of(problem, result.signal).source
     judged = judge(problem, dwell, step, progress=progress)
     sentences = judged_sentences(judged)
     figures = []
@@ -76,7 +81,7 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     ]
     statement, law = proofs[0] if proofs else ((), "")
     rows = judged_rows(judged)
-    return Section(dwell, step, HEADINGS, rows, sentences, statement, law, figures)
+    return Section(dwell, source, step, HEADINGS, rows, sentences, statement, law, figures)
 
 
 def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, str, Figure]]:

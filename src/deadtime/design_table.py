@@ -13,7 +13,7 @@ from deadtime.design.message import percent
 from deadtime.plant import SwitchedSystem
 from deadtime.wording import compact, signed
 
-HEADINGS = ("design", "delay margin", "cost", "filter, s", "step, s")
+HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s")
 LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
 
 
@@ -27,7 +27,8 @@ def design_rows(design: Design) -> list[tuple[str, ...]]:
 def _row(name: str, point: TradeOff) -> tuple[str, ...]:
     T = point.time_constant
     slowest = "–" if T is None else f"{np.abs(np.linalg.eigvals(T)).max():.3g}"
-    return name, percent(point.margin), compact(point.cost), slowest, f"{point.step:g}"
+    decay = f"{point.decay_rate:.3g}" if point.decay_rate > 0.0 else "–"
+    return name, percent(point.margin), compact(point.cost), decay, slowest, f"{point.step:g}"
 
 
 def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
@@ -94,13 +95,23 @@ def design_record(design: Design) -> dict[str, Any]:
         "time_constant": None if design.time_constant is None else design.time_constant.tolist(),
         "step": design.step,
         "cost": _finite(design.cost),
-        "plain": {"margin": _finite(design.plain.margin), "cost": _finite(design.plain.cost)},
+        "decay_rate": _finite(design.decay_rate),
+        "plain": {
+            "margin": _finite(design.plain.margin),
+            "cost": _finite(design.plain.cost),
+            "decay_rate": _finite(design.plain.decay_rate),
+        },
         "limits": [
             {"reached": _finite(limit.reached), "most": _finite(limit.most)}
             for limit in design.limits
         ],
         "points": [
-            {"margin": _finite(point.margin), "cost": point.cost, "step": point.step}
+            {
+                "margin": _finite(point.margin),
+                "cost": point.cost,
+                "decay_rate": _finite(point.decay_rate),
+                "step": point.step,
+            }
             for point in design.points
         ],
         "evaluated": design.evaluated,

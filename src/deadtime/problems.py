@@ -79,6 +79,8 @@ class Problem(Frozen):
     dwell_time : float or None
         The dwell time that every signal is promised to have, seconds, which certificates ask for;
         None: the shortest sojourn of `signal`.
+    mean_sojourn : float or None
+        The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
     model : SwitchedSystem or None
         What gains and laws were made for, where `plant`, the truth, differs from it.
     imperfections, seed, predict
@@ -102,6 +104,7 @@ class Problem(Frozen):
     published: tuple[Published, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     dwell_time: float | None = None
+    mean_sojourn: float | None = None
     model: SwitchedSystem | None = None
     imperfections: tuple[Imperfection, ...] = ()
     seed: int = 0
@@ -230,6 +233,7 @@ def paper() -> Problem:
         x0=np.array([-1.0, 1.0]),
         horizon=15.0,
         dwell_time=0.2,
+        mean_sojourn=0.4,
         notes=(note, "The paper's modes 1 and 2 are modes 0 and 1 here."),
         published=(
             Published("K of mode 0", np.array([-12.0, -6.0]), gains[0, 0]),
@@ -272,6 +276,7 @@ def three_mode() -> Problem:
         x0=np.array([-1.0, 1.0]),
         horizon=15.0,
         dwell_time=0.9,
+        mean_sojourn=1.8,
         notes=(
             note,
             "Initial state and horizon are ours. The mean law uses the published gain "
@@ -322,6 +327,7 @@ def follower() -> Problem:
         x0=np.array([1.0, -0.5, 0.0]),
         horizon=10.0,
         dwell_time=1.0,
+        mean_sojourn=2.0,
         states=("spacing error (m)", "relative speed (m/s)", "acceleration (m/s²)"),
         modes=("throttle", "brake"),
         notes=(

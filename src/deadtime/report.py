@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deadtime import plotting
+from deadtime.asked import dwell_time_of
 from deadtime.audit import STEPS, audit
 from deadtime.certificate_table import delay_sentence
 from deadtime.certificates_section import certificates_section, steps_of_section
@@ -22,6 +23,7 @@ from deadtime.constants_table import bound_rows, bound_sentence, bounds_of
 from deadtime.errors import ArgumentError, InfeasibleError
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
+from deadtime.simulation.outcome import Outcome
 from deadtime.switching import SwitchingSignal
 from deadtime.verdict import HEADINGS, table, verdict
 from deadtime.version import __version__
@@ -180,8 +182,8 @@ def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any]
 
 def _constants(result: Comparison) -> dict[str, Any]:
     """The theorem's constants in three forms, or why there are none."""
-    problem, dwell_time = result.problem, result.signal.dwell_time
-    dwell_time = dwell_time if np.isfinite(dwell_time) else problem.horizon
+    problem = result.problem
+    dwell_time, source = dwell_time_of(problem, result.signal)
     try:
         bounds = bounds_of(problem, dwell_time)
     except (ArgumentError, InfeasibleError) as error:
@@ -191,6 +193,7 @@ def _constants(result: Comparison) -> dict[str, Any]:
         "sentence": bound_sentence(bounds),
         "published": bool(problem.constants),
         "dwell_time": dwell_time,
+        "source": source,
     }
 
 
@@ -231,6 +234,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
         "version": __version__,
         "laws": {
             name: {key: finite(value) for key, value in row.items()}
+            | _ended(result.outcomes[name])
             | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
             for name, row in result.metrics.items()
         },
@@ -239,6 +243,13 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
             for name, rate in zip(result.problem.modes, result.growth, strict=True)
         },
     }
+
+
+def _ended(outcome: Outcome) -> dict[str, Any]:
+    """How a run ends; it settles where it comes to rest, which need not be 0."""
+    settles = outcome.settling if np.isfinite(outcome.settling) else None
+    rest = None if outcome.rest is None else outcome.rest.tolist()
+    return {"outcome": outcome.kind, "settling_time": settles, "rest": rest}
 
 
 def _file_name(law: str) -> str:
@@ -273,7 +284,7 @@ def _page(
         sentences=sentences,
         picture=picture,
         headings=HEADINGS,
-        rows=table(result.metrics),
+        rows=table(result),
         figures=images,
         audited=audited,
         constants=constants,

@@ -17,10 +17,11 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plotting import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.robustness import Robustness, Tolerance
 from deadtime.spectrum import growth_rate
+from deadtime.spectrum.affordable import MOST, seconds_of
 
 GOOD, BAD = "#e3f0f8", COLOURS[1]
 HEADINGS = ("wrong delay", "wrong gain", "noise", "lost samples", "late samples", "late modes")
-_POINTS = 41
+_POINTS, _FEWEST = 41, 5
 _LARGEST = 1e4  # cost, relative: beyond a run is drawn as lost
 
 
@@ -72,16 +73,27 @@ def _growth_curves(
     panel.axhline(0.0, color=COLOURS[6], linewidth=0.8)
 
 
+def _no_margin(result: Robustness) -> str:
+    left_out = any("was left out" in sentence for sentence in result.sentences)
+    return "left out: D/h is\ntoo large" if left_out else "the law is no table"
+
+
+def _points(result: Robustness) -> int:
+    """How many, fewer where each takes long."""
+    each = seconds_of("growth rate", result.plant, result.law, result.step)
+    return _POINTS if each == 0.0 else int(np.clip(2.0 * MOST / each, _FEWEST, _POINTS))
+
+
 def _delay_panel(panel: Axes, result: Robustness) -> None:
     panel.set_xlabel("error of the delay (%)")
     panel.set_ylabel("growth rate (1/s)")
     if result.delay is None:
-        _nothing(panel, "the law is no table")
+        _nothing(panel, _no_margin(result))
         return
     plant, margin = result.plant, result.delay
     D, relative = plant.delay, margin.relative
     reach = min(0.9, 0.1 if relative is None else 2.0 * min(relative, 0.4))
-    errors = np.linspace(-reach, reach, _POINTS)
+    errors = np.linspace(-reach, reach, _points(result))
     plants = [SwitchedSystem(plant.A, plant.B, (1.0 + e) * D) for e in errors]
     ends = [
         None if end is None else 100.0 * (end / D - 1.0) for end in (margin.lower, margin.upper)
@@ -93,12 +105,12 @@ def _gain_panel(panel: Axes, result: Robustness) -> None:
     panel.set_xlabel("gain, relative to the model")
     panel.set_ylabel("growth rate (1/s)")
     if result.gain is None:
-        _nothing(panel, "the law is no table")
+        _nothing(panel, _no_margin(result))
         return
     plant, margin = result.plant, result.gain
     low = 0.8 if margin.lower is None else max(0.05, 1.0 - 2.0 * (1.0 - margin.lower))
     high = 1.2 if margin.upper is None else 1.0 + 2.0 * (min(margin.upper, 3.0) - 1.0)
-    factors = np.linspace(low, high, _POINTS)
+    factors = np.linspace(low, high, _points(result))
     plants = [SwitchedSystem(plant.A, k * plant.B, plant.delay) for k in factors]
     _growth_curves(panel, result, factors, plants, [margin.lower, margin.upper])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -18,11 +17,13 @@ from deadtime.laws import (
 )
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
+from deadtime.simulation.outcome import untested
+from deadtime.slips import disagreement_of, slips_of
 from deadtime.wording import amount, compact, signed
 
 
 def verdict(result: Comparison) -> list[str]:
-    """Up to six plain sentences, each made from measured figures.
+    """Plain sentences, each made from measured figures; what to look at in the numbers comes last.
 
     Examples
     --------
@@ -31,18 +32,20 @@ def verdict(result: Comparison) -> list[str]:
     >>> print(verdict(compare(dt.problems.paper()))[2])
     Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
     """
-    sentences = [_headline(result), *_imperfections(result)]
+    lead = untested(result.runs[result.lead], result.outcomes[result.lead])
+    sentences = [_headline(result), *([lead] if lead else []), *_imperfections(result)]
     early = [name for name, run in result.runs.items() if _ended_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
-        return [*sentences, f"Runs that chatter end early: {', '.join(early)}; see their messages."]
+        chatter = f"Runs that chatter end early: {', '.join(early)}; see their messages."
+        return [*sentences, chatter, *slips_of(result.problem)]
     settled = not any(run.message and not run.diverged for run in result.held)
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _named(result, DelayedStateFeedback)[:1]]
     singles = _named(result, SingleModePredictor)
     sentences += [_believing_one_mode(result, singles)] if singles else []
     sentences += [_against_the_oracle(result, name) for name in _named(result, ExactPredictor)[:1]]
-    return sentences
+    return [*sentences, *slips_of(result.problem), *disagreement_of(result)]
 
 
 def _ended_early(result: Comparison, run: Trajectory) -> bool:
@@ -64,14 +67,8 @@ def _law(name: str) -> str:
     return f"the {name} law" if name in known else f"the law “{name}”"
 
 
-def _start(result: Comparison) -> float:
-    return float(np.linalg.norm(result.problem.x0))
-
-
 def _grows(result: Comparison, name: str) -> bool:
-    """Whether |x| ends above where it started (above half its peak, when it started at 0)."""
-    row = result.metrics[name]
-    return row["final_norm"] > (_start(result) or row["peak"] / 2.0)
+    return result.outcomes[name].lost
 
 
 def _headline(result: Comparison) -> str:
@@ -91,13 +88,12 @@ def _headline(result: Comparison) -> str:
         return f"{law} loses the plant {setting}: {run.message}"
     if _ended_early(result, run):
         return f"The run of {_law(result.lead)} ends early: {run.message}"
-    row, start = result.metrics[result.lead], _start(result)
-    origin = amount(start) if start else f"a peak of {amount(row['peak'])}"
-    if not _grows(result, result.lead):
-        return f"{law} works {setting}: |x| falls from {origin} to {amount(row['final_norm'])}."
-    if start:
-        return f"{law} fails {setting}: |x| grows from {origin} to {amount(row['final_norm'])}."
-    return f"{law} has not settled {setting}: |x| ends at {amount(row['final_norm'])}."
+    outcome = result.outcomes[result.lead]
+    if outcome.kind == "grows":
+        verb = "fails" if outcome.start else "has not settled"
+    else:
+        verb = "keeps the loop stable" if outcome.kind == "bounded" else "works"
+    return f"{law} {verb} {setting}: {outcome.sentence}."
 
 
 def _imperfections(result: Comparison) -> list[str]:
@@ -144,13 +140,16 @@ def _rate(growth: float) -> str:
 
 
 def _baseline(result: Comparison, name: str) -> str:
-    figures = result.metrics[name]
-    if result.runs[name].diverged:
+    outcome = result.outcomes[name]
+    if outcome.kind == "diverged":
         return "Ignoring the delay fails: " + result.runs[name].message
-    if _grows(result, name):
-        return f"Ignoring the delay fails: |x| reaches {amount(figures['final_norm'])} by the end."
+    if outcome.kind == "grows":
+        return f"Ignoring the delay fails: |x| reaches {amount(outcome.final)} by the end."
+    ends = outcome.sentence
+    if outcome.kind == "falls":
+        ends = f"|x| falls to {amount(outcome.final)} here"
     return (
-        f"Even ignoring the delay, |x| falls to {amount(figures['final_norm'])} here, at "
+        f"Even ignoring the delay, {ends}, at "
         f"{_times(result, name, result.lead)} the cost (∫|x|² + ∫|u|²) of {_law(result.lead)}."
     )
 
@@ -190,8 +189,11 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
     return text + "."
 
 
-def table(metrics: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
-    """Rows of the table of metrics, columns as in `HEADINGS`."""
+def table(result: Comparison) -> list[tuple[str, ...]]:
+    """Rows of the table of metrics, columns as in `HEADINGS`.
+
+    A run settles where it comes to rest, which need not be 0.
+    """
     return [
         (
             name,
@@ -199,12 +201,16 @@ def table(metrics: Mapping[str, Mapping[str, float]]) -> list[tuple[str, ...]]:
             compact(row["energy"]),
             compact(row["cost"]),
             compact(row["peak"]),
-            f"{row['settling_time']:.2f}" if math.isfinite(row["settling_time"]) else "–",
+            _settles(result.outcomes[name].settling),
             signed(row["decay_rate"]),
             compact(row["final_norm"]),
         )
-        for name, row in metrics.items()
+        for name, row in result.metrics.items()
     ]
+
+
+def _settles(seconds: float) -> str:
+    return f"{seconds:.2f}" if math.isfinite(seconds) else "–"
 
 
 HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", "settles, s", "decay, 1/s", "|x(T)|")

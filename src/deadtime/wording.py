@@ -66,6 +66,17 @@ def error_percent(value: float, nominal: float) -> str:
     return f"{text} %".replace("-", "−")
 
 
+def sentence_of(text: str) -> str:
+    """A clause as a sentence.
+
+    Examples
+    --------
+    >>> sentence_of("the loop is lost")
+    'The loop is lost.'
+    """
+    return f"{text[0].upper()}{text[1:]}."
+
+
 def signed(value: float) -> str:
     """A rate with its sign and two decimals.
 

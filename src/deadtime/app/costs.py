@@ -54,7 +54,7 @@ def _row(outcome: Outcome, law: str, place: int) -> str:
     bar = 0.0 if ratio is None else 100.0 if grows else _bar(ratio)
     shade = f"background: linear-gradient(to right, {colour}55 {bar:.0f}%, transparent {bar:.0f}%)"
     relative = "–" if ratio is None else "grows" if grows else f"{compact(ratio)}"
-    settling = metrics["settling_time"]
+    settling = outcome.endings[law].settling
     settles = "no" if not math.isfinite(settling) else f"{settling:.2f}"
     return (
         f"<tr data-law='{escape(law, quote=True)}' data-cost='{metrics['cost']!r}' "

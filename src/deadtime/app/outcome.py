@@ -9,11 +9,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from deadtime.comparison import ended
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import ExactPredictor
 from deadtime.problem_file.lenient import build_what_can
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
+from deadtime.simulation.outcome import Outcome as Ending
+from deadtime.simulation.outcome import untested
+from deadtime.slips import slips_of
 from deadtime.switching import SwitchingSignal
 
 MOST_SAMPLES = 20_000
@@ -55,6 +59,18 @@ class Outcome:
     def metrics(self) -> dict[str, dict[str, float]]:
         """`Trajectory.metrics()` of every run."""
         return {name: run.metrics() for name, run in self.runs.items()}
+
+    @cached_property
+    def endings(self) -> dict[str, Ending]:
+        """How every run ends."""
+        return {name: ended(self.problem, name, run) for name, run in self.runs.items()}
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """What to look at: a signal that tests nothing, numbers that do not fit each other."""
+        law, run = next(iter(self.runs.items()))
+        said = untested(run, self.endings[law])
+        return [*([said] if said else []), *slips_of(self.problem)]
 
     def ratio(self, law: str) -> float | None:
         """A law's cost over the oracle's; infinite for a run that grew without end."""

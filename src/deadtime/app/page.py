@@ -252,9 +252,10 @@ class Page:
         switches = int(((signal.times > 0) & (signal.times < problem.horizon)).sum())
         diverged = [name for name, run in outcome.runs.items() if run.diverged]
         more = f" Diverged: {html.escape(', '.join(diverged))}." if diverged else ""
+        notes = "".join(f"<br>{html.escape(one)}" for one in outcome.notes)
         return (
             f"<div class='about'><b>{html.escape(problem.title[:_LONG])}</b><br>"
-            f"Signal: {html.escape(kind)}, {switches} switches.{more}</div>"
+            f"Signal: {html.escape(kind)}, {switches} switches.{more}{notes}</div>"
         )
 
     # -- drawing ---------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import shortest
+from deadtime.certificates.unmoved import neutral, unmoved
 from deadtime.checks import count, instance, number, positive
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws.base import Law, TableLaw, require_match
@@ -122,7 +123,7 @@ def certify(
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
-    reason = _out_of_reach(plants, law, dwell_time, step, tolerance)
+    reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or unmoved(plants)
     if reason:
         return Certificate(None, reason)
     table = law.digital(step)
@@ -174,6 +175,10 @@ def _decide(
                 f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays "
                 f"at {-slowest:.4g} 1/s.",
             )
+        if slowest >= -GROWS:  # no Lyapunov function decreases: only a signal that grows is left
+            kept = neutral(mode, slowest)
+            found = _refuted(corner, law, setting, "") if search_signals else None
+            return found if found is not None and found.stable is False else Certificate(None, kept)
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
         fastest = max(0.0, *(-rate for rate, _, _ in rates))

@@ -13,6 +13,7 @@ from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from deadtime.asked import Given
     from deadtime.certificate_table import Judged
     from deadtime.certificates import Verification
     from deadtime.problems import Problem
@@ -72,8 +73,8 @@ def certify(
                 "--decay-rate and --out."
             )
         return _least_dwell_times(chosen, law, json_output)
-    dwell, period = _asked(chosen, dwell_time)
-    names = None if law is None else [law]
+    asked, period = _asked(chosen, dwell_time)
+    dwell, names = asked.value, None if law is None else [law]
     with progress_bar(len(names or chosen.laws), quiet=json_output) as advance:
         judged = judge(chosen, dwell, period, names, decay_rate, advance)
     saved = [] if out is None else _save(judged, out)
@@ -82,7 +83,7 @@ def certify(
         record["laws"] = judged_record(judged)
         print_json(record, saved)
     else:
-        _print_judged(chosen, judged, dwell, period, law is not None)
+        _print_judged(chosen, judged, asked, period, law is not None)
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
     return 0 if law is None or judged[0].stable else 1
@@ -134,8 +135,8 @@ def verify(
     else:
         chosen = _with_step(problem_of(problem), step)
         chosen_law = None if law is None else chosen.law(law)
-        dwell, period = _asked(chosen, dwell_time)
-        result = check(certificate, chosen.plant, chosen_law, dwell_time=dwell, step=period)
+        asked, period = _asked(chosen, dwell_time)
+        result = check(certificate, chosen.plant, chosen_law, dwell_time=asked.value, step=period)
     if json_output:
         print_json(asdict(result))
     else:
@@ -185,13 +186,13 @@ def _with_step(problem: Problem, step: float | None) -> Problem:
     return problem if step is None else replace(problem, step=positive("step", step))
 
 
-def _asked(problem: Problem, dwell_time: float | None) -> tuple[float, float]:
+def _asked(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
     """The dwell time and the period that a problem asks about, in seconds."""
-    from deadtime.certificate_table import STEP, asked_of
+    from deadtime.asked import STEP, Given, dwell_time_of
 
     if dwell_time is None:
-        return asked_of(problem, problem.given_signal)
-    return dwell_time, problem.step or STEP
+        return dwell_time_of(problem, problem.given_signal), problem.step or STEP
+    return Given(dwell_time, "as asked"), problem.step or STEP
 
 
 def _print_verification(result: Verification) -> None:
@@ -215,7 +216,7 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 
 
 def _print_judged(
-    problem: Problem, judged: list[Judged], dwell: float, step: float, in_full: bool
+    problem: Problem, judged: list[Judged], dwell: Given, step: float, in_full: bool
 ) -> None:
     from deadtime.certificate_table import HEADINGS, LEGEND, judged_rows, judged_sentences
     from deadtime.cli.console import Terminal
@@ -223,8 +224,8 @@ def _print_judged(
     console = Terminal()
     console.print(problem.title, style="bold", markup=False)
     console.print(
-        f"Every signal that stays in each mode for at least {dwell:.4g} s, switches at any time; "
-        f"sampling period {step:g} s.\n",
+        f"Every signal that stays in each mode for at least {dwell.value:.4g} s ({dwell.source}), "
+        f"switches at any time; sampling period {step:g} s.\n",
         markup=False,
     )
     print_table(HEADINGS, judged_rows(judged))

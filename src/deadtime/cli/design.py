@@ -35,6 +35,7 @@ def design(
     mode: int | None = None,
     step: float | None = None,
     longest_step: float | None = None,
+    decay_rate: float = 0.0,
     filtered: Annotated[bool | None, Parameter(negative="--unfiltered")] = None,
     budget: int = 800,
     out: Folder = Path("design"),
@@ -43,7 +44,7 @@ def design(
     """Gains and a law with a delay margin in every constant mode, at the least cost found.
 
     Writes OUT.toml, to be pasted into the problem file, and the chart OUT.png. Exit code 1 if the
-    margin is not reached.
+    margin, or the decay rate, is not reached.
 
     Parameters
     ----------
@@ -59,6 +60,8 @@ def design(
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     longest_step
         Allow longer periods, up to this, seconds.
+    decay_rate
+        How fast every constant mode must decay at least, in 1/s.
     filtered
         Only laws with a low-pass filter, or only without; both by default.
     budget
@@ -88,6 +91,7 @@ def design(
         gains=gains,
         filtered=filtered,
         longest_step=longest_step,
+        decay_rate=decay_rate,
         budget=budget,
     )
     written = [out.with_name(f"{out.name}.toml"), out.with_name(f"{out.name}.png")]

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,11 +19,13 @@ from deadtime.errors import ArgumentError
 if TYPE_CHECKING:
     import xarray as xr
 
+    from deadtime.asked import Given
     from deadtime.monte_carlo_table import Summary
     from deadtime.problems import Problem
-    from deadtime.switching import SemiMarkov
+    from deadtime.switching import SemiMarkov, SwitchingSignal
 
 _DATA = (".nc", ".csv")
+_OPTION = "as asked"
 _PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -59,10 +61,10 @@ def monte_carlo(
     scenarios
         Number of switching signals.
     dwell_time
-        Shortest sojourn, seconds; by default that of the problem's signal.
+        Shortest sojourn, seconds; by default the problem's dwell time, or its signal's.
     mean_sojourn
-        Mean of whole sojourns, seconds; by default twice the dwell time, whatever the problem's
-        own signal has.
+        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time where it
+        states none.
     seed
         Of the signals.
     backend
@@ -92,7 +94,7 @@ def monte_carlo(
     result = run(
         chosen.plant,
         chosen.laws,
-        _model(chosen, *sojourn),
+        _model(chosen, sojourn.dwell.value, sojourn.mean.value),
         chosen.x0,
         chosen.horizon,
         period,
@@ -153,8 +155,16 @@ def _period(problem: Problem, step: float | None) -> float:
     return problem.step
 
 
-def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> tuple[float, float]:
+class Sojourn(NamedTuple):
+    """Dwell time and mean sojourn of the signals, and where each comes from."""
+
+    dwell: Given
+    mean: Given
+
+
+def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
     """Dwell time and mean sojourn, where the problem's plant is one that signals switch."""
+    from deadtime.asked import Given, mean_sojourn_of
     from deadtime.switching import SwitchingSignal
 
     if problem.plant.modes == 1:
@@ -173,26 +183,36 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> tuple
             f"Carlo runs have, got u0 = {np.asarray(problem.u0).tolist()} and predict = "
             f"{problem.predict!r}: change the file."
         )
-    if dwell is None:
-        promised = problem.dwell_time
-        dwell = problem.signal.dwell_time if promised is None else promised
-        if not math.isfinite(dwell):
-            raise ArgumentError(
-                f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
-                "time: give one, --dwell-time 0.2."
-            )
-    dwell = number("dwell_time", dwell)
-    if dwell < 0.0 or (dwell == 0.0 and mean is None):
+    shortest = _dwell_time(problem, problem.signal, dwell)
+    least = shortest.value
+    if least < 0.0 or (least == 0.0 and mean is None):
         raise ArgumentError(
-            f"dwell_time must be positive, in s, or 0 with a --mean-sojourn, got {dwell:g}."
+            f"dwell_time must be positive, in s, or 0 with a --mean-sojourn, got {least:g}."
         )
-    mean = 2.0 * dwell if mean is None else number("mean_sojourn", mean)
-    if mean <= dwell:
+    if mean is None:
+        whole = mean_sojourn_of(problem, least)
+    else:
+        whole = Given(number("mean_sojourn", mean), _OPTION)
+    if whole.value <= least:
         raise ArgumentError(
-            f"mean_sojourn must be above the dwell time, {dwell:g} s, got {mean:g}: give a longer "
-            "one with --mean-sojourn."
+            f"mean_sojourn must be above the dwell time, {least:g} s, got {whole.value:g} "
+            f"({whole.source}): give a longer one with --mean-sojourn."
         )
-    return dwell, mean
+    return Sojourn(shortest, whole)
+
+
+def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> Given:
+    """The dwell time asked for, or the problem's."""
+    from deadtime.asked import Given, dwell_time_of
+
+    if dwell is not None:
+        return Given(number("dwell_time", dwell), _OPTION)
+    if problem.dwell_time is None and not math.isfinite(signal.dwell_time):
+        raise ArgumentError(
+            f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
+            "time: give one, --dwell-time 0.2."
+        )
+    return dwell_time_of(problem, signal)
 
 
 def _model(problem: Problem, dwell: float, mean: float) -> SemiMarkov:
@@ -219,11 +239,11 @@ def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
-def _print(
-    problem: Problem, sojourn: tuple[float, float], data: xr.Dataset, outcome: Summary
-) -> None:
+def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary) -> None:
     """Heading, remarks and tables on the terminal."""
-    dwell, mean = sojourn
+    from deadtime.slips import slips_of
+
+    dwell, mean = sojourn.dwell.value, sojourn.mean.value
     signals = "signal" if outcome.scenarios == 1 else "signals"
     print_heading(problem.title)
     print(
@@ -231,6 +251,12 @@ def _print(
         f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "
         f"sampled every {data.attrs['step']:g} s, seed {data.attrs['seed']}."
     )
+    print(
+        f"• Dwell time {dwell:g} s: {sojourn.dwell.source}. "
+        f"Mean sojourn {mean:g} s: {sojourn.mean.source}."
+    )
+    for sentence in slips_of(problem, data.attrs["step"]):
+        print(f"• {sentence}")
     if data.attrs["imperfections"]:
         print(f"• Imperfect: {', '.join(data.attrs['imperfections'])}.")
     if data.attrs["one_by_one"]:
@@ -245,14 +271,14 @@ def _print(
 
 
 def _record(
-    problem: Problem, sojourn: tuple[float, float], data: xr.Dataset, outcome: Summary
+    problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary
 ) -> dict[str, object]:
     """The results for JSON."""
     return {
         "problem": problem.name,
         "scenarios": outcome.scenarios,
-        "dwell_time": sojourn[0],
-        "mean_sojourn": sojourn[1],
+        "dwell_time": sojourn.dwell.value,
+        "mean_sojourn": sojourn.mean.value,
         "horizon": problem.horizon,
         **{name: data.attrs[name] for name in ("step", "seed", "backend", "message")},
         "interrupted": bool(data.attrs["interrupted"]),

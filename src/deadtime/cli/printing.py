@@ -58,7 +58,7 @@ def print_result(problem: Problem, sentences: list[str], result: Comparison) -> 
 
     print_heading(problem.title, sentences)
     print()
-    print_table(HEADINGS, table(result.metrics))
+    print_table(HEADINGS, table(result))
 
 
 def print_answers(title: str, answers: Sequence[Answer]) -> None:

@@ -54,6 +54,7 @@ def robustness(
     from deadtime.robustness.assess import STEPS
     from deadtime.robustness.assess import robustness as assess
     from deadtime.robustness_plots import plot_robustness
+    from deadtime.slips import slips_of
 
     chosen = problem_of(problem)
     name = next(iter(chosen.laws)) if law is None else law
@@ -75,18 +76,19 @@ def robustness(
     path = Path(f"{chosen.name}-robustness.png") if out is None else out
     path = path if path.suffix else path.with_suffix(".png")
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
+    slips = slips_of(chosen, period)
     if json_output:
-        record = {"problem": chosen.name, "law": name, "step": period, **_record(result)}
+        record = {"problem": chosen.name, "law": name, "step": period, **_record(result, slips)}
         print_json(record, [path])
         return
     print_heading(chosen.title)
     print(f"Law “{name}”, sampled every {period:g} s:")
-    for sentence in result.sentences:
+    for sentence in (*result.sentences, *slips):
         print(f"• {sentence}")
     print(f"\nFigure: {path}")
 
 
-def _record(result: Robustness) -> dict[str, Any]:
+def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
     """The figures for JSON, which knows no infinity: null where there is one."""
     from deadtime.certificate_table import finite
 
@@ -98,7 +100,7 @@ def _record(result: Robustness) -> dict[str, Any]:
         "late_samples": _tolerance(result.late),
         "detection_lag": None if result.lag is None else _tolerance(result.lag),
         "noise": {"base": finite(noise.base), "doubling": finite(noise.doubling)},
-        "sentences": list(result.sentences),
+        "sentences": [*result.sentences, *slips],
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from deadtime.checks import positive
 from deadtime.cli.entry import JUDGE, AsJson, app, lines
 from deadtime.cli.printing import print_json, print_table
 from deadtime.cli.problems import problem_of
@@ -29,19 +30,22 @@ def bound(
     problem
         A problem file, or paper, three-mode, follower.
     dwell_time
-        Dwell time in seconds; that of the problem's signal by default.
+        Dwell time in seconds; that of the problem by default, as `certify` takes it.
     json_output
         Print the constants as JSON instead of a table.
     """
+    from deadtime.asked import dwell_time_of
     from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
 
     chosen = problem_of(problem)
-    dwell = chosen.given_signal.dwell_time if dwell_time is None else dwell_time
-    bounds = bounds_of(chosen, min(dwell, 1e6 * chosen.horizon))
+    dwell, source = dwell_time_of(chosen, chosen.given_signal)
+    if dwell_time is not None:
+        dwell, source = positive("dwell_time", dwell_time), "as asked"
+    bounds = bounds_of(chosen, dwell)
     if json_output:
         print_json(bounds_record(bounds))
         return
     headings = ("constant", "as printed", "corrected", "sharp")
     rows = bound_rows(bounds, chosen.constants)
     print_table((*headings, "figure in the text") if chosen.constants else headings, rows)
-    print("\n" + bound_sentence(bounds))
+    print(f"\nDwell time {dwell:.4g} s ({source}). {bound_sentence(bounds)}")

@@ -9,7 +9,7 @@ from deadtime.checks import count
 from deadtime.design.exact import Exact
 from deadtime.design.limits import DelayLimit, delay_limit
 from deadtime.design.message import sentences
-from deadtime.design.request import checked, required_table
+from deadtime.design.request import checked, decay_asked, required_table
 from deadtime.design.result import Design, TradeOff
 from deadtime.design.search import MakeLaw, Search, Tried, assessed
 from deadtime.design.strategy import pairs_of, spend
@@ -32,6 +32,7 @@ def design(
     gains: ArrayLike | None = None,
     filtered: bool | None = None,
     longest_step: float | None = None,
+    decay_rate: float = 0.0,
     cost: str = "mean",
     budget: int = 800,
     dearest: float = DEAREST,
@@ -62,6 +63,9 @@ def design(
         True: only laws with a low-pass filter; False: only without; by default both.
     longest_step : float, optional
         Allow periods up to this, seconds: 2, 5, 10, … times `step`.
+    decay_rate : float
+        How fast every constant mode must decay at least at the nominal delay, 1/s. A wide margin
+        at a low cost is easily had by a loop that hardly moves.
     cost : "mean" or "worst"
         The cost ∫ |x|² + |u|² of the mean or of the worst mode, each for ever.
     budget : int
@@ -95,6 +99,7 @@ def design(
     (True, True, True)
     """
     asked = checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    slowest = decay_asked(decay_rate)
     given = None if gains is None else checked_gains(plant, gains, True)
     budget, seed = count("budget", budget, 20), count("seed", seed, 0)
     make = _averaged if law is None else law
@@ -103,7 +108,7 @@ def design(
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
     plain = _plain(plant, required_table(plant, make, start), step, cost == "worst")
-    search = Search(plant, make, cost == "worst", budget, dearest)
+    search = Search(plant, make, cost == "worst", budget, dearest, slowest)
     pairs = pairs_of(search, filtered, step, longest_step)
     spend(search, pairs, start, asked, np.random.default_rng(seed))
     exact = Exact(plant, search)
@@ -113,7 +118,8 @@ def design(
 def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
     """The design to compare with."""
     margin = constant_delay_margin(plant, law, step)
-    return TradeOff(law, step, margin.relative or 0.0, assessed(plant, law, step, worst)[1])
+    cost = assessed(plant, law, step, worst)[1]
+    return TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
 
 
 def _result(
@@ -134,8 +140,10 @@ def _result(
         law, step = chosen.law, chosen.step
         cost = assessed(plant, law, step, exact.search.worst)[1]
     growth = _ends(plant, law, step, asked)
-    reached = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
-    found = TradeOff(law, step, margin.relative or 0.0, cost)
+    decay, slowest = -float(margin.growth.max()), exact.search.slowest
+    wide = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
+    reached = wide and decay >= slowest
+    found = TradeOff(law, step, margin.relative or 0.0, cost, decay)
     tried = exact.search.spent
     return Design(
         law=law,
@@ -147,11 +155,12 @@ def _result(
         reached=reached,
         growth=growth,
         cost=cost,
+        decay_rate=decay,
         plain=plain,
         limits=limits,
         points=exact.trade_off(chosen),
         evaluated=tried,
-        message=sentences(asked, reached, chosen and found, plain, limits, tried),
+        message=sentences(asked, reached, chosen and found, plain, limits, tried, slowest),
     )
 
 

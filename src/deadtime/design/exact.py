@@ -33,15 +33,27 @@ class Exact:
         """0 where a mode is unstable."""
         return self.margin(tried).relative or 0.0
 
+    def decay_rate(self, tried: Tried) -> float:
+        """Of the slowest constant mode, 1/s."""
+        return -float(self.margin(tried).growth.max())
+
+    def decays(self, tried: Tried) -> bool:
+        """Whether it does as fast as is asked."""
+        return self.decay_rate(tried) >= self.search.slowest
+
     def choose(self, asked: float) -> Tried | None:
-        """The cheapest with the margin asked for; else the one with the largest margin."""
+        """The cheapest with the margin and the decay asked for; else the widest that is left.
+
+        Of those with the decay, where there are any, the one with the largest margin.
+        """
         stable = self.search.stable
         able = sorted((one for one in stable if one.margin >= asked), key=lambda one: one.cost)
         for one in able[:: max(1, len(able) // 200)][:_CHECKED]:
-            if self.relative(one) >= asked:
+            if self.relative(one) >= asked and self.decays(one):
                 return one
         widest = sorted(stable, key=lambda one: -one.margin)[:_CHECKED]
-        best = max([*widest, *self._front()], key=self.relative, default=None)
+        few = [*widest, *self._front()]
+        best = max(few, key=lambda one: (self.decays(one), self.relative(one)), default=None)
         return best if best is not None and self.relative(best) > 0.0 else None
 
     def trade_off(self, chosen: Tried | None) -> tuple[TradeOff, ...]:
@@ -51,7 +63,7 @@ class Exact:
         for one in sorted(few, key=lambda one: (one.cost, -self.relative(one))):
             margin = self.relative(one)
             if margin > 0.0 and (not kept or margin > kept[-1].margin):
-                kept.append(TradeOff(one.law, one.step, margin, one.cost))
+                kept.append(TradeOff(one.law, one.step, margin, one.cost, self.decay_rate(one)))
         return tuple(kept)
 
     def _front(self) -> list[Tried]:

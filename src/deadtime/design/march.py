@@ -31,8 +31,8 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
 
     `Phi`, `Gamma` and `Q` hold both phases of a period; G (m, taps·m) has the oldest tap first.
     Blocks of `block` periods are run until one adds less than `done` of the sum, or `most` are;
-    what is then missing is the tail of a geometric series. Returns the cost and the ratio of
-    blocks; a cost of ∞ where that is 1 or more.
+    what is then missing is the tail of a geometric series. Returns the cost and the ratio of the
+    last two blocks; a cost of ∞ where that is 1 or more.
     """
     m, n = F.shape
     taps = G.shape[1] // m
@@ -61,7 +61,7 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
         if not total < LARGEST:
             return np.inf, (added / first) ** (1.0 / rounds) if rounds > 0 else LARGEST
         if added <= done * total:
-            return total, 0.0
+            return total, added / before if before > 0.0 else 0.0
         ratio = added / before if before > 0.0 else 1.0
         before = added
         first = first if first > 0.0 else added

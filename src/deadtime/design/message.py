@@ -40,11 +40,12 @@ def sentences(
     plain: TradeOff,
     limits: Sequence[DelayLimit],
     evaluated: int,
+    slowest: float = 0.0,
 ) -> str:
-    """Whether the margin is reached, at what price, and what could be reached at all."""
+    """Whether the margin is reached, at what price, how fast, and what could be reached at all."""
     text = [_answer(asked, reached, found, evaluated)]
     if found is not None:
-        text.append(_price(found, plain))
+        text += [_price(found, plain), _decay(found, plain, slowest)]
     return " ".join([*text, _limits(limits, asked)])
 
 
@@ -77,6 +78,15 @@ def _price(found: TradeOff, plain: TradeOff) -> str:
         f"It costs {amount(found.cost / plain.cost)} times as much as the plain design, whose "
         f"margin is {percent(plain.margin)}."
     )
+
+
+def _decay(found: TradeOff, plain: TradeOff, slowest: float) -> str:
+    """How fast it is: a low price may be that of a loop that hardly moves."""
+    wanted = f" ({slowest:.3g} /s asked)" if slowest else ""
+    text = f"In its slowest constant mode it decays at {found.decay_rate:.3g} /s{wanted}"
+    if math.isinf(plain.cost):
+        return f"{text}."
+    return f"{text}, the plain design at {plain.decay_rate:.3g} /s."
 
 
 def _limits(limits: Sequence[DelayLimit], asked: float) -> str:

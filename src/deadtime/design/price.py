@@ -54,7 +54,7 @@ def loop_cost(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
 def cost_and_growth(
     plant: SwitchedSystem, feedback: Feedback, mode: int, blocks: int = BLOCKS
 ) -> tuple[float, float]:
-    """The cost; and, where the loop is unstable, how fast it grows, about, 1/s (0 elsewhere).
+    """The cost; and how fast the loop grows, about, 1/s: negative where it decays.
 
     After so many `blocks` of one delay the rest is taken for a geometric series.
     """
@@ -72,10 +72,12 @@ def cost_and_growth(
     taps, m, _ = G.shape
     G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
     block = max(taps, window.count, _SHORTEST)
-    total = 0.0
+    total, growth = 0.0, -math.inf
     for x0 in np.eye(plant.states):
         cost, ratio = cost_of_run(Phi, Gamma, Q, F, G, window.count, step, x0, block, blocks, _DONE)
         if math.isinf(cost):
             return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
         total += cost
-    return total / plant.states, 0.0
+        if ratio > 0.0:
+            growth = max(growth, math.log(ratio) / (2.0 * block * step))
+    return total / plant.states, growth

@@ -46,6 +46,17 @@ def checked(
     return asked
 
 
+def decay_asked(decay_rate: float) -> float:
+    """The decay rate asked for, 1/s."""
+    asked = number("decay_rate", decay_rate)
+    if asked < 0.0:
+        raise ArgumentError(
+            f"decay_rate must be at least 0, in 1/s, got {asked:g}: it says how fast every "
+            "constant mode must decay."
+        )
+    return asked
+
+
 def required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:
     """The plain design's law, if the family's laws can be run."""
     if not callable(make):

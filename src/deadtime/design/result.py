@@ -30,12 +30,16 @@ class TradeOff:
     cost : float
         ∫ |x|² + |u|² with one mode for ever, mean over |x₀| = 1, mean or worst over the modes; ∞
         where one is unstable.
+    decay_rate : float
+        How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one
+        grows.
     """
 
     law: Law
     step: float
     margin: float
     cost: float
+    decay_rate: float = 0.0
 
     @property
     def time_constant(self) -> Float[np.ndarray, "m m"] | None:
@@ -62,11 +66,14 @@ class Design(Frozen):
     asked : float
         The margin asked for, relative to the delay.
     reached : bool
-        Whether the margin is at least that, and the spectrum at both ends says so, too.
+        Whether the margin is at least that, and the spectrum at both ends says so, too; and the
+        decay rate at least what was asked.
     growth : (2, modes)
         The growth rates at the true delays D (1 − asked) and D (1 + asked), 1/s.
     cost : float
         ∫ |x|² + |u|², as in `TradeOff`.
+    decay_rate : float
+        How fast the slowest constant mode decays at the nominal delay, 1/s, as in `TradeOff`.
     plain : TradeOff
         The design to compare with: given gains, or LQR of identity weights, which are best for that
         cost when the mode never changes and the delay is right.
@@ -89,6 +96,7 @@ class Design(Frozen):
     reached: bool
     growth: Float[np.ndarray, "end mode"]
     cost: float
+    decay_rate: float
     plain: TradeOff
     limits: tuple[DelayLimit, ...]
     points: tuple[TradeOff, ...]

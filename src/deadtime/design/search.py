@@ -24,6 +24,7 @@ Merit = Callable[["Tried | None"], float]
 _SLACK = 1.003  # of the margin asked for: what the estimate may err by
 _SLOPE = 12.0  # of the penalty, of the cost's logarithm by that of the margin
 _LOST = 1e3
+_NEARLY = 0.9  # of the decay asked for: what the estimate may err by
 _BLOCKS = 150  # of one delay: enough to compare costs by
 _WIDEST = 9.0  # relative: beyond, margins are not told apart
 
@@ -32,7 +33,7 @@ _WIDEST = 9.0  # relative: beyond, margins are not told apart
 class Tried:
     """One design: its parameters, law, estimated margin (relative, 0 if unstable) and cost.
 
-    growth : of the fastest mode, 1/s, 0 where all decay
+    growth : of the fastest mode, about, 1/s; negative where all decay
     """
 
     family: Family
@@ -54,14 +55,19 @@ class Search:
     worst: bool
     budget: int
     dearest: float
+    slowest: float = 0.0  # decay rate that is asked for, 1/s
     tried: list[Tried] = field(default_factory=list)
     spent: int = 0
 
     @property
     def stable(self) -> list[Tried]:
-        """Those that are stable and cost at most `dearest` times the cheapest."""
+        """Those that are stable and cost at most `dearest` times the cheapest.
+
+        Of these the ones that decay as fast as is asked, where there are any.
+        """
         most = self.dearest * self.least_cost
-        return [one for one in self.tried if one.margin > 0.0 and one.cost <= most]
+        found = [one for one in self.tried if one.margin > 0.0 and one.cost <= most]
+        return [one for one in found if -one.growth >= _NEARLY * self.slowest] or found
 
     @property
     def least_cost(self) -> float:
@@ -125,7 +131,7 @@ class Search:
             if tried is None or tried.margin <= 0.0:
                 return _lost(tried)
             short = math.log(max(asked * _SLACK / tried.margin, 1.0))
-            return math.log(tried.cost) + _SLOPE * short
+            return math.log(tried.cost) + _SLOPE * (short + self._slow(tried))
 
         return merit
 
@@ -137,9 +143,16 @@ class Search:
             if tried is None or tried.margin <= 0.0:
                 return _lost(tried)
             dear = math.log(max(tried.cost / most, 1.0)) if most < math.inf else 0.0
-            return dear - math.log(tried.margin)
+            return dear - math.log(tried.margin) + _SLOPE * self._slow(tried)
 
         return merit
+
+    def _slow(self, tried: Tried) -> float:
+        """By how much it decays too slowly, the logarithm."""
+        wanted = _SLACK * self.slowest
+        if -tried.growth >= wanted:
+            return 0.0
+        return math.log(wanted / max(-tried.growth, 1e-9 * wanted))
 
     def ranked(self, merit: Merit) -> list[Tried]:
         """All that was tried, the best first."""
@@ -163,10 +176,10 @@ def made(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
 def assessed(
     plant: SwitchedSystem, law: Law, step: float, worst: bool, blocks: int = BLOCKS
 ) -> tuple[float, float, float]:
-    """Estimated relative margin, cost, and growth of the fastest mode, 1/s."""
+    """Estimated relative margin, cost, and growth of the fastest mode, 1/s, about."""
     from deadtime.switching import SwitchingSignal
 
-    costs, margin, growth = [], math.inf, 0.0
+    costs, margin, growth = [], math.inf, -math.inf
     for mode in range(plant.modes):
         table = law.digital(step, SwitchingSignal.constant(mode), 1)
         cost, grows = cost_and_growth(plant, table, mode, blocks)

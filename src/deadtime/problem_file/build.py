@@ -89,6 +89,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         states=states,
         modes=modes,
         dwell_time=getattr(file.signal, "dwell_time", None),
+        mean_sojourn=getattr(file.signal, "mean_sojourn", None),
     )
 
 

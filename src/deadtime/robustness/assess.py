@@ -25,12 +25,15 @@ from deadtime.plant import SwitchedSystem
 from deadtime.robustness.tolerance import NoisePrice, Setting, Tolerance, noise_price
 from deadtime.robustness.tolerance import sweep as _sweep
 from deadtime.robustness.tolerance import tolerance_of as _tolerance_of
+from deadtime.spectrum.affordable import left_out
 from deadtime.spectrum.gain import GainMargin, gain_margin
 from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
 from deadtime.switching import Rule, SwitchingSignal
+from deadtime.wording import sentence_of
 
 _DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _FINE = 0.1  # of a probability, relative
+_MARGINS = ("delay margin", "gain margin")
 STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "noise")
 
 
@@ -43,9 +46,10 @@ class Robustness:
     plant, law, step
         The loop.
     delay : DelayMargin or None
-        True delays that keep every constant mode stable, from the spectrum.
+        True delays that keep every constant mode stable, from the spectrum; None for a law that is
+        no table, and where `sentences` say that it was left out.
     gain : GainMargin or None
-        Factors of the inputs' effect that do.
+        Factors of the inputs' effect that do; None likewise.
     drops : Tolerance
         Probability of losing a sample.
     late : Tolerance
@@ -86,8 +90,9 @@ def robustness(
     """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
 
     Errors of delay and gain are those that leave every constant mode stable, exact from the
-    spectrum. The rest is simulated on the given signal: a run counts as lost when it diverges or
-    ends with |x| above where it started.
+    spectrum; where a delay of very many periods would make them take long they are left out, and a
+    sentence says so. The rest is simulated on the given signal: a run counts as lost when it
+    diverges, or its loop grows; |x| may well end above where it started where something pushes it.
 
     Parameters
     ----------
@@ -139,9 +144,10 @@ def robustness(
     inner = law.law if isinstance(law, OutputFeedback) else law
     table = isinstance(inner, TableLaw)
     progress("delay margin")
-    delay = constant_delay_margin(plant, law, step) if table else None
+    dear = {asked: left_out(asked, plant, law, step) for asked in _MARGINS if table}
+    delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
     progress("gain margin")
-    gain = gain_margin(plant, law, step) if table else None
+    gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None
     progress("lost samples")
     drops = _drops(setting)
     progress("late samples")
@@ -159,11 +165,12 @@ def robustness(
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     margins = "but for the imperfections of every run, " if setting.imperfections else ""
-    sentences = [_sentence(margins + part.message) for part in (delay, gain) if part is not None]
-    sentences += [_sentence(part.message) for part in (drops, late, lag) if part is not None]
+    sentences = [sentence_of(margins + part.message) for part in (delay, gain) if part is not None]
+    sentences += [sentence_of(why) for why in dear.values() if why]
+    sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
         sentences.append("The law does not read the mode, so that it may be told late.")
-    sentences.append(_sentence(noise.message))
+    sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))
     return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once)
 
@@ -215,7 +222,3 @@ def _whole(
 
     swept = _sweep(setting, lambda value: kind(int(value)), values, between, scenarios)
     return _tolerance_of(swept, say)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."

@@ -1,8 +1,8 @@
 """Tolerances by simulation: how far an imperfection may go before runs are lost.
 
-A run is lost when it diverges, or ends with |x| above where it started (where it started at 0,
-above half its peak). An imperfection is tolerated up to a value if none of the runs with it is lost
-there, or at any smaller value that was tried.
+A run is lost when it diverges, ends early, or its loop grows (`simulation.outcome`): x is not lost
+where a force or a reference holds it elsewhere. An imperfection is tolerated up to a value if none
+of the runs with it is lost there, or at any smaller value that was tried.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +19,8 @@ from deadtime.frozen import Frozen
 from deadtime.imperfections import Imperfection, Noise
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation import simulate
+from deadtime.simulation import Trajectory, simulate
+from deadtime.simulation.outcome import elsewhere, outcome_of, pushed
 from deadtime.switching import Rule, SwitchingSignal
 
 _TRIALS = 10
@@ -42,22 +44,25 @@ class Setting:
     def runs(self, more: Sequence[Imperfection], scenarios: int) -> tuple[Cost, np.ndarray]:
         """The cost of every scenario with more imperfections, and whether it is lost."""
         cost, lost = np.empty(scenarios), np.empty(scenarios, bool)
+        moved = pushed(self.law, self.imperfections)
         for i in range(scenarios):
-            run = simulate(
-                self.plant,
-                self.law,
-                self.signal,
-                self.x0,
-                self.horizon,
-                self.step,
-                imperfections=(*self.imperfections, *more),
-                seed=self.seed + i,
-            )
-            metrics = run.metrics()
-            start = float(np.linalg.norm(self.x0)) or 0.5 * metrics["peak"]
-            cost[i] = metrics["cost"]
-            lost[i] = run.diverged or run.end < self.horizon or metrics["final_norm"] > start
+            run = self._run(self.x0, more, i)
+            again = partial(self._run, elsewhere(self.x0), more, i) if moved else None
+            cost[i] = run.metrics()["cost"]
+            lost[i] = outcome_of(run, self.horizon, again).lost
         return cost, lost
+
+    def _run(self, x0: np.ndarray, more: Sequence[Imperfection], scenario: int) -> Trajectory:
+        return simulate(
+            self.plant,
+            self.law,
+            self.signal,
+            x0,
+            self.horizon,
+            self.step,
+            imperfections=(*self.imperfections, *more),
+            seed=self.seed + scenario,
+        )
 
 
 @dataclass(frozen=True, eq=False)

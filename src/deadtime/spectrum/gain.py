@@ -148,10 +148,10 @@ def _interval(
         highest = IdealResponse.of(IdealLoop.of(changed(most), law, mode)).highest
         return _candidates(replace(response, radius=highest), plant.delay)
 
-    factors, low, high = candidates(1.0), None, None
+    factors, high = candidates(1.0), None
     low = limit([*factors[factors < 1.0][::-1].tolist(), 1.0 / _LARGEST])
     for most in (_LARGEST,) if step is not None else _LARGEST ** np.linspace(0.2, 1.0, 5):
-        factors = candidates(most)
+        factors = factors if step is not None else candidates(most)
         near = factors[(factors > 1.0) & (factors < most)]
         high = limit([*near.tolist(), float(most)])
         if high is not None:
@@ -184,8 +184,7 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
         with np.errstate(over="ignore", invalid="ignore"):
             values: Any = _gains(response, np.array([end]), delay).ravel().tolist()
         found += [z.real for z in values if abs(z.imag) <= 1e-9 * abs(z) < math.inf]
-    for i, j in np.argwhere(crossing):
-        found.append(_refined(response, delay, omega[i : i + 2], gains[i : i + 2, j]))
+    found += _refined(response, delay, omega, gains, np.argwhere(crossing)).tolist()
     real = np.array([value for value in found if value > 1.0 / _LARGEST])
     return np.unique(1.0 / real)
 
@@ -211,19 +210,25 @@ def _matched(gains: np.ndarray) -> np.ndarray:
     return gains
 
 
-def _refined(response: Response, delay: float, omega: np.ndarray, ends: np.ndarray) -> float:
-    """The real eigenvalue between two frequencies, by bisection and then a secant."""
-    (a, b), (low, high) = omega, ends
+def _refined(
+    response: Response, delay: float, omega: np.ndarray, gains: np.ndarray, crossing: np.ndarray
+) -> Float[np.ndarray, " crossing"]:
+    """The real eigenvalues in cells (i, j) of the samples, by bisection and then a secant."""
+    if len(crossing) == 0:
+        return np.empty(0)
+    i, j = crossing.T
+    a, b, low, high = omega[i], omega[i + 1], gains[i, j], gains[i + 1, j]
     for _ in range(50):
         middle = 0.5 * (a + b)
-        values = _gains(response, np.array([middle]), delay)[0]
-        value = values[np.abs(values - 0.5 * (low + high)).argmin()]
-        if value.imag * low.imag > 0.0:
-            a, low = middle, value
-        else:
-            b, high = middle, value
-    part = low.imag / (low.imag - high.imag) if low.imag != high.imag else 0.5
-    return float((low + part * (high - low)).real)
+        values = _gains(response, middle, delay)
+        nearest = np.abs(values - 0.5 * (low + high)[:, None]).argmin(axis=1)
+        value = values[np.arange(len(values)), nearest]
+        same = np.imag(value) * np.imag(low) > 0.0
+        a, low = np.where(same, middle, a), np.where(same, value, low)
+        b, high = np.where(same, b, middle), np.where(same, high, value)
+    one, other = np.imag(low), np.imag(high)
+    part = np.where(one == other, 0.5, one / np.where(one == other, 1.0, one - other))
+    return np.real(low + part * (high - low))
 
 
 def _sentence(lower: tuple[float, int | None], upper: tuple[float, int | None]) -> str:

@@ -34,7 +34,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from deadtime import gains as design
@@ -78,6 +78,10 @@ class Servo(Frozen):
         H.
     sums : int
         Size of q: the number of tracked outputs with `integral`, 0 without.
+    driven : SwitchedSystem
+        With the states (x, q), all that moves: for certificates.
+    moving : (x and q,) int
+        Where these are in z.
 
     Raises
     ------
@@ -143,19 +147,27 @@ class Servo(Frozen):
         self, poles: ArrayLike | Sequence[ArrayLike], step: float | None = None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z with the poles of (x, q), n plus the size of q, given as for `place`."""
-        return self._completed(design.place(self._driven, poles, step), step)
+        return self._completed(design.place(self.driven, poles, step), step)
 
     def lqr(
         self, Q: ArrayLike, R: ArrayLike, step: float | None = None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z whose part on (x, q) is that of `lqr`, with Q of the size of (x, q)."""
-        return self._completed(design.lqr(self._driven, Q, R, step), step)
+        return self._completed(design.lqr(self.driven, Q, R, step), step)
 
     @property
-    def _driven(self) -> SwitchedSystem:
-        """The plant with the states (x, q)."""
+    def moving(self) -> Int[np.ndarray, " xq"]:
+        """Where (x, q) are in z; the rest, d and r, are constant."""
         n, k = self.base.states, self.disturbance.shape[2]
-        keep = np.r_[0:n, n + k : n + k + self.sums]
+        return np.r_[0:n, n + k : n + k + self.sums]
+
+    @property
+    def driven(self) -> SwitchedSystem:
+        """The plant with the states (x, q): what a certificate can be about.
+
+        A law of it whose gains are K[:, :, servo.moving] is the servo's at d = 0 and r = 0.
+        """
+        keep = self.moving
         A, B = self.plant.A[:, keep][:, :, keep], self.plant.B[:, keep]
         return SwitchedSystem(A, B, self.plant.delay)
 
@@ -207,7 +219,7 @@ class Servo(Frozen):
         n, r = self.base.states, len(self.tracked)
         if not self.integral:
             return np.zeros((0, r))
-        driven, weight = self._driven, np.zeros((n + r, n + r))
+        driven, weight = self.driven, np.zeros((n + r, n + r))
         qq, qx = np.zeros((r, r)), np.zeros((r, r))
         _require_decay(driven, K, step)
         for i, X in enumerate(X_r):

@@ -1,0 +1,63 @@
+"""What a problem is asked about: the one source of its dwell time and mean sojourn, with words.
+
+Certificates, the theorem's bound, Monte Carlo and reports all ask here, so that they speak of the
+same signals, and each says where its number comes from.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from deadtime.problems import Problem
+from deadtime.switching import SwitchingSignal
+
+STEP = 0.01  # for problems whose loop is ideal, seconds
+
+
+class Given(NamedTuple):
+    """A number, seconds, and where it comes from."""
+
+    value: float
+    source: str
+
+
+def dwell_time_of(problem: Problem, signal: SwitchingSignal) -> Given:
+    """The dwell time that a problem is about.
+
+    The problem's own; where it states none, that of the signal, down to whole periods: what holds
+    for every signal with the shorter one holds for those with the longer one. A signal that never
+    switches is taken to dwell for the problem's horizon.
+
+    Examples
+    --------
+    >>> import dataclasses, deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> dwell_time_of(problem, problem.signal)
+    Given(value=0.2, source="the problem's dwell time")
+    >>> unsaid = dataclasses.replace(problem, dwell_time=None)
+    >>> dwell_time_of(unsaid, problem.signal)
+    Given(value=0.2, source='the shortest sojourn of its signal')
+    """
+    if problem.dwell_time is not None:
+        return Given(problem.dwell_time, "the problem's dwell time")
+    if not math.isfinite(signal.dwell_time):
+        return Given(problem.horizon, "the horizon, since its signal never switches")
+    step = problem.step or STEP
+    periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
+    dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
+    return Given(dwell, "the shortest sojourn of its signal")
+
+
+def mean_sojourn_of(problem: Problem, dwell: float) -> Given:
+    """The mean sojourn that a problem is about; twice the dwell time where it states none.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> mean_sojourn_of(dt.problems.paper(), 0.5)
+    Given(value=1.0, source='twice the dwell time')
+    """
+    if problem.mean_sojourn is not None:
+        return Given(problem.mean_sojourn, "the problem's mean sojourn")
+    return Given(2.0 * dwell, "twice the dwell time")

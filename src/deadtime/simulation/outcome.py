@@ -1,0 +1,186 @@
+"""How a run ends: it falls, settles elsewhere, stays bounded, grows, or diverges.
+
+A loop is judged by what becomes of its start. Where nothing pushes it that is x itself. Under a
+reference, a disturbance or noise it is the difference from a second run, with the same signal,
+forces and random numbers, that starts elsewhere: in a linear loop what pushes both cancels, and
+the difference is the loop's own motion. A loop that decays under a constant push comes to rest, but
+not at 0: settling is asked about where it does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.imperfections import Disturbance, Imperfection, Noise
+from deadtime.laws.base import Law
+from deadtime.output_feedback import OutputFeedback
+from deadtime.simulation.trajectory import Trajectory
+from deadtime.wording import amount
+
+SETTLED = 0.02  # of the largest distance from where a run comes to rest
+_TAIL = 0.1  # of a run: within it a run at rest stays settled
+_MORE = 1.001  # times the largest distance of the quarter before: less is no growth
+
+Kind = Literal["falls", "settles", "bounded", "grows", "diverged", "ends early"]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How a run ends (immutable).
+
+    Attributes
+    ----------
+    kind : str
+        "falls": |x| ends no larger than it started; "settles": x comes to rest elsewhere than at
+        0; "bounded": neither, but the loop does not grow; "grows"; "diverged"; "ends early".
+    start, final, peak : float
+        |x| at time 0, at the end, and its maximum over the samples.
+    rest : (n,) or None
+        Where x comes to rest: 0 unless something pushes it; None where it does not.
+    settling : float
+        Seconds, from when on x stays within 2 % of its largest distance from there; ∞ if it
+        does not.
+    """
+
+    kind: Kind
+    start: float
+    final: float
+    peak: float
+    rest: Float[np.ndarray, " n"] | None
+    settling: float
+
+    @property
+    def lost(self) -> bool:
+        """Whether the loop grows, or its run could not go on."""
+        return self.kind in ("grows", "diverged", "ends early")
+
+    @property
+    def sentence(self) -> str:
+        """What x does, to follow the law's name and a colon.
+
+        Examples
+        --------
+        >>> Outcome("settles", 0.0, 2.0, 2.5, np.array([2.0]), 3.1).sentence
+        'x settles in 3.1 s where what pushes it holds it, at |x| = 2.00'
+        """
+        origin = amount(self.start) if self.start else f"a peak of {amount(self.peak)}"
+        if self.kind == "falls":
+            return f"|x| falls from {origin} to {amount(self.final)}"
+        if self.kind == "settles" and self.rest is not None:
+            where = f"where what pushes it holds it, at |x| = {amount(_norm(self.rest))}"
+            return f"x settles in {self.settling:.3g} s {where}"
+        if self.kind == "bounded":
+            peak, final = amount(self.peak), amount(self.final)
+            return f"x stays bounded, |x| ends at {final} after a peak of {peak}"
+        origin = f" from {origin}" if self.start else ""
+        return f"|x| grows{origin} to {amount(self.final)}"
+
+
+def pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
+    """Whether something keeps a loop from 0: a force, noise, or a reference."""
+    follows = isinstance(law, OutputFeedback) and law.servo is not None
+    return follows or any(isinstance(one, Disturbance | Noise) for one in imperfections)
+
+
+def elsewhere(x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Another start, for the second run of a loop that is pushed."""
+    return np.zeros(x0.size) if x0.any() else np.ones(x0.size) / math.sqrt(x0.size)
+
+
+def outcome_of(
+    run: Trajectory, horizon: float, again: Callable[[], Trajectory] | None = None
+) -> Outcome:
+    """How a run ends.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The run.
+    horizon : float
+        How long it should have been, seconds.
+    again : callable, optional
+        The same run from `elsewhere`, for a loop that is `pushed`; it is run only if need be.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> outcome_of(problem.simulate("averaged"), problem.horizon).kind
+    'falls'
+    """
+    time = run.record.grid(run.end)
+    states = run.record.states_at(time)
+    norm = np.linalg.norm(states, axis=1)
+    start, final, peak = float(norm[0]), float(norm[-1]), float(norm.max())
+    kind: Kind
+    rest, settling = None, math.inf
+    if run.diverged or run.end < horizon:
+        kind = "diverged" if run.diverged else "ends early"
+        return Outcome(kind, start, final, peak, rest, settling)
+    if again is None:
+        rest, settling = np.zeros(states.shape[1]), _settling(time, norm)
+        calm = final <= (start or 0.5 * peak)
+        kind = "falls" if calm else "grows" if _grows(time, norm) else "bounded"
+    else:
+        rest, settling = _rest(time, states)
+        kind = "grows" if _grows(time, _difference(run, again(), time, norm)) else "bounded"
+        if kind == "bounded" and rest is not None:
+            kind = "settles" if _norm(rest) > SETTLED * peak else "falls"
+    return Outcome(kind, start, final, peak, rest, settling)
+
+
+def untested(run: Trajectory, outcome: Outcome) -> str:
+    """That a signal's first switch comes after settling, so that it tested nothing; or empty."""
+    switches, settled = run.signal.times[1:], outcome.settling
+    if outcome.peak == 0.0 or switches.size == 0 or not settled <= switches[0] < run.end:
+        return ""
+    return (
+        f"The first switch, at {switches[0]:.4g} s, comes after x has settled ({settled:.3g} s): "
+        "this signal has not tested the law by switching. Let it switch earlier."
+    )
+
+
+def _grows(time: np.ndarray, size: np.ndarray) -> bool:
+    """Whether something ends above where it started, and its last quarter above that before."""
+    half, most = time >= 0.5 * time[-1], time >= 0.75 * time[-1]
+    before = size[half & ~most].max(initial=0.0)
+    return bool(size[-1] > size[0] and size[most].max() > _MORE * before)
+
+
+def _difference(
+    run: Trajectory, other: Trajectory, time: np.ndarray, norm: np.ndarray
+) -> np.ndarray:
+    """The distance of two runs; |x| where they do not compare."""
+    same = np.array_equal(run.signal.times, other.signal.times)
+    if other.end < run.end or not same:  # a rule switched them at instants of their own
+        return norm
+    apart = run.record.states_at(time) - other.record.states_at(time)
+    return np.linalg.norm(apart, axis=1)
+
+
+def _rest(time: np.ndarray, states: np.ndarray) -> tuple[np.ndarray | None, float]:
+    """Where x stays all through the last tenth of a run, and since when; None if it does not."""
+    tail = time >= (1.0 - _TAIL) * time[-1]
+    rest = states[tail].mean(axis=0)
+    distance = np.linalg.norm(states - rest, axis=1)
+    if distance[tail].max() > SETTLED * distance.max():
+        return None, math.inf
+    return rest, _settling(time, distance)
+
+
+def _norm(x: np.ndarray) -> float:
+    return float(np.linalg.norm(x))
+
+
+def _settling(time: np.ndarray, distance: np.ndarray) -> float:
+    """From when on a distance stays within 2 % of its largest."""
+    outside = np.flatnonzero(distance > SETTLED * distance.max())
+    if outside.size == 0:
+        return 0.0
+    return float(time[outside[-1] + 1]) if outside[-1] + 1 < time.size else math.inf
