@@ -11,9 +11,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from deadtime.cli import main
+from deadtime.colours import colours_of
 from deadtime.errors import ArgumentError
 from deadtime.sweep_plots import plot_bands, plot_heat, plot_regret, plot_wins
-from deadtime.sweep_plots.colours import colours_of
 from deadtime.sweep_plots.panels import NOT_BUILT, NOT_RUN
 from deadtime.sweep_plots.reduction import LEVELS, quantiles, reduced
 from deadtime.sweep_plots.selection import selected

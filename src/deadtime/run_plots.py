@@ -9,7 +9,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deadtime.plotting import COLOURS, LINES, STYLE, WIDTH, mode_strip, plain, signal_steps
+from deadtime.colours import Look, looks_of
+from deadtime.plotting import LINES, STYLE, WIDTH, mode_strip, plain, signal_steps
 from deadtime.simulation import Trajectory
 from deadtime.wording import subscript
 
@@ -21,6 +22,7 @@ def plot_laws(
     states: Sequence[str] | None = None,
     modes: Sequence[str] | None = None,
     title: str | None = None,
+    laws: Sequence[str] | None = None,
 ) -> Figure:
     """States, inputs, modes and mismatch of runs of one problem; a colour for each law.
 
@@ -32,6 +34,9 @@ def plot_laws(
         Names for the axes; numbered by default.
     title : str
         Heads the figure.
+    laws : sequence of str
+        All laws among which the colours are shared out, where other figures show more of them;
+        those of the runs by default.
 
     Examples
     --------
@@ -48,14 +53,16 @@ def plot_laws(
     count = first.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
     rows = [1.0] * (n + m) + [0.35 + 0.15 * count, 1.0]
+    looks = looks_of([*(laws or ()), *runs])
     with rc_context(STYLE):
         figure = Figure(figsize=(1.3 * WIDTH, 0.7 + 1.15 * sum(rows)))
         panels = figure.subplots(len(rows), 1, sharex=True, height_ratios=rows)
         for i, name in enumerate(states):
-            _panel(panels[i], name, {law: (run, run.states[i]) for law, run in runs.items()})
+            rows_of = {law: (run, run.states[i]) for law, run in runs.items()}
+            _panel(panels[i], name, rows_of, looks)
         for i, name in enumerate(inputs):
             rows_of = {law: (run, run.inputs[i]) for law, run in runs.items()}
-            _panel(panels[n + i], name, rows_of, held=True)
+            _panel(panels[n + i], name, rows_of, looks, held=True)
         end = max(float(run.time[-1]) for run in runs.values()) or 1.0
         longest = max(runs.values(), key=lambda run: run.time[-1])
         mode_strip(panels[-2], *signal_steps(longest.signal, end), list(map(plain, modes)))
@@ -65,7 +72,7 @@ def plot_laws(
             if run.mismatch is not None
         }
         floor = mismatch_floor(list(runs.values()))
-        _panel(panels[-1], "|mismatch|", wrong, colours=list(runs), floor=floor)
+        _panel(panels[-1], "|mismatch|", wrong, looks, floor=floor)
         panels[-1].set_xlabel("time (s)")
         panels[0].set_xlim(0.0, end)
         figure.align_ylabels()
@@ -81,21 +88,19 @@ def _panel(
     panel: Axes,
     label: str,
     rows: Mapping[str, tuple[Trajectory, np.ndarray]],
+    looks: Mapping[str, Look],
     held: bool = False,
-    colours: Sequence[str] | None = None,
     floor: float = 0.0,
 ) -> None:
     """One signal of every run."""
-    names = list(rows) if colours is None else list(colours)
     for law, (run, values) in rows.items():
-        place = names.index(law)
         style = "steps-post" if held and run.record.held else "default"
         panel.plot(
             run.time,
             values,
-            LINES[place // len(COLOURS) % len(LINES)],
+            LINES[looks[law].dash % len(LINES)],
             drawstyle=style,
-            color=COLOURS[place % len(COLOURS)],
+            color=looks[law].colour,
             label=plain(law),
         )
     panel.set_ylabel(plain(label))

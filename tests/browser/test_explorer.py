@@ -264,6 +264,20 @@ def test_nothing_is_wider_than_the_screen(browser, explorer, size, theme):
     context.close()
 
 
+def test_a_phone_s_drawer_is_closed_by_the_button_that_opened_it(browser, explorer):
+    context = browser.new_context(**SIZES["phone"], device_scale_factor=1)
+    one = context.new_page()
+    open_page(one, explorer.url)
+    one.locator("[aria-label='Open drawer']").tap()
+    one.locator(".sidebar").wait_for()
+    one.wait_for_timeout(500)
+    SHOTS.mkdir(exist_ok=True)
+    one.screenshot(path=SHOTS / "explorer-phone-drawer.png")
+    one.locator("[aria-label='Close drawer']").tap(timeout=5000)
+    one.locator(".sidebar").wait_for(state="hidden")
+    context.close()
+
+
 def test_only_this_machine_reaches_the_page(explorer):
     assert any("Only this machine can reach it" in line for line in explorer.said)
     port = int(explorer.url.rstrip("/").rsplit(":", 1)[1])

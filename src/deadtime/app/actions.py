@@ -100,7 +100,11 @@ class Actions:
                 button("Problem", ".toml", lambda: page.toml().encode()),
                 button("Figure", ".png", self.figure),
                 button("Data", ".csv", lambda: csv_of(page.outcome.runs).encode()),
-                button("Script", ".py", lambda: script_of(page.outcome.problem).encode()),
+                button(
+                    "Script",
+                    ".py",
+                    self.script,
+                ),
                 margin=(5, 6),
             )
         ]
@@ -110,8 +114,14 @@ class Actions:
         outcome = self.page.outcome
         problem = outcome.problem
         file = io.BytesIO()
-        plot_laws(outcome.runs, problem.states, problem.modes).savefig(file, format="png")
+        laws = list(self.page.offer)
+        plot = plot_laws(outcome.runs, problem.states, problem.modes, laws=laws)
+        plot.savefig(file, format="png")
         return file.getvalue()
+
+    def script(self) -> bytes:
+        """The script that makes what is shown."""
+        return script_of(self.page.outcome.problem, list(self.page.offer)).encode()
 
     # -- what happens ----------------------------------------------------------------------
 

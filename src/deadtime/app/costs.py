@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from html import escape
 
 from deadtime.app.outcome import Outcome
-from deadtime.app.style import colour_of, dash_of
+from deadtime.app.style import dash_of
+from deadtime.colours import Look, looks_of
 from deadtime.wording import compact
 
 _HEAD = (
-    "<table class='costs'><caption>Cost ∫ |x|² + |u|² dt, and against the oracle</caption>"
+    "<table class='costs'><caption>Cost ∫ |x|² + |u|² dt, and against the oracle{more}</caption>"
     "<thead><tr><th scope='col'>law</th><th scope='col'>cost</th><th scope='col'>× oracle</th>"
     "<th scope='col'>settles (s)</th><th scope='col'>max |x|</th></tr></thead><tbody>"
 )
@@ -29,25 +30,24 @@ CSS = """
 
 
 def table_of(outcome: Outcome, laws: Sequence[str]) -> str:
-    """The table; `laws` are all on offer, whose order makes the colours.
+    """The table; `laws` are all on offer, which share the colours.
 
     Full figures are in the `data-` attributes of the rows.
     """
-    rows = []
-    for law in outcome.runs:
-        place = laws.index(law) if law in laws else len(laws)
-        rows.append(_row(outcome, law, place))
+    looks = looks_of([*laws, *outcome.runs])
+    rows = [_row(outcome, law, looks[law]) for law in outcome.runs]
     for law, why in outcome.reasons.items():
         rows.append(
             f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
         )
-    return f"{_HEAD}{''.join(rows)}</tbody></table>"
+    more = ", on estimates of the same observer" if outcome.observed else ""
+    return f"{_HEAD.format(more=more)}{''.join(rows)}</tbody></table>"
 
 
-def _row(outcome: Outcome, law: str, place: int) -> str:
+def _row(outcome: Outcome, law: str, look: Look) -> str:
     metrics, ratio = outcome.metrics[law], outcome.ratio(law)
-    colour = colour_of(place)
-    swatch = f"<span class='swatch' style='border-top-style: {_BORDERS[dash_of(place)]}; " + (
+    colour = look.colour
+    swatch = f"<span class='swatch' style='border-top-style: {_BORDERS[dash_of(look.dash)]}; " + (
         f"border-top-color: {colour}'></span>"
     )
     grows = outcome.runs[law].diverged or (ratio is not None and math.isinf(ratio))

@@ -12,7 +12,8 @@ from bokeh.models import ColumnDataSource, FixedTicker, HoverTool, Range1d, Span
 from bokeh.plotting import figure
 
 from deadtime.app.outcome import Outcome
-from deadtime.app.style import GREY, colour_of, dash_of
+from deadtime.app.style import dash_of
+from deadtime.colours import GREY, looks_of
 from deadtime.problems import Problem
 from deadtime.run_plots import frame, mismatch_floor
 from deadtime.simulation import Trajectory
@@ -29,7 +30,7 @@ class Figures:
     ----------
     problem : Problem
     laws : sequence of str
-        All that may be shown; their order makes the colours.
+        All that may be shown; they share the colours.
     states : sequence of int
         Which states have a panel.
     """
@@ -119,12 +120,12 @@ class Figures:
     def _source(self, law: str, run: Trajectory) -> Any:
         """The samples of a law; its curves are made when it is first shown."""
         if law not in self._sources:
-            place = self.laws.index(law) if law in self.laws else len(self.laws)
+            colour, dash = looks_of([*self.laws, *self._sources, law])[law]
             source = ColumnDataSource({name: [] for name in ("t", *self._rows)})
             look: dict[str, Any] = {
                 "source": source,
-                "line_color": colour_of(place),
-                "line_dash": dash_of(place),
+                "line_color": colour,
+                "line_dash": dash_of(dash),
                 "line_width": 1.8,
                 "name": law,
             }

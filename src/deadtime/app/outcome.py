@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,8 @@ from typing import Any
 
 from deadtime.comparison import ended
 from deadtime.errors import ArgumentError, DeadtimeError
-from deadtime.laws import ExactPredictor
+from deadtime.laws import ExactPredictor, Law
+from deadtime.output_feedback import OutputFeedback
 from deadtime.problem_file.lenient import build_what_can
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
@@ -39,21 +39,24 @@ class Outcome:
     reasons : mapping
         Why the other laws that were asked for could not run.
     oracle : float or None
-        The oracle's cost ∫ |x|² + |u|²; None where no signal is known in advance.
-    seconds : float
-        How long all that took.
+        The cost ∫ |x|² + |u|² of the law that knows the signal in advance, and measures what the
+        others measure; None where no signal is known in advance.
     """
 
     problem: Problem
     runs: Mapping[str, Trajectory]
     reasons: Mapping[str, str]
     oracle: float | None
-    seconds: float
 
     @property
     def signal(self) -> SwitchingSignal:
         """The switching signal; what the first run made of it where a rule decides."""
         return next(iter(self.runs.values())).signal
+
+    @property
+    def observed(self) -> bool:
+        """Whether the laws measure outputs; the oracle then has their observer."""
+        return any(isinstance(law, OutputFeedback) for law in self.problem.laws.values())
 
     @cached_property
     def metrics(self) -> dict[str, dict[str, float]]:
@@ -119,7 +122,6 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
     ArgumentError
         If the problem is too large for a page, or does not hold together.
     """
-    began = time.perf_counter()
     require_size(draft)
     draft, reasons = _affordable(draft)
     names = [law.get("name") or law["kind"] for law in draft.get("law", [])]
@@ -133,13 +135,7 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
             reasons[name], fault = str(error), ArgumentError(f"{name}: {error}")
     if not runs and fault is not None:
         raise fault
-    return Outcome(
-        problem,
-        runs,
-        reasons,
-        _oracle_cost(problem, runs),
-        time.perf_counter() - began,
-    )
+    return Outcome(problem, runs, reasons, _oracle_cost(problem, runs))
 
 
 def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, str]]:
@@ -164,11 +160,20 @@ def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | No
     if not isinstance(problem.signal, SwitchingSignal):
         return None
     for name, law in problem.laws.items():
-        if isinstance(law, ExactPredictor):
+        inner = law.law if isinstance(law, OutputFeedback) else law
+        if isinstance(inner, ExactPredictor) and name in runs:
             return runs[name].metrics()["cost"]
     try:
-        law = ExactPredictor(problem.model or problem.plant, problem.gains, allow_unstable=True)
-        run = problem.run(law)
+        run = problem.run(_oracle(problem))
     except ArgumentError:
         return None
     return run.metrics()["cost"]
+
+
+def _oracle(problem: Problem) -> Law:
+    """The law that knows the signal; on the estimates of the others' observer, if they have one."""
+    law = ExactPredictor(problem.model or problem.plant, problem.gains, allow_unstable=True)
+    first = next(iter(problem.laws.values()))
+    if not isinstance(first, OutputFeedback):
+        return law
+    return OutputFeedback(law, first.observer, estimate=first.estimate)

@@ -20,7 +20,7 @@ from deadtime.app.documents import MOST_BYTES, Document, open_named, to_toml, to
 from deadtime.app.drawing import switched
 from deadtime.app.figures import MOST_PANELS, Figures
 from deadtime.app.jobs import try_upload
-from deadtime.app.laws import offered
+from deadtime.app.opening import Opening
 from deadtime.app.outcome import Outcome, run_draft
 from deadtime.app.settings import Drawn, Given, draft_of
 from deadtime.app.workers import Workers
@@ -28,13 +28,23 @@ from deadtime.errors import DeadtimeError
 from deadtime.problems import NAMED
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
-_TRIAL = 20.0  # seconds that an uploaded problem may take to run for the first time
+_TRIAL = 60.0  # seconds after which a trial of an uploaded problem is stopped
+_ABOVE = 1400  # of the header, whose button closes the drawer: a drawer over a page has 1300
 _LONG = 200  # characters of a title that are shown
-_SLOW = 1.0  # seconds above which a problem is too slow for a page that follows every move
+_SLOW = 1.0  # seconds of a processor above which a page cannot follow every move
 
 
 class Page:
     """A page (one per session).
+
+    Parameters
+    ----------
+    document : Document
+        What it begins with.
+    workers : Workers
+        Who does what takes longer than a moment.
+    opening : Opening, optional
+        The document's, made once where many pages begin with it.
 
     Attributes
     ----------
@@ -44,7 +54,9 @@ class Page:
         What is shown.
     """
 
-    def __init__(self, document: Document, workers: Workers) -> None:
+    def __init__(
+        self, document: Document, workers: Workers, opening: Opening | None = None
+    ) -> None:
         self.workers = workers
         self.message = pmui.Alert(object="", severity="info", visible=False, margin=(4, 10))
         self.costs = pn.pane.HTML("", sizing_mode="stretch_width", stylesheets=[CSS])
@@ -56,17 +68,19 @@ class Page:
         self.outcome: Outcome
         self._scheduled = self._closed = False
         self._opened, self._pending = 0, set[Future[Any]]()
-        self.open(document)
+        self._begin(Opening.of(document) if opening is None else opening)
 
     # -- opening ---------------------------------------------------------------------------
 
     def open(self, document: Document) -> None:
         """Show another problem."""
-        offer, chosen = offered(document)
-        controls = Controls(document, offer, chosen, self.touch)
-        outcome = run_draft(draft_of(document, offer, controls.settings()), document.source)
+        self._begin(Opening.of(document))
+
+    def _begin(self, opening: Opening) -> None:
+        document, outcome = opening.document, opening.outcome
+        controls = Controls(document, dict(opening.offer), opening.chosen, self.touch)
         self._forget()
-        self.document, self.offer, self.controls = document, offer, controls
+        self.document, self.offer, self.controls = document, opening.offer, controls
         self._shown = dict(document.draft)
         states = range(min(outcome.problem.plant.states, MOST_PANELS))
         self._draw(outcome, list(states))
@@ -114,8 +128,8 @@ class Page:
             document, seconds = result
             if seconds > _SLOW:
                 self.refuse(
-                    f"{document.name}.toml takes {seconds:.1f} s to run, too slow for a page that "
-                    "follows every move: use `deadtime simulate`."
+                    f"{document.name}.toml takes {seconds:.1f} s of a processor to run, too "
+                    "slow for a page that follows every move: use `deadtime simulate`."
                 )
             elif self.attempt(lambda: self.open(document)):
                 self.say(f"Opened {document.name}.toml.")
@@ -302,6 +316,7 @@ class Page:
             sidebar=[choice, upload, *self.actions.downloads(), groups],
             sidebar_width=330,
             sidebar_open=not _on_a_phone(),
+            sx={"& .header": {"zIndex": _ABOVE}},
             main=[
                 pmui.Grid(
                     pmui.Grid(left, size={"xs": 12, "lg": 7}),

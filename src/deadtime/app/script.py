@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from inspect import Parameter, signature
 from typing import Any
 
@@ -38,12 +38,18 @@ runs = {{
 }}
 for name, run in runs.items():
     print(name, run.metrics()["cost"], "diverged" if run.diverged else "")
-plot_laws(runs, states={states}, modes={modes}).savefig({file})
+plot_laws(
+    runs,
+    states={states},
+    modes={modes},
+{colours}).savefig({file})
 """
 
 
-def script_of(problem: Problem) -> str:
+def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
     """The script: it builds the same plant, laws and signal, runs them and draws the same figure.
+
+    `laws` are all on offer, which share the colours.
 
     Examples
     --------
@@ -72,6 +78,7 @@ def script_of(problem: Problem) -> str:
         arguments=_indented(lines, 8),
         states=writer.code(list(problem.states)),
         modes=writer.code(list(problem.modes)),
+        colours=f"    laws={writer.code(list(laws))},\n" if laws else "",
         file=_quoted(f"{file}.png"),
     )
     title = problem.title.replace("\\", " ").replace('"', "'")

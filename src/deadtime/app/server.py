@@ -13,7 +13,9 @@ from typing import Any
 import panel as pn
 
 from deadtime.app.documents import open_named
+from deadtime.app.opening import Opening
 from deadtime.app.page import Page
+from deadtime.app.sessions import CHECK, LINGER, MOST, Sessions
 from deadtime.app.workers import Workers
 from deadtime.errors import ArgumentError
 
@@ -77,6 +79,7 @@ def serve(
     show: bool = True,
     origins: tuple[str, ...] = (),
     workers: int = 1,
+    sessions: int = MOST,
     started: Callable[[str], None] = lambda url: None,
 ) -> None:
     """Serve pages until interrupted; every session has its own.
@@ -93,37 +96,38 @@ def serve(
         Names, host:port, by which browsers reach it, where that is not the address.
     workers : int
         Processes for what takes longer than a moment.
+    sessions : int
+        Pages that may be open at once; who comes then is asked to come later.
     started : callable
         Called with the page's URL once it is there.
 
     Raises
     ------
     ArgumentError
-        If the problem cannot be opened, or the address cannot be served.
+        If the problem cannot be opened, the address cannot be served, or no session may be open.
     """
+    if sessions < 1:
+        raise ArgumentError(f"sessions must be at least 1, got {sessions}.")
     document = open_named(problem)
     port = free_port(address, port)
     team = Workers(workers)
     try:
-        Page(document, team)  # compiles what pages call, and finds what is wrong with the file
+        opening = Opening.of(document)
+        Page(document, team, opening)  # compiles what pages call
         host = f"[{address}]" if ":" in address else address
         known = {f"{host}:{port}", f"localhost:{port}", f"127.0.0.1:{port}", *origins}
         if not is_loopback(address):
             known |= {f"{socket.gethostname()}:{port}", f"{_own_address()}:{port}"}
         pn.extension(notifications=False)
-
-        def session() -> Any:
-            page = Page(document, team)
-            pn.state.on_session_destroyed(lambda _: page.close())
-            return page.view()
-
+        visitors = Sessions(lambda: Page(document, team, opening), sessions)
         _quieten()
         asyncio.get_event_loop().set_exception_handler(_unless_closed)
         server: Any = pn.serve(
-            {"/": session},
+            {"/": visitors.begin},
             address=address, port=port, show=show, title="deadtime explorer", start=False,
             websocket_origin=sorted(known), verbose=False,
             websocket_max_message_size=40_000_000, index=None,
+            unused_session_lifetime_milliseconds=LINGER, check_unused_sessions_milliseconds=CHECK,
         )  # fmt: skip
         started(f"http://{'localhost' if address in ('0.0.0.0', '::') else host}:{port}/")
         server.run_until_shutdown()

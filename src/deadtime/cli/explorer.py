@@ -30,6 +30,7 @@ def app(
     address: str = "127.0.0.1",
     origin: tuple[str, ...] = (),
     browser: Annotated[bool, Parameter(negative="--no-browser")] = True,
+    sessions: int = 40,
     json_output: AsJson = False,
 ) -> None:
     """Explore a problem on a page: move it, draw its signal, watch every law.
@@ -46,6 +47,8 @@ def app(
         A name, host:port, by which browsers reach the page behind a proxy.
     browser
         Open a browser.
+    sessions
+        Pages that may be open at once; who comes then is asked to come later.
     json_output
         Print where the page is as JSON instead of text.
     """
@@ -69,4 +72,4 @@ def app(
                 print("Everyone who can reach this machine can use it; there is no password.")
             print("Ctrl-C ends it.", flush=True)
 
-    serve(str(problem), address, port, browser, origin, started=started)
+    serve(str(problem), address, port, browser, origin, sessions=sessions, started=started)

@@ -13,10 +13,10 @@ from matplotlib import rc_context
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
+from deadtime.colours import colour_of
 from deadtime.plotting import STYLE, WIDTH, plain
 from deadtime.study.findings import LOST, best, duel, summary
 from deadtime.study.phrases import words_of
-from deadtime.sweep_plots.colours import colour_of
 from deadtime.sweep_plots.maps import Scale, coloured, winners
 from deadtime.sweep_plots.panels import Grid
 from deadtime.sweeps.laws import AWARE

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from deadtime.colours import colours_of
 from deadtime.plotting import LINES, STYLE, plain
 from deadtime.sweep_plots.band_panels import (
     add_legend,
@@ -20,7 +21,6 @@ from deadtime.sweep_plots.band_panels import (
     set_scale,
     title_of,
 )
-from deadtime.sweep_plots.colours import colours_of
 from deadtime.sweep_plots.panels import places_of, too_many, words_of
 from deadtime.sweep_plots.reduction import reduced
 from deadtime.sweep_plots.selection import (

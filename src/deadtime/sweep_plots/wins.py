@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
+from deadtime.colours import colours_of
 from deadtime.errors import ArgumentError
-from deadtime.sweep_plots.colours import colours_of
 from deadtime.sweep_plots.heat import grid_for
 from deadtime.sweep_plots.maps import winners
 from deadtime.sweep_plots.reduction import reduced

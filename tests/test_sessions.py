@@ -1,0 +1,143 @@
+"""Sessions of the explorer: how many there may be, and that nothing of them stays."""
+
+import asyncio
+import gc
+import json
+import re
+import signal
+import subprocess
+import sys
+import weakref
+from pathlib import Path
+
+import panel as pn
+import pytest
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest
+from tornado.websocket import websocket_connect
+
+from deadtime.app.documents import open_named
+from deadtime.app.opening import Opening
+from deadtime.app.page import Page
+from deadtime.app.sessions import Sessions
+from deadtime.cli import main
+
+# Of widgets that set options of other widgets; none of ours.
+pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+
+MEMORY = Path(__file__).parents[1] / "benchmarks" / "explorer_memory.py"
+
+
+class Served:
+    """Pages of the paper's problem, served in this process; which of them are still alive."""
+
+    def __init__(self, most):
+        document = open_named("paper")
+        self.opening = Opening.of(document)
+        self.alive = weakref.WeakSet()
+        self.documents = weakref.WeakSet()
+        self.sessions = Sessions(self.make, most)
+
+    def make(self):
+        page = Page(self.opening.document, None, self.opening)
+        self.alive.add(page)
+        self.documents.add(pn.state.curdoc)
+        return page
+
+    async def __aenter__(self):
+        pn.extension(notifications=False)
+        self.interrupt = signal.getsignal(signal.SIGINT)
+        self.server = pn.serve(
+            {"/": self.sessions.begin}, port=0, address="127.0.0.1", show=False, start=False,
+            verbose=False, websocket_origin="*", index=None,
+            unused_session_lifetime_milliseconds=3000, check_unused_sessions_milliseconds=100,
+        )  # fmt: skip
+        self.server.start()
+        self.url = f"http://127.0.0.1:{self.server.port}/"
+        return self
+
+    async def __aexit__(self, *_):
+        signal.signal(signal.SIGINT, self.interrupt)
+        self.server.stop()
+
+    async def get(self):
+        answer = await AsyncHTTPClient().fetch(self.url, request_timeout=120.0)
+        return answer.body.decode()
+
+    async def connect(self):
+        """A page as a browser has it: its websocket, and what it shows."""
+        token = re.search(r'"token":"([^"]+)"', await self.get())[1]
+        socket = await websocket_connect(
+            HTTPRequest(f"ws{self.url[4:]}ws"), subprotocols=["bokeh", token]
+        )
+        for part in (json.dumps({"msgid": "1", "msgtype": "PULL-DOC-REQ"}), "{}", "{}"):
+            await socket.write_message(part)
+        while "PULL-DOC-REPLY" not in (head := str(await socket.read_message())):
+            pass
+        return socket, head + str(await socket.read_message()) + str(await socket.read_message())
+
+    async def until_all_left(self):
+        async with asyncio.timeout(60.0):
+            while self.server.get_sessions("/"):
+                await asyncio.sleep(0.1)
+        await asyncio.sleep(1.5)  # until the sweep
+
+
+def test_nothing_stays_of_sessions_that_are_over():
+    async def visit():
+        async with Served(most=10) as served:
+            for _ in range(2):
+                await served.get()
+                socket, _ = await served.connect()
+                socket.close()
+            assert len(served.server.get_sessions("/")) == 4
+            await served.until_all_left()
+            return len(served.alive), len(served.documents)
+
+    gc.disable()  # the sweep after sessions is to find them
+    try:
+        assert asyncio.run(visit()) == (0, 0)
+    finally:
+        gc.enable()
+
+
+def test_a_visitor_too_many_is_asked_to_come_later_and_then_served():
+    async def visit():
+        async with Served(most=1) as served:
+            first, shown = await served.connect()
+            second, refused = await served.connect()
+            first.close()
+            second.close()
+            await served.until_all_left()
+            third, later = await served.connect()
+            third.close()
+            return shown, refused, later
+
+    shown, refused, later = asyncio.run(visit())
+    assert "this explorer serves 1 at once" in refused
+    for one in (shown, later):
+        assert "Worst signal" in one
+        assert "Too many pages" not in one
+
+
+def test_pages_that_begin_with_one_problem_share_its_runs():
+    opening = Opening.of(open_named("paper"))
+    one, other = (Page(opening.document, None, opening) for _ in range(2))
+    assert one.outcome is other.outcome
+    one.controls.sliders["delay"].value = 0.5
+    assert one.outcome is not other.outcome
+    assert other.outcome is opening.outcome
+
+
+@pytest.mark.parametrize("count", ["0", "-3"])
+def test_a_server_of_no_sessions_is_refused(count, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["app", "--sessions", count, "--no-browser"])
+    assert ended.value.code == 2
+    assert f"sessions must be at least 1, got {count}" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is read from /proc")
+def test_five_hundred_visitors_leave_no_memory_behind():
+    done = subprocess.run([sys.executable, MEMORY], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
