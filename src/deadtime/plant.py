@@ -59,6 +59,11 @@ class SwitchedSystem:
         B = real_array("B", B, "(modes, n, m)", 3)
         modes, n = A.shape[:2]
         shaped("A", A, (modes, n, n), "(modes, n, n)")
+        if B.shape == (modes, 1, n) and n > 1:
+            raise ArgumentError(
+                f"B must have shape (modes, n, m) = ({modes}, {n}, m), got {B.shape}: write each "
+                "row as a column, [[0], [1]] for [[0, 1]]."
+            )
         shaped("B", B, (modes, n, B.shape[2]), "(modes, n, m)")
         vars(self).update(A=A, B=B, delay=positive("delay", delay))
 

@@ -54,10 +54,11 @@ def fuzz(kind: str, count: int, seed: int = 0, seconds: float = 1e9, first: int 
     """
     from fuzzing.targets import TARGETS
 
-    found, number, end = Found(), first, time.monotonic() + seconds
+    found, number = Found(), first
     context = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as folder:
-        TARGETS[kind](Path(folder))  # what takes long is imported and made once, before the fork
+        TARGETS[kind](Path(folder)).read_seeds()  # imported and compiled once, before the fork
+        end = time.monotonic() + seconds
         while number < first + count and time.monotonic() < end:
             now = context.Value("q", number)
             mine, theirs = context.Pipe(duplex=False)

@@ -111,7 +111,7 @@ regions = [
   { H = [[-1.0, 0.0]], h = [0.0], mode = 1 },
 ]
 """), end='[[law]]\nkind = "state-dependent"\n'),
-    _with((_SIGNAL, 'kind = "quadratic"\nS = [[[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]]')),
+    _with((_SIGNAL, 'kind = "quadratic"\nS = [[[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0]]]')),
     _with((_SIGNAL, 'kind = "log"\nfile = "log.csv"\nlabels = { idle = 0, busy = 1 }\n')),
 )  # fmt: skip
 
