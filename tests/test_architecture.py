@@ -13,7 +13,7 @@ SOURCE = Path(dt.__file__).parent
 
 # Each ring may import from itself and from the rings before it.
 RINGS = (
-    ("errors", "checks", "wording", "version"),
+    ("errors", "checks", "text_files", "wording", "version"),
     ("plant", "switching", "steps", "lanes", "exponential", "covariance", "feedback", "forecast"),
     ("imperfections",),
     (

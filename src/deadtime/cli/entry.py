@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
@@ -44,7 +45,8 @@ app = App(
         "deadtime app                     # the same with sliders, in a browser",
         title="Start here",
     )
-    + "\n\nExit codes: 0 done, 1 the answer is no, 2 the request is wrong, 130 interrupted.",
+    + "\n\nExit codes: 0 done, 1 the answer is no, 2 the request is wrong, 70 a bug, "
+    "130 interrupted.",
     version=__version__,
     group_commands=_OPTIONS,
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
@@ -57,7 +59,7 @@ File = Annotated[Path | None, Parameter(alias="-o")]
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit; a command returns its code, errors become one line and 2."""
+    """Run the command line and exit; a command returns its code, every error becomes one line."""
     from deadtime.cli.console import Terminal
 
     tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
@@ -86,6 +88,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _abandon_stdout()
         place = "" if error.filename is None else f"{error.filename}: "
         _stop(2, f"error: {place}{error.strerror or _one_line(error)}")
+    except MemoryError as error:
+        _stop(
+            2, f"error: out of memory ({_one_line(error) or 'no details'}): ask for less at once."
+        )
+    except Exception as error:
+        _stop(70, _unforeseen(error))
     raise SystemExit(code if isinstance(code, int) else 0)
 
 
@@ -102,6 +110,16 @@ def _one_line(error: BaseException) -> str:
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return f"unexpected argument {error.unused_tokens[0]!r}."
     return " ".join(str(error).split())
+
+
+def _unforeseen(error: Exception) -> str:
+    """What to say of a bug: what it was, and who wants to know."""
+    if os.environ.get("DEADTIME_DEBUG"):
+        traceback.print_exception(error)
+    return (
+        f"internal error: {type(error).__name__}: {_one_line(error):.300}: this is a bug in "
+        "deadtime, please report it with the command and its files; DEADTIME_DEBUG=1 shows where."
+    )
 
 
 def _where_to_look(error: BaseException) -> str:

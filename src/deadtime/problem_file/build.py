@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,21 +122,46 @@ def _gains(plant: SwitchedSystem, section: schema.GainsSection) -> np.ndarray:
     if section.K is not None:
         return checked_gains(plant, section.K, section.allow_unstable)
     if section.poles is not None:
-        gains = place(plant, as_numbers(section.poles))
+        poles = as_numbers(section.poles)
+        if not section.allow_unstable:
+            _require_left(poles)
+        gains = place(plant, poles)
         return checked_gains(plant, gains, section.allow_unstable)
     assert section.lqr is not None
     return lqr(plant, section.lqr.Q, section.lqr.R)
+
+
+def _require_left(poles: list) -> None:
+    """Refuse poles that would leave a loop unstable, before gains are made for them."""
+    for pole in poles:
+        if isinstance(pole, list):
+            _require_left(pole)
+        elif pole.real >= 0.0:
+            shown = f"{pole.real:g}" if pole.imag == 0.0 else f"{pole:g}"
+            raise ArgumentError(
+                f"poles must lie left of the imaginary axis, got {shown}: give it a negative real "
+                "part, or set allow_unstable = true."
+            )
 
 
 def as_numbers(poles: list) -> list:
     """Poles as numbers; text such as "-1+2j" is a complex one."""
     if poles and isinstance(poles[0], list):
         return [as_numbers(row) for row in poles]
+    return [_pole(pole) for pole in poles]
+
+
+def _pole(given: float | str) -> complex:
     try:
-        return [complex(pole) for pole in poles]
+        return complex(given)
     except ValueError:
+        hint = ""
+        with suppress(ValueError):
+            meant = str(given).replace(" ", "").replace("i", "j").replace("I", "j")
+            complex(meant)
+            hint = f': write "{meant}"'
         raise ArgumentError(
-            f'poles must be numbers, or text such as "-1+2j", got {poles}.'
+            f'poles must be numbers, or text such as "-1+2j", got {str(given)[:40]!r}{hint}.'
         ) from None
 
 
@@ -276,10 +302,10 @@ def _mean_law(
     """
     A, B = model.mean().A[0], model.mean().B[0]
     if section is not None:
-        A = A if section.A is None else np.array(section.A)
-        B = B if section.B is None else np.array(section.B)
+        A = A if section.A is None else real_array("A", section.A, "(n, n)", 2)
+        B = B if section.B is None else real_array("B", section.B, "(n, m)", 2)
     if section is not None and section.gain is not None:
-        gain = np.array(section.gain)
+        gain = real_array("gain", section.gain, "(m, n)", 2)
     elif file.gains.K is not None or isinstance((file.gains.poles or [0])[0], list):
         gain = gains.mean(axis=0)
     else:

@@ -11,9 +11,10 @@ from pydantic import Field
 from deadtime import imperfections as kinds
 from deadtime.imperfections import Imperfection, Sizes
 from deadtime.problem_file.section import Matrix, Section, Vector
+from deadtime.toml_file import Shape
 from deadtime.toml_file import section as _section
 
-PerSignal = float | Vector
+PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0.2])]
 
 
 class NoiseSection(Section):
@@ -85,8 +86,8 @@ class WhiteDisturbanceSection(Section):
     """White process noise."""
 
     kind: Literal["white-disturbance"]
-    intensity: float | Vector | Matrix = Field(
-        description="W in units of x² per second: a number, a diagonal or an n × n matrix."
+    intensity: Annotated[float | Vector | Matrix, Shape("a number, (n,) or (n, n)", [0.1, 0.1])] = (
+        Field(description="W in units of x² per second: a number, a diagonal or an n × n matrix.")
     )
 
 
@@ -96,14 +97,18 @@ class ColouredDisturbanceSection(Section):
     kind: Literal["coloured-disturbance"]
     std: PerSignal = Field(description="Standard deviation of each source.")
     time_constant: PerSignal = Field(description="Correlation time of each source, seconds.")
-    force: Vector | Matrix = Field(description="How the sources act on dx/dt, n or n × q.")
+    force: Annotated[Vector | Matrix, Shape("(n,) or (n, q)", [0.0, 1.0])] = Field(
+        description="How the sources act on dx/dt, n or n × q."
+    )
 
 
 class StepDisturbanceSection(Section):
     """A constant force on dx/dt."""
 
     kind: Literal["step-disturbance"]
-    force: Vector = Field(description="Units of x per second.")
+    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
+        description="Units of x per second."
+    )
     start: float = Field(0.0, description="Seconds.")
     end: float = Field(math.inf, description="Seconds.")
 

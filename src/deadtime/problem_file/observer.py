@@ -12,31 +12,40 @@ from deadtime.laws import Law
 from deadtime.observers import Observer, kalman, luenberger
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
-from deadtime.problem_file.section import Matrices, Matrix, Poles, Section, Vector
+from deadtime.problem_file.section import Matrices, Matrix, Poles, PolesPerMode, Section, Vector
+from deadtime.toml_file import Shape
 
 
 class _Measured(Section):
     """What is measured, y = C_σ x, and an observer to estimate the state; at the run's period."""
 
-    C: Matrix | Matrices = Field(description="p × n, or one such matrix per mode.")
-    estimate: Vector | None = Field(None, description="First estimate of the state; 0 by default.")
+    C: Annotated[Matrix | Matrices, Shape("(p, n), or one for each mode", [[1.0, 0.0]])] = Field(
+        description="p × n, or one such matrix per mode."
+    )
+    estimate: Annotated[Vector | None, Shape("(n,)", [1.0, 0.0])] = Field(
+        None, description="First estimate of the state; 0 by default."
+    )
 
 
 class LuenbergerObserver(_Measured):
     """An observer by pole placement."""
 
     kind: Literal["luenberger"]
-    poles: Poles | list[Poles] = Field(
-        description="Poles of the error for all modes, or a list per mode, 1/s."
-    )
+    poles: Annotated[
+        Poles | PolesPerMode, Shape("a list of poles, or one for each mode", [-4.0, -5.0])
+    ] = Field(description="Poles of the error for all modes, or a list per mode, 1/s.")
 
 
 class KalmanObserver(_Measured):
     """The steady-state Kalman filter of every mode."""
 
     kind: Literal["kalman"]
-    process: Matrix = Field(description="Intensity of the white process noise, n × n.")
-    measurement: Matrix = Field(description="Covariance of the noise of a sample, p × p.")
+    process: Annotated[Matrix, Shape("(n, n)", [[1.0, 0.0], [0.0, 1.0]])] = Field(
+        description="Intensity of the white process noise, n × n."
+    )
+    measurement: Annotated[Matrix, Shape("(p, p)", [[0.01]])] = Field(
+        description="Covariance of the noise of a sample, p × p."
+    )
 
 
 ObserverSection = Annotated[LuenbergerObserver | KalmanObserver, Field(discriminator="kind")]

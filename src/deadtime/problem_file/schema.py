@@ -11,31 +11,61 @@ from pydantic import ConfigDict, Field, model_validator
 
 from deadtime.problem_file.imperfections import ImperfectionSection
 from deadtime.problem_file.observer import ObserverSection
-from deadtime.problem_file.section import Matrices, Matrix, Poles, Section, Vector
+from deadtime.problem_file.section import (
+    Integers,
+    Matrices,
+    Matrix,
+    Poles,
+    PolesPerMode,
+    Section,
+    Texts,
+    Vector,
+)
+from deadtime.toml_file import Shape
+
+_SQUARE = [[0.0, 1.0], [-1.0, -0.5]]
+_COLUMN = [[0.0], [1.0]]
+_UNIT = [[1.0, 0.0], [0.0, 1.0]]
+_RATES = [[0.0, 0.5], [0.5, 0.0]]
+
+# What keys are called that are lists of numbers: their shape, and a value that fits.
+Plants = Annotated[Matrices, Shape("(modes, n, n)", [_SQUARE, _SQUARE])]
+InputMatrices = Annotated[Matrices, Shape("(modes, n, m)", [_COLUMN, _COLUMN])]
+Gains = Annotated[Matrices | None, Shape("(modes, m, n)", [[[-1.0, -2.0]], [[-1.0, -2.0]]])]
+Square = Annotated[Matrix, Shape("(n, n)", _UNIT)]
+InputWeight = Annotated[Matrix, Shape("(m, m)", [[1.0]])]
+PerMode = Annotated[Matrix, Shape("(modes, modes)", _RATES)]
+State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
+Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
+Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
+Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
 
 
 class PlantSection(Section):
     """The plant dx/dt = A_σ x + B_σ u(t − delay)."""
 
     delay: float = Field(description="Input delay D, seconds.")
-    A: Matrices = Field(description="One n × n matrix per mode.")
-    B: Matrices = Field(description="One n × m matrix per mode.")
-    states: list[str] = Field([], description="Names of the states, for figures.")
-    modes: list[str] = Field([], description="Names of the modes, for figures.")
+    A: Plants = Field(description="One n × n matrix per mode.")
+    B: InputMatrices = Field(description="One n × m matrix per mode.")
+    states: Names = Field([], description="Names of the states, for figures.")
+    modes: Names = Field([], description="Names of the modes, for figures.")
 
 
 class LqrSection(Section):
     """Weights of ∫ xᵀQx + uᵀRu."""
 
-    Q: Matrix
-    R: Matrix
+    Q: Square
+    R: InputWeight
 
 
 class GainsSection(Section):
     """Gains of u = +K x: given, or how to design them. Exactly one of K, poles, lqr."""
 
-    K: Matrices | None = Field(None, description="One m × n matrix per mode.")
-    poles: Poles | list[Poles] | None = Field(
+    K: Gains = Field(None, description="One m × n matrix per mode.")
+    poles: Annotated[
+        Poles | PolesPerMode | None,
+        Shape("a list of poles, or one for each mode", [-1.0, "-1+2j", "-1-2j"]),
+    ] = Field(
         None,
         description='Closed-loop poles for all modes, or a list per mode, 1/s; "-1+2j" is complex.',
     )
@@ -53,15 +83,15 @@ class ModelSection(Section):
     """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
 
     delay: float | None = None
-    A: Matrices | None = None
-    B: Matrices | None = None
+    A: Plants | None = None
+    B: InputMatrices | None = None
 
 
 class LawSection(Section):
     """What all laws share."""
 
     name: str | None = Field(None, description="Name in tables and figures.")
-    low_pass: float | Matrix | None = Field(
+    low_pass: Annotated[float | Matrix | None, Shape("a number or (m, m)", [[0.1]])] = Field(
         None,
         description="Time constant of a low-pass filter on the law's input, seconds; a number, or "
         "m × m.",
@@ -73,7 +103,9 @@ class AveragedLaw(LawSection):
     """Average of the modes' exact predictor feedbacks."""
 
     kind: Literal["averaged"]
-    weights: Vector | Literal["minimax"] | None = Field(
+    weights: Annotated[
+        Vector | Literal["minimax"] | None, Shape('(modes,) or "minimax"', [0.5, 0.5])
+    ] = Field(
         None,
         description='Probability of each mode; equal by default; "minimax" finds those with the '
         "least growth rate of the worst mode.",
@@ -97,9 +129,15 @@ class MeanLaw(LawSection):
     """Exact predictor feedback of the mean plant; its gain is designed like the others."""
 
     kind: Literal["mean"]
-    gain: Matrix | None = Field(None, description="K̄, m × n; needed when gains are given as K.")
-    A: Matrix | None = Field(None, description="Ā; the element-wise mean by default.")
-    B: Matrix | None = Field(None, description="B̄; the element-wise mean by default.")
+    gain: Annotated[Matrix | None, Shape("(m, n)", [[-1.0, -2.0]])] = Field(
+        None, description="K̄, m × n; needed when gains are given as K."
+    )
+    A: Annotated[Matrix | None, Shape("(n, n)", _SQUARE)] = Field(
+        None, description="Ā; the element-wise mean by default."
+    )
+    B: Annotated[Matrix | None, Shape("(n, m)", _COLUMN)] = Field(
+        None, description="B̄; the element-wise mean by default."
+    )
     dwell_time: float | None = Field(
         None, description="Trust the current mode for the rest of this dwell time, seconds."
     )
@@ -116,8 +154,8 @@ class OptimalLaw(LawSection):
     """The best causal law under the file's [switching] model, for ∫ xᵀQx + uᵀRu."""
 
     kind: Literal["optimal"]
-    Q: Matrix | None = Field(None, description="n × n; that of [gains.lqr], or I, by default.")
-    R: Matrix | None = Field(None, description="m × m; that of [gains.lqr], or I, by default.")
+    Q: Square | None = Field(None, description="n × n; that of [gains.lqr], or I, by default.")
+    R: InputWeight | None = Field(None, description="m × m; that of [gains.lqr], or I, by default.")
 
 
 class ExactLaw(LawSection):
@@ -143,6 +181,8 @@ class SojournSection(Section):
 
     model_config = ConfigDict(extra="allow", strict=False, title=None)
 
+    __pydantic_extra__: dict[str, float]
+
     distribution: str = Field(description='Name in scipy.stats, such as "expon" or "gamma".')
 
 
@@ -153,7 +193,7 @@ class MarkovSwitching(Section):
     """A Markov process of the mode."""
 
     kind: Literal["markov"]
-    rates: Matrix = Field(description="Rates from mode (row) to mode (column), 1/s.")
+    rates: PerMode = Field(description="Rates from mode (row) to mode (column), 1/s.")
 
 
 class SemiMarkovSwitching(Section):
@@ -163,7 +203,7 @@ class SemiMarkovSwitching(Section):
     sojourn: Sojourn | list[Sojourn] = Field(
         description="Seconds in a mode: a number, or { distribution = …, … }; or one per mode."
     )
-    transition: Matrix | None = Field(
+    transition: Annotated[Matrix | None, Shape("(modes, modes)", [[0.0, 1.0], [1.0, 0.0]])] = Field(
         None, description="Probabilities of the next mode; uniform by default."
     )
 
@@ -172,8 +212,10 @@ class FittedSwitching(Section):
     """A semi-Markov model fitted from logs."""
 
     kind: Literal["fitted"]
-    logs: list[str] = Field(description="CSV logs, paths relative to the problem file.")
-    family: str | list[str] = Field("auto", description="Family of the sojourns, or one per mode.")
+    logs: Annotated[Texts, Shape("a list of texts", ["log.csv"])] = Field(
+        description="CSV logs, paths relative to the problem file."
+    )
+    family: str | Texts = Field("auto", description="Family of the sojourns, or one per mode.")
     first: Literal["whole", "drop"] = Field(
         "whole", description='"drop" if the logs begin in mid-sojourn.'
     )
@@ -191,8 +233,8 @@ class PeriodicSignal(Section):
     """The modes in turn, over and over."""
 
     kind: Literal["periodic"]
-    sojourns: Vector = Field(description="Seconds in each mode.")
-    modes: list[int]
+    sojourns: Seconds = Field(description="Seconds in each mode.")
+    modes: Modes
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
 
@@ -211,8 +253,8 @@ class SwitchesSignal(Section):
     """Switching instants and the mode from each on."""
 
     kind: Literal["switches"]
-    times: Vector = Field(description="Starts of the sojourns, the first 0, seconds.")
-    modes: list[int]
+    times: Seconds = Field(description="Starts of the sojourns, the first 0, seconds.")
+    modes: Modes
     end: float | None = Field(None, description="Up to when the signal is known, seconds.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 
@@ -238,15 +280,15 @@ class HalfSpaceSignal(Section):
     """Switching by the state: mode 1 where normal·x ≥ offset, mode 0 elsewhere."""
 
     kind: Literal["half-space"]
-    normal: Vector
+    normal: State
     offset: float = 0.0
 
 
 class Region(Section):
     """Where H x ≤ h."""
 
-    H: Matrix
-    h: Vector
+    H: Annotated[Matrix, Shape("(rows, n)", [[1.0, 0.0]])]
+    h: Annotated[Vector, Shape("(rows,)", [0.0])]
     mode: int
 
 
@@ -261,7 +303,9 @@ class QuadraticSignal(Section):
     """Switching by the state: the mode whose form xᵀ S[i] x is the largest."""
 
     kind: Literal["quadratic"]
-    S: list[Matrix] = Field(description="A symmetric matrix per mode; −S for the smallest form.")
+    S: Annotated[list[Matrix], Shape("(modes, n, n)", [_UNIT, _SQUARE])] = Field(
+        description="A symmetric matrix per mode; −S for the smallest form."
+    )
 
 
 RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the state decides
@@ -270,12 +314,14 @@ RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the sta
 class RunSection(Section):
     """The simulation."""
 
-    x0: Vector = Field(description="State at time 0.")
+    x0: State = Field(description="State at time 0.")
     horizon: float = Field(description="Length of the run, seconds.")
     step: float | Literal["ideal"] = Field(
         0.01, description='Sampling period, seconds; "ideal" updates the law continuously.'
     )
-    u0: float | Vector = Field(0.0, description="Constant input before time 0.")
+    u0: Annotated[float | Vector, Shape("a number or (m,)", [0.0])] = Field(
+        0.0, description="Constant input before time 0."
+    )
     seed: int = Field(0, description="Of all that is random in the imperfections.")
     predict: Literal["applied", "commanded"] = Field(
         "applied", description="Which past inputs laws are told of where the actuator changes them."

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated
 
-Vector = list[float]
-Matrix = list[Vector]
-Matrices = list[Matrix]
-Poles = list[float | str]
+from pydantic import BaseModel, ConfigDict, FailFast
+
+
+class _First(FailFast):
+    """Of a list with thousands of faults the first is enough; this one can stand in a union."""
+
+    __hash__ = object.__hash__
+
+
+Vector = Annotated[list[float], _First()]
+Matrix = Annotated[list[Vector], _First()]
+Matrices = Annotated[list[Matrix], _First()]
+Poles = Annotated[list[float | str], _First()]
+PolesPerMode = Annotated[list[Poles], _First()]
+Integers = Annotated[list[int], _First()]
+Texts = Annotated[list[str], _First()]
 
 
 class Section(BaseModel):

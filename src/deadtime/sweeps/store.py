@@ -28,6 +28,7 @@ from deadtime.errors import ArgumentError, StoreError
 from deadtime.monte_carlo.dataset import DIVERGED, METRICS
 from deadtime.sweeps.axes import Axis, no_write
 from deadtime.sweeps.cell import Outcome
+from deadtime.sweeps.description import described
 from deadtime.sweeps.layout import Layout
 from deadtime.sweeps.study import Study, differences
 from deadtime.version import __version__
@@ -51,9 +52,13 @@ class Store:
             raise ArgumentError(
                 f"store {url!r} is Zarr, but not made by deadtime sweep: choose another name."
             )
-        self.definition: dict[str, Any] = json.loads(str(attributes["definition"]))
-        block: Any = attributes["block"]
-        self.layout = Layout(self.array("done").shape, tuple(map(int, block)))
+        try:
+            self.definition, self.layout = described(attributes)
+            self._require_arrays()
+        except ArgumentError as error:
+            raise StoreError(
+                f"store {url!r} is damaged: {error} Choose another store, or run the sweep anew."
+            ) from None
         whole = json.dumps([self.definition, self.layout.block])
         self.key = hashlib.sha256(whole.encode()).hexdigest()
 
@@ -63,6 +68,28 @@ class Store:
 
         with zarr.config.set({"array.write_empty_chunks": True}):
             return self.group[name]
+
+    def _require_arrays(self) -> None:
+        """Refuse a store that lacks a variable, or has one of another shape than it says."""
+        from zarr import Array
+
+        shape, block = self.layout.shape, self.layout.block
+        law, scenario = len(self.definition["laws"]), self.definition["scenarios"]
+        extents = dict.fromkeys((*self.definition["metrics"], "diverged"), (law, scenario))
+        extents |= {"reason": (law,), "done": ()}
+        expected = {name: ((*shape, *rest), (*block, *rest)) for name, rest in extents.items()}
+        axes = {**{n: len(v) for n, v in self.definition["grid"].items()}, "law": law}
+        axes["scenario"] = scenario
+        expected |= {name: ((size,), (size,)) for name, size in axes.items()}
+        for name, sizes in expected.items():
+            array = self.group.get(name)
+            if not isinstance(array, Array):
+                raise ArgumentError(f"it lacks the array {name!r}.")
+            if (array.shape, array.chunks) != sizes:
+                raise ArgumentError(
+                    f"its array {name!r} has the shape {array.shape} in chunks of {array.chunks}, "
+                    f"not {sizes[0]} in chunks of {sizes[1]}."
+                )
 
     def require(self, study: Study) -> None:
         """Refuse to mix the results of different studies."""
@@ -196,8 +223,9 @@ def _group(url: str) -> zarr.Group:
                 f"store {url!r} is there, but is no Zarr store: choose another name."
             ) from None
         raise ArgumentError(f"store {url!r} does not exist: run the sweep first.") from None
-    except (OSError, ValueError, KeyError, ImportError) as error:
-        raise StoreError(f"store {url!r} cannot be opened: {error}") from None
+    except Exception as error:  # what Zarr raises of metadata that are none is anything
+        why = " ".join(str(error).split())
+        raise StoreError(f"store {url!r} cannot be opened: {why:.300}") from None
 
 
 @lru_cache(maxsize=8)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 from collections.abc import Mapping
+from decimal import Decimal, InvalidOperation
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.checks import number
 from deadtime.errors import ArgumentError
 from deadtime.switching.signal import SwitchingSignal
+from deadtime.text_files import read_text
+
+MOST_BYTES = 100_000_000
+MOST_MODES = 1000  # of a log whose plant is not known
 
 
 def read_log(
@@ -23,10 +30,11 @@ def read_log(
 ) -> SwitchingSignal:
     """A signal from a CSV file with a header and the columns `time` (seconds) and `mode`.
 
-    Rows may be switching events or samples; the first row's time becomes 0. If the last row
-    repeats the mode before it, the signal ends there; otherwise it has no end, unless `end`
-    (on the log's own clock) says otherwise. A column `initial_age` (seconds, first row) says how
-    long the first mode had been active before the log began.
+    Rows may be switching events or samples; the first row's time becomes 0, before any digit
+    of the others is lost. If the last row repeats the mode before it, the signal ends there;
+    otherwise it has no end, unless `end` (on the log's own clock) says otherwise. A column
+    `initial_age` (seconds, first row) says how long the first mode had been active before the log
+    began.
 
     Parameters
     ----------
@@ -44,50 +52,65 @@ def read_log(
         message names the line.
     """
     source = Path(path)
-    try:
-        with source.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
-            if not {"time", "mode"} <= set(reader.fieldnames or ()):
-                raise ArgumentError(
-                    f"{source} must have the columns time and mode, got "
-                    f"{reader.fieldnames}: name them in its first line."
-                )
-            rows, age = [], None
-            for row in reader:
-                rows.append((reader.line_num, row["time"], row["mode"]))
-                age = row.get("initial_age", "") if age is None else age
-    except OSError as error:
-        raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
-    except UnicodeDecodeError:
-        raise ArgumentError(f"{source} is not UTF-8 text: save it as UTF-8.") from None
-    if not rows:
-        raise ArgumentError(f"{source} must hold at least one row, got none.")
-    times = np.array([_seconds(f"{source}, line {line}: time", text) for line, text, _ in rows])
-    visited = [_mode(source, line, text, modes, labels) for line, _, text in rows]
-    for (before, _, _), (line, _, _), gap in zip(rows, rows[1:], np.diff(times), strict=False):
+    text = read_text(source, MOST_BYTES)
+    rows, age = _rows(source, text)
+    clock = [_decimal(f"{source}, line {row.line}: time", row.time) for row in rows]
+    visited = [_mode(source, row.line, row.mode, modes, labels) for row in rows]
+    # Told from the first row, so that a clock that counts from 1970 loses nothing.
+    times = np.array([float(time - clock[0]) for time in clock])
+    for before, row, gap in zip(rows, rows[1:], np.diff(times), strict=False):
         if gap <= 0.0:
             raise ArgumentError(
-                f"{source}, line {line}: time must be later than in line {before}: sort the log "
-                "and keep one row per instant."
+                f"{source}, line {row.line}: time must be later than in line {before.line}: sort "
+                "the log and keep one row per instant."
             )
-    start = times[0]
-    if end is None:
-        repeated = len(visited) > 1 and visited[-1] == visited[-2]
-        end = times[-1] if repeated else np.inf
-        if repeated:
-            times, visited = times[:-1], visited[:-1]
-    age_at_start = _seconds(f"{source}: initial_age", age) if age else 0.0
-    return SwitchingSignal(times - start, np.array(visited), end - start, initial_age=age_at_start)
+    known_until = np.inf if end is None else float(Decimal(repr(float(end))) - clock[0])
+    if end is None and len(visited) > 1 and visited[-1] == visited[-2]:
+        known_until = times[-1]
+        times, visited = times[:-1], visited[:-1]
+    age_at_start = float(_decimal(f"{source}: initial_age", age)) if age else 0.0
+    return SwitchingSignal(times, np.array(visited), known_until, initial_age=age_at_start)
 
 
-def _seconds(name: str, text: str | None) -> float:
-    """The number that a cell's text stands for."""
+class _Row(NamedTuple):
+    """A row of a log: where it ends, and its cells as text."""
+
+    line: int
+    time: str | None
+    mode: str | None
+
+
+def _rows(source: Path, text: str) -> tuple[list[_Row], str]:
+    """The rows of a log, and the age of its first mode, where it says one."""
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    rows, age = [], ""
     try:
-        value = float(text or "")
-    except ValueError:
-        raise ArgumentError(f"{name} must be a number, got {text!r}.") from None
-    return number(name, value)
+        reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+        if not {"time", "mode"} <= set(reader.fieldnames or ()):
+            raise ArgumentError(
+                f"{source} must have the columns time and mode, got "
+                f"{_short(reader.fieldnames)}: name them in its first line."
+            )
+        for row in reader:
+            age = age if rows else row.get("initial_age") or ""
+            rows.append(_Row(reader.line_num, row["time"], row["mode"]))
+    except csv.Error as error:
+        raise ArgumentError(f"{source}, line {reader.line_num}: {error}.") from None
+    if not rows:
+        raise ArgumentError(f"{source} must hold at least one row, got none.")
+    return rows, age
+
+
+def _decimal(name: str, text: str | None) -> Decimal:
+    """The number that a cell's text stands for, with all of its digits."""
+    text = (text or "").strip()
+    try:
+        value = Decimal(text)
+    except InvalidOperation:
+        raise ArgumentError(f"{name} must be a number, got {_short(text)}.") from None
+    if not (value.is_finite() and math.isfinite(float(value))):
+        raise ArgumentError(f"{name} must be finite, got {text:.40}.")
+    return value
 
 
 def _mode(
@@ -98,12 +121,19 @@ def _mode(
     if labels is not None and text in labels and (modes is None or labels[text] < modes):
         return labels[text]
     known = f"one of {sorted(labels)}" if labels is not None else "an integer counted from 0"
-    if labels is None and text.isdecimal() and (modes is None or int(text) < modes):
+    most = MOST_MODES if modes is None else modes
+    if labels is None and text.isdecimal() and len(text) < 10 and int(text) < most:
         return int(text)
-    if labels is None and modes is not None:
-        known = f"an integer in 0..{modes - 1}"
+    if labels is None and (modes is not None or text.isdecimal()):
+        known = f"an integer in 0..{most - 1}"
     hint = "" if labels is not None else ": map other names with labels={'name': mode, …}"
-    raise ArgumentError(f"{source}, line {line}: mode must be {known}, got {text!r}{hint}.")
+    raise ArgumentError(f"{source}, line {line}: mode must be {known}, got {_short(text)}{hint}.")
+
+
+def _short(value: object) -> str:
+    """A value, or its beginning."""
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:79]}…"
 
 
 def write_log(signal: SwitchingSignal, path: str | PathLike[str]) -> None:

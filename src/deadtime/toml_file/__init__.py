@@ -2,5 +2,6 @@
 
 from deadtime.toml_file.errors import SectionError, section
 from deadtime.toml_file.read import TomlText, read_toml, require_valid
+from deadtime.toml_file.shape import Shape
 
-__all__ = ["SectionError", "TomlText", "read_toml", "require_valid", "section"]
+__all__ = ["SectionError", "Shape", "TomlText", "read_toml", "require_valid", "section"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
+
 from deadtime.errors import ArgumentError
 
 
@@ -20,6 +22,8 @@ class SectionError(ArgumentError):
 def section(*path: str | int) -> Iterator[None]:
     """Say of any `ArgumentError` inside that it arose in this table of the file.
 
+    Numbers that cannot be computed with, such as 1e308, are such an error, too.
+
     Examples
     --------
     >>> with section("run"):
@@ -28,6 +32,11 @@ def section(*path: str | int) -> Iterator[None]:
     deadtime.toml_file.errors.SectionError: horizon must be positive.
     """
     try:
-        yield
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            yield
     except ArgumentError as error:
         raise SectionError(str(error), path) from None
+    except (ArithmeticError, np.linalg.LinAlgError):
+        raise SectionError(
+            "its numbers are too large, or too far apart, to compute with: use other units.", path
+        ) from None

@@ -6,11 +6,42 @@ import re
 from collections.abc import Mapping
 from pathlib import Path as File
 
-_HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"\s*([A-Za-z0-9_.\-\"']+)\s*=")
-_QUIET = re.compile(r'"(?:\\.|[^"\\])*"|\'[^\']*\'|#.*$')
+# Every quantifier keeps what it took, so that no text costs more than its length.
+_TOKEN = re.compile(
+    r"""
+    (?P<long>  "{3} (?:[^"\\] | \\. | "(?!""))*+ (?:"{3,5} | \Z)
+             | '{3} (?:[^'] | '(?!''))*+ (?:'{3,5} | \Z) )
+  | (?P<quiet> "(?:[^"\\\n] | \\[^\n])*+ "? | '[^'\n]*+ '? | \#[^\n]*+ )
+  | (?P<open> [\[{] ) | (?P<close> [\]}] ) | (?P<dot> \. ) | (?P<end> [\n=,] )
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+_HEADER = re.compile(r"[ \t]*+(\[\[?+)([^\[\]]++)\]\]?+\s*+(?:#.*)?\Z")
+_KEY = re.compile(r"[ \t]*+([A-Za-z0-9_.\-\"' \t]++)=")
+
+MOST_KEYS = 20_000
+DEEPEST = 20  # of brackets within brackets, and of keys with dots
 
 Path = tuple[str | int, ...]
+
+
+def excess(text: str) -> str:
+    """What of a text is more than anything a file of ours says, if anything; before it is parsed.
+
+    Examples
+    --------
+    >>> excess("a.b = [[1.0, 2.0], [3.0, 4.0]]"), excess("a = " + 30 * "[")
+    ('', 'is nested too deeply: no key needs more than a few brackets or dots')
+    """
+    depth = dots = keys = 0
+    for token in _TOKEN.finditer(text):
+        kind = token.lastgroup
+        keys += token[0] == "=" or (kind == "open" and depth == 0)
+        depth += (kind == "open") - (kind == "close")
+        dots = dots + 1 if kind == "dot" else dots if kind == "quiet" else 0
+        if max(depth, dots) > DEEPEST:
+            return "is nested too deeply: no key needs more than a few brackets or dots"
+    return f"has more than {MOST_KEYS:,} keys and tables" if keys > MOST_KEYS else ""
 
 
 def key_lines(text: str) -> dict[Path, int]:
@@ -27,7 +58,7 @@ def key_lines(text: str) -> dict[Path, int]:
     table: Path = ()
     counts: dict[Path, int] = {}
     depth = 0
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(_TOKEN.sub(_without_long, text).split("\n"), 1):
         if depth == 0 and (header := _HEADER.match(line)):
             table = _split(header[2])
             if header[1] == "[[":
@@ -37,9 +68,14 @@ def key_lines(text: str) -> dict[Path, int]:
             continue
         if depth == 0 and (key := _KEY.match(line)):
             lines.setdefault((*table, *_split(key[1])), number)
-        quiet = _QUIET.sub("", line)
-        depth += quiet.count("[") + quiet.count("{") - quiet.count("]") - quiet.count("}")
+        kinds = [token.lastgroup for token in _TOKEN.finditer(line)]
+        depth += kinds.count("open") - kinds.count("close")
     return lines
+
+
+def _without_long(token: re.Match[str]) -> str:
+    """Of a string over several lines its lines alone."""
+    return '""' + "\n" * token[0].count("\n") if token["long"] else token[0]
 
 
 def _split(dotted: str) -> Path:

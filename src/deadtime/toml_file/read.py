@@ -11,11 +11,13 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from deadtime.errors import ArgumentError
-from deadtime.toml_file.complaints import first_complaint, first_fault
+from deadtime.text_files import read_text
+from deadtime.toml_file.complaints import complaint, faults
 from deadtime.toml_file.errors import SectionError
-from deadtime.toml_file.lines import at_line, key_lines, line_of
+from deadtime.toml_file.lines import at_line, excess, key_lines, line_of
 
 Model = TypeVar("Model", bound=BaseModel)
+MOST_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -59,21 +61,19 @@ def read_toml(
     hint : str
         How to come by such a file, for when it cannot be read.
     """
-    try:
-        text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        advice = f"; {hint}" if hint else ""
-        raise kind(f"{source} cannot be read: {error.strerror}{advice}.") from None
-    except UnicodeDecodeError:
-        raise kind(f"{source} is not UTF-8 text: save it as UTF-8.") from None
+    text = read_text(source, MOST_BYTES, kind, hint=hint)
+    if found := excess(text):
+        raise kind(f"{source} {found}.")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise kind(f"{source} is not valid TOML: {error}.") from None
+    except ValueError:  # of an integer that Python does not convert
+        raise kind(f"{source} holds a number of thousands of digits: shorten it.") from None
     try:
         return model.model_validate(data), TomlText(source, text, kind)
     except ValidationError as error:
-        raise kind(first_complaint(source, text, error, model)) from None
+        raise kind(complaint(source, text, error, model, data)) from None
 
 
 def require_valid(model: type[Model], data: Any) -> Model:
@@ -81,5 +81,6 @@ def require_valid(model: type[Model], data: Any) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        path, sentence = first_fault(error, model)
-        raise SectionError(sentence, path) from None
+        found, more = faults(error, model, data)
+        sentences = " ".join(fault.sentence for fault in found)
+        raise SectionError(sentences + more, found[0].path) from None

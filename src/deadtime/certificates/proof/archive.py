@@ -12,6 +12,7 @@ import binascii
 import hashlib
 import json
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,11 +23,14 @@ from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
 from deadtime.errors import CertificateFileError
+from deadtime.text_files import read_text
 from deadtime.version import __version__
 
 FORMAT = "deadtime certificate 2"
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
-MOST_BYTES = 2**31
+MOST_BYTES = 2**30  # as the verifier that shares no code with this one
+DEEPEST = 20
+_BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*+"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays",
@@ -112,15 +116,14 @@ def load_evidence(path: Path) -> Archived:
 
 def _content(path: Path) -> dict[str, Any]:
     """The JSON of a file whose digest fits."""
+    no_json = f"path {str(path)!r} must be a certificate's JSON file: it"
+    text = read_text(path, MOST_BYTES, CertificateFileError, called=no_json)
+    if _depth(text) > DEEPEST:
+        raise CertificateFileError(f"{no_json} is nested too deeply.")
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
-        text = path.read_bytes().decode("utf-8")
         content = json.loads(text, object_pairs_hook=_without_repeats)
-    except (OSError, ValueError, RecursionError) as error:
-        raise CertificateFileError(
-            f"path {str(path)!r} must be a certificate's JSON file: {error}."
-        ) from None
+    except ValueError as error:
+        raise CertificateFileError(f"{no_json} cannot be read: {error}.") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CertificateFileError(
             f"path {str(path)!r} is no {FORMAT}: give the JSON file that `save` wrote."
@@ -131,6 +134,16 @@ def _content(path: Path) -> dict[str, Any]:
             f"path {str(path)!r} was altered after it was written: its digest does not match."
         )
     return content
+
+
+def _depth(text: str) -> int:
+    """How deep brackets stand within brackets, of a JSON text."""
+    deepest = depth = 0
+    for bracket in _BRACKET.finditer(text):
+        kind = bracket[0]
+        depth += (kind in ("[", "{")) - (kind in ("]", "}"))
+        deepest = max(deepest, depth)
+    return deepest
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
