@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from deadtime.plotting import COLOURS, LINES, STYLE, WIDTH, mode_strip, plain, signal_steps
 from deadtime.simulation import Trajectory
-from deadtime.wording import subscript
+from deadtime.wording import input_names, subscript
 
 _FAR = 5.0  # a run that goes so many times as far as the others leaves the frame
 
@@ -21,6 +21,7 @@ def plot_laws(
     states: Sequence[str] | None = None,
     modes: Sequence[str] | None = None,
     title: str | None = None,
+    inputs: Sequence[str] | None = None,
 ) -> Figure:
     """States, inputs, modes and mismatch of runs of one problem; a colour for each law.
 
@@ -28,7 +29,7 @@ def plot_laws(
     ----------
     runs : mapping
         Runs by the names of their laws, of one plant; at least one.
-    states, modes : sequences of str
+    states, modes, inputs : sequences of str
         Names for the axes; numbered by default.
     title : str
         Heads the figure.
@@ -44,7 +45,7 @@ def plot_laws(
     first = next(iter(runs.values()))
     n, m = first.states.shape[0], first.inputs.shape[0]
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
-    inputs = ["u"] if m == 1 else [f"u{subscript(i + 1)}" for i in range(m)]
+    inputs = input_names(m) if inputs is None else inputs
     count = first.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
     rows = [1.0] * (n + m) + [0.35 + 0.15 * count, 1.0]

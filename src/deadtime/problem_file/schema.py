@@ -21,6 +21,7 @@ class PlantSection(Section):
     A: Matrices = Field(description="One n × n matrix per mode.")
     B: Matrices = Field(description="One n × m matrix per mode.")
     states: list[str] = Field([], description="Names of the states, for figures.")
+    inputs: list[str] = Field([], description="Names of the inputs, for figures.")
     modes: list[str] = Field([], description="Names of the modes, for figures.")
 
 
