@@ -42,6 +42,7 @@ RINGS = (
     ("study",),
     ("app",),
     ("cli",),
+    ("__main__",),
 )
 RING_OF = {name: level for level, ring in enumerate(RINGS) for name in ring}
 

@@ -30,6 +30,13 @@ class InfeasibleError(DeadtimeError, ValueError):
     """What was asked for does not exist: the message gives the solver's verdict."""
 
 
+class SolverError(DeadtimeError, RuntimeError):
+    """A solver is broken or gave up: nothing is known of what was asked for.
+
+    The message says which solver said what, and what to install.
+    """
+
+
 class ChatteringError(DeadtimeError, RuntimeError):
     """A prediction cannot go on: its switches pile up, or it knows no boundary to slide along."""
 

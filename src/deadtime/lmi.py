@@ -1,16 +1,20 @@
-"""Linear matrix inequalities: solvers in turn, whose failures are verdicts.
+"""Linear matrix inequalities: solvers in turn, whose failures are told from their answers.
 
 A solver's answer is a proposal. Whoever asks puts it back into its inequality and keeps it only
-if it holds there; so an inaccurate answer does no harm, and the next solver gets its turn.
+if it holds there; so an inaccurate answer does no harm, and the next solver gets its turn. That
+there is no solution is concluded only from what a solver that works has said.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Collection, Iterator
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from deadtime.errors import SolverError
 
 SOLVERS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("CLARABEL", {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}),
@@ -19,7 +23,35 @@ SOLVERS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 
 
-def attempts(problem: Any) -> Iterator[str]:
+# What a solver says that stopped before it knew.
+_GAVE_UP = ("solver_error", "user_limit")
+
+
+class Verdict(NamedTuple):
+    """What a solver said of a problem, and why it failed, which is empty if it did not."""
+
+    said: str
+    failure: str = ""
+
+
+def library(name: str) -> Any:
+    """A library that solves, such as cvxpy; a SolverError if it does not import.
+
+    Examples
+    --------
+    >>> library("cvxpy").__name__
+    'cvxpy'
+    """
+    try:
+        return import_module(name)
+    except Exception as error:  # broken by another library's version it raises anything
+        raise SolverError(
+            f"{name} does not import ({_one_line(error)}), so there is no answer: install versions "
+            "that fit each other, python -m pip install --upgrade cvxpy clarabel numpy scipy."
+        ) from error
+
+
+def attempts(problem: Any) -> Iterator[Verdict]:
     """Solve a cvxpy problem with one solver after the other; yield what each has to say.
 
     Whatever a solver throws becomes its verdict. The answer, if there is one, is in the
@@ -32,12 +64,39 @@ def attempts(problem: Any) -> Iterator[str]:
             warnings.simplefilter("ignore")
             try:
                 problem.solve(solver=name, **options)
-                verdict = str(problem.status)
+                said = str(problem.status)
+                failure = said if said in _GAVE_UP else ""
             except (KeyboardInterrupt, SystemExit, GeneratorExit):
                 raise
             except BaseException as error:  # a panic in compiled code is no Exception
-                verdict = f"failed ({type(error).__name__})"
-        yield f"{name}: {verdict}"
+                said, failure = f"failed ({type(error).__name__})", _one_line(error)
+        yield Verdict(f"{name}: {said}", failure)
+
+
+def require_answer(verdicts: Collection[Verdict]) -> None:
+    """Refuse to conclude anything where every solver failed.
+
+    Examples
+    --------
+    >>> require_answer([Verdict("CLARABEL: infeasible"), Verdict("SCS: failed (X)", "X: broken")])
+    """
+    if all(verdict.failure for verdict in verdicts):
+        why = "; ".join(dict.fromkeys(verdict.failure for verdict in verdicts))
+        raise SolverError(
+            f"no solver answered ({told(verdicts)}), so nothing is known: {why}. If a small "
+            "problem fails, too, the installation is broken: python -m pip install --upgrade cvxpy "
+            "clarabel numpy scipy; or else rescale states whose units differ by many powers of ten."
+        )
+
+
+def told(verdicts: Collection[Verdict]) -> str:
+    """What was said, each once."""
+    return ", ".join(dict.fromkeys(verdict.said for verdict in verdicts))
+
+
+def _one_line(error: BaseException) -> str:
+    """What was thrown, in at most 200 characters."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:200]
 
 
 def symmetric_value(variable: Any) -> np.ndarray | None:

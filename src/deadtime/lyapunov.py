@@ -20,7 +20,15 @@ from deadtime.checks import real_array
 from deadtime.errors import ArgumentError, InfeasibleError
 from deadtime.frozen import Frozen
 from deadtime.laws.base import checked_gains, rightmost_eigenvalue
-from deadtime.lmi import attempts, balanced_units, symmetric_value
+from deadtime.lmi import (
+    Verdict,
+    attempts,
+    balanced_units,
+    library,
+    require_answer,
+    symmetric_value,
+    told,
+)
 from deadtime.plant import SwitchedSystem
 
 # A P of norm 1 with an eigenvalue below this is not known to be definite.
@@ -72,6 +80,8 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
         If the gains do not fit the plant or leave a mode unstable.
     InfeasibleError
         If no common P exists, with the solver's verdict.
+    SolverError
+        If no solver works: then nothing is known.
 
     References
     ----------
@@ -89,7 +99,7 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
     """
     K = hurwitz_gains(plant, gains)
     H = closed_loops(plant, K)
-    verdicts: dict[str, None] = {}
+    verdicts: list[Verdict] = []
     t = balanced_units(H)
     as_given = np.ones_like(t)
     # The last problem gives the verdict: it has no solution when no common P exists.
@@ -102,12 +112,14 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
             found = put_back(plant, K, answer)
             if found is not None:
                 return found
-            verdicts[verdict if answer is None else f"{verdict}, but it fails when put back"] = None
+            missed = "" if answer is None else ", but it fails when put back"
+            verdicts.append(verdict._replace(said=verdict.said + missed))
             if problem.status == "infeasible":
                 break
+    require_answer(verdicts)
     raise InfeasibleError(
         "no common P: no P > 0, Q > 0 found with (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −Q for "
-        f"all {plant.modes} modes at once ({', '.join(verdicts)}): choose gains and P together "
+        f"all {plant.modes} modes at once ({told(verdicts)}): choose gains and P together "
         "(stabilize), or rescale states whose units differ by many powers of ten."
     )
 
@@ -133,8 +145,7 @@ def decaying_lyapunov(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], decay_rate: float
 ) -> CommonLyapunov | None:
     """The best conditioned common P with (…)ᵀP + P(…) ≤ −2·decay_rate·P; None if there is none."""
-    import cvxpy as cp
-
+    cp = library("cvxpy")
     H = closed_loops(plant, gains)
     scale = np.linalg.norm(H, 2, axis=(1, 2)).max()
     n = plant.states
@@ -230,8 +241,7 @@ def growth_in_norm(
 
 def _largest(H: np.ndarray) -> tuple[Any, Any]:
     """Maximise q: Hᵀ P + P H ≤ −q I, 0 ≤ P ≤ I. Always solvable, with q = 0 if there is no P."""
-    import cvxpy as cp
-
+    cp = library("cvxpy")
     n = H.shape[-1]
     P, q, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
     H = H / np.linalg.norm(H, 2, axis=(1, 2)).max()
@@ -241,8 +251,7 @@ def _largest(H: np.ndarray) -> tuple[Any, Any]:
 
 def _any(H: np.ndarray) -> tuple[Any, Any]:
     """Minimise |P|: Hᵀ P + P H ≤ −I. Infeasible if and only if there is no common P."""
-    import cvxpy as cp
-
+    cp = library("cvxpy")
     n = H.shape[-1]
     P, bound, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
     H = H / np.linalg.norm(H, 2, axis=(1, 2)).max()

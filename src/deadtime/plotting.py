@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from deadtime.simulation import Trajectory
 from deadtime.switching import SwitchingSignal
-from deadtime.wording import signed, subscript
+from deadtime.wording import input_names, one_line, signed, subscript
 
 if TYPE_CHECKING:
     from deadtime.comparison import Comparison
@@ -47,12 +47,14 @@ STYLE: dict[Any, Any] = {
 def plain(text: str) -> str:
     """A user's text for matplotlib: no mathematics in it, and never hidden from a legend.
 
+    What cannot be printed would make an SVG malformed; lines stay.
+
     Examples
     --------
     >>> plain("_cost in $")
     '\u200b_cost in \\\\$'
     """
-    text = text.replace("$", r"\$")
+    text = "\n".join(map(one_line, text.split("\n"))).replace("$", r"\$")
     return f"\u200b{text}" if text.startswith("_") else text
 
 
@@ -76,13 +78,15 @@ def plot_run(
     title: str | None = None,
     states: Sequence[str] | None = None,
     modes: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
 ) -> Figure:
     """States, inputs and mode of a run over time."""
     n, m = run.states.shape[0], run.inputs.shape[0]
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
     count = run.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
-    states, modes = list(map(plain, states)), list(map(plain, modes))
+    inputs = input_names(m) if inputs is None else inputs
+    states, modes, inputs = (list(map(plain, names)) for names in (states, modes, inputs))
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 4.0))
         upper, middle, lower = figure.subplots(
@@ -90,11 +94,10 @@ def plot_run(
         )
         for i, name in enumerate(states):
             upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
-        for i in range(m):
-            label = "u" if m == 1 else f"u{subscript(i + 1)}"
+        for i, name in enumerate(inputs):
             style = "steps-post" if run.record.held else "default"
             colour = COLOURS[(i + 4) % 7]
-            middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=label)
+            middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=name)
         upper.set_ylabel("state")
         middle.set_ylabel("input")
         # A run that ended at once still needs an axis.
@@ -103,7 +106,7 @@ def plot_run(
         lower.set_xlabel("time (s)")
         lower.set_xlim(run.time[0], end)
         figure.align_ylabels()
-        figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, "u")))
+        figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, *inputs)))
         if title:
             upper.set_title(plain(title))
     return figure

@@ -33,7 +33,7 @@ from deadtime.laws import (
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Rule, SwitchingSignal
-from deadtime.wording import subscript
+from deadtime.wording import input_names, subscript
 
 _SIGNAL_NOTE = (
     "The source does not publish its switching signal. This one has sojourns of {dwell:g} s plus "
@@ -68,8 +68,8 @@ class Problem(Frozen):
     laws : mapping
         From a short name to a law, in the order of figures; the first is the one the problem
         is about.
-    states, modes : tuple of str
-        Names of the states (with units) and of the modes, for figures; numbered by default.
+    states, modes, inputs : tuple of str
+        Names of states and inputs (with units) and of the modes, for figures; numbered by default.
     notes : tuple of str
         What a reader should know about choices that the source leaves open.
     published : tuple of Published
@@ -100,6 +100,7 @@ class Problem(Frozen):
     u0: ArrayLike = 0.0
     states: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     published: tuple[Published, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
@@ -117,6 +118,8 @@ class Problem(Frozen):
         if not self.modes:
             names = tuple(f"mode {i}" for i in range(self.plant.modes))
             object.__setattr__(self, "modes", names)
+        if not self.inputs:
+            object.__setattr__(self, "inputs", input_names(self.plant.inputs))
         super().__post_init__()
 
     @property

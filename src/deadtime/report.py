@@ -20,7 +20,7 @@ from deadtime.certificate_table import delay_sentence
 from deadtime.certificates_section import certificates_section, steps_of_section
 from deadtime.comparison import Comparison, Progress, compare
 from deadtime.constants_table import bound_rows, bound_sentence, bounds_of
-from deadtime.errors import ArgumentError, InfeasibleError
+from deadtime.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
 from deadtime.simulation.outcome import Outcome
@@ -61,7 +61,7 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
     for name, run in result.runs.items():
         if not _is_shown(problem, name):
             continue
-        figure = plotting.plot_run(run, None, problem.states, problem.modes)
+        figure = plotting.plot_run(run, None, problem.states, problem.modes, problem.inputs)
         yield _file_name(name), f"States, input and mode under the law “{name}”.", figure
     yield (
         "all-laws",
@@ -188,6 +188,9 @@ def _constants(result: Comparison) -> dict[str, Any]:
         bounds = bounds_of(problem, dwell_time)
     except (ArgumentError, InfeasibleError) as error:
         return {"rows": [], "sentence": f"The theorem does not apply: {error}", "published": False}
+    except SolverError as error:
+        sentence = f"The theorem's constants were not computed: {error}"
+        return {"rows": [], "sentence": sentence, "published": False}
     return {
         "rows": bound_rows(bounds, problem.constants),
         "sentence": bound_sentence(bounds),

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from deadtime.colours import Look, looks_of
 from deadtime.plotting import LINES, STYLE, WIDTH, mode_strip, plain, signal_steps
 from deadtime.simulation import Trajectory
-from deadtime.wording import subscript
+from deadtime.wording import input_names, subscript
 
 _FAR = 5.0  # a run that goes so many times as far as the others leaves the frame
 
@@ -23,6 +23,7 @@ def plot_laws(
     modes: Sequence[str] | None = None,
     title: str | None = None,
     laws: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
 ) -> Figure:
     """States, inputs, modes and mismatch of runs of one problem; a colour for each law.
 
@@ -30,7 +31,7 @@ def plot_laws(
     ----------
     runs : mapping
         Runs by the names of their laws, of one plant; at least one.
-    states, modes : sequences of str
+    states, modes, inputs : sequences of str
         Names for the axes; numbered by default.
     title : str
         Heads the figure.
@@ -49,7 +50,7 @@ def plot_laws(
     first = next(iter(runs.values()))
     n, m = first.states.shape[0], first.inputs.shape[0]
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
-    inputs = ["u"] if m == 1 else [f"u{subscript(i + 1)}" for i in range(m)]
+    inputs = input_names(m) if inputs is None else inputs
     count = first.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
     rows = [1.0] * (n + m) + [0.35 + 0.15 * count, 1.0]

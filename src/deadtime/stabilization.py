@@ -11,7 +11,15 @@ from jaxtyping import Float
 from deadtime.checks import positive
 from deadtime.errors import InfeasibleError
 from deadtime.frozen import Frozen
-from deadtime.lmi import attempts, balanced_units, symmetric_value
+from deadtime.lmi import (
+    Verdict,
+    attempts,
+    balanced_units,
+    library,
+    require_answer,
+    symmetric_value,
+    told,
+)
 from deadtime.lyapunov import SMALLEST, growth_in_norm
 from deadtime.plant import SwitchedSystem
 
@@ -63,6 +71,8 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
         If the decay rate is not positive.
     InfeasibleError
         If no such gains were found, with the solvers' verdicts.
+    SolverError
+        If no solver works: then nothing is known.
 
     References
     ----------
@@ -79,7 +89,7 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     """
     rate = positive("decay_rate", decay_rate, "1/s")
     t = balanced_units(plant.A)
-    verdicts: dict[str, None] = {}
+    verdicts: list[Verdict] = []
     for units in (np.ones_like(t), t):
         # A solver meets an inequality up to its tolerance: ask for a little more, then for more.
         for margin in (1e-6, 1e-4, 1e-2):
@@ -90,12 +100,13 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
                 if design is not None and design.decay_rate >= rate:
                     return design
                 missed = "" if answer[0] is None else ", but its answer misses the rate"
-                verdicts[verdict + missed] = None
+                verdicts.append(verdict._replace(said=verdict.said + missed))
                 if problem.status == "infeasible":
                     break
+    require_answer(verdicts)
     raise InfeasibleError(
         f"no gains with a common P and a decay rate of {rate:g} 1/s found for all {plant.modes} "
-        f"modes at once ({', '.join(verdicts)}): lower `decay_rate` (every mode must be "
+        f"modes at once ({told(verdicts)}): lower `decay_rate` (every mode must be "
         "stabilisable with it), or rescale states whose units differ by many powers of ten."
     )
 
@@ -104,8 +115,7 @@ def _joint_problem(
     plant: SwitchedSystem, units: np.ndarray, rate: float
 ) -> tuple[Any, Any, list[Any], float]:
     """The LMI in units of |A| + α, |B| and the states; gains are in units of the last value."""
-    import cvxpy as cp
-
+    cp = library("cvxpy")
     n, m, identity = plant.states, plant.inputs, np.eye(plant.states)
     A_units, B_units = plant.A / units[:, None] * units, plant.B / units[:, None]
     speed = float(np.linalg.norm(A_units, 2, axis=(1, 2)).max()) + rate

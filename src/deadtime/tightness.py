@@ -17,7 +17,7 @@ import numpy as np
 from deadtime.certificates import StabilityMargin, stability_margin
 from deadtime.certificates.constants import distance
 from deadtime.certificates.theorem import FORMS, theorem_bound
-from deadtime.errors import ArgumentError, InfeasibleError
+from deadtime.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.gains import place
 from deadtime.laws import AveragedPredictor
 from deadtime.plant import SwitchedSystem
@@ -132,6 +132,8 @@ def tightness(
             reaches.append(reach_of(problem, dwell_time, form))
         except (ArgumentError, InfeasibleError) as error:
             missing = [f"The theorem does not apply: {error}"]
+        except SolverError as error:
+            missing = [f"The theorem's constants were not computed: {error}"]
     progress("between proof and witness")
     margin = None
     try:

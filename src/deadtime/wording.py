@@ -1,9 +1,27 @@
-"""Numbers in prose."""
+"""Numbers in prose, and names that users give."""
 
 from __future__ import annotations
 
 import math
+import re
 from decimal import ROUND_CEILING, ROUND_DOWN, ROUND_FLOOR, Decimal
+
+# Malformed in XML, refused by compilers or Python, or able to show text in another order than it
+# has: control characters, marks of direction, halves of pairs, what is no character.
+_UNPRINTABLE = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
+)
+
+
+def one_line(text: str) -> str:
+    """A user's text on one line, fit for any file: what cannot be printed becomes U+FFFD.
+
+    Examples
+    --------
+    >>> one_line("my\\nplant\\x00")
+    'my plant\ufffd'
+    """
+    return _UNPRINTABLE.sub("\ufffd", " ".join(text.split()))
 
 
 def amount(value: float) -> str:
@@ -113,12 +131,23 @@ def subscript(number: int) -> str:
     return str(number).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
 
 
-def file_name(law: str) -> str:
-    """A law's name in names of files.
+def input_names(count: int) -> tuple[str, ...]:
+    """What inputs are called that have no names.
+
+    Examples
+    --------
+    >>> input_names(1), input_names(2)
+    (('u',), ('u₁', 'u₂'))
+    """
+    return ("u",) if count == 1 else tuple(f"u{subscript(i + 1)}" for i in range(count))
+
+
+def file_name(name: str) -> str:
+    """The name of a law or a problem in names of files.
 
     Examples
     --------
     >>> file_name("mean, dwell-aware")
     'mean-dwell-aware'
     """
-    return "-".join("".join(c if c.isalnum() else " " for c in law.lower()).split())
+    return "-".join("".join(c if c.isalnum() else " " for c in name.lower()).split())

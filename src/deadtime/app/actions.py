@@ -19,11 +19,11 @@ from deadtime.app.jobs import (
     margin,
     worst_signal,
 )
-from deadtime.app.script import script_of
+from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import Given
 from deadtime.app.table import csv_of
 from deadtime.run_plots import plot_laws
-from deadtime.wording import signed
+from deadtime.wording import file_name, signed
 
 if TYPE_CHECKING:
     from deadtime.app.page import Page
@@ -66,6 +66,12 @@ class Actions:
         self.switch.on_click(self._switch)
         self.law.param.watch(self._judge, "value")
         self._moves = self._round = 0
+        self._downloads = [
+            self._download("Problem", ".toml", lambda: page.toml().encode()),
+            self._download("Figure", ".png", self.figure),
+            self._download("Data", ".csv", lambda: csv_of(page.outcome.runs).encode()),
+            self._download("Script", SCRIPT, self.script),
+        ]
 
     # -- layout ----------------------------------------------------------------------------
 
@@ -87,36 +93,24 @@ class Actions:
 
     def downloads(self) -> list[Any]:
         """The problem, the figure, the data and the script, each as a file."""
+        return [pmui.FlexBox(*self._downloads, margin=(5, 6))]
 
-        def button(label: str, ending: str, make: Callable[[], bytes]) -> pmui.FileDownload:
-            return pmui.FileDownload(
-                label=label, filename=f"deadtime{ending}", variant="outlined", size="small",
-                callback=lambda: io.BytesIO(make()), margin=4,
-            )  # fmt: skip
-
-        page = self.page
-        return [
-            pmui.FlexBox(
-                button("Problem", ".toml", lambda: page.toml().encode()),
-                button("Figure", ".png", self.figure),
-                button("Data", ".csv", lambda: csv_of(page.outcome.runs).encode()),
-                button(
-                    "Script",
-                    ".py",
-                    self.script,
-                ),
-                margin=(5, 6),
-            )
-        ]
+    def _download(self, label: str, ending: str, make: Callable[[], bytes]) -> pmui.FileDownload:
+        return pmui.FileDownload(
+            label=label, filename=ending, variant="outlined", size="small",
+            callback=lambda: io.BytesIO(make()), margin=4, tags=[ending],
+        )  # fmt: skip
 
     def figure(self) -> bytes:
         """The figure of what is shown, PNG."""
         outcome = self.page.outcome
         problem = outcome.problem
         file = io.BytesIO()
-        laws = list(self.page.offer)
-        plot = plot_laws(outcome.runs, problem.states, problem.modes, laws=laws)
-        plot.savefig(file, format="png")
+        drawn = plot_laws(
+            outcome.runs, problem.states, problem.modes,
+            laws=list(self.page.offer), inputs=problem.inputs,
+        )  # fmt: skip
+        drawn.savefig(file, format="png")
         return file.getvalue()
 
     def script(self) -> bytes:
@@ -128,6 +122,9 @@ class Actions:
     def opened(self) -> None:
         """Another problem was opened."""
         page = self.page
+        called = file_name(page.document.name) or "problem"
+        for button in self._downloads:
+            button.filename = f"{called}{button.tags[0]}"
         modes = page.figures.modes
         self.to.param.update(options=modes, value=modes[-1])
         self.fill.disabled = len(modes) == 1

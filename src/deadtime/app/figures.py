@@ -17,7 +17,6 @@ from deadtime.colours import GREY, looks_of
 from deadtime.problems import Problem
 from deadtime.run_plots import frame, mismatch_floor
 from deadtime.simulation import Trajectory
-from deadtime.wording import subscript
 
 MOST_POINTS = 1500
 MOST_PANELS = 4  # of states
@@ -41,10 +40,8 @@ class Figures:
         self.modes = list(problem.modes)
         self.x_range = Range1d(start=0.0, end=problem.horizon)
         self.cursor = Span(location=0.0, dimension="height", line_color=GREY, visible=False)
-        m = problem.plant.inputs
-        inputs = ["u"] if m == 1 else [f"u{subscript(i + 1)}" for i in range(m)]
         self._rows = {f"x{i}": problem.states[i] for i in self.shown}
-        self._rows |= {f"u{i}": name for i, name in enumerate(inputs)}
+        self._rows |= {f"u{i}": name for i, name in enumerate(problem.inputs)}
         self._rows["w"] = "|mismatch|"
         self.panels = {row: self._panel(row, label) for row, label in self._rows.items()}
         self.strip, self._signal = self._mode_panel()

@@ -13,6 +13,11 @@ from deadtime.imperfections import Imperfection
 from deadtime.problems import Problem
 from deadtime.switching.sojourns import Fixed
 from deadtime.version import __version__
+from deadtime.wording import file_name, one_line
+
+# How a script's file is called after the problem's name: whatever that is, no `import` finds a file
+# with a hyphen, which Python would take instead of a library of the same name.
+SCRIPT = "-script.py"
 
 _LINE = 88
 
@@ -42,6 +47,7 @@ plot_laws(
     runs,
     states={states},
     modes={modes},
+    inputs={inputs},
 {colours}).savefig({file})
 """
 
@@ -73,15 +79,15 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
             "predict": problem.predict,
         }
     lines = [f"{name}={writer.code(value)}," for name, value in arguments.items()]
-    file = "".join(c if c.isalnum() or c in "-_" else "-" for c in problem.name)
     tail = _TAIL.format(
         arguments=_indented(lines, 8),
         states=writer.code(list(problem.states)),
         modes=writer.code(list(problem.modes)),
+        inputs=writer.code(list(problem.inputs)),
         colours=f"    laws={writer.code(list(laws))},\n" if laws else "",
-        file=_quoted(f"{file}.png"),
+        file=_quoted(f"{file_name(problem.name) or 'problem'}.png"),
     )
-    title = problem.title.replace("\\", " ").replace('"', "'")
+    title = one_line(problem.title).replace("\\", " ").replace('"', "'")
     imports = "\n".join([*sorted(writer.imports), ""])
     return _HEAD.format(title=title, version=__version__, imports=imports) + body + tail
 
@@ -178,4 +184,6 @@ def _is_default(value: Any, default: Any) -> bool:
 
 
 def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
+    """As Python writes it; characters that do not print, or turn the text around, as escapes."""
+    plain = one_line(text) == text
+    return json.dumps(text, ensure_ascii=False) if plain else ascii(text)

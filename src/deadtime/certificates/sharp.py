@@ -20,7 +20,7 @@ import numpy as np
 
 from deadtime.certificates.constants import Constants, Gains, largest_norm
 from deadtime.certificates.logs import log, log_integral, log_one_plus, log_sum
-from deadtime.errors import InfeasibleError
+from deadtime.errors import InfeasibleError, SolverError
 from deadtime.lyapunov import (
     CommonLyapunov,
     closed_loops,
@@ -162,7 +162,7 @@ def _pairs(plant: SwitchedSystem, gains: Gains) -> list[CommonLyapunov]:
     found = [pair for pair in others if pair is not None]
     try:
         return [common_lyapunov(plant, gains), *found]
-    except InfeasibleError:
+    except (InfeasibleError, SolverError):
         if not found:
             raise
         return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -77,48 +78,57 @@ def export(
     """
     if c is None and fmu is None and plant_fmu is None:
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
-    from deadtime.export import Names
+    from deadtime.export import Names, Staging, export_c, export_fmu, export_plant_fmu
 
     chosen = problem_of(problem)
     controller = _controller(chosen, law, step)
     precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law
-    names = Names(called, chosen.states, chosen.modes)
+    names = Names(called, chosen.states, chosen.modes, chosen.inputs)
     text = [f"{chosen.title}: law {called}, {_limited(controller)}"]
     record: dict[str, Any] = {"law": called, "step": controller.step}
     passed = True
-    if c is not None:
-        written = controller.export_c(
-            c,
-            precision=precision,
-            accuracy=accuracy,
-            rom_budget=rom_budget,
-            name=name,
-            names=names,
-        )
-        passed = written.check.passed is not False
-        text += _c_lines(written, precision)
-        record["c"] = _c_record(written)
-    if fmu is not None:
-        made = controller.export_fmu(
-            fmu, version=fmi, precision=precision, accuracy=accuracy, u0=chosen.u0, names=names
-        )
-        text.append(f"FMU of the controller: {made}")
-        record["fmu"] = _fmu_record(made)
-    if plant_fmu is not None:
-        from deadtime.export import export_plant_fmu
-
-        made = export_plant_fmu(
-            chosen.plant,
-            plant_fmu,
-            x0=chosen.x0,
-            u0=chosen.u0,
-            version=fmi,
-            changes=max(4096, 2 * math.ceil(chosen.plant.delay / controller.step)),
-            names=Names(f"Plant: {chosen.title}", chosen.states, chosen.modes),
-        )
-        text.append(f"FMU of the plant: {made}")
-        record["plant_fmu"] = _fmu_record(made)
+    with Staging() as staging:  # all that is asked for, or nothing
+        if c is not None:
+            written = export_c(
+                controller,
+                c,
+                precision=precision,
+                accuracy=accuracy,
+                rom_budget=rom_budget,
+                name=name,
+                names=names,
+                staging=staging,
+            )
+            passed = written.check.passed is not False
+            text += _c_lines(written, precision)
+            record["c"] = _c_record(written)
+        if fmu is not None:
+            made = export_fmu(
+                controller,
+                fmu,
+                version=fmi,
+                precision=precision,
+                accuracy=accuracy,
+                u0=chosen.u0,
+                names=names,
+                staging=staging,
+            )
+            text.append(f"FMU of the controller: {made}")
+            record["fmu"] = _fmu_record(made)
+        if plant_fmu is not None:
+            made = export_plant_fmu(
+                chosen.plant,
+                plant_fmu,
+                x0=chosen.x0,
+                u0=chosen.u0,
+                version=fmi,
+                changes=max(4096, 2 * math.ceil(chosen.plant.delay / controller.step)),
+                names=replace(names, title=f"Plant: {chosen.title}"),
+                staging=staging,
+            )
+            text.append(f"FMU of the plant: {made}")
+            record["plant_fmu"] = _fmu_record(made)
     if json_output:
         print_json(record, _files_of(record))
     else:

@@ -60,6 +60,7 @@ class Plan:
     help_epilogue=lines(
         "deadtime plot paper.zarr",
         "deadtime plot paper.zarr --kind bands --x delay",
+        "deadtime plot paper.zarr --kind wins --out wins.svg",
         "deadtime plot paper.zarr --law mean --where delay=0.5 --where sojourn=uniform",
     ),
 )
@@ -99,19 +100,27 @@ def plot(
     where
         An axis and the value to hold it at, such as delay=0.5; may be given several times.
     out
-        Folder for the PNG files; next to where you are, named after the store, by default.
+        The figure, PNG, SVG or PDF, where there is one; or a folder for PNG files, by default next
+        to where you are and named after the store.
     json_output
         Print the paths as JSON instead of text.
     """
-    folder = Path(f"{Path(store).stem}-plots") if out is None else out
+    out = Path(f"{Path(store).stem}-plots") if out is None else out
     plan = _plan(_open(store), kind, metric, law, (x, y), _where(where or []))
+    single = _is_figure(out)
+    if single and plan.count != 1:
+        raise ArgumentError(
+            f"out {str(out)!r} is one file, but there are {plan.count} figures: give a folder, or "
+            "choose one of them with --kind and --law."
+        )
+    folder = out.parent if single else out
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArgumentError(
             f"out {str(folder)!r} cannot be written ({error.strerror}): choose another folder."
         ) from None
-    paths = _written(plan, folder, quiet=json_output)
+    paths = _written(plan, out, single, quiet=json_output)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)
         return
@@ -178,12 +187,20 @@ def _plan(
     return Plan(kept, kind, metric, tuple(laws), sides, tuple(rivals), oracle, left_out)
 
 
-def _written(plan: Plan, folder: Path, quiet: bool) -> list[Path]:
-    """Draw and save; the paths."""
+def _is_figure(out: Path) -> bool:
+    """Whether a path is that of a figure, by its ending, rather than of a folder."""
+    from matplotlib.figure import Figure
+
+    known = Figure().canvas.get_supported_filetypes()
+    return out.suffix[1:].lower() in known and not out.is_dir()
+
+
+def _written(plan: Plan, out: Path, single: bool, quiet: bool) -> list[Path]:
+    """Draw and save, in a file or into a folder; the paths."""
     paths = []
     with progress_bar(plan.count, quiet) as advance:
         for name, figure in _figures(plan):
-            paths.append(folder / f"{name}.png")
+            paths.append(out if single else out / f"{name}.png")
             save_figure(figure, paths[-1])
             advance(name)
     return paths

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
@@ -16,3 +18,29 @@ def problem_of(place: Path) -> Problem:
     from deadtime.problems import NAMED
 
     return NAMED[str(place)]() if is_named(place) else load_problem(place)
+
+
+def problem_with(
+    place: Path, step: float | str | None, horizon: float | None, x0: str | None
+) -> Problem:
+    """A problem with another sampling period, horizon or state at the start, where they are given.
+
+    It is built anew: signals reach as far as the run, observers have its period.
+    """
+    from deadtime.problem_file.load import problem_with_run
+
+    run: dict[str, Any] = {"step": step, "horizon": horizon}
+    run["x0"] = None if x0 is None else _numbers("x0", x0)
+    changes = {key: value for key, value in run.items() if value is not None}
+    return problem_with_run(place, changes) if changes else problem_of(place)
+
+
+def _numbers(name: str, text: str) -> list[float]:
+    """Numbers with commas between them."""
+    try:
+        return [float(number) for number in text.split(",")]
+    except ValueError:
+        raise ArgumentError(
+            f"{name} must be numbers with commas between them, such as --{name}=1,-0.5, "
+            f"got {text!r}."
+        ) from None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from deadtime.cli.entry import START, AsJson, File, Folder, app, lines
 from deadtime.cli.printing import print_json, print_result, progress_bar, save_figure
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problems import problem_of, problem_with
 
 if TYPE_CHECKING:
     from deadtime.comparison import Comparison
@@ -61,11 +62,16 @@ def reproduce(
     help_epilogue=lines(
         "deadtime simulate problem.toml",
         "deadtime simulate paper --out run.svg",
+        "deadtime simulate paper --law averaged --step 0.05 --horizon 8 --x0=1,-1",
     ),
 )
 def simulate(
     problem: Path,
     *,
+    law: str | None = None,
+    step: float | Literal["ideal"] | None = None,
+    horizon: float | None = None,
+    x0: str | None = None,
     out: File = None,
     json_output: AsJson = False,
 ) -> None:
@@ -75,6 +81,14 @@ def simulate(
     ----------
     problem
         A problem file, or paper, three-mode, follower.
+    law
+        One law of the problem, by its name; all by default.
+    step
+        Sampling period in seconds, or ideal; the problem's by default.
+    horizon
+        Length of the run in seconds; the problem's by default.
+    x0
+        The state at the start, such as --x0=1,-0.5; the problem's by default.
     out
         The figure, PNG, SVG or PDF; next to where you are, named after the problem, by default.
         With several laws a second figure compares them.
@@ -86,7 +100,9 @@ def simulate(
     from deadtime.report import metrics_of
     from deadtime.verdict import verdict
 
-    chosen = problem_of(problem)
+    chosen = problem_with(problem, step, horizon, x0)
+    if law is not None:
+        chosen = replace(chosen, laws={law: chosen.law(law)})
     steps = len(chosen.laws) + chosen.plant.modes
     with progress_bar(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)
@@ -111,7 +127,7 @@ def _save_figures(result: Comparison, path: Path) -> list[Path]:
     problem = result.problem
     run = result.runs[result.lead]
     title = f"Law: {result.lead}"
-    figures = [(path, plotting.plot_run(run, title, problem.states, problem.modes))]
+    figures = [(path, plotting.plot_run(run, title, problem.states, problem.modes, problem.inputs))]
     if len(result.runs) > 1:
         second = path.with_stem(path.stem + "-all-laws")
         figures.append((second, plotting.plot_norms(result.runs)))

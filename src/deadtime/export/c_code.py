@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +16,9 @@ from deadtime.export.compiler import Check, self_check
 from deadtime.export.files import require_own
 from deadtime.export.forms import Form, Precision, form_of, ram_bytes, require_budget, rom_bytes
 from deadtime.export.literals import brackets, hexadecimal, initializer, literal
-from deadtime.export.names import Names, plain
+from deadtime.export.names import Names, in_comment
 from deadtime.export.refusals import require_exportable, require_limits
+from deadtime.export.staging import Staging, unwritable
 from deadtime.version import __version__
 
 if TYPE_CHECKING:
@@ -75,19 +78,21 @@ def export_c(
     rom_budget: int | None = None,
     name: str = "controller",
     names: Names | None = None,
+    staging: Staging | None = None,
 ) -> Exported:
-    """See `Controller.export_c`."""
+    """See `Controller.export_c`; with `staging` the files appear together with its others."""
     texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names or Names())
     folder = Path(folder)
     require_own(folder, texts)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, text in texts.items():
-            (folder / file).write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise ArgumentError(
-            f"folder {str(folder)!r} cannot be written: {error.strerror}."
-        ) from None
+    with Staging() if staging is None else nullcontext(staging) as staged:
+        place = staged.folder(folder)
+        try:
+            for file, text in texts.items():
+                (place / file).write_text(text, encoding="utf-8", newline="\n")
+        except OSError as error:
+            raise unwritable("folder", folder, error) from None
+        check = self_check(place, name)
+    check = check._replace(message=check.message.replace(str(place), str(folder)))
     table = controller.table
     return Exported(
         folder,
@@ -96,7 +101,7 @@ def export_c(
         rom_bytes(table, form, precision),
         ram_bytes(table, form, precision),
         form.error,
-        self_check(folder, name),
+        check,
     )
 
 
@@ -112,7 +117,7 @@ def c_sources(
     from deadtime.export.vectors import vectors
 
     require_exportable(controller, precision, name)
-    names.require(controller.law.plant.states, controller.law.plant.modes)
+    names.require(controller.law.plant)
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
@@ -229,11 +234,17 @@ def _words(controller: Controller, names: Names) -> dict[str, Any]:
     if np.isfinite(controller.low).any() or np.isfinite(controller.high).any():
         limits = f"{controller.low.tolist()} to {controller.high.tolist()}"
     return {
-        "title": plain(f'Controller of the law "{law}"'),
+        "title": in_comment(f'Controller of the law "{law}"'),
         "limits": limits,
-        "state_names": plain(", ".join(f"x[{i}]: {one}" for i, one in enumerate(names.states))),
-        "mode_names": plain(names.all_modes()),
+        "state_names": in_comment(_numbered("x", names.states)),
+        "input_names": in_comment(_numbered("u", names.inputs)),
+        "mode_names": in_comment(names.all_modes()),
     }
+
+
+def _numbered(letter: str, names: Sequence[str]) -> str:
+    """The elements of an array with their names, or nothing."""
+    return ", ".join(f"{letter}[{i}]: {one}" for i, one in enumerate(names))
 
 
 def _inside(limit: np.ndarray, precision: Precision, towards: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 from xml.etree import ElementTree as xml
 
 from deadtime.version import __version__
+from deadtime.wording import one_line
 
 Version = Literal["2.0", "3.0"]
 
@@ -41,7 +42,7 @@ def description(model: Model, variables: Sequence[Variable], version: Version) -
     token = {"2.0": "guid", "3.0": "instantiationToken"}[version]
     attributes = {
         "fmiVersion": version,
-        "modelName": model.title,
+        "modelName": one_line(model.title),
         token: model.token,
         "generationTool": f"deadtime {__version__}",
         "variableNamingConvention": "structured",
@@ -94,7 +95,7 @@ def _common(variable: Variable, reference: int) -> dict[str, str]:
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),
-        "description": variable.description,
+        "description": one_line(variable.description),
         "causality": variable.causality,
         "variability": _variability(variable),
     }

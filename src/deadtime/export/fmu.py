@@ -18,6 +18,7 @@ from deadtime.export.fmu_file import ExportedFmu, rendered, write_fmu
 from deadtime.export.forms import Precision
 from deadtime.export.literals import brackets, initializer, literal
 from deadtime.export.names import Names
+from deadtime.export.staging import Staging
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -33,8 +34,9 @@ def export_fmu(
     accuracy: float | None = None,
     u0: ArrayLike = 0.0,
     names: Names | None = None,
+    staging: Staging | None = None,
 ) -> ExportedFmu:
-    """See `Controller.export_fmu`."""
+    """See `Controller.export_fmu`; with `staging` the file appears together with its others."""
     name, plant = "controller", controller.law.plant
     past, names = _finite(u0, plant.inputs), names or Names()
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
@@ -49,11 +51,23 @@ def export_fmu(
             for i in _from1(n)
         ),
         *(
-            Variable(f"applied[{i}]", "Real", "input", "what the actuator had", 0.0)
+            Variable(
+                f"applied[{i}]",
+                "Real",
+                "input",
+                _called("what the actuator had", names.input(i - 1)),
+                0.0,
+            )
             for i in _from1(m)
         ),
         *(
-            Variable(f"u[{i}]", "Real", "output", "input, held", follows=f"u0[{i}]")
+            Variable(
+                f"u[{i}]",
+                "Real",
+                "output",
+                _called("input, held", names.input(i - 1)),
+                follows=f"u0[{i}]",
+            )
             for i in _from1(m)
         ),
         *(
@@ -79,7 +93,9 @@ def export_fmu(
     }
     sources = kept | {"model.c": rendered("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
-    return write_fmu(Path(path), version, name, title, controller.step, variables, sources, values)
+    return write_fmu(
+        Path(path), version, name, title, controller.step, variables, sources, values, staging
+    )
 
 
 def export_plant_fmu(
@@ -91,6 +107,7 @@ def export_plant_fmu(
     version: Version = "3.0",
     changes: int = 4096,
     names: Names | None = None,
+    staging: Staging | None = None,
 ) -> ExportedFmu:
     """Write a plant with its input delay as an FMU for co-simulation.
 
@@ -111,7 +128,9 @@ def export_plant_fmu(
     changes : int
         How often the input may change within the delay: more than D / h.
     names : Names, optional
-        Of states and modes, for the descriptions.
+        Of states, inputs and modes, for the descriptions.
+    staging : Staging, optional
+        What the file is to appear together with.
 
     Raises
     ------
@@ -120,14 +139,23 @@ def export_plant_fmu(
     """
     instance("plant", plant, SwitchedSystem)
     n, m, name, names = plant.states, plant.inputs, "plant", names or Names()
-    names.require(n, plant.modes)
+    names.require(plant)
     past = _finite(u0, m)
     start = (
         np.zeros(n) if x0 is None else shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
     )
     variables = [
         Variable("time", "Real", "independent", "time, s"),
-        *(Variable(f"u[{i}]", "Real", "input", "input, held over a step", 0.0) for i in _from1(m)),
+        *(
+            Variable(
+                f"u[{i}]",
+                "Real",
+                "input",
+                _called("input, held over a step", names.input(i - 1)),
+                0.0,
+            )
+            for i in _from1(m)
+        ),
         *(
             Variable(
                 f"x[{i}]", "Real", "output", _called("state", names.state(i - 1)), None, f"x0[{i}]"
@@ -162,7 +190,7 @@ def export_plant_fmu(
     }
     sources = {"model.c": rendered("plant_model.c.j2", values)}
     title = names.title or f"Plant with a delay of {plant.delay:g} s"
-    return write_fmu(Path(path), version, name, title, None, variables, sources, values)
+    return write_fmu(Path(path), version, name, title, None, variables, sources, values, staging)
 
 
 def _from1(size: int) -> range:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import platform
 import sys
 import tempfile
 import zipfile
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from deadtime.export.fmi_description import (
     build_description,
     description,
 )
+from deadtime.export.staging import Staging, unwritable
 from deadtime.version import __version__
 
 _LONG_AGO = (1980, 1, 1, 0, 0, 0)  # the same FMU twice is the same file
@@ -59,8 +60,12 @@ def write_fmu(
     variables: Sequence[Variable],
     sources: dict[str, str],
     values: dict,
+    staging: Staging | None,
 ) -> ExportedFmu:
-    """Zip description, sources and, where there is a compiler, a binary for this machine."""
+    """Zip description, sources and, where there is a compiler, a binary for this machine.
+
+    A half-written FMU is never seen; with `staging` it appears together with its others.
+    """
     if version not in ("2.0", "3.0"):
         raise ArgumentError(f"version must be '2.0' or '3.0', got {version!r}.")
     require_suffix(path, ".fmu")
@@ -84,16 +89,15 @@ def write_fmu(
     if version == "3.0":
         entries["sources/buildDescription.xml"] = build_description(model).encode()
     binary, message = _binary(sources, name, version, entries)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")  # a half-written FMU is never seen
-    try:
-        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
-            for file, content in entries.items():
-                archive.writestr(zipfile.ZipInfo(file, _LONG_AGO), content, zipfile.ZIP_DEFLATED)
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        why = error.strerror
-        raise ArgumentError(f"path {str(path)!r} cannot be written: {why}.") from None
+    with Staging() if staging is None else nullcontext(staging) as staged:
+        place = staged.file(path)
+        try:
+            with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
+                for file, content in entries.items():
+                    entry = zipfile.ZipInfo(file, _LONG_AGO)
+                    archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
+        except OSError as error:
+            raise unwritable("path", path, error) from None
     return ExportedFmu(path, version, binary, message)
 
 

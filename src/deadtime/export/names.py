@@ -1,4 +1,4 @@
-"""What a user calls a law, its states and its modes, for headers and descriptions."""
+"""What a user calls a law, its states, inputs and modes, for headers and descriptions."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deadtime.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
+from deadtime.wording import one_line
 
 
 @dataclass(frozen=True)
@@ -15,7 +17,7 @@ class Names:
     Attributes
     ----------
     title : of the law, or of the plant
-    states, modes : with their units, if they have some
+    states, modes, inputs : with their units, if they have some
 
     Examples
     --------
@@ -26,12 +28,14 @@ class Names:
     title: str = ""
     states: Sequence[str] = ()
     modes: Sequence[str] = ()
+    inputs: Sequence[str] = ()
 
-    def require(self, states: int, modes: int) -> None:
-        """Refuse another number of names than there are states or modes."""
+    def require(self, plant: SwitchedSystem) -> None:
+        """Refuse another number of names than the plant has states, modes or inputs."""
         for name, given, wanted in (
-            ("names.states", self.states, states),
-            ("names.modes", self.modes, modes),
+            ("names.states", self.states, plant.states),
+            ("names.modes", self.modes, plant.modes),
+            ("names.inputs", self.inputs, plant.inputs),
         ):
             if given and len(given) != wanted:
                 raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
@@ -40,11 +44,21 @@ class Names:
         """Of a state, or nothing."""
         return self.states[i] if self.states else ""
 
+    def input(self, i: int) -> str:
+        """Of an input, or nothing."""
+        return self.inputs[i] if self.inputs else ""
+
     def all_modes(self) -> str:
         """The numbers of the modes with their names, or nothing."""
         return ", ".join(f"{i}: {name}" for i, name in enumerate(self.modes))
 
 
-def plain(text: str) -> str:
-    """On one line, and nothing that could end a comment in C."""
-    return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")
+def in_comment(text: str) -> str:
+    """On one line, and nothing that could end a comment in C, begin one or splice its lines.
+
+    Examples
+    --------
+    >>> in_comment("ends */ begins /* what ??/")
+    'ends * / begins / * what ? ?/'
+    """
+    return one_line(text).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.lmi import attempts, balanced_units, symmetric_value
+from deadtime.lmi import attempts, balanced_units, library, symmetric_value
 
 _NARROW = 1e-3  # of the bracket at which bisection stops
 
@@ -32,8 +32,7 @@ def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
 
 def _candidates(E: np.ndarray, rate: float) -> list[np.ndarray]:
     """P from one attempt at E_iᵀ P E_i ≤ rate² P."""
-    import cvxpy as cp
-
+    cp = library("cvxpy")
     n = E.shape[-1]
     P, identity = cp.Variable((n, n), symmetric=True), np.eye(n)
     decay = [M.T @ P @ M << P for M in E / rate]

@@ -40,6 +40,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     with _section("plant"):
         plant = SwitchedSystem(file.plant.A, file.plant.B, file.plant.delay)
         states = _names("states", file.plant.states, plant.states)
+        inputs = _names("inputs", file.plant.inputs, plant.inputs)
         modes = _names("modes", file.plant.modes, plant.modes)
     with _section("gains"):
         gains = _gains(plant, file.gains)
@@ -54,8 +55,9 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         run = file.run
         x0 = shaped("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
         u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
-        if u0.size != 1:
-            shaped("u0", u0, (plant.inputs,), "(m,)")
+        if u0.size == 1:
+            u0 = np.full(plant.inputs, u0[0])
+        shaped("u0", u0, (plant.inputs,), "(m,)")
         horizon = positive("horizon", run.horizon)
         step = None if run.step == "ideal" else positive("step", run.step)
     with _section("observer"):
@@ -88,6 +90,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         seed=file.run.seed,
         predict=file.run.predict,
         states=states,
+        inputs=inputs,
         modes=modes,
         dwell_time=getattr(file.signal, "dwell_time", None),
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),

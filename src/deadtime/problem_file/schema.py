@@ -48,6 +48,7 @@ class PlantSection(Section):
     A: Plants = Field(description="One n × n matrix per mode.")
     B: InputMatrices = Field(description="One n × m matrix per mode.")
     states: Names = Field([], description="Names of the states, for figures.")
+    inputs: Names = Field([], description="Names of the inputs, for figures.")
     modes: Names = Field([], description="Names of the modes, for figures.")
 
 

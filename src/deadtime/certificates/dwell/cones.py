@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.lmi import library
+
 
 def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
@@ -44,11 +46,9 @@ def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] 
 
     A is an array or a sparse matrix.
     """
-    import clarabel
     from scipy.sparse import csc_matrix
 
-    solver: Any = clarabel
-
+    solver = library("clarabel")
     unknowns = A.shape[1]
     cost = np.zeros(unknowns)
     cost[-1] = -1.0
