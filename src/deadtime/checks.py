@@ -96,7 +96,7 @@ def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
     bad = np.argwhere(~np.isfinite(result))
     if bad.size:
         where, place = ", ".join(map(str, bad[0])), tuple(bad[0])
-        given = _as_given(raw[place], result[place])
+        given = _as_given(raw[place], float(result[place]))
         raise ArgumentError(f"{name}[{where}] must be finite, got {given}.")
     result.flags.writeable = False
     return result
@@ -152,7 +152,7 @@ def _masked(value: object) -> bool:
 
 def _as_given(value: object, result: float) -> str:
     """How a number that is not finite was written: a longdouble may be beyond floats."""
-    beyond = isinstance(value, np.longdouble) and np.isfinite(value) and not np.isfinite(result)
+    beyond = isinstance(value, np.floating) and np.isfinite(value) and not math.isfinite(result)
     return f"{value!s}, which is beyond 1.8e308" if beyond else str(result)
 
 
