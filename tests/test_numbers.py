@@ -225,7 +225,6 @@ def test_huge_integers_are_refused_where_indices_and_counts_are_asked_for():
 MASKED = np.ma.array([[1.0, 2.0]], mask=[[0, 1]])
 ARGUMENTS = {
     "A": lambda: dt.SwitchedSystem(np.ma.array(PLANT.A, mask=PLANT.A > 2.2), PLANT.B, 1.0),
-    "delay": lambda: dt.SwitchedSystem(PLANT.A, PLANT.B, np.ma.masked),
     "x0": lambda: dt.simulate(PLANT, LAW, SIGNAL, MASKED[0], 1.0),
     "u0": lambda: dt.simulate(PLANT, LAW, SIGNAL, [1, 1], 1.0, u0=MASKED[0, 1:]),
     "times": lambda: dt.simulate(PLANT, LAW, SIGNAL, [1, 1], 1.0, times=MASKED[0]),
@@ -262,7 +261,7 @@ def test_masked_entries_are_refused_wherever_arrays_are_taken(name):
         ),
         (lambda: dt.place(PLANT, [-1.0, 0.0]), "poles of mode 0 must have negative real parts"),
         (lambda: dt.place(PLANT, [1 + 2j, 1 - 2j]), "negative real parts, got 1+2j"),
-        (lambda: dt.place(PLANT, ["-4+2i", "-4-2i"]), "write a complex pole as -4+2j"),
+        (lambda: dt.place(PLANT, ["-4+2i", "-4-2i"]), "Write a complex pole as -4+2j"),
         (lambda: dt.place(PLANT, "-4+2i"), "without quotes"),
         (
             lambda: dt.simulate(PLANT, LAW, [0, 1], [1, 1], 1.0),

@@ -155,7 +155,7 @@ BAD = [
     ("delay = 0.35", 'delay = 0.35\nstates = ["x"]', r"\[plant\]: states must name all 2"),
     ("poles = [-1.0, -2.0]", "poles = [-1.0, -1.0]", r"line 7, \[gains\]: poles .* repeated 2 times"),
     ("poles = [-1.0, -2.0]", 'poles = ["x", -1.0]', r"line 7, \[gains\]: poles must be numbers"),
-    ("poles = [-1.0, -2.0]", "poles = [1.0, -2.0]", r"\[gains\]: gains\[0\] leaves A \+ B K of mode 0"),
+    ("poles = [-1.0, -2.0]", "poles = [1.0, -2.0]", r"\[gains\]: poles of mode 0 must have negative real parts"),
     ("poles = [-1.0, -2.0]", "", r"line 6: gains: give exactly one of K, poles and lqr"),
     ('kind = "switches"', 'kind = "swithces"', r"line 9: signal\.kind must be one of .*'switches'"),
     ('kind = "switches"\n', "", r"line 9: signal\.kind is missing"),

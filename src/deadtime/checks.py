@@ -96,7 +96,7 @@ def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
     bad = np.argwhere(~np.isfinite(result))
     if bad.size:
         where, place = ", ".join(map(str, bad[0])), tuple(bad[0])
-        given = _as_given(raw[place], result[place])
+        given = _as_given(raw[place], float(result[place]))
         raise ArgumentError(f"{name}[{where}] must be finite, got {given}.")
     result.flags.writeable = False
     return result
@@ -110,8 +110,9 @@ def as_floats(name: str, value: ArrayLike, form: str) -> np.ndarray:
 
 def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
     """`value` as an array of real numbers; messages say that it must `reals` and `shape`."""
+    unmasked(name, value)
     try:
-        raw = np.asarray(unmasked(name, value))
+        raw = np.asarray(value)
         if raw.dtype.kind == "O" and raw.size and all(isinstance(x, Real) for x in raw.flat):
             raw = raw.astype(np.float64)  # such as integers beyond 64 bits
     except OverflowError:
@@ -151,8 +152,8 @@ def _masked(value: object) -> bool:
 
 def _as_given(value: object, result: float) -> str:
     """How a number that is not finite was written: a longdouble may be beyond floats."""
-    beyond = isinstance(value, np.longdouble) and np.isfinite(value) and not np.isfinite(result)
-    return f"{value}, which is beyond 1.8e308" if beyond else str(result)
+    beyond = isinstance(value, np.floating) and np.isfinite(value) and not math.isfinite(result)
+    return f"{value!s}, which is beyond 1.8e308" if beyond else str(result)
 
 
 def brief(value: object) -> str:

@@ -99,7 +99,9 @@ class Feedback(Frozen):
                 "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
                 "is too long for this plant."
             )
-        super().__post_init__()
+        # Where they are: a table may take as much memory as there is for one.
+        for array in (self.state_gain, self.input_gain, *(self.factor or ())):
+            array.flags.writeable = False
 
     @property
     def taps(self) -> int:

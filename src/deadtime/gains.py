@@ -171,11 +171,13 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
         X = solve_continuous_are(A, B, Q, R)
     except ValueError:  # LinAlgError among them
         X = np.full_like(A, np.nan)
-    K = -np.linalg.solve(R, B.T @ X)
-    residual = np.linalg.norm(A.T @ X + X @ A + X @ B @ K + Q)
-    size = np.linalg.norm(Q) + 2.0 * np.linalg.norm(A) * np.linalg.norm(X)
-    stable = np.isfinite(K).all() and np.linalg.eigvals(A + B @ K).real.max() < 0.0
-    if not stable or residual > 1e-8 * size:
+    with np.errstate(over="ignore", invalid="ignore"):
+        K = -np.linalg.solve(R, B.T @ X)
+        loop = A + B @ K
+        residual = np.linalg.norm(A.T @ X + X @ A + X @ B @ K + Q)
+        size = np.linalg.norm(Q) + 2.0 * np.linalg.norm(A) * np.linalg.norm(X)
+    stable = np.isfinite(loop).all() and np.linalg.eigvals(loop).real.max() < 0.0
+    if not stable or not residual <= 1e-8 * size < np.inf:
         raise _no_gain(i)
     return K
 

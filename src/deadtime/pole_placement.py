@@ -16,20 +16,15 @@ from deadtime.errors import ArgumentError
 
 def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
     """One list of n poles per mode, (modes, n) complex, each closed under conjugation."""
+    unmasked("poles", poles)
+    wanted = f"poles must be {n} numbers, or one list of {n} per mode, got {brief(poles)}."
     try:
-        raw = np.asarray(unmasked("poles", poles))
-        if raw.dtype.kind in "US":  # NumPy would read some of them
-            raise ArgumentError(
-                f"poles must be {n} numbers, or one list of {n} per mode, got {brief(poles)}: text "
-                "is none; write a complex pole as -4+2j, its conjugate as -4-2j, without quotes."
-            )
-        given = raw.astype(np.complex128)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, ArgumentError):
-            raise
-        raise ArgumentError(
-            f"poles must be {n} numbers, or one list of {n} per mode, got {brief(poles)}."
-        ) from None
+        if np.asarray(poles).dtype.kind in "US":  # NumPy would read some of them
+            wanted += " Write a complex pole as -4+2j and its conjugate as -4-2j, without quotes."
+            raise TypeError
+        given = np.asarray(poles, dtype=np.complex128)
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(wanted) from None
     if given.shape == (n,):
         given = np.tile(given, (modes, 1))
     if given.shape != (modes, n):

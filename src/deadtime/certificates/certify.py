@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.certificate import Certificate
-from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range
+from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
 from deadtime.certificates.dwell.frame import WHOLE
 from deadtime.certificates.dwell.search import Level, Search
 from deadtime.certificates.dwell.stretch_search import StretchSearch
@@ -123,6 +123,7 @@ def certify(
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
+    require_periods(dwell_time, step)
     reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or unmoved(plants)
     if reason:
         return Certificate(None, reason)

@@ -1,4 +1,4 @@
-"""The tolerance of the clock that sojourns are measured with, relative to the controller's."""
+"""How sojourns are measured: in periods, with a clock of some tolerance."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from deadtime.checks import number
 from deadtime.errors import ArgumentError
 
 CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator round
+MOST_PERIODS = 100_000  # of a dwell time: more is a slip of units
 LEAST, MOST = 1e-8, 0.1  # the simulator moves switches within 1e-9 periods of a sample onto it
 
 
@@ -18,3 +19,13 @@ def clock_tolerance_in_range(value: object, least: float = LEAST) -> float:
             "much the clock that the dwell time is measured with may differ from the controller's."
         )
     return tolerance
+
+
+def require_periods(dwell_time: float, step: float) -> None:
+    """Refuse a dwell time of more periods than certificates and searches lay out."""
+    if dwell_time / step > MOST_PERIODS:
+        raise ArgumentError(
+            f"dwell_time / step = {dwell_time / step:.3g} periods, at most {MOST_PERIODS:.0e} are "
+            "possible: are both in seconds? Lengthen the step; what a shorter dwell time proves "
+            "holds for a longer one too."
+        )

@@ -100,8 +100,9 @@ class LowPassPredictor(TableLaw):
 
 def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
     """T as an (m, m) matrix whose eigenvalues have positive real parts."""
+    unmasked("time_constant", value)
     try:
-        array = np.asarray(unmasked("time_constant", value))
+        array = np.asarray(value)
     except ValueError:
         raise ArgumentError(
             f"time_constant must be a number or have shape (m, m) = ({m}, {m}), got rows of "

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, index, real_array, shaped
+from deadtime.checks import count, index, read_only, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.feedback import Feedback
 from deadtime.forecast import Forecast
@@ -170,7 +170,7 @@ class OptimalPredictor(TableLaw):
         cost = P[:, 0, :n, :n]
         cost = np.tril(cost) + np.tril(cost, -1).transpose(0, 2, 1)
         context = "mode" if isinstance(self.model, Markov) else "mode_age"
-        return Feedback(F, G, context, h, ages), cost
+        return Feedback(F, G, context, h, ages), read_only(cost)
 
     def _chain(self, step: float, most: int) -> tuple[np.ndarray, np.ndarray]:
         """Chances of a switch by the next sample (modes, ages), and of each mode after one."""

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, instance, positive, real_array, shaped
+from deadtime.checks import as_floats, instance, positive, read_only, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.frozen import Frozen
 from deadtime.plant import SwitchedSystem
@@ -117,7 +117,7 @@ class Observer(Frozen):
         n = self.plant.states
         pairs = zip(self.plant.A, self.plant.B, strict=True)
         Phi = np.stack([held_pair(A, B, self.step)[0] for A, B in pairs])
-        return Phi @ (np.eye(n) - self.gain @ self.C)
+        return read_only(Phi @ (np.eye(n) - self.gain @ self.C))
 
     @cached_property
     def rates(self) -> Float[np.ndarray, " mode"]:
@@ -128,7 +128,7 @@ class Observer(Frozen):
         """
         radius = np.abs(np.linalg.eigvals(self.error_matrices)).max(axis=1)
         with np.errstate(divide="ignore"):
-            return np.log(radius) / self.step
+            return read_only(np.log(radius) / self.step)
 
     @cached_property
     def switched_rate(self) -> float:

@@ -90,8 +90,9 @@ def _constant_or_held(u0: ArrayLike | None, m: int) -> tuple[np.ndarray, np.ndar
     constant = np.zeros(m)
     if u0 is None:
         return constant, None
+    unmasked("u0", u0)
     try:
-        given = np.asarray(unmasked("u0", u0))
+        given = np.asarray(u0)
     except ValueError:
         raise ArgumentError(
             "u0 must be a number, (m,), (m, N) or a function, got rows of different lengths."

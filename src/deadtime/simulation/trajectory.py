@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 class Trajectory(Frozen):
     """A simulated run (immutable). Arrays index (signal, time); values are right limits.
 
+    Its arrays are read-only; what `to_pandas`, `to_xarray` and `to_control` give are copies.
+
     Attributes
     ----------
     time : (T,)
@@ -173,13 +175,13 @@ class Trajectory(Frozen):
         import xarray as xr
 
         variables: dict[str, Any] = {
-            "x": (("state", "time"), self.states),
-            "u": (("input", "time"), self.inputs),
-            "mode": (("time",), self.mode),
+            "x": (("state", "time"), self.states.copy()),
+            "u": (("input", "time"), self.inputs.copy()),
+            "mode": (("time",), self.mode.copy()),
         }
         if self.mismatch is not None:
-            variables["w"] = (("input", "time"), self.mismatch)
-        time = xr.Variable("time", self.time, {"units": "s"})
+            variables["w"] = (("input", "time"), self.mismatch.copy())
+        time = xr.Variable("time", self.time.copy(), {"units": "s"})
         attributes = {"diverged": int(self.diverged), "message": self.message}
         return xr.Dataset(variables, coords={"time": time}, attrs=attributes)
 
@@ -189,10 +191,10 @@ class Trajectory(Frozen):
 
         labels = [f"x[{i}]" for i in range(self.states.shape[0])]
         return control.TimeResponseData(
-            self.time,
-            self.states,
-            self.states,
-            self.inputs,
+            self.time.copy(),
+            self.states.copy(),
+            self.states.copy(),
+            self.inputs.copy(),
             output_labels=labels,
             state_labels=labels,
             input_labels=[f"u[{i}]" for i in range(self.inputs.shape[0])],

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.checks import as_floats, number, real_array, shaped, unmasked
+from deadtime.checks import as_floats, real_array, shaped, unmasked
 from deadtime.errors import ArgumentError
 from deadtime.steps import TOLERANCE
 
@@ -40,7 +40,7 @@ class Reference:
 def checked_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
     """A number for every output, or one for each."""
     given = unmasked("reference", value)
-    whole = np.full(size, number("reference", given)) if np.ndim(given) == 0 else given
+    whole = [given] * size if np.ndim(given) == 0 else given
     array = real_array("reference", whole, "(tracked,)", 1)
     return shaped("reference", array, (size,), "(tracked,)")
 

@@ -16,13 +16,11 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.errors import ArgumentError
 from deadtime.steps import snap
 from deadtime.switching import SwitchingSignal
 
 INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
 LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
-MOST_PERIODS = 100_000  # of a dwell time: more is a slip of units
 SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
 
 
@@ -38,11 +36,6 @@ class Dwell:
         cls, dwell_time: float, maximum_dwell: float | None, step: float, tolerance: float = 0.0
     ) -> Dwell:
         """From seconds, and how wrong the clock may be; a ratio within 1e-9 of an integer is it."""
-        if dwell_time / step > MOST_PERIODS:
-            raise ArgumentError(
-                f"dwell_time / step = {dwell_time / step:.3g} periods, at most {MOST_PERIODS:.0e} "
-                "are possible: are both in seconds? Lengthen the step."
-            )
         longest = math.inf if maximum_dwell is None else snap(maximum_dwell / step)
         part = tolerance * INSIDE
         return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))

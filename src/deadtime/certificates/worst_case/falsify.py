@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range
+from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
@@ -129,6 +129,7 @@ def _checked(
             "be chosen against it."
         )
     step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
+    require_periods(dwell_time, step)
     if plant.modes > 1 and Dwell.of(dwell_time, None, step).least < 1.0:
         raise ArgumentError(
             f"dwell_time must be at least one period, got {dwell_time:g} s with step = {step:g} "
