@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, FailFast
 class First(FailFast):
     """Of a list with thousands of faults the first is enough; this one can stand in a union."""
 
-    __hash__ = object.__hash__
+    __hash__ = object.__hash__  # pyright: ignore[reportAssignmentType]
 
 
 Vector = Annotated[list[float], First()]

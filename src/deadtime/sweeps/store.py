@@ -90,8 +90,8 @@ class Store:
                 raise ArgumentError(f"its array {name!r} holds {array.dtype}.")
             names = (*self.definition["grid"], "law", "scenario")
             dims = (name,) if name in axes else names[: len(sizes[0])]
-            about = array.metadata
-            if about.dimension_names != dims or not isinstance(about.attributes, dict):
+            given = getattr(array.metadata, "dimension_names", None)
+            if given != dims or not isinstance(array.metadata.attributes, dict):
                 raise ArgumentError(f"its array {name!r} does not say what its axes are.")
             if (array.shape, array.chunks) != sizes:
                 raise ArgumentError(
