@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: reproduce study test lint types pytest long browser bench examples schema docs clean
+.PHONY: reproduce study test lint types pytest long fuzz browser bench examples schema docs clean
 
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
@@ -33,6 +33,11 @@ pytest: .venv/installed-test .venv/compiled
 # What is too long for every change: the whole report, certificates of N = 100 put back.
 long: .venv/installed-test .venv/compiled
 	$(BIN)/pytest -m long
+
+# Mutants of every kind of file that the package reads: make fuzz FUZZ="--kind log --count 100000".
+FUZZ ?= --count 2000 --seconds 120
+fuzz: .venv/installed-test .venv/compiled
+	PYTHONPATH=tests $(BIN)/python -m fuzzing $(FUZZ)
 
 # The explorer in Chromium; pictures into screenshots/.
 browser: .venv/installed-browser .venv/compiled

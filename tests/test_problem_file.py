@@ -144,6 +144,20 @@ def test_ideal_step_runs_the_ideal_loop(tmp_path):
 
 
 BAD = [
+    ("poles = [-1.0, -2.0]", "K = [[[1.0, 1.0]], [[1.0, 1.0]]]", r"\[gains\]: gains\[0\] leaves A \+ B K of mode 0"),
+    ("poles = [-1.0, -2.0]", 'poles = ["-4+2i", "-4-2i"]', r'poles must be .*, got \'-4\+2i\': write "-4\+2j"'),
+    ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "[[[0.0, 1.0]], [[0.0, 1.1]]]", r"line 4, \[plant\]: B must have shape \(modes, n, m\) = \(2, 2, m\), got \(2, 1, 2\): write each row as a column"),
+    ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "[[0.0, 1.0], [0.0, 1.1]]", r"line 4: plant\.B must have shape \(modes, n, m\), got \(2, 2\): .* such as B = \[\[\[0\.0\], \[1\.0\]\],"),
+    ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "0.0", r"line 4: plant\.B must have shape \(modes, n, m\), got \(\); such as B = "),
+    ("x0 = [1.0, 0.0]", "x0 = [[1.0], [0.0]]", r"line 15: run\.x0 must have shape \(n,\), got \(2, 1\); such as x0 = \[1\.0, 0\.0\]"),
+    ("x0 = [1.0, 0.0]", 'x0 = ["a"]', r"line 15: run\.x0 must hold real numbers, .* such as x0 = "),
+    ("step = 0.1", 'step = 0.1\nu0 = "a"', r"line 18: run\.u0 must be a number or \(m,\), such as u0 = \[0\.0\], got 'a'"),
+    ("[signal]", "[[signal]]", r"line 9: signal must be one table, begun by \[signal\], got a list"),
+    ("step = 0.1", 'step = 0.1\n[law]\nkind = "mean"', r"line 18: law must be a list of tables, each begun by \[\[law\]\], got a table"),
+    ("step = 0.1", "step = 0.1\n[servo]\npoles = [-1.0]", r"line 18: servo is not known: it can be one of title, source, plant"),
+    ("step = 0.1", "step = 0.1\nreference = 1.0", r"line 18: run\.reference is not known: it can be one of x0, horizon, step"),
+    ("step = 0.1", 'step = 0.1\n[switching]\nkind = "semi-markov"\nsojourn = { distribution = "expon", scale = {} }', r"line 20: switching\.sojourn\.scale: input should be a valid number"),
+    ("[[0.5, 1.0]", "[[1e308, 1e308]", r"line 6, \[gains\]: its numbers are too large, or too far apart"),
     ("delay = 0.35", "dealy = 0.35", r"line 2: plant\.dealy is not known: did you mean delay\?"),
     ("delay = 0.35\n", "", r"line 1: plant\.delay is missing: add it\."),
     ("[run]", "[rnu]", r"line 14: rnu is not known: did you mean run\?"),
@@ -155,7 +169,7 @@ BAD = [
     ("delay = 0.35", 'delay = 0.35\nstates = ["x"]', r"\[plant\]: states must name all 2"),
     ("poles = [-1.0, -2.0]", "poles = [-1.0, -1.0]", r"line 7, \[gains\]: poles .* repeated 2 times"),
     ("poles = [-1.0, -2.0]", 'poles = ["x", -1.0]', r"line 7, \[gains\]: poles must be numbers"),
-    ("poles = [-1.0, -2.0]", "poles = [1.0, -2.0]", r"\[gains\]: poles of mode 0 must have negative real parts"),
+    ("poles = [-1.0, -2.0]", "poles = [1.0, -2.0]", r"line 7, \[gains\]: poles of mode 0 must have negative real parts"),
     ("poles = [-1.0, -2.0]", "", r"line 6: gains: give exactly one of K, poles and lqr"),
     ('kind = "switches"', 'kind = "swithces"', r"line 9: signal\.kind must be one of .*'switches'"),
     ('kind = "switches"\n', "", r"line 9: signal\.kind is missing"),
@@ -184,6 +198,26 @@ def test_bad_file_is_refused_by_line_and_key(tmp_path, old, new, message):
     with pytest.raises(dt.ProblemFileError, match=message) as caught:
         load(tmp_path, PLAIN.replace(old, new, 1))
     assert "\n" not in str(caught.value)
+
+
+def test_all_faults_of_a_file_are_told_at_once_in_its_order(tmp_path):
+    text = PLAIN.replace("delay = 0.35", 'delay = "long"').replace("x0 = [1.0, 0.0]", "x0 = 1.0")
+    text = (
+        text.replace("step = 0.1", "setp = 0.1")
+        .replace("[1, 0]", "[1, 0]")
+        .replace("A = [", "A = [1.0, ")
+    )
+    with pytest.raises(dt.ProblemFileError) as caught:
+        load(tmp_path, text)
+    found = re.findall(r"[Ll]ine (\d+): ([a-z0-9]+\.\w+)", str(caught.value))
+    assert found == [("2", "plant.delay"), ("3", "plant.A"), ("15", "run.x0"), ("17", "run.setp")]
+    assert "more" not in str(caught.value)
+
+
+def test_more_faults_than_anybody_reads_are_counted(tmp_path):
+    with pytest.raises(dt.ProblemFileError, match=r"\(and 10 more\)$") as caught:
+        load(tmp_path, "".join(f"a{i} = 1\n" for i in range(60)) + PLAIN)
+    assert len(str(caught.value)) < 10_000
 
 
 def test_missing_and_binary_files_are_refused(tmp_path):

@@ -31,6 +31,7 @@ def place(
     plant: SwitchedSystem,
     poles: ArrayLike | Sequence[ArrayLike],
     step: float | None = None,
+    allow_unstable: bool = False,
 ) -> Float[np.ndarray, "mode m n"]:
     """Gains that place the poles of A_i + B_i K_i, or of the loop run at a period.
 
@@ -44,6 +45,8 @@ def place(
         Sampling period h, in seconds: Φ_i + Γ_i K_i then has the poles e^{ph} (see the module),
         and the exact predictor of a mode, run at this period, decays as the poles say. Such
         gains need not make A_i + B_i K_i Hurwitz where h is long.
+    allow_unstable : bool
+        Accept poles that do not decay.
 
     Returns
     -------
@@ -72,7 +75,7 @@ def place(
     """
     wanted = pole_lists(poles, plant.modes, plant.states)
     for i, row in enumerate(wanted):
-        if (fastest := row[np.argmax(row.real)]).real >= 0.0:
+        if (fastest := row[np.argmax(row.real)]).real >= 0.0 and not allow_unstable:
             raise ArgumentError(
                 f"poles of mode {i} must have negative real parts, got {_written(fastest)}: a loop "
                 f"with this pole does not decay; write {_written(-fastest)} for one that does."

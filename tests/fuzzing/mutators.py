@@ -103,7 +103,10 @@ def of_tree(rng: Random, tree: Any, other: Any, words: tuple[str, ...] = ()) -> 
     """One value of a tree of dictionaries and lists made another, seldom several."""
     tree = copy.deepcopy(tree)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        owner, key = rng.choice(places(tree) or [({}, "x")])
+        found = places(tree)
+        if not found:
+            return tree
+        owner, key = rng.choice(found)
         spare, inside = rng.choice(places(other) or [({"x": 0}, "x")])
         match rng.randrange(8):
             case 0 | 1 | 2:

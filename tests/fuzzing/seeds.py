@@ -28,6 +28,8 @@ step = 0.1
 u0 = [0.5]
 """
 
+AT_REST = PLAIN.replace("u0 = [0.5]\n", "")  # as studies want it
+
 
 def _with(*changes: tuple[str, str], end: str = "") -> str:
     """The plain file, with parts of it replaced."""

@@ -14,6 +14,7 @@ import deadtime as dt
 from certificate_corpus import CORPUS
 from deadtime.problem_file import load_problem
 from deadtime.sweeps import load_study
+from deadtime.sweeps.run import prepare, run_block
 from fuzzing import mutators, seeds
 
 WORDS = tuple(
@@ -62,7 +63,7 @@ class Toml(Target):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self.trees = [tomllib.loads(text) for text in self.texts]
-        (folder / "plain.toml").write_text(seeds.PLAIN, encoding="utf-8")
+        (folder / "plain.toml").write_text(seeds.AT_REST, encoding="utf-8")
         (folder / "log.csv").write_text(seeds.LOGS[3], encoding="utf-8")
 
     def write(self, rng: Random) -> None:
@@ -149,10 +150,13 @@ class Store(Target):
         super().__init__(folder)
         self.place = folder / "whole.zarr"
         if not self.place.exists():
-            (folder / "plain.toml").write_text(seeds.PLAIN, encoding="utf-8")
+            (folder / "plain.toml").write_text(seeds.AT_REST, encoding="utf-8")
             path = folder / "study.toml"
             path.write_text(seeds.STUDIES[0], encoding="utf-8")
-            dt.sweep(load_study(path), self.place)
+            study = load_study(path)
+            target = prepare(study, str(self.place))
+            for number in target.missing():
+                run_block(study, target.url, target.key, number)
         self.files = sorted(path for path in self.place.rglob("*") if path.is_file())
         self.described = [path for path in self.files if path.name == "zarr.json"]
         self.contents = {path: path.read_bytes() for path in self.files}

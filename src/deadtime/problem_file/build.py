@@ -125,26 +125,10 @@ def _gains(plant: SwitchedSystem, section: schema.GainsSection) -> np.ndarray:
     if section.K is not None:
         return checked_gains(plant, section.K, section.allow_unstable)
     if section.poles is not None:
-        poles = as_numbers(section.poles)
-        if not section.allow_unstable:
-            _require_left(poles)
-        gains = place(plant, poles)
+        gains = place(plant, as_numbers(section.poles), allow_unstable=section.allow_unstable)
         return checked_gains(plant, gains, section.allow_unstable)
     assert section.lqr is not None
     return lqr(plant, section.lqr.Q, section.lqr.R)
-
-
-def _require_left(poles: list) -> None:
-    """Refuse poles that would leave a loop unstable, before gains are made for them."""
-    for pole in poles:
-        if isinstance(pole, list):
-            _require_left(pole)
-        elif pole.real >= 0.0:
-            shown = f"{pole.real:g}" if pole.imag == 0.0 else f"{pole:g}"
-            raise ArgumentError(
-                f"poles must lie left of the imaginary axis, got {shown}: give it a negative real "
-                "part, or set allow_unstable = true."
-            )
 
 
 def as_numbers(poles: list) -> list:

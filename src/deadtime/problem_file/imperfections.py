@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,11 @@ from deadtime.toml_file import Shape
 from deadtime.toml_file import section as _section
 
 PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0.2])]
+
+
+def _without_default(schema: dict[str, Any]) -> None:
+    """JSON has no infinity."""
+    del schema["default"]
 
 
 class NoiseSection(Section):
@@ -110,7 +115,7 @@ class StepDisturbanceSection(Section):
         description="Units of x per second."
     )
     start: float = Field(0.0, description="Seconds.")
-    end: float = Field(math.inf, description="Seconds.")
+    end: float = Field(math.inf, description="Seconds.", json_schema_extra=_without_default)
 
 
 ImperfectionSection = Annotated[

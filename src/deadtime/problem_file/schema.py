@@ -182,7 +182,7 @@ class SojournSection(Section):
 
     model_config = ConfigDict(extra="allow", strict=False, title=None)
 
-    __pydantic_extra__: dict[str, float]
+    __pydantic_extra__: dict[str, float]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     distribution: str = Field(description='Name in scipy.stats, such as "expon" or "gamma".')
 

@@ -7,19 +7,19 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, FailFast
 
 
-class _First(FailFast):
+class First(FailFast):
     """Of a list with thousands of faults the first is enough; this one can stand in a union."""
 
-    __hash__ = object.__hash__
+    __hash__ = object.__hash__  # pyright: ignore[reportAssignmentType]
 
 
-Vector = Annotated[list[float], _First()]
-Matrix = Annotated[list[Vector], _First()]
-Matrices = Annotated[list[Matrix], _First()]
-Poles = Annotated[list[float | str], _First()]
-PolesPerMode = Annotated[list[Poles], _First()]
-Integers = Annotated[list[int], _First()]
-Texts = Annotated[list[str], _First()]
+Vector = Annotated[list[float], First()]
+Matrix = Annotated[list[Vector], First()]
+Matrices = Annotated[list[Matrix], First()]
+Poles = Annotated[list[float | str], First()]
+PolesPerMode = Annotated[list[Poles], First()]
+Integers = Annotated[list[int], First()]
+Texts = Annotated[list[str], First()]
 
 
 class Section(BaseModel):

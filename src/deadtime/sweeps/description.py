@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -17,7 +17,6 @@ from deadtime.toml_file import require_valid
 
 MOST = 10**8  # cells of a grid, and scenarios
 
-Metric = Literal[tuple(METRICS)]  # pyright: ignore[reportInvalidTypeForm]
 Strings = Annotated[list[str], Field(min_length=1)]
 
 
@@ -29,7 +28,7 @@ class _Definition(BaseModel):
     grid: dict[str, Annotated[list[Any], Field(min_length=1)]]
     laws: Strings
     scenarios: Annotated[int, Field(ge=1, le=MOST)]
-    metrics: Annotated[list[Metric], Field(min_length=1)]
+    metrics: Strings
 
 
 class _Description(BaseModel):
@@ -63,6 +62,8 @@ def described(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Layout]:
     checked = require_valid(_Description, known)
     definition: dict[str, Any] = checked.definition.model_dump()
     shape = tuple(map(len, definition["grid"].values()))
+    if unknown := set(definition["metrics"]) - set(METRICS):
+        raise ArgumentError(f"its metric {min(unknown)!r:.80} is not known.")
     for name in definition["grid"]:
         require_axis(name, ())
     if math.prod(shape) > MOST:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 
 from deadtime.monte_carlo.dataset import METRICS
 from deadtime.problem_file.imperfections import ImperfectionSection
-from deadtime.problem_file.section import Section
+from deadtime.problem_file.section import First, Poles, Section
 from deadtime.sweeps.sojourns import FAMILIES
+
+MOST_VALUES = 5000  # of an axis
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -46,13 +48,18 @@ def distinct(values: list) -> list:
     """At least one value, and none twice."""
     if not values:
         raise ValueError("must hold at least one value: leave the key out for the default")
-    for i, value in enumerate(values):
-        if value in values[:i]:
-            raise ValueError(f"holds {value!r} twice: list each value once")
+    if len(values) > MOST_VALUES:
+        raise ValueError(f"holds more than {MOST_VALUES:,} values: list fewer")
+    seen: set[Hashable] = set()
+    for value in values:
+        same = value if isinstance(value, Hashable) else repr(value)
+        if same in seen:
+            raise ValueError(f"holds {value!r:.80} twice: list each value once")
+        seen.add(same)
     return values
 
 
-List = (BeforeValidator(_listed), AfterValidator(distinct))
+List = (First(), BeforeValidator(_listed), AfterValidator(distinct))
 Positives = Annotated[list[Positive], *List]
 NotNegatives = Annotated[list[NotNegative], *List]
 Errors = Annotated[list[AboveMinusOne], *List]
@@ -109,7 +116,7 @@ class StudyFile(Section):
 
     title: str = ""
     problem: str = Field("paper", description="paper, three-mode, follower or a problem file.")
-    poles: list[float | str] | None = Field(
+    poles: Poles | None = Field(
         None,
         min_length=1,
         description='Closed-loop poles of every mode, 1/s; "-1+2j" is complex. Gains are placed in '

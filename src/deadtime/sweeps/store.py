@@ -78,6 +78,7 @@ class Store:
         extents = dict.fromkeys((*self.definition["metrics"], "diverged"), (law, scenario))
         extents |= {"reason": (law,), "done": ()}
         expected = {name: ((*shape, *rest), (*block, *rest)) for name, rest in extents.items()}
+        kinds = dict.fromkeys(self.definition["metrics"], "f") | {"diverged": "b", "done": "b"}
         axes = {**{n: len(v) for n, v in self.definition["grid"].items()}, "law": law}
         axes["scenario"] = scenario
         expected |= {name: ((size,), (size,)) for name, size in axes.items()}
@@ -85,6 +86,13 @@ class Store:
             array = self.group.get(name)
             if not isinstance(array, Array):
                 raise ArgumentError(f"it lacks the array {name!r}.")
+            if array.dtype.kind != kinds.get(name, array.dtype.kind):
+                raise ArgumentError(f"its array {name!r} holds {array.dtype}.")
+            names = (*self.definition["grid"], "law", "scenario")
+            dims = (name,) if name in axes else names[: len(sizes[0])]
+            given = getattr(array.metadata, "dimension_names", None)
+            if given != dims or not isinstance(array.metadata.attributes, dict):
+                raise ArgumentError(f"its array {name!r} does not say what its axes are.")
             if (array.shape, array.chunks) != sizes:
                 raise ArgumentError(
                     f"its array {name!r} has the shape {array.shape} in chunks of {array.chunks}, "

@@ -95,7 +95,7 @@ def _rows(source: Path, text: str) -> tuple[list[_Row], str]:
             age = age if rows else row.get("initial_age") or ""
             rows.append(_Row(reader.line_num, row["time"], row["mode"]))
     except csv.Error as error:
-        raise ArgumentError(f"{source}, line {reader.line_num}: {error}.") from None
+        raise ArgumentError(f"{source}, line {reader.reader.line_num}: {error}.") from None
     if not rows:
         raise ArgumentError(f"{source} must hold at least one row, got none.")
     return rows, age

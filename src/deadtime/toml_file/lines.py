@@ -52,7 +52,7 @@ def key_lines(text: str) -> dict[Path, int]:
     Examples
     --------
     >>> key_lines("a = 1\\n[t]\\nb = [\\n 2,\\n]\\n[[p]]\\nc = 3")
-    {('a',): 1, ('t',): 2, ('t', 'b'): 3, ('p', 0): 6, ('p', 0, 'c'): 7}
+    {('a',): 1, ('t',): 2, ('t', 'b'): 3, ('p',): 6, ('p', 0): 6, ('p', 0, 'c'): 7}
     """
     lines: dict[Path, int] = {}
     table: Path = ()
@@ -61,10 +61,11 @@ def key_lines(text: str) -> dict[Path, int]:
     for number, line in enumerate(_TOKEN.sub(_without_long, text).split("\n"), 1):
         if depth == 0 and (header := _HEADER.match(line)):
             table = _split(header[2])
+            lines.setdefault(table, number)
             if header[1] == "[[":
                 counts[table] = counts.get(table, -1) + 1
                 table = (*table, counts[table])
-            lines.setdefault(table, number)
+                lines[table] = number
             continue
         if depth == 0 and (key := _KEY.match(line)):
             lines.setdefault((*table, *_split(key[1])), number)

@@ -186,5 +186,5 @@ def _union(first: Any, second: Any) -> Any:
 
 def _widest(enclosure: Enclosure) -> int:
     """The direction in which a cell is widest."""
-    sizes = [(float(np.linalg.norm(balls.middle(slope))), k) for k, slope in enclosure.slopes]
+    sizes = [(balls.norm_above(np.abs(balls.middle(slope))), k) for k, slope in enclosure.slopes]
     return max(sizes)[1]

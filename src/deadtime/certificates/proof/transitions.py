@@ -190,16 +190,17 @@ class Transitions:
         """The transitions to check.
 
         Between two `knots` all that depends on the age is linear in it, unless the rows change
-        with it; there the first and the last step of each segment imply the others.
+        with it, as they do up to the last of them; there the first and the last step of each
+        segment imply the others.
         """
-        everything = self.context == "mode_age" and self.bucket is None
-        marks = {*knots, self.first, self.first + 1, self.last, 0}
+        changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
+        marks = {*knots, self.first, self.first + 1, self.last, 0, changing}
         marks |= {knot + (self.bucket or 0) for knot in knots}
         ends = {a for mark in marks for a in (mark - 1, mark)}
         found = []
         for i in range(self.modes):
             for a in range(self.last + 1):
-                if not (everything or a in ends):
+                if not (a < changing or a in ends):
                     continue
                 for row in self.rows(i, a):
                     if a < self.last or not self.ends:
