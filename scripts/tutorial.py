@@ -35,7 +35,7 @@ def main(folder: Path) -> None:
     os.chdir(folder)
     import deadtime
 
-    if PAGE.parents[1] in Path(deadtime.__file__).resolve().parents and "build" not in sys.prefix:
+    if PAGE.parents[1] / "src" in Path(deadtime.__file__).resolve().parents:
         raise SystemExit(f"tutorial: deadtime is that of the repository: {deadtime.__file__}")
     names: dict = {"__name__": "tutorial"}
     for language, block in BLOCK.findall(text):

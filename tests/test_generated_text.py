@@ -78,9 +78,7 @@ def test_a_figure_with_any_names_is_well_formed(tmp_path, called):
     plant = plants.paper()
     law, signal = plants.LAWS["averaged"](plant), dt.SwitchingSignal.constant(0)
     run = dt.simulate(plant, law, signal, [1.0, 0.0], 0.5, step=0.1)
-    figure = plot_run(
-        run, called.encode("utf-8", "replace").decode(), ["a\x01", "b"], None, ["\x02"]
-    )
+    figure = plot_run(run, called, ["a\x01", "b"], None, ["\x02"])
     figure.savefig(tmp_path / "run.svg")
     xml.parse(tmp_path / "run.svg")
 
@@ -108,9 +106,7 @@ step = 0.1
 EVIL = '\\u0000 \\u202e \\u0001 \\\\ \\"\\"\\" \\n import os'
 
 
-@pytest.mark.parametrize(
-    "name", ["deadtime", "numpy", "scipy", "random", "two inputs", "class", "ü"]
-)
+@pytest.mark.parametrize("name", ["deadtime", "numpy", "two inputs", "ü"])
 def test_a_script_runs_under_its_own_name_in_an_empty_folder(tmp_path, name):
     """And deadtime still imports there, whatever the problem is called."""
     source, folder = tmp_path / f"{name}.toml", tmp_path / "empty"
