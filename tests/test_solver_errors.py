@@ -24,7 +24,7 @@ SEARCHES = {
 
 def not_imported(monkeypatch):
     monkeypatch.setitem(sys.modules, "cvxpy", None)
-    return r"cvxpy does not import \(ModuleNotFoundError: .*\): install versions that fit"
+    return r"cvxpy does not import \(ModuleNotFoundError: .*\), so there is no answer"
 
 
 def broken_inside(monkeypatch):
