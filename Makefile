@@ -6,7 +6,15 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
+# What tells in minutes whether an installation works: each dependency is used by one of them.
+FAST := $(addprefix tests/test_,plant.py gains.py lyapunov.py problem_file.py trajectory.py interop.py \
+	cli_export.py export_fmu.py app_server.py)
+# What old libraries and new ones warn of each other is not ours.
+QUIET := -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
+TOOLS := pytest pytest-xdist hypothesis beartype mpmath
+
 .PHONY: reproduce study test lint types pytest long fuzz browser bench examples schema docs clean
+.PHONY: lowest pythons wheel cortex-m
 
 reproduce: .venv/installed .venv/compiled
 	$(BIN)/deadtime reproduce --out report
@@ -44,6 +52,45 @@ browser: .venv/installed-browser .venv/compiled
 	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || \
 		{ echo "no Chromium: install your system's (Debian: apt-get install chromium)"; exit 1; }
 	$(BIN)/pytest -m browser -s tests/browser
+
+# The lowest versions that pyproject.toml allows, in an environment of their own.
+lowest:
+	$(PYTHON) -m venv --clear build/lowest
+	$(PYTHON) scripts/lowest.py > build/lowest/constraints.txt
+	PIP_CONSTRAINT=build/lowest/constraints.txt build/lowest/bin/python -m pip install --quiet \
+		--editable ".[app,control,fmi,jax,sweep]" $(TOOLS)
+	NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/build/lowest/numba \
+		build/lowest/bin/python -m pytest $(QUIET) $(FAST)
+
+# Every Python that is supported and found: make pythons PYTHONS="/path/to/python3.12 ..." for others.
+PYTHONS ?= $(foreach minor,11 12 13,$(shell command -v python3.$(minor)))
+pythons:
+	@test -n "$(PYTHONS)" || { echo "no Python 3.11, 3.12 or 3.13 was found: give PYTHONS=..."; exit 1; }
+	for python in $(PYTHONS); do \
+		place=build/$$($$python -c 'import sys; print("python3.%d" % sys.version_info[1])'); \
+		echo "== $$($$python --version)" && $$python -m venv --clear $$place && \
+		$$place/bin/python -m pip install --quiet --editable ".[app,control,fmi,jax,sweep]" $(TOOLS) && \
+		NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/$$place/numba $$place/bin/python -m pytest $(FAST) || exit 1; \
+	done
+
+# What users install: a wheel, made from the sdist, that has nothing but its dependencies beside it
+# runs the tutorial from an empty folder; so does the sdist itself.
+wheel:
+	rm -rf build/wheel dist && mkdir -p build/wheel
+	$(PYTHON) -m venv build/wheel/tools
+	build/wheel/tools/bin/python -m pip install --quiet build
+	build/wheel/tools/bin/python -m build --outdir dist . > build/wheel/log || { cat build/wheel/log; exit 1; }
+	for file in dist/*.whl dist/*.tar.gz; do \
+		place=build/wheel/$$(basename $$file) && $(PYTHON) -m venv $$place && mkdir $$place/empty && \
+		$$place/bin/python -m pip install --quiet $$file && \
+		env -u PYTHONPATH $$place/bin/python scripts/tutorial.py $$place/empty || exit 1; \
+	done
+
+# The exported C on an emulated Cortex-M.
+cortex-m: .venv/installed-test .venv/compiled
+	@command -v arm-none-eabi-gcc >/dev/null && command -v qemu-system-arm >/dev/null || \
+		{ echo "missing (Debian): gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"; exit 1; }
+	$(BIN)/pytest tests/test_cortex_m.py
 
 bench: .venv/installed .venv/compiled
 	$(BIN)/python benchmarks/single_run.py

@@ -176,6 +176,15 @@ def test_what_certify_saves_verify_proves(capsys, saved):
     assert "\n(proven in " in out
 
 
+def test_a_certificate_is_one_file_that_proves_itself_anywhere(capsys, saved, tmp_path):
+    """What is mailed is the file alone."""
+    assert list(saved.parent.iterdir()) == [saved]
+    assert json.loads(saved.read_text(encoding="utf-8"))
+    mailed = tmp_path / "of_a_colleague.json"
+    mailed.write_bytes(saved.read_bytes())
+    assert run(capsys, "verify", str(mailed))[::2] == (0, "")
+
+
 def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys, saved, tmp_path):
     slow = ("--step", "0.1")
     for asked in (

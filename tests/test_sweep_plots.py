@@ -380,3 +380,19 @@ def test_bad_requests_get_one_line_and_code_2(run, arguments, message):
     code, out, err = run(sweep("delay", laws=("averaged", "mean"), oracle=""), *arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert message in err
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_out_may_be_a_figure_where_there_is_one(run, ending):
+    data = sweep("delay", laws=("averaged", "mean"), oracle="")
+    code, out, err = run(data, "--kind", "bands", "--out", f"new/x.{ending}")
+    assert (code, out, err) == (0, f"new/x.{ending}\n", "")
+    begins = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[ending]
+    assert Path(f"new/x.{ending}").read_bytes().startswith(begins)
+
+
+def test_of_several_figures_one_file_is_refused_before_any_is_drawn(run):
+    code, out, err = run(sweep("delay", laws=("averaged", "mean"), oracle=""), "--out", "x.png")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "out 'x.png' is one file, but there are" in err
+    assert not Path("x.png").exists()

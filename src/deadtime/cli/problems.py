@@ -41,6 +41,6 @@ def _numbers(name: str, text: str) -> list[float]:
         return [float(number) for number in text.split(",")]
     except ValueError:
         raise ArgumentError(
-            f"{name} must be numbers with commas between them, such as --{name}=1,-0.5, "
+            f"{name} must be numbers with commas between them, such as --{name} 1,-0.5, "
             f"got {text!r}."
         ) from None

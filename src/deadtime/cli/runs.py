@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
 
 from deadtime.cli.entry import START, AsJson, File, Folder, app, lines
 from deadtime.cli.printing import print_json, print_result, progress_bar, save_figure
@@ -62,7 +64,7 @@ def reproduce(
     help_epilogue=lines(
         "deadtime simulate problem.toml",
         "deadtime simulate paper --out run.svg",
-        "deadtime simulate paper --law averaged --step 0.05 --horizon 8 --x0=1,-1",
+        "deadtime simulate paper --law averaged --step 0.05 --horizon 8 --x0 1,-1",
     ),
 )
 def simulate(
@@ -71,7 +73,7 @@ def simulate(
     law: str | None = None,
     step: float | Literal["ideal"] | None = None,
     horizon: float | None = None,
-    x0: str | None = None,
+    x0: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     out: File = None,
     json_output: AsJson = False,
 ) -> None:
@@ -88,7 +90,7 @@ def simulate(
     horizon
         Length of the run in seconds; the problem's by default.
     x0
-        The state at the start, such as --x0=1,-0.5; the problem's by default.
+        The state at the start, such as --x0 1,-0.5; the problem's by default.
     out
         The figure, PNG, SVG or PDF; next to where you are, named after the problem, by default.
         With several laws a second figure compares them.
