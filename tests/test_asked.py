@@ -74,14 +74,6 @@ def test_monte_carlo_draws_what_the_file_states(file, capsys, signal, options, e
     assert f"Mean sojourn {expected[1]:g} s: {whole}." in text
 
 
-def test_a_mean_sojourn_of_the_file_below_the_dwell_time_asked_for_is_refused(file, capsys):
-    path = file("dwell_time = 0.6\nmean_sojourn = 1.1")
-    code, _, err = run(capsys, "monte-carlo", path, "--dwell-time", "2")
-    assert code == 2
-    assert "mean_sojourn must be above the dwell time, 2 s, got 1.1" in err
-    assert "give a longer one with --mean-sojourn" in err
-
-
 def test_report_bound_and_certificate_ask_about_the_file_s_dwell_time(file, capsys, tmp_path):
     path = file("dwell_time = 0.6\nmean_sojourn = 1.1")
     problem = dt.load_problem(path)
@@ -103,6 +95,8 @@ def test_what_a_problem_does_not_state_is_taken_from_its_signal_and_said():
     assert "never switches" in dwell_time_of(unsaid, still).source
     assert mean_sojourn_of(unsaid, 0.3) == (0.6, "twice the dwell time")
     assert mean_sojourn_of(paper, 0.3) == (0.4, "the problem's mean sojourn")
+    assert mean_sojourn_of(paper, 0.5).value == 1.0
+    assert "the problem's, 0.4 s, is too short" in mean_sojourn_of(paper, 0.5).source
 
 
 def test_comparison_of_a_named_problem_is_about_its_own_dwell_time():
