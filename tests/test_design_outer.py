@@ -11,7 +11,13 @@ import deadtime as dt
 import plants
 from deadtime.cli import main
 from deadtime.design_plots import plot_designs
-from deadtime.design_table import design_record, design_rows, limit_rows, problem_sections
+from deadtime.design_table import (
+    HEADINGS,
+    design_record,
+    design_rows,
+    limit_rows,
+    problem_sections,
+)
 from deadtime.problem_file import load_problem
 
 PLANT = plants.scalar([1.0, 1.1], 1.0, 1.0)
@@ -50,7 +56,7 @@ def test_tables_name_the_chosen_design_and_the_limits(found):
     rows = design_rows(found)
     assert rows[0][0] == "plain"
     assert [row[0] for row in rows].count("chosen") == 1
-    assert all(len(row) == 5 for row in rows)
+    assert all(len(row) == len(HEADINGS) for row in rows)
     names = ("slow", "fast")
     (slow, fast) = limit_rows(found, names)
     assert slow[0] == "slow"

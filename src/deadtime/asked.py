@@ -50,14 +50,19 @@ def dwell_time_of(problem: Problem, signal: SwitchingSignal) -> Given:
 
 
 def mean_sojourn_of(problem: Problem, dwell: float) -> Given:
-    """The mean sojourn that a problem is about; twice the dwell time where it states none.
+    """The mean sojourn that a problem is about, for signals with a dwell time.
+
+    Twice the dwell time where the problem states none, or one that leaves no room above it.
 
     Examples
     --------
     >>> import deadtime as dt
     >>> mean_sojourn_of(dt.problems.paper(), 0.5)
-    Given(value=1.0, source='twice the dwell time')
+    Given(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
     """
-    if problem.mean_sojourn is not None:
-        return Given(problem.mean_sojourn, "the problem's mean sojourn")
-    return Given(2.0 * dwell, "twice the dwell time")
+    mean = problem.mean_sojourn
+    if mean is None:
+        return Given(2.0 * dwell, "twice the dwell time")
+    if mean <= dwell:
+        return Given(2.0 * dwell, f"twice the dwell time; the problem's, {mean:g} s, is too short")
+    return Given(mean, "the problem's mean sojourn")

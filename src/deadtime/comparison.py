@@ -15,6 +15,7 @@ from deadtime.switching import SwitchingSignal
 
 Progress = Callable[[str], None]
 _MOST_PERIODS = 200_000  # of a run in one mode
+_MOST_WORK = 2e9  # of these, times those that a delay holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,9 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
     # Long enough for the slowest root to stand out.
     horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.delay)
     if problem.step is not None:
-        horizon = max(problem.horizon, min(horizon, _MOST_PERIODS * problem.step))
+        held_inputs = problem.plant.delay / problem.step
+        most = min(_MOST_PERIODS, _MOST_WORK / held_inputs)
+        horizon = max(problem.horizon, min(horizon, most * problem.step))
     held = []
     for mode in range(problem.plant.modes):
         progress(f"simulating: {problem.modes[mode]} for ever")

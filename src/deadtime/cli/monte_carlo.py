@@ -64,7 +64,7 @@ def monte_carlo(
         Shortest sojourn, seconds; by default the problem's dwell time, or its signal's.
     mean_sojourn
         Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time where it
-        states none.
+        states none above that.
     seed
         Of the signals.
     backend

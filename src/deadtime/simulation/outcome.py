@@ -119,18 +119,20 @@ def outcome_of(
     norm = np.linalg.norm(states, axis=1)
     start, final, peak = float(norm[0]), float(norm[-1]), float(norm.max())
     kind: Kind
-    rest, settling = None, math.inf
+    rest, settling = None, _settling(time, norm)
     if run.diverged or run.end < horizon:
         kind = "diverged" if run.diverged else "ends early"
         return Outcome(kind, start, final, peak, rest, settling)
     if again is None:
-        rest, settling = np.zeros(states.shape[1]), _settling(time, norm)
         calm = final <= (start or 0.5 * peak)
         kind = "falls" if calm else "grows" if _grows(time, norm) else "bounded"
+        rest = np.zeros(states.shape[1]) if calm else None
     else:
+        if _grows(time, _difference(run, again(), time, norm)):
+            return Outcome("grows", start, final, peak, None, math.inf)
         rest, settling = _rest(time, states)
-        kind = "grows" if _grows(time, _difference(run, again(), time, norm)) else "bounded"
-        if kind == "bounded" and rest is not None:
+        kind = "bounded"
+        if rest is not None:
             kind = "settles" if _norm(rest) > SETTLED * peak else "falls"
     return Outcome(kind, start, final, peak, rest, settling)
 

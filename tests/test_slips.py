@@ -1,0 +1,109 @@
+"""Units mistaken: what does not fit is said, and no work is without bounds."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+from deadtime.certificate_table import delay_sentence, judge
+from deadtime.comparison import compare
+from deadtime.slips import disagreement_of, slips_of
+from deadtime.spectrum.affordable import MOST, left_out, seconds_of
+from deadtime.verdict import verdict
+
+PAPER = dt.problems.paper()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"horizon": 0.9}, ["The delay, 1 s, is not shorter than the horizon, 0.9 s"]),
+        ({"step": 0.3}, ["The step, 0.3 s, is longer than the dwell time, 0.2 s"]),
+        ({"step": 0.3, "dwell_time": None}, ["The step, 0.3 s, is longer than the dwell time"]),
+        ({"step": 15.0, "dwell_time": 20.0}, ["The step, 15 s, is not shorter than the horizon"]),
+        ({"step": 10.0, "horizon": 5.0}, ["The step, 10 s, is not", "The step, 10 s, is longer"]),
+        ({"step": None, "horizon": 0.5}, ["The delay, 1 s"]),
+        ({}, []),
+    ],
+)
+def test_numbers_that_do_not_fit_each_other_are_named(changes, said):
+    found = slips_of(dataclasses.replace(PAPER, **changes))
+    assert len(found) == len(said)
+    assert all(text.startswith(start) for text, start in zip(found, said, strict=True))
+
+
+def test_a_step_to_ask_about_takes_the_place_of_the_problem_s():
+    assert slips_of(PAPER, 0.25)[0].startswith("The step, 0.25 s, is longer than the dwell time")
+
+
+@pytest.mark.parametrize("step", [10.0, 3.0])
+def test_growth_without_switching_is_one_figure_and_a_run_that_differs_is_named(step):
+    result = compare(dataclasses.replace(PAPER, step=step))
+    law = PAPER.laws["averaged"]
+    assert result.growth == tuple(dt.growth_rate(PAPER.plant, law, i, step) for i in (0, 1))
+    apart = [
+        abs(a - b) > 0.1 * max(abs(a), abs(b))
+        for a, b in zip(result.growth, result.measured, strict=True)
+    ]
+    assert bool(disagreement_of(result)) == any(apart)
+    text = " ".join(verdict(result))
+    assert ("the loop at" in text) == any(apart)
+    assert "is longer than the dwell time" in text
+
+
+def test_figures_that_agree_are_not_remarked_on():
+    result = compare(PAPER)
+    assert result.growth == pytest.approx(result.measured, rel=0.05)
+    assert disagreement_of(result) == []
+
+
+@pytest.mark.parametrize("delay", [250.0, 2500.0])
+def test_a_delay_in_milliseconds_is_answered_within_seconds(delay):
+    plant = plants.scalar([-0.2, -0.3], delay=delay)
+    gains = dt.place(plant, [-0.5])
+    law = dt.MeanPredictor(plant, gains.mean(axis=0), gains)
+    problem = dataclasses.replace(
+        PAPER, plant=plant, gains=gains, laws={"mean": law}, x0=np.ones(1), states=(), modes=(),
+        published=(), constants={}, horizon=10.0,
+    )  # fmt: skip
+    began = time.process_time()
+    said = [*verdict(compare(problem)), *delay_sentence(problem)]
+    assert time.process_time() - began < 60.0
+    assert f"The delay, {delay:g} s, is not shorter than the horizon" in " ".join(said)
+    assert said[-1].startswith(f"The delay margin was left out: the delay of {delay:g} s holds D/h")
+    assert f"{delay / 0.01:,.0f} periods of 0.01 s" in said[-1]
+
+
+def test_certificates_of_a_delay_beyond_reach_come_without_a_margin():
+    plant = plants.scalar([-0.2, -0.3], delay=250.0)
+    law = dt.MeanPredictor(plant, [[-0.1]], [[[-0.1]], [[-0.1]]])
+    problem = dataclasses.replace(
+        PAPER, plant=plant, gains=law.gains, laws={"mean": law}, x0=np.ones(1), states=(), modes=()
+    )
+    [judged] = judge(problem, 0.5, 0.01)
+    assert judged.margin is None
+    assert judged.reason.startswith("The delay margin was left out")
+
+
+@pytest.mark.parametrize("asked", ["growth rate", "delay margin", "gain margin"])
+def test_the_step_that_is_proposed_is_affordable(asked):
+    for delay, modes in ((250.0, 2), (90.0, 5), (1e5, 1)):
+        plant = plants.scalar([-0.2] * modes, delay=delay)
+        law = dt.DelayedStateFeedback(plant, np.full((modes, 1, 1), -0.1))
+        why = left_out(asked, plant, law, 0.01)
+        step = float(why.split("longer step, ")[1].split(" s")[0])
+        assert left_out(asked, plant, law, step) == ""
+        assert seconds_of(asked, plant, law, 0.5 * step) > MOST
+    assert left_out(asked, plant, law, None) == ""
+
+
+def test_robustness_leaves_margins_out_where_they_would_take_long():
+    plant = plants.scalar([-0.2, -0.3], delay=60.0)
+    law = dt.MeanPredictor(plant, [[-0.05]], [[[-0.05]], [[-0.05]]])
+    signal = dt.SwitchingSignal.periodic([20.0, 30.0], [0, 1], 200.0)
+    result = dt.robustness(plant, law, signal, [1.0], 61.0, 0.01, scenarios=1)
+    assert result.delay is result.gain is None
+    assert sum("was left out" in sentence for sentence in result.sentences) == 2
