@@ -27,6 +27,13 @@ pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 MEMORY = Path(__file__).parents[1] / "benchmarks" / "explorer_memory.py"
 
 
+async def said(socket, word):
+    """The next message with a word."""
+    while word not in (message := await socket.read_message() or ""):
+        assert message, "the server closed the websocket"
+    return message
+
+
 class Served:
     """Pages of the paper's problem, served in this process; which of them are still alive."""
 
@@ -69,11 +76,11 @@ class Served:
         socket = await websocket_connect(
             HTTPRequest(f"ws{self.url[4:]}ws"), subprotocols=["bokeh", token]
         )
+        await said(socket, "ACK")
         for part in (json.dumps({"msgid": "1", "msgtype": "PULL-DOC-REQ"}), "{}", "{}"):
             await socket.write_message(part)
-        while "PULL-DOC-REPLY" not in (head := str(await socket.read_message())):
-            pass
-        return socket, head + str(await socket.read_message()) + str(await socket.read_message())
+        await said(socket, "PULL-DOC-REPLY")
+        return socket, await said(socket, "roots")
 
     async def until_all_left(self):
         async with asyncio.timeout(60.0):

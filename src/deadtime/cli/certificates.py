@@ -11,6 +11,7 @@ from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
+from deadtime.switching import Rule
 
 if TYPE_CHECKING:
     from deadtime.certificate_table import Judged
@@ -126,20 +127,35 @@ def verify(
         Print the result as JSON instead of text.
     """
     from deadtime.certificates import verify as check
+    from deadtime.certificates.verification import laws_of
 
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
-        result = check(certificate, dwell_time=dwell_time, step=step)
+        result, matches = check(certificate, dwell_time=dwell_time, step=step), None
     else:
         chosen = _with_step(problem_of(problem), step)
         chosen_law = None if law is None else chosen.law(law)
         dwell, period = _asked(chosen, dwell_time)
         result = check(certificate, chosen.plant, chosen_law, dwell_time=dwell, step=period)
+        matches = None
+        if result.proven:
+            laws = laws_of(certificate, chosen.laws if chosen_law is None else {law: chosen_law})
+            matches = {
+                "problem": chosen.name, "laws": laws, "dwell_time": dwell, "step": period
+            }  # fmt: skip
+            if not laws:
+                why = "Rejected: the certificate is about a table of none of the problem's laws."
+                result, matches = replace(result, proven=False, message=why), None
     if json_output:
-        print_json(asdict(result))
+        print_json(asdict(result) | {"matches": matches})
     else:
         _print_verification(result)
+        if matches is not None:
+            print(
+                f"Matches {matches['problem']}: its plant, period {matches['step']:g} s, dwell "
+                f"time {matches['dwell_time']:g} s, and its law {' = '.join(matches['laws'])}."
+            )
     return 0 if result.proven else 1
 
 
@@ -189,9 +205,15 @@ def _asked(problem: Problem, dwell_time: float | None) -> tuple[float, float]:
     """The dwell time and the period that a problem asks about, in seconds."""
     from deadtime.certificate_table import STEP, asked_of
 
-    if dwell_time is None:
-        return asked_of(problem, problem.given_signal)
-    return dwell_time, problem.step or STEP
+    dwell_time = problem.dwell_time if dwell_time is None else dwell_time
+    if dwell_time is not None:
+        return dwell_time, problem.step or STEP
+    if isinstance(problem.signal, Rule):
+        raise ArgumentError(
+            f"dwell_time of {problem.name!r} is not known, for a rule decides the mode by the "
+            "state: give --dwell-time."
+        )
+    return asked_of(problem, problem.signal)
 
 
 def _print_verification(result: Verification) -> None:
