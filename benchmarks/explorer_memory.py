@@ -57,7 +57,7 @@ async def get(url: str) -> str:
 
 async def said(socket: WebSocketClientConnection, word: str) -> None:
     """Wait for a message."""
-    while word not in (message := await socket.read_message() or ""):
+    while word not in (message := str(await socket.read_message() or "")):
         assert message, "the server closed the websocket"
 
 

@@ -29,7 +29,7 @@ MEMORY = Path(__file__).parents[1] / "benchmarks" / "explorer_memory.py"
 
 async def said(socket, word):
     """The next message with a word."""
-    while word not in (message := await socket.read_message() or ""):
+    while word not in (message := str(await socket.read_message() or "")):
         assert message, "the server closed the websocket"
     return message
 
