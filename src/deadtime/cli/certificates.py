@@ -129,24 +129,23 @@ def verify(
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
 
+    matches = None
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
-        result, matches = check(certificate, dwell_time=dwell_time, step=step), None
+        result = check(certificate, dwell_time=dwell_time, step=step)
     else:
         chosen = _with_step(problem_of(problem), step)
-        chosen_law = None if law is None else chosen.law(law)
+        laws = {law: chosen.law(law)} if law is not None else chosen.laws
         dwell, period = _asked(chosen, dwell_time)
-        result = check(certificate, chosen.plant, chosen_law, dwell_time=dwell, step=period)
-        matches = None
-        if result.proven:
-            laws = laws_of(certificate, chosen.laws if chosen_law is None else {law: chosen_law})
-            matches = {
-                "problem": chosen.name, "laws": laws, "dwell_time": dwell, "step": period
-            }  # fmt: skip
-            if not laws:
-                why = "Rejected: the certificate is about a table of none of the problem's laws."
-                result, matches = replace(result, proven=False, message=why), None
+        only = None if law is None else laws[law]
+        result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period)
+        names = laws_of(certificate, laws) if result.proven else []
+        if names:
+            matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
+        elif result.proven:
+            why = "Rejected: the certificate is about a table of none of the problem's laws."
+            result = replace(result, proven=False, message=why)
     if json_output:
         print_json(asdict(result) | {"matches": matches})
     else:
