@@ -311,9 +311,7 @@ class Page:
         right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
         phone = _on_a_phone()
         # There the drawer lies over the header, and so over the button that opened it.
-        closing = pmui.Button(
-            label="Close", icon="close", variant="outlined", visible=phone, **WIDE
-        )
+        closing = pmui.Button(label="Close", variant="outlined", visible=phone, **WIDE)
         page = pmui.Page(
             title="deadtime explorer",
             sidebar=[closing, choice, upload, *self.actions.downloads(), groups],
@@ -328,7 +326,11 @@ class Page:
             ],
             theme_toggle=True,
         )  # fmt: skip
-        closing.on_click(lambda _: page.param.update(sidebar_open=False))
+
+        def close(_: Any) -> None:
+            page.sidebar_open = False
+
+        closing.on_click(close)
         return page
 
 
