@@ -21,7 +21,7 @@ from pathlib import Path
 
 from machine import heading
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
-from tornado.websocket import websocket_connect
+from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 WARM, MOST = 50, 50.0  # visitors; MB
 REST = 20.0  # seconds after which the server has let go of who left
@@ -55,6 +55,12 @@ async def get(url: str) -> str:
     return answer.body.decode()
 
 
+async def said(socket: WebSocketClientConnection, word: str) -> None:
+    """Wait for a message."""
+    while word not in (message := str(await socket.read_message() or "")):
+        assert message, "the server closed the websocket"
+
+
 async def visit(url: str) -> None:
     """What a browser does: the page, its websocket, the document; then it leaves."""
     found = re.search(r'"token":"([^"]+)"', await get(url))
@@ -63,10 +69,10 @@ async def visit(url: str) -> None:
     socket = await websocket_connect(
         request, subprotocols=["bokeh", found[1]], max_message_size=10**8
     )
+    await said(socket, "ACK")
     for part in (json.dumps({"msgid": "1", "msgtype": "PULL-DOC-REQ"}), "{}", "{}"):
         await socket.write_message(part)
-    while "PULL-DOC-REPLY" not in str(await socket.read_message()):
-        pass
+    await said(socket, "PULL-DOC-REPLY")
     socket.close()
 
 

@@ -28,7 +28,9 @@ from deadtime.app.script import script_of
 from deadtime.app.settings import Drawn, Given, Settings, draft_of
 from deadtime.app.table import csv_of
 from deadtime.app.workers import Workers
+from deadtime.colours import looks_of
 from deadtime.problem_file import load_problem
+from deadtime.run_plots import plot_laws
 
 # Three modes, two inputs, a delay of 7.3 periods, a plant that is not the laws' model.
 OWN = """# my plant
@@ -258,6 +260,60 @@ def test_the_oracle_is_compared_with_though_it_is_not_chosen(own):
     assert without.oracle == among.metrics["oracle"]["cost"]
     assert among.ratio("oracle") == 1.0
     assert without.ratio("averaged") == among.ratio("averaged")
+
+
+OBSERVED = """
+[observer]
+kind = "luenberger"
+C = [[1.0, 0.0]]
+poles = [-6.0, -7.0]
+"""
+
+
+def observed(kinds, tmp_path):
+    path = tmp_path / "observed.toml"
+    laws = "".join(f'\n[[law]]\nkind = "{kind}"\n' for kind in kinds)
+    path.write_text(
+        OWN[: OWN.index("[[law]]")].replace("[truth]\ndelay = 0.37\n", "") + OBSERVED + laws
+    )
+    return open_named(str(path))
+
+
+def test_the_oracle_of_a_problem_with_an_observer_measures_what_the_laws_do(tmp_path):
+    shown = observed(["averaged", "exact"], tmp_path)
+    outcome = run_draft(shown.draft, shown.source)
+    names = list(outcome.runs)
+    assert outcome.ratio(names[1]) == 1.0
+    left_out = observed(["averaged"], tmp_path)
+    alone = run_draft(left_out.draft, left_out.source)
+    assert alone.oracle == outcome.oracle
+    assert alone.ratio(names[0]) == outcome.ratio(names[0]) != 1.0
+    assert "on estimates of the same observer" in table_of(alone, list(alone.runs))
+
+
+def test_laws_have_the_colours_of_the_figure(own):
+    page = Page(own, None)
+    chosen = ["mean", "averaged", "oracle", "expected"]
+    page.controls.laws.value = [law for law in page.offer if law in chosen]
+    figure = plot_laws(page.outcome.runs, laws=list(page.offer))
+    drawn = {str(line.get_label()): line.get_color() for line in figure.axes[0].get_lines()}
+    looks = looks_of(list(page.offer))
+    assert len(set(looks.values())) == len(looks)
+    assert set(drawn) == set(page.outcome.runs) >= {"averaged", "oracle", "expected"}
+    for law, colour in drawn.items():
+        renderer = page.figures.mismatch.select(name=law)[0]
+        assert renderer.glyph.line_color == colour == looks[law].colour
+        row = page.costs.object.partition(f"data-law='{law}'")[2].partition("</tr>")[0]
+        assert f"border-top-color: {colour}" in row
+
+
+def test_a_trial_of_an_upload_counts_no_time_that_others_took(monkeypatch):
+    def slept(draft, source):
+        time.sleep(0.2)
+
+    monkeypatch.setattr(jobs, "run_draft", slept)
+    _, seconds = jobs.try_upload("mixer.toml", OWN.encode())
+    assert seconds < 0.1
 
 
 def test_a_law_that_cannot_run_says_why_and_the_others_do(own, workers):

@@ -1,7 +1,9 @@
 """`deadtime certify` and `verify`, on answers that are made up and on real ones."""
 
 import json
+import re
 from importlib import import_module
+from importlib.resources import files
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 import deadtime as dt
 from certificate_reference import rewritten
 from deadtime.certificates import Verification
+from deadtime.certificates.proof.archive import digest
 from deadtime.cli import main
 
 WITNESS = SimpleNamespace(
@@ -193,10 +196,14 @@ def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys
     ):
         code, out, _ = run(capsys, "verify", str(saved), "--problem", "follower", *slow, *asked)
         assert (code, out[:7]) == (0, "Proved:"), asked
+        matches = "\nMatches follower: its plant, period 0.1 s, dwell time "
+        assert matches in out
+        assert out.endswith("its law averaged.\n")
     for asked, message in (
         (("follower", *slow, "--law", "mean"), "another table than that of the given law"),
         (("follower", *slow, "--dwell-time", "0.9"), ", not 0.9 s"),
         (("follower",), "is about a period of 0.1 s, not "),
+        (("follower",), "ask with a step of 0.1 (--step)"),
         (("paper", *slow), "a plant with other matrices"),
     ):
         code, out, err = run(capsys, "verify", str(saved), "--problem", *asked)
@@ -210,6 +217,52 @@ def test_verify_compares_plant_period_dwell_time_and_table_with_a_problem(capsys
     for part, value in (("law", {"context": ["mode"]}), ("", {"rho": 10**400})):
         code, out, err = run(capsys, "verify", str(rewritten(copied(saved, tmp_path), part, value)))
         assert (code, out, err.count("\n")) == (2, "", 1)
+
+
+def test_the_match_with_a_problem_is_data_too(capsys, saved):
+    code, out, _ = run(
+        capsys, "verify", str(saved), "--problem", "follower", "--step", "0.1", "--json"
+    )
+    assert code == 0
+    matches = json.loads(out)["matches"]
+    assert matches.pop("dwell_time") >= 1.0
+    assert matches == {"problem": "follower", "laws": ["averaged"], "step": 0.1}
+    _, out, _ = run(capsys, "verify", str(saved), "--json")
+    assert json.loads(out)["matches"] is None
+
+
+def test_a_certificate_of_a_law_that_the_problem_lacks_is_rejected(capsys, saved, tmp_path):
+    text = files("deadtime").joinpath("templates/follower.toml").read_text()
+    other = tmp_path / "other.toml"
+    other.write_text(f'{text}\n[[law]]\nkind = "mean"\n')
+    code, out, _ = run(capsys, "verify", str(saved), "--problem", str(other), "--step", "0.1")
+    assert code == 1
+    assert out.startswith("Rejected: the certificate is about a table of none of")
+    assert "Matches" not in out
+
+
+@pytest.mark.parametrize(
+    ("section", "entry"), [("", "rho"), ("plant", "A"), ("law", "G"), ("signals", "chatter")]
+)
+def test_a_certificate_without_an_entry_names_it(capsys, saved, tmp_path, section, entry):
+    content = json.loads(saved.read_text())
+    del (content[section] if section else content)[entry]
+    del content["sha256"]
+    content["sha256"] = digest(content)
+    path = tmp_path / "cut.json"
+    path.write_text(json.dumps(content))
+    code, _, err = run(capsys, "verify", str(path))
+    assert (code, err.count("\n")) == (2, 1)
+    assert repr(entry) in err
+
+
+def test_certify_asks_for_the_dwell_time_of_a_rule(capsys, tmp_path):
+    paper = files("deadtime").joinpath("templates/paper.toml").read_text()
+    rule = '[signal]\nkind = "half-space"\nnormal = [1.0, 0.0]\n\n'
+    (tmp_path / "own.toml").write_text(re.sub(r"(?ms)^\[signal\].*?(?=^\[run\])", rule, paper))
+    code, _, err = run(capsys, "certify", str(tmp_path / "own.toml"))
+    assert (code, err.count("\n")) == (2, 1)
+    assert "give --dwell-time" in err
 
 
 def copied(path, folder):

@@ -27,18 +27,27 @@ pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 MEMORY = Path(__file__).parents[1] / "benchmarks" / "explorer_memory.py"
 
 
+async def said(socket, word):
+    """The next message with a word."""
+    while word not in (message := str(await socket.read_message() or "")):
+        assert message, "the server closed the websocket"
+    return message
+
+
 class Served:
     """Pages of the paper's problem, served in this process; which of them are still alive."""
 
     def __init__(self, most):
         document = open_named("paper")
         self.opening = Opening.of(document)
+        self.made = 0
         self.alive = weakref.WeakSet()
         self.documents = weakref.WeakSet()
         self.sessions = Sessions(self.make, most)
 
     def make(self):
         page = Page(self.opening.document, None, self.opening)
+        self.made += 1
         self.alive.add(page)
         self.documents.add(pn.state.curdoc)
         return page
@@ -69,11 +78,11 @@ class Served:
         socket = await websocket_connect(
             HTTPRequest(f"ws{self.url[4:]}ws"), subprotocols=["bokeh", token]
         )
+        await said(socket, "ACK")
         for part in (json.dumps({"msgid": "1", "msgtype": "PULL-DOC-REQ"}), "{}", "{}"):
             await socket.write_message(part)
-        while "PULL-DOC-REPLY" not in (head := str(await socket.read_message())):
-            pass
-        return socket, head + str(await socket.read_message()) + str(await socket.read_message())
+        await said(socket, "PULL-DOC-REPLY")
+        return socket, await said(socket, "roots")
 
     async def until_all_left(self):
         async with asyncio.timeout(60.0):
@@ -89,8 +98,8 @@ def test_nothing_stays_of_sessions_that_are_over():
                 await served.get()
                 socket, _ = await served.connect()
                 socket.close()
-            assert len(served.server.get_sessions("/")) == 4
             await served.until_all_left()
+            assert served.made >= 4
             return len(served.alive), len(served.documents)
 
     gc.disable()  # the sweep after sessions is to find them

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from deadtime.errors import ArgumentError
 from deadtime.problems import Problem
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import Rule, SwitchingSignal
 
 STEP = 0.01  # for problems whose loop is ideal, seconds
 
@@ -22,7 +23,7 @@ class Given(NamedTuple):
     source: str
 
 
-def dwell_time_of(problem: Problem, signal: SwitchingSignal) -> Given:
+def dwell_time_of(problem: Problem, signal: SwitchingSignal | Rule) -> Given:
     """The dwell time that a problem is about.
 
     The problem's own; where it states none, that of the signal, down to whole periods: what holds
@@ -41,6 +42,11 @@ def dwell_time_of(problem: Problem, signal: SwitchingSignal) -> Given:
     """
     if problem.dwell_time is not None:
         return Given(problem.dwell_time, "the problem's dwell time")
+    if isinstance(signal, Rule):
+        raise ArgumentError(
+            f"dwell_time of {problem.name!r} is not known, for a rule decides the mode by the "
+            "state: give --dwell-time."
+        )
     if not math.isfinite(signal.dwell_time):
         return Given(problem.horizon, "the horizon, since its signal never switches")
     step = problem.step or STEP

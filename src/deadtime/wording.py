@@ -120,6 +120,17 @@ def compact(value: float) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things, of which the noun is one.
+
+    Examples
+    --------
+    >>> counted(1, "input"), counted(2, "input")
+    ('1 input', '2 inputs')
+    """
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def subscript(number: int) -> str:
     """Digits below the line.
 

@@ -29,7 +29,6 @@ from deadtime.problems import NAMED
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
 _TRIAL = 60.0  # seconds after which a trial of an uploaded problem is stopped
-_ABOVE = 1400  # of the header, whose button closes the drawer: a drawer over a page has 1300
 _LONG = 200  # characters of a title that are shown
 _SLOW = 1.0  # seconds of a processor above which a page cannot follow every move
 
@@ -311,12 +310,14 @@ class Page:
         )  # fmt: skip
         left = pmui.Column(self.message, self.about, self.panels, *self.actions.drawing())
         right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
-        return pmui.Page(
+        phone = _on_a_phone()
+        # There the drawer lies over the header, and so over the button that opened it.
+        closing = pmui.Button(label="Close", variant="outlined", visible=phone, **WIDE)
+        page = pmui.Page(
             title="deadtime explorer",
-            sidebar=[choice, upload, *self.actions.downloads(), groups],
+            sidebar=[closing, choice, upload, *self.actions.downloads(), groups],
             sidebar_width=330,
-            sidebar_open=not _on_a_phone(),
-            sx={"& .header": {"zIndex": _ABOVE}},
+            sidebar_open=not phone,
             main=[
                 pmui.Grid(
                     pmui.Grid(left, size={"xs": 12, "lg": 7}),
@@ -326,6 +327,12 @@ class Page:
             ],
             theme_toggle=True,
         )  # fmt: skip
+
+        def close(_: Any) -> None:
+            page.sidebar_open = False
+
+        closing.on_click(close)
+        return page
 
 
 def _on_a_phone() -> bool:

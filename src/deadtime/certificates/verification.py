@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +17,10 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
 from deadtime.certificates.proof.validate import malformed
 from deadtime.checks import count, instance, number, positive
+from deadtime.errors import DeadtimeError
 from deadtime.laws.base import Law, TableLaw
 from deadtime.plant import SwitchedSystem
+from deadtime.wording import counted
 
 SHOWN = 12  # digits of a digest
 FIRST = 4  # numbers of an array
@@ -74,9 +78,13 @@ class Asked:
                 return "the certificate is about a plant with other matrices."
             low, high = setting.delays
             if not low <= plant.delay <= high:
-                return f"the certificate is about a plant with a delay in [{low}, {high}] s."
+                delay = f"of {low!r} s" if low == high else f"in [{low!r}, {high!r}] s"
+                return f"the certificate is about a plant with a delay {delay}."
         if step is not None and step != setting.step:
-            return f"the certificate is about a period of {setting.step!r} s, not {step!r} s."
+            return (
+                f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
+                f"loop's is that of the certificate, ask with a step of {setting.step!r} (--step)."
+            )
         if law is None:
             return ""
         if not isinstance(law, TableLaw):
@@ -200,6 +208,23 @@ def verify(
     return Verification(True, message, sentences, decay_rate(evidence), seconds, about)
 
 
+def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
+    """Which of some laws the table of a certificate's file is that of, by their names.
+
+    Raises
+    ------
+    CertificateFileError
+        If the file is missing, cut short, altered, or no certificate.
+    """
+    setting = load_evidence(Path(path)).evidence.setting
+    found = []
+    for name, law in laws.items():
+        with suppress(DeadtimeError):  # a law without a table of its own at this period
+            if not Asked(law=law).missing_from(setting):
+                found.append(name)
+    return found
+
+
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     """What a certificate is about, so that a reader can tell it from another one."""
     corners, modes, n, m = setting.B.shape
@@ -208,11 +233,13 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     polytope = f", a polytope of {corners} plants" if corners > 1 else ""
     rows, taps = setting.G.shape[:2]
     return (
-        f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: {modes} modes, "
-        f"{n} states, {m} inputs, delay {delay}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
+        f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: "
+        f"{counted(modes, 'mode')}, {counted(n, 'state')}, {counted(m, 'input')}, "
+        f"delay {delay}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
         f"B[0] = {_first(setting.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
-        f"{setting.context}, {rows} rows of {taps} past inputs; state gain {_first(setting.F[0])}",
+        f"{setting.context}, {counted(rows, 'row')} of {counted(taps, 'past input')}; "
+        f"state gain {_first(setting.F[0])}",
         f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )

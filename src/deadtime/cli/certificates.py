@@ -127,20 +127,35 @@ def verify(
         Print the result as JSON instead of text.
     """
     from deadtime.certificates import verify as check
+    from deadtime.certificates.verification import laws_of
 
+    matches = None
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
         result = check(certificate, dwell_time=dwell_time, step=step)
     else:
         chosen = _with_step(problem_of(problem), step)
-        chosen_law = None if law is None else chosen.law(law)
+        laws = {law: chosen.law(law)} if law is not None else chosen.laws
         asked, period = _asked(chosen, dwell_time)
-        result = check(certificate, chosen.plant, chosen_law, dwell_time=asked.value, step=period)
+        dwell = asked.value
+        only = None if law is None else laws[law]
+        result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period)
+        names = laws_of(certificate, laws) if result.proven else []
+        if names:
+            matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
+        elif result.proven:
+            why = "Rejected: the certificate is about a table of none of the problem's laws."
+            result = replace(result, proven=False, message=why)
     if json_output:
-        print_json(asdict(result))
+        print_json(asdict(result) | {"matches": matches})
     else:
         _print_verification(result)
+        if matches is not None:
+            print(
+                f"Matches {matches['problem']}: its plant, period {matches['step']:g} s, dwell "
+                f"time {matches['dwell_time']:g} s, and its law {' = '.join(matches['laws'])}."
+            )
     return 0 if result.proven else 1
 
 
@@ -190,9 +205,9 @@ def _asked(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
     """The dwell time and the period that a problem asks about, in seconds."""
     from deadtime.asked import STEP, Given, dwell_time_of
 
-    if dwell_time is None:
-        return dwell_time_of(problem, problem.given_signal), problem.step or STEP
-    return Given(dwell_time, "as asked"), problem.step or STEP
+    if dwell_time is not None:
+        return Given(dwell_time, "as asked"), problem.step or STEP
+    return dwell_time_of(problem, problem.signal), problem.step or STEP
 
 
 def _print_verification(result: Verification) -> None:

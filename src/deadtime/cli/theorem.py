@@ -38,7 +38,7 @@ def bound(
     from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
 
     chosen = problem_of(problem)
-    dwell, source = dwell_time_of(chosen, chosen.given_signal)
+    dwell, source = dwell_time_of(chosen, chosen.signal)
     if dwell_time is not None:
         dwell, source = positive("dwell_time", dwell_time), "as asked"
     bounds = bounds_of(chosen, dwell)

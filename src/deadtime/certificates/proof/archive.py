@@ -96,6 +96,13 @@ def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
     return {"lyapunov": V, "hints": hints | {"Pi": _packed(evidence.Pi)}}
 
 
+def _fault(error: Exception) -> str:
+    """What is wrong with the content; an entry by its name, if one is missing or not known."""
+    if isinstance(error, KeyError):
+        return f"it lacks the entry {error.args[0]!r}"
+    return f"{error!s:.200}" if type(error) is ValueError else f"{error!r:.200}"
+
+
 def load_evidence(path: Path) -> Archived:
     """The evidence of a file.
 
@@ -110,7 +117,7 @@ def load_evidence(path: Path) -> Archived:
         KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, binascii.Error
     ) as error:  # fmt: skip
         raise CertificateFileError(
-            f"path {str(path)!r} lacks parts of a certificate ({error!r:.200})."
+            f"path {str(path)!r} is not a whole certificate: {_fault(error)}."
         ) from None
 
 
