@@ -92,7 +92,8 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         return found
     if place.tables and kind in (*_TABLE, "list_type"):
         return _no_table(name, given, place)
-    return _in_words_of_pydantic(name, [item for item, _ in group])
+    whole = ".".join(map(str, (name, *place.item)))
+    return _in_words_of_pydantic(whole, [item for item, _ in group])
 
 
 def _advice(key: str, known: Sequence[str]) -> str:

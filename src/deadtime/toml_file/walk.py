@@ -30,6 +30,8 @@ class Place:
         Whether the key holds tables.
     listed : bool
         Whether it holds a list of them, and the path does not say which.
+    item : tuple of int
+        The number of an item, in a list of anything but tables.
     """
 
     path: Keys
@@ -37,6 +39,7 @@ class Place:
     siblings: tuple[str, ...]
     tables: bool
     listed: bool
+    item: tuple[int, ...] = ()
 
 
 def place_of(location: tuple[str | int, ...], model: type[BaseModel]) -> Place:
@@ -49,10 +52,10 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel]) -> Place:
     models: Models = [model]
     around: Models = [model]
     field: FieldInfo | None = None
+    item: list[int] = []
     for part in location:
         if isinstance(part, int):
-            if models:
-                path.append(part)
+            (path if models else item).append(part)
             continue
         if _is_no_key(part, models):
             if chosen := _chosen(part, models):
@@ -65,7 +68,7 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel]) -> Place:
     siblings = tuple(dict.fromkeys(name for one in around for name in one.model_fields))
     inside = bool(path) and isinstance(path[-1], int)
     listed = bool(models) and not inside and _is_list(field)
-    return Place(tuple(path), field, siblings, bool(models), listed)
+    return Place(tuple(path), field, siblings, bool(models), listed, tuple(item))
 
 
 def _is_no_key(part: str, models: Models) -> bool:
