@@ -27,7 +27,7 @@ NAMES = {
     "trigraph": "what??/",
     "markup": "<&> \"quoted\" 'single' ]]>",
     "no character": "\ufffe\uffff\ud800",
-    "plain": "Größe in m/s² 温度",
+    "plain": "Größe in m/s², α",
 }
 
 
