@@ -28,7 +28,16 @@ RINGS = (
     ("monte_carlo", "robustness"),
     ("problems",),
     ("asked",),
-    ("comparison", "slips", "verdict", "plotting", "audit", "audit_plots", "constants_table"),
+    (
+        "comparison",
+        "slips",
+        "verdict",
+        "plotting",
+        "colours",
+        "audit",
+        "audit_plots",
+        "constants_table",
+    ),
     ("fit_plots", "fit_report", "toml_file", "certificate_table", "tightness"),
     (
         "margin_plots",

@@ -9,6 +9,7 @@ import deadtime as dt
 from deadtime.asked import dwell_time_of, mean_sojourn_of
 from deadtime.cli import main
 from deadtime.comparison import compare
+from deadtime.problem_file import load_problem
 from deadtime.report import write_report
 
 FILE = """
@@ -76,7 +77,7 @@ def test_monte_carlo_draws_what_the_file_states(file, capsys, signal, options, e
 
 def test_report_bound_and_certificate_ask_about_the_file_s_dwell_time(file, capsys, tmp_path):
     path = file("dwell_time = 0.6\nmean_sojourn = 1.1")
-    problem = dt.load_problem(path)
+    problem = load_problem(path)
     assert problem.signal.dwell_time > 0.6
     page = write_report(problem, tmp_path / "report").path.read_text(encoding="utf-8")
     assert page.count("0.6 s (the problem&#39;s dwell time)") == 2

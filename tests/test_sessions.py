@@ -84,11 +84,11 @@ class Served:
         await said(socket, "PULL-DOC-REPLY")
         return socket, await said(socket, "roots")
 
-    async def until_all_left(self):
-        async with asyncio.timeout(60.0):
-            while self.server.get_sessions("/"):
+    async def until_nothing_is_left(self):
+        """Wait for the end of all sessions, and for the sweep after them."""
+        async with asyncio.timeout(120.0):
+            while self.server.get_sessions("/") or self.alive or self.documents:
                 await asyncio.sleep(0.1)
-        await asyncio.sleep(1.5)  # until the sweep
 
 
 def test_nothing_stays_of_sessions_that_are_over():
@@ -98,13 +98,12 @@ def test_nothing_stays_of_sessions_that_are_over():
                 await served.get()
                 socket, _ = await served.connect()
                 socket.close()
-            await served.until_all_left()
-            assert served.made >= 4
-            return len(served.alive), len(served.documents)
+            await served.until_nothing_is_left()
+            return served.made
 
     gc.disable()  # the sweep after sessions is to find them
     try:
-        assert asyncio.run(visit()) == (0, 0)
+        assert asyncio.run(visit()) >= 4
     finally:
         gc.enable()
 
@@ -116,7 +115,7 @@ def test_a_visitor_too_many_is_asked_to_come_later_and_then_served():
             second, refused = await served.connect()
             first.close()
             second.close()
-            await served.until_all_left()
+            await served.until_nothing_is_left()
             third, later = await served.connect()
             third.close()
             return shown, refused, later

@@ -96,10 +96,12 @@ class Actions:
         return [pmui.FlexBox(*self._downloads, margin=(5, 6))]
 
     def _download(self, label: str, ending: str, make: Callable[[], bytes]) -> pmui.FileDownload:
-        return pmui.FileDownload(
-            label=label, filename=ending, variant="outlined", size="small",
+        button = pmui.FileDownload(
+            label=label, filename=ending, size="small",
             callback=lambda: io.BytesIO(make()), margin=4, tags=[ending],
         )  # fmt: skip
+        button.variant = "outlined"  # as an argument Panel warns of it
+        return button
 
     def figure(self) -> bytes:
         """The figure of what is shown, PNG."""
