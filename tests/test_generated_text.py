@@ -124,7 +124,7 @@ def test_a_script_runs_under_its_own_name_in_an_empty_folder(tmp_path, name):
 
 
 @needs_compiler
-@pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only", "-Ofast"])
+@pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])
 def test_mathematics_without_nan_is_refused_by_the_file_itself(tmp_path, monkeypatch, option):
     dt.Controller(plants.LAWS["averaged"](plants.generic()), 0.1).export_c(tmp_path)
     command = compiler.compiler()

@@ -146,7 +146,7 @@ def test_ideal_step_runs_the_ideal_loop(tmp_path):
 BAD = [
     ("poles = [-1.0, -2.0]", "K = [[[1.0, 1.0]], [[1.0, 1.0]]]", r"\[gains\]: gains\[0\] leaves A \+ B K of mode 0"),
     ("poles = [-1.0, -2.0]", 'poles = ["-4+2i", "-4-2i"]', r'poles must be .*, got \'-4\+2i\': write "-4\+2j"'),
-    ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "[[[0.0, 1.0]], [[0.0, 1.1]]]", r"line 4, \[plant\]: B must have shape \(modes, n, m\) = \(2, 2, m\), got \(2, 1, 2\): write each row as a column"),
+    ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "[[[0.0, 1.0]], [[0.0, 1.1]]]", r"line 4, \[plant\]: B must have shape \(modes, n, m\) = \(2, 2, 1\), got \(2, 1, 2\): pass the transpose"),
     ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "[[0.0, 1.0], [0.0, 1.1]]", r"line 4: plant\.B must have shape \(modes, n, m\), got \(2, 2\): .* such as B = \[\[\[0\.0\], \[1\.0\]\],"),
     ("[[[0.0], [1.0]], [[0.0], [1.1]]]", "0.0", r"line 4: plant\.B must have shape \(modes, n, m\), got \(\); such as B = "),
     ("x0 = [1.0, 0.0]", "x0 = [[1.0], [0.0]]", r"line 15: run\.x0 must have shape \(n,\), got \(2, 1\); such as x0 = \[1\.0, 0\.0\]"),
@@ -157,7 +157,8 @@ BAD = [
     ("step = 0.1", "step = 0.1\n[servo]\npoles = [-1.0]", r"line 18: servo is not known: it can be one of title, source, plant"),
     ("step = 0.1", "step = 0.1\nreference = 1.0", r"line 18: run\.reference is not known: it can be one of x0, horizon, step"),
     ("step = 0.1", 'step = 0.1\n[switching]\nkind = "semi-markov"\nsojourn = { distribution = "expon", scale = {} }', r"line 20: switching\.sojourn\.scale: input should be a valid number"),
-    ("[[0.5, 1.0]", "[[1e308, 1e308]", r"line 6, \[gains\]: its numbers are too large, or too far apart"),
+    ("[[0.5, 1.0]", "[[1e308, 1e308]", r"line 2, \[plant\]: delay must be short enough for e\^\(A·delay\)"),
+    ("[[0.5, 1.0]", "[[1e300, 1e300]", r"line 6, \[gains\]: its numbers are too large, or too far apart"),
     ("delay = 0.35", "dealy = 0.35", r"line 2: plant\.dealy is not known: did you mean delay\?"),
     ("delay = 0.35\n", "", r"line 1: plant\.delay is missing: add it\."),
     ("[run]", "[rnu]", r"line 14: rnu is not known: did you mean run\?"),

@@ -255,7 +255,7 @@ def test_a_file_about_another_plant_or_law_is_no_answer(saved):
     assert dt.verify(saved, plant, law).proven
     for other, message in (
         ({"plant": designed(0.31, 0.234)[0]}, "a plant with other matrices"),
-        ({"plant": designed(0.3, 0.235)[0]}, "a plant with a delay in"),
+        ({"plant": designed(0.3, 0.235)[0]}, "a plant with a delay of"),
         ({"law": designed(0.3, 0.234, 0.1635)[1]}, "another table than that of the given law"),
         ({"law": designed(0.3, 0.234)[1]}, "another table than that of the given law"),
     ):

@@ -43,7 +43,7 @@ def unmoved(plants: Sequence[SwitchedSystem]) -> str:
 
 def neutral(mode: int, growth: float) -> str:
     """Why there is no certificate where a constant mode neither grows nor decays."""
-    rate = 0.0 if abs(growth) < 1e-9 else growth
+    rate = 0.0 if abs(growth) < 1e-9 else growth  # round-off
     return (
         f"Held in mode {mode} the loop neither grows nor decays (its growth rate is {rate:.2g} "
         "1/s, as an integrator's that the law leaves alone), so that no decay can be proved, and "

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from deadtime.certificates.clock import CLOCK_TOLERANCE, MOST_PERIODS
 from deadtime.certificates.margins.bracket import GROWS, Bracket, Questions, bracket
-from deadtime.certificates.proof.evidence import CLOCK_TOLERANCE
 from deadtime.checks import instance, number, positive
 from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law, require_match
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not described
 CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
 DOUBLINGS = 6  # of that, before giving up
-MOST_PERIODS = 50_000
 SAME = 1e-12  # of a dwell time, in 1/τ_d and back
 
 
@@ -126,7 +125,7 @@ def least_dwell_time(
             f"{max(rates):+.4g} 1/s."
         )
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    longest = _certified(questions, _calm(step, max(rates)))
+    longest = _certified(questions, _calm(step, max(rates)), MOST_PERIODS * step)
     if longest is None:
         return _without_proof(questions, worst)
     grows = worst.growth_rate > GROWS and worst.proven
@@ -159,15 +158,17 @@ def _questions(plant: SwitchedSystem, law: Law, step: float) -> Questions:
 
 def _calm(step: float, slowest: float) -> float:
     """A dwell time after which not much is left of what a switch stirred up."""
-    return max(4.0 * step, min(CALM / max(-slowest, 1e-9), MOST_PERIODS * step))
+    return max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
 
 
-def _certified(questions: Questions, dwell_time: float) -> float | None:
-    """A dwell time that is certified: this one, or up to 2^6 times as long."""
+def _certified(questions: Questions, dwell_time: float, most: float) -> float | None:
+    """A dwell time below `most` that is certified: this one, or up to 2^6 times as long."""
     for _ in range(DOUBLINGS + 1):
         if questions.proof(1.0 / dwell_time).stable:
             return dwell_time
         dwell_time = 2.0 * dwell_time
+        if dwell_time >= most:
+            break
     return None
 
 
