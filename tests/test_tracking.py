@@ -326,7 +326,7 @@ ZERO = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -1.0]]], [[[0.0], [1.0]]], 0.3)
         ),
         (
             lambda: SERVO.place([1.0, 2.0, 3.0, 4.0, 5.0]),
-            "gains must make (x, q) decay in every mode",
+            "poles of mode 0 must have negative real parts, got 5",
         ),
         (
             lambda: tracking(reference=([0.0, 1.0], [1.0, 2.0, 3.0])),

@@ -92,7 +92,7 @@ def robustness(
     Errors of delay and gain are those that leave every constant mode stable, exact from the
     spectrum; where a delay of very many periods would make them take long they are left out, and a
     sentence says so. The rest is simulated on the given signal: a run counts as lost when it
-    diverges, or its loop grows; |x| may well end above where it started where something pushes it.
+    diverges, its loop grows, or |x| ends above where it started though nothing pushes it.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Tolerances by simulation: how far an imperfection may go before runs are lost.
 
-A run is lost when it diverges, ends early, or its loop grows (`simulation.outcome`): x is not lost
-where a force or a reference holds it elsewhere. An imperfection is tolerated up to a value if none
+A run is lost when it diverges, ends early, or its loop grows (`simulation.outcome`), and where
+nothing pushes x also when |x| ends above where it started; x is not lost where a force or a
+reference holds it elsewhere. An imperfection is tolerated up to a value if none
 of the runs with it is lost there, or at any smaller value that was tried.
 """
 
@@ -49,7 +50,8 @@ class Setting:
             run = self._run(self.x0, more, i)
             again = partial(self._run, elsewhere(self.x0), more, i) if moved else None
             cost[i] = run.metrics()["cost"]
-            lost[i] = outcome_of(run, self.horizon, again).lost
+            outcome = outcome_of(run, self.horizon, again)
+            lost[i] = outcome.lost or (not moved and outcome.kind == "bounded")
         return cost, lost
 
     def _run(self, x0: np.ndarray, more: Sequence[Imperfection], scenario: int) -> Trajectory:
