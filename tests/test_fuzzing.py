@@ -8,6 +8,9 @@ import pytest
 from fuzzing import targets
 from fuzzing.runner import fuzz
 
+# The runner forks, which processes that hold the threads of other tests must not.
+pytestmark = pytest.mark.long
+
 COUNTS = {"problem": 150, "study": 150, "log": 400, "certificate": 100, "store": 100}
 
 
