@@ -13,7 +13,7 @@ from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 
 MOST = 10.0  # seconds
-_FEW = 500.0  # values in the pipe, W m: up to there nothing takes long
+_FEW = 500.0  # inputs in flight, W m: up to there nothing takes long
 # Seconds per mode and (W m)², measured on one core of a desktop with W from 500 to 5,000.
 _UNIT = {"growth rate": 1.3e-7, "delay margin": 1.5e-7, "gain margin": 1.7e-6}
 Asked = Literal["growth rate", "delay margin", "gain margin"]
