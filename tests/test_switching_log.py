@@ -86,6 +86,7 @@ HEAD = "time,mode\n0,0\n"
         ),
         (HEAD + "1,b\n", {"labels": {"0": 0, "b": 7}, "modes": 2}, "line 3: mode must be"),
         (HEAD + "2,1\n1,0\n", {}, "line 4: time must be later than in line 3"),
+        (HEAD + "1e308,1\n-1e308,0\n", {}, "line 4: time must be later than in line 3"),
     ],
 )
 def test_a_malformed_log_is_refused_by_line(log, text, options, message):

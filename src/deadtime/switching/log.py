@@ -58,8 +58,8 @@ def read_log(
     visited = [_mode(source, row.line, row.mode, modes, labels) for row in rows]
     # Told from the first row, so that a clock that counts from 1970 loses nothing.
     times = np.array([float(time - clock[0]) for time in clock])
-    for before, row, gap in zip(rows, rows[1:], np.diff(times), strict=False):
-        if gap <= 0.0:
+    for before, row, late in zip(rows, rows[1:], times[1:] <= times[:-1], strict=False):
+        if late:
             raise ArgumentError(
                 f"{source}, line {row.line}: time must be later than in line {before.line}: sort "
                 "the log and keep one row per instant."
