@@ -42,8 +42,8 @@ def complaint(
     found, more = faults(error, model, data, lines)
     for fault in found:
         line = line_of(lines, fault.path)
-        where = at_line(source, line) if not told else f" Line {line}" if line else ""
-        told += f"{where}: {fault.sentence}"
+        where = f"{at_line(source, line)}: " if not told else f" Line {line}: " if line else " "
+        told += where + fault.sentence
     return told + more
 
 
@@ -56,7 +56,7 @@ def faults(
     """One for each key with something wrong, in the order of the file; and what is left out."""
     groups: dict[Keys, list[tuple[Any, Place]]] = {}
     for item in error.errors(include_url=False):
-        place = place_of(item["loc"], model)
+        place = place_of(item["loc"], model, known=item["type"] != "extra_forbidden")
         groups.setdefault(place.path, []).append((item, place))
     # Of a value that may be one thing or another, the fault inside what it is says more.
     outer = {path[:end] for path in groups for end in range(1, len(path))}

@@ -42,22 +42,23 @@ class Place:
     item: tuple[int, ...] = ()
 
 
-def place_of(location: tuple[str | int, ...], model: type[BaseModel]) -> Place:
+def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: bool = True) -> Place:
     """The key that a location of pydantic is about.
 
     Its names of types and of members of unions go, and so do numbers of items in a list of
-    anything but tables: the key is what a reader looks for.
+    anything but tables: the key is what a reader looks for. Where the last part is a key that is
+    not `known`, it stays, whatever it looks like.
     """
     path: list[str | int] = []
     models: Models = [model]
     around: Models = [model]
     field: FieldInfo | None = None
     item: list[int] = []
-    for part in location:
+    for number, part in enumerate(location):
         if isinstance(part, int):
             (path if models else item).append(part)
             continue
-        if _is_no_key(part, models):
+        if (known or number < len(location) - 1) and _is_no_key(part, models):
             if chosen := _chosen(part, models):
                 models = chosen
             continue
