@@ -52,6 +52,17 @@ class Factor(NamedTuple):
         return result
 
 
+def side_by_side(taps: Float[np.ndarray, "context N m m"]) -> Float[np.ndarray, "context m past"]:
+    """Taps as one matrix a row, (contexts, m, N·m), in the order given."""
+    contexts, count, m, _ = taps.shape
+    return taps.transpose(0, 2, 1, 3).reshape(contexts, m, count * m)
+
+
+def row_of(context: Context, ages: int, mode: int, age: int) -> int:
+    """The row of a table that does not depend on the sample's number."""
+    return 0 if context == "none" else mode * ages + min(age, ages - 1)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Feedback(Frozen):
     """A digital feedback law as a table (immutable).
@@ -107,6 +118,35 @@ class Feedback(Frozen):
     def taps(self) -> int:
         """N, the number of past inputs that a row reads."""
         return self.input_gain.shape[1]
+
+    @property
+    def latest_first(self) -> Float[np.ndarray, "context m past"]:
+        """The taps of each row side by side, (contexts, m, N·m), as inputs lie in u_{k−1}, …."""
+        return side_by_side(self.input_gain)
+
+    @property
+    def oldest_first(self) -> Float[np.ndarray, "context m past"]:
+        """The taps of each row side by side, (contexts, m, N·m), as inputs lie in u_{k−N}, ….
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Feedback(np.zeros((1, 1, 1)), np.array([[[[1.0]], [[2.0]]]]), "none", 0.1).oldest_first
+        array([[[2., 1.]]])
+        """
+        return side_by_side(self.input_gain[:, ::-1])
+
+    def row(self, mode: int, age: int = 0, sample: int = 0) -> int:
+        """The row that applies at a sample: of a mode, its age in samples, the sample's number.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> table = Feedback(np.zeros((6, 1, 1)), np.zeros((6, 1, 1, 1)), "mode_age", 0.1, ages=3)
+        >>> table.row(1, age=7)
+        5
+        """
+        return sample if self.context == "step" else row_of(self.context, self.ages, mode, age)
 
     def rows(self, modes: np.ndarray, initial_age: int = 0) -> np.ndarray:
         """The row that applies at each sample of a run, from the sampled modes σ(t_0), σ(t_1), ….

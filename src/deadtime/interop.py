@@ -61,9 +61,8 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
         why = "foresees the signal" if isinstance(law, TableLaw) else "is no table of the state"
         raise ArgumentError(f"law must be a table that can run; {type(law).__name__} {why}.")
     table = law.digital(positive("step", step))
-    contexts, taps, m, _ = table.input_gain.shape
+    taps, m, G = table.taps, law.plant.inputs, table.latest_first
     n, modes, last = law.plant.states, law.plant.modes, taps * m
-    G = table.input_gain.transpose(0, 2, 1, 3).reshape(contexts, m, last)
 
     def seen(state: np.ndarray, mode: int) -> int:
         before, age = int(state[last]), int(state[last + 1])
@@ -71,9 +70,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
 
     def output(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         mode = _mode(given[n], modes)
-        row = {"none": 0, "mode": mode}.get(table.context)
-        if row is None:
-            row = mode * table.ages + min(seen(state, mode), table.ages - 1)
+        row = table.row(mode, seen(state, mode))
         return table.state_gain[row] @ given[:n] + G[row] @ state[:last]
 
     def update(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:

@@ -253,7 +253,7 @@ class Controller:
         """u_k within the limits, or the last one where it is not finite."""
         row = 0
         if self._reads_row:
-            row = self._mode * self.table.ages + min(self._age, self.table.ages - 1)
+            row = self.table.row(self._mode, self._age)
         self._past.row(row, x, self._asked)
         if not np.isfinite(self._asked).all():
             return Status.OVERFLOW

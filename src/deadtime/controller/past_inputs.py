@@ -19,12 +19,11 @@ class DensePast:
     arrays = ("ring", "place")
 
     def __init__(self, table: Feedback) -> None:
-        contexts, taps, m, _ = table.input_gain.shape
+        taps, m = table.input_gain.shape[1:3]
         self.table = table
         self.ring = np.zeros((2 * taps, m))
         self.place = np.zeros(3, np.int64)
-        oldest_first = table.input_gain[:, ::-1].transpose(0, 2, 1, 3)
-        self.G = np.ascontiguousarray(oldest_first.reshape(contexts, m, taps * m))
+        self.G = np.ascontiguousarray(table.oldest_first)
 
     def clear(self) -> None:
         """As if all inputs had been 0."""

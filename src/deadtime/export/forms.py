@@ -46,15 +46,13 @@ class Form:
 
 def matrix_of(table: Feedback) -> Float[np.ndarray, "row past"]:
     """The taps of all rows as one matrix, the oldest input first."""
-    contexts, taps, m, _ = table.input_gain.shape
-    return table.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts * m, taps * m)
+    return table.oldest_first.reshape(-1, table.taps * table.input_gain.shape[-1])
 
 
 def dense(table: Feedback) -> Form:
     """The taps as they are."""
-    contexts, taps, m, _ = table.input_gain.shape
-    G = matrix_of(table).reshape(contexts, m, taps * m)
-    return Form("dense", {"G": (G, "taps, the oldest input first")}, 2 * taps * m)
+    G = table.oldest_first
+    return Form("dense", {"G": (G, "taps, the oldest input first")}, 2 * G.shape[-1])
 
 
 def low_ranks(table: Feedback) -> Iterator[Form]:

@@ -125,9 +125,7 @@ def _through_rows(
 
 def _row(run: Controller) -> int:
     mode, age = run._mode, run._age  # `state` would copy the past at every call
-    if run.table.context == "none" or mode < 0:
-        return 0
-    return mode * run.table.ages + min(age, run.table.ages - 1)
+    return run.table.row(mode, age) if mode >= 0 else 0
 
 
 def _amplitude(run: Controller) -> float:

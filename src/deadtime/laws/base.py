@@ -115,19 +115,11 @@ class TableLaw(Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Update:
         feedback = self.digital(step, signal, steps)
-        ages, taps = feedback.ages, feedback.taps
-        contexts, m = feedback.state_gain.shape[:2]
-        # The oldest input first, as the past inputs come.
-        G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts, m, taps * m)
-
+        taps, G = feedback.taps, feedback.oldest_first
         sample = itertools.count()
-        row_of = {
-            "none": lambda mode, age: 0,
-            "step": lambda mode, age: next(sample),
-        }.get(feedback.context, lambda mode, age: mode * ages + min(age, ages - 1))
 
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
-            row = row_of(mode, age)
+            row = feedback.row(mode, age, next(sample))
             return feedback.state_gain[row] @ x + G[row] @ past[-taps:].ravel()
 
         return control

@@ -104,10 +104,9 @@ def _dense(feedbacks: Sequence[Feedback]) -> Rows:
     dense, start = _aligned(rows * m * width).reshape(rows, m, width), 0
     for feedback in feedbacks:
         stop = start + feedback.state_gain.shape[0]
-        taps_of = feedback.input_gain.transpose(0, 2, 1, 3)
-        head[start:stop, :, :n], head[start:stop, :, n:] = feedback.state_gain, taps_of[:, :, 0]
-        others = dense[start:stop, :, : (taps - 1) * m].reshape(stop - start, m, taps - 1, m)
-        others[:] = taps_of[:, :, 1:]
+        G = feedback.latest_first
+        head[start:stop, :, :n], head[start:stop, :, n:] = feedback.state_gain, G[:, :, :m]
+        dense[start:stop, :, : (taps - 1) * m] = G[:, :, m:]
         start = stop
     unused, kind = np.zeros(m * max(m, n)), _KINDS[first.context]
     # Sizes of what only factorised rows use: the code for them is there, and never run.

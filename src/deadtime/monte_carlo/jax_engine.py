@@ -141,13 +141,12 @@ class JaxEngine:
         first = feedbacks[0]
         heard = any(feedback.input_gain.any() for feedback in feedbacks)
         taps, m = heard * min(first.taps, self._samples), first.state_gain.shape[1]
-        rows = []
-        for feedback in feedbacks:
-            G = feedback.input_gain[:, :taps].transpose(0, 2, 1, 3)
-            rows.append(
-                np.concatenate((feedback.state_gain, G.reshape(len(G), m, taps * m)), axis=2)
-            )
-        table = np.concatenate(rows)
+        table = np.concatenate(
+            [
+                np.concatenate((one.state_gain, one.latest_first[:, :, : taps * m]), axis=2)
+                for one in feedbacks
+            ]
+        )
         own = first.context in ("mode_age", "step") or len(table) > _FEW_ROWS
         with in_double():
             law = _on_device(Law(table))

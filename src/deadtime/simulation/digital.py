@@ -148,15 +148,13 @@ def _run(
     """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
     from deadtime.simulation.kernel import closed_loop
 
-    contexts, taps, m, _ = feedback.input_gain.shape
-    G = feedback.input_gain[:, ::-1].transpose(0, 2, 1, 3).reshape(contexts, m, taps * m)
     return closed_loop(
         table.index,
         table.Phi,
         table.Gamma,
         grid.window.count,
         feedback.state_gain,
-        read_only(G),
+        read_only(feedback.oldest_first),
         rows,
         x0,
         grid.past,

@@ -204,6 +204,4 @@ def lifted_loop(
 
 def aged_row(feedback: Feedback, mode: int) -> int:
     """The row that applies when a mode has lasted for ever."""
-    if feedback.context in ("mode", "mode_age"):
-        return (mode + 1) * feedback.ages - 1
-    return feedback.state_gain.shape[0] - 1
+    return feedback.row(mode, feedback.ages, feedback.state_gain.shape[0] - 1)

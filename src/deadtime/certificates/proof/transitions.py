@@ -35,6 +35,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from deadtime.feedback import Context, row_of
+
 READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
 
 
@@ -143,7 +145,7 @@ class Transitions:
     last: int
     ends: bool
     bucket: int | None
-    context: str
+    context: Context
     ages: int
     earliest: float = 0.0
     latest: float = 1.0
@@ -156,7 +158,7 @@ class Transitions:
         chatter: int,
         step: float,
         tolerance: float,
-        context: str,
+        context: Context,
         ages: int,
     ) -> Transitions:
         """The graph of a (dwell time, maximum dwell time) at a period, in seconds."""
@@ -176,9 +178,7 @@ class Transitions:
 
     def row(self, mode: int, age: int) -> int:
         """The row of the table at (mode, age)."""
-        if self.context == "none":
-            return 0
-        return mode * self.ages + min(age, self.ages - 1)
+        return row_of(self.context, self.ages, mode, age)
 
     def rows(self, mode: int, age: int) -> list[int]:
         """The rows that may apply: a bucket's level does not tell the true age."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.certificates.worst_case.cycles import Cycle
-from deadtime.feedback import Feedback
+from deadtime.feedback import Feedback, side_by_side
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.record import PhaseTable
 from deadtime.spectrum import aged_row
@@ -69,10 +69,9 @@ class SampledLoop:
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, shift: float) -> SampledLoop:
         """The loop; without a weight where `shift` is 0."""
-        contexts, taps, m, _ = feedback.input_gain.shape
-        decay = math.exp(-shift * feedback.step) ** np.arange(1, taps + 1)
+        decay = math.exp(-shift * feedback.step) ** np.arange(1, feedback.taps + 1)
         weighted = (feedback.input_gain * decay[:, None, None])[:, ::-1]
-        G = np.ascontiguousarray(weighted.transpose(0, 2, 1, 3).reshape(contexts, m, taps * m))
+        G = np.ascontiguousarray(side_by_side(weighted))
         return cls(plant, feedback, Window.of_plant(plant, feedback.step), G, shift)
 
     @property
