@@ -232,7 +232,7 @@ def delay_sentence(problem: Problem) -> list[str]:
 
 def _decay(certificate: Certificate | None) -> str:
     rate = None if certificate is None else certificate.decay_rate
-    return "–" if rate is None else f"{rate:.3g}"
+    return "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
 
 
 def _proved(certificate: Certificate | None) -> str:
