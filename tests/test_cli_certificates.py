@@ -69,6 +69,12 @@ def made_up(monkeypatch, tmp_path):
     return asked
 
 
+def test_decay_at_no_rate_in_particular_is_not_tabulated_as_none(capsys, made_up, monkeypatch):
+    monkeypatch.setitem(ANSWERS, "mean", (True, 0.0, "Proved.", None))
+    _, out, _ = run(capsys, "certify", "paper", "--law", "mean", "--decay-rate", "0")
+    assert "mean yes > 0 yes" in " ".join(out.split())
+
+
 def test_certify_tabulates_every_law_and_says_why_one_has_no_answer(capsys, made_up):
     code, out, err = run(capsys, "certify", "paper")
     assert (code, err) == (0, "")

@@ -11,6 +11,8 @@ import plants
 import rule_reference as second
 from deadtime.cli import main
 from deadtime.laws import StateDependentPredictor
+from deadtime.problem_file import load_problem
+from deadtime.problem_file.load import problem_with_run
 from deadtime.switching import FunctionRule, HalfSpace, QuadraticRegions
 from sectors import EDGES, PLANE, SECTORS, sector
 
@@ -326,6 +328,13 @@ def test_a_file_of_an_ideal_loop_under_a_rule_is_simulated_and_judged(
     assert stopped.value.code == 0
     assert "works on a signal with 6 switches" in out
     assert "held in any one mode it decays" in out
+
+
+def test_a_file_of_an_ideal_loop_under_a_rule_has_by_default_the_law_that_runs_there(tmp_path):
+    path = tmp_path / "spindle.toml"
+    path.write_text(SPINDLE.partition("[[law]]")[0], encoding="utf-8")
+    assert list(load_problem(path).laws) == ["state-dependent"]
+    assert "averaged" in problem_with_run(path, {"step": 0.1}).laws
 
 
 SPINDLE = """

@@ -66,6 +66,16 @@ def test_plain_file_runs_all_laws_of_the_paper(tmp_path):
     np.testing.assert_array_equal(problem.signal.times, [0.0, 0.7, 1.55])
 
 
+@pytest.mark.parametrize("step", ["1e10", "1e308"])
+def test_a_step_beyond_all_is_what_a_message_is_about(tmp_path, step):
+    """And not the signal, which has to last no longer than the run and the delay."""
+    signal = 'kind = "random"\ndwell_time = 0.2\n'
+    text = re.sub(r'kind = "switches"\n.*?\n\n', f"{signal}\n", PLAIN, flags=re.S)
+    problem = load(tmp_path, text.replace("step = 0.1", f"step = {step}"))
+    with pytest.raises(dt.ArgumentError, match=re.escape(f"step = {float(step):g} s")):
+        problem.simulate("averaged")
+
+
 def test_listed_laws_keep_their_order_names_and_models(tmp_path):
     laws = """
 [[law]]

@@ -62,6 +62,27 @@ def test_a_single_mode_is_not_said_to_switch():
     assert not any("stops switching" in sentence for sentence in said)
 
 
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [
+        (-2.0, "held in mode 0 and in mode 1 it neither grows nor decays."),
+        (0.5, "unstable if it stops switching: held in mode 1 it grows at +0.50 /s (in the other "
+         "modes it does not grow)."),
+    ],
+)  # fmt: skip
+def test_a_loop_that_neither_grows_nor_decays_is_said_to_do_neither(second, said):
+    """x[0] is the integral of x[1], and no input depends on it."""
+    A = [[[0.0, 1.0], [0.0, -1.0]], [[0.0, 1.0], [0.0, second]]]
+    plant = dt.SwitchedSystem(A, [[[0.0], [1.0]]] * 2, delay=0.3)
+    law = dt.DelayedStateFeedback(plant, np.zeros((2, 1, 2)), allow_unstable=True)
+    text = " ".join(sentences(plant=plant, laws={"none": law}, model=None, step=0.1, horizon=5.0))
+    assert said in text
+    assert "in the long run" not in text
+    assert "+0.00 /s" not in text
+    for margin in (dt.delay_margin(plant, law, 0.1), dt.gain_margin(plant, law, 0.1)):
+        assert ("the loop neither grows nor decays" in margin.message) == (second < 0.0)
+
+
 def test_decay_rate_of_a_growing_loop_is_negative_however_few_its_samples():
     law = PAPER.laws["delay ignored"]
     run = dt.simulate(PAPER.plant, law, PAPER.signal, [-1, 1], horizon=10.0, step=6.0)

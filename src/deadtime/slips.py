@@ -9,6 +9,7 @@ import math
 
 from deadtime.comparison import Comparison
 from deadtime.problems import Problem
+from deadtime.spectrum import GROWS
 from deadtime.switching import SwitchingSignal
 from deadtime.wording import signed
 
@@ -57,13 +58,19 @@ and the law does not see them. Is it in seconds? Shorten it.
 def disagreement_of(result: Comparison) -> list[str]:
     """That the spectrum and the runs in one mode tell growth rates that do not agree.
 
-    Only where one of them says that the loop grows: a run that decays ends in round-off.
+    Only where one of them says that the loop grows: a run that decays ends in round-off. A rate of
+    0 is no figure to be near to.
     """
     names = result.problem.modes
     for name, exact, seen in zip(names, result.growth, result.measured, strict=True):
         size = max(abs(exact), abs(seen))
         both = math.isfinite(exact) and math.isfinite(seen)
-        if both and max(exact, seen) > 0.0 and abs(exact - seen) > _APART * size:
+        if (
+            both
+            and abs(exact) > GROWS
+            and max(exact, seen) > 0.0
+            and abs(exact - seen) > _APART * size
+        ):
             return [
                 f"Held in {name} the run grows at {signed(seen)} /s, the loop at {signed(exact)} "
                 "/s in the long run: the run is too short, or has too few samples, to show it. "

@@ -19,6 +19,7 @@ from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import untested
 from deadtime.slips import disagreement_of, slips_of
+from deadtime.spectrum import GROWS
 from deadtime.wording import amount, compact, signed
 
 
@@ -121,7 +122,14 @@ def _without_switching(result: Comparison) -> str:
         if result.problem.imperfections
         else "The same loop"
     )
-    unstable = [i for i, rate in enumerate(growth) if rate > 0.0]
+    unstable = [i for i, rate in enumerate(growth) if rate > GROWS]
+    still = [i for i, rate in enumerate(growth) if abs(rate) <= GROWS]
+    if still and not unstable:
+        where = " and in ".join(names[i] for i in still)
+        return (
+            f"Yet {same[0].lower()}{same[1:]} does not come to 0 if it stops switching: held in "
+            f"{where} it neither grows nor decays."
+        )
     if not unstable:
         slowest = int(np.argmax(growth))
         rate = f" at {signed(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
@@ -131,8 +139,9 @@ def _without_switching(result: Comparison) -> str:
         )
     rates = [f"held in {names[i]} it grows at {_rate(growth[i])}" for i in unstable]
     rates[1:] = [text.replace("it grows ", "") for text in rates[1:]]
-    decays = "" if len(unstable) == len(growth) else " (in the other modes it decays)"
-    return "Yet the same loop is unstable if it stops switching: " + ", ".join(rates) + decays + "."
+    calm = "does not grow" if still else "decays"
+    others = "" if len(unstable) == len(growth) else f" (in the other modes it {calm})"
+    return "Yet the same loop is unstable if it stops switching: " + ", ".join(rates) + others + "."
 
 
 def _rate(growth: float) -> str:

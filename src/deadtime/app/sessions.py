@@ -11,11 +11,9 @@ import gc
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import panel as pn
 import panel_material_ui as pmui
-from bokeh.document import Document
 from tornado.ioloop import IOLoop
 
 from deadtime.app.page import Page
@@ -68,13 +66,10 @@ class Sessions:
 
     def _when_over(self, view: pmui.Page, close: Callable[[], None]) -> None:
         """Call `close` when the session that begins now is over, then drop what shows its view."""
-        document = pn.state.curdoc
 
         def over(_: Any) -> None:
             close()
             _unwatch(view)
-            if document is not None:
-                _forget(document)
             if not self._sweeps:
                 self._sweeps = True
                 IOLoop.current().call_later(_REST, self._sweep)
@@ -99,17 +94,6 @@ def _unwatch(view: pmui.Page) -> None:
     for watcher in watchers:
         if getattr(getattr(watcher.fn, "__self__", None), "self", None) is view:
             pn.state.param.unwatch(watcher)
-
-
-def _forget(document: Document) -> None:
-    """Take a document that is over out of Panel's tables.
-
-    They hold it weakly, but their values hold it too, so that nothing else ever would.
-    """
-    for table in vars(type(pn.state)).values():
-        if isinstance(table, WeakKeyDictionary):
-            with suppress(TypeError):  # a table by threads
-                table.pop(document, None)
 
 
 def _return_memory() -> None:

@@ -28,7 +28,7 @@ from deadtime.checks import count, instance, number, positive
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import growth_rate
+from deadtime.spectrum import GROWS, growth_rate
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
 AGE_LEVELS = (Level(0), None, Level(2, 3))  # where the rows change with the age, V must, too
@@ -37,7 +37,6 @@ LARGE = 400  # order from which the last levels cost more than they bring, as fo
 LARGEST = 3000  # order that memory allows
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of what the modes alone allow, tried as the certified decay
 SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
-GROWS = 1e-7  # 1/s: slower growth is no answer
 
 
 def certify(

@@ -68,7 +68,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     with _section("signal"):
         longest = max(truth.delay, *(law.plant.delay for law in laws.values()))
         if rule is None:
-            end = horizon + longest + (step or 0.0)
+            end = horizon + longest + min(step or 0.0, horizon)
             signal = build_signal(file.signal, plant, end, source.parent, model)
             signal.require_modes(plant.modes)
         else:
@@ -179,20 +179,29 @@ def _laws(parts: _Parts) -> dict[str, Law]:
 
 
 def _all_laws(parts: _Parts) -> dict[str, Law]:
-    """The paper's laws, and those that use what the file says about the switching."""
+    """The paper's laws, and those that use what the file says about the switching.
+
+    Where a rule switches an ideal loop there is one law that it can have.
+    """
     plant, gains, file = parts.plant, parts.gains, parts.file
     allow = file.gains.allow_unstable
     with _section("gains"):
+        exact = (
+            StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
+            if parts.rule is not None
+            else None
+        )
+        if exact is not None and file.run.step == "ideal":
+            return {exact.label: exact}
         mean = _mean_law(plant, gains, file, None, allow) if plant.modes > 1 else None
         laws = comparison_laws(plant, gains, mean, allow)
     if parts.model is not None:
         with _section("switching"):
             law = ExpectedPredictor(plant, gains, parts.model, allow_unstable=allow)
             laws[law.label] = law
-    if parts.rule is not None:
-        law = StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
+    if exact is not None:
         # The oracle knows a signal, and there is none before the run.
-        laws = {law.label: law} | {
+        laws = {exact.label: exact} | {
             name: one for name, one in laws.items() if not isinstance(one, ExactPredictor)
         }
     return laws

@@ -2,11 +2,12 @@
 
 from deadtime.spectrum.characteristic import CharacteristicRoots, characteristic_roots
 from deadtime.spectrum.gain import GainMargin, gain_margin
-from deadtime.spectrum.growth import constant_growth, growth_bounds, growth_rate
+from deadtime.spectrum.growth import GROWS, constant_growth, growth_bounds, growth_rate
 from deadtime.spectrum.lifted import DENSE, LiftedLoop, aged_row, lifted_loop
 
 __all__ = [
     "DENSE",
+    "GROWS",
     "CharacteristicRoots",
     "GainMargin",
     "LiftedLoop",

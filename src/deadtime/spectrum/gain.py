@@ -22,7 +22,7 @@ from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
-from deadtime.spectrum.growth import growth_rate
+from deadtime.spectrum.growth import growth_rate, not_decaying
 from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.observed_response import digital_response
@@ -103,8 +103,8 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
-        rate = f"{growth[worst]:+.3g}".replace("-", "−")
-        text = f"there is no gain margin: held in mode {worst} the loop grows at {rate} /s already"
+        what = not_decaying(growth[worst])
+        text = f"there is no gain margin: held in mode {worst} the loop {what}"
         return GainMargin(None, None, worst, worst, growth, text)
     lower, upper = (0.0, None), (math.inf, None)
     for mode in range(plant.modes):

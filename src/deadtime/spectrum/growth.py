@@ -16,6 +16,7 @@ from deadtime.switching import SwitchingSignal
 
 _PRECISION = 1e-4  # of the ideal loop, per delay
 _DOUBT = 1e-9  # 1/s: eigenvalues less certain than this are computed beyond doubt
+GROWS = 1e-7  # 1/s: slower growth, or decay, is no answer
 _FADED = -25.0  # growth over the memory of the loop below which all is round-off
 
 
@@ -154,6 +155,17 @@ def growth_bounds(
             f"step must leave a loop of an order up to {LARGEST}, got {order}: lengthen it."
         )
     return enclosed_growth(plant, feedback, mode, row)
+
+
+def not_decaying(rate: float) -> str:
+    """What a loop does in a constant mode in which it does not decay, to follow "the loop".
+
+    Examples
+    --------
+    >>> not_decaying(0.28167), not_decaying(2e-16)
+    ('grows at +0.282 /s already', 'neither grows nor decays')
+    """
+    return f"grows at {rate:+.3g} /s already" if rate > GROWS else "neither grows nor decays"
 
 
 def _ideal(plant: SwitchedSystem, law: Law, mode: int) -> float:

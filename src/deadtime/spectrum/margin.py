@@ -22,7 +22,7 @@ from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.crossing import first_crossing, reaching
-from deadtime.spectrum.growth import growth_rate
+from deadtime.spectrum.growth import growth_rate, not_decaying
 from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.loop_gain import Band, bands
@@ -203,10 +203,7 @@ def _response(plant: SwitchedSystem, law: Law, mode: int, step: float | None) ->
 
 def _unstable(mode: int, growth: float) -> str:
     """Why there is no margin."""
-    rate = f"{growth:+.3g}".replace("-", "−")
-    return (
-        f"there is no delay margin, since held in mode {mode} the loop grows at {rate} /s already"
-    )
+    return f"there is no delay margin, since held in mode {mode} the loop {not_decaying(growth)}"
 
 
 def _stable(lower: _Limit, upper: _Limit, nominal: float) -> str:

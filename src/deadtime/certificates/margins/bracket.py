@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from deadtime.errors import ArgumentError
+from deadtime.spectrum import GROWS
 
-GROWS = 1e-7  # 1/s: slower growth is no answer
 FLOOR = 1e-6  # of the interval asked for: closer than this nothing is searched
 CHECKS = 9  # values below the proved end at which constant modes are looked at
 ROUNDS = 8  # how often the bracket may move below a witness found there

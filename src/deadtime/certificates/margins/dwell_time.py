@@ -13,12 +13,12 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from deadtime.certificates.clock import CLOCK_TOLERANCE, MOST_PERIODS
-from deadtime.certificates.margins.bracket import GROWS, Bracket, Questions, bracket
+from deadtime.certificates.margins.bracket import Bracket, Questions, bracket
 from deadtime.checks import instance, number, positive
 from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import growth_bounds, growth_rate
+from deadtime.spectrum import GROWS, growth_bounds, growth_rate
 
 if TYPE_CHECKING:
     from deadtime.certificates.certificate import Certificate

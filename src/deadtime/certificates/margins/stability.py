@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from deadtime.certificates.margins.bracket import GROWS, Bracket, Questions, bracket
+from deadtime.certificates.margins.bracket import Bracket, Questions, bracket
 from deadtime.checks import number, positive
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.laws import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import growth_bounds, growth_rate
+from deadtime.spectrum import GROWS, growth_bounds, growth_rate
 
 if TYPE_CHECKING:
     from deadtime.certificates.certificate import Certificate
