@@ -1,11 +1,15 @@
 """Design for margin says how fast its loop is, and takes a least decay rate."""
 
+import dataclasses
 import json
 
 import pytest
 
 import deadtime as dt
+import plants
 from deadtime.cli import main
+from deadtime.design.families import Poles
+from deadtime.design.search import Search
 
 # Stable without an input: the cheapest loop with the widest margin hardly moves.
 PLANT = dt.SwitchedSystem([[[-0.06]]], [[[1.0]]], 1.0)
@@ -63,3 +67,12 @@ def test_the_command_takes_the_floor(tmp_path, capsys, monkeypatch):
     assert stopped.value.code == (0 if record["reached"] else 1)
     assert record["reached"] == (record["decay_rate"] >= 1.2)
     assert "(1.2 /s asked)" in record["message"]
+
+
+def test_without_a_floor_an_estimate_that_hardly_grows_costs_nothing():
+    plant = plants.scalar([0.5], delay=0.2)
+    search = Search(plant, lambda plant, K: dt.SingleModePredictor(plant, K, 0), False, 20, 10.0)
+    [start, *_] = Poles(plant, False).starts(dt.place(plant, [-1.0]))
+    tried = search.evaluate(Poles(plant, False), 0.1, start)
+    barely = dataclasses.replace(tried, growth=1e-12)
+    assert search.cheapest(0.1)(barely) == search.cheapest(0.1)(tried)

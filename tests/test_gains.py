@@ -302,3 +302,8 @@ PENDULUM = dt.SwitchedSystem([[[0.0, 1.0], [-1.0, 0.0]]], [[[0.0], [1.0]]], 0.3)
 def test_sampled_designs_refuse_what_they_cannot_do(call, message):
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         call()
+
+
+def test_a_pole_at_rest_is_refused_and_no_other_is_proposed():
+    with pytest.raises(dt.ArgumentError, match=r"got 0: a loop with this pole does not decay\.$"):
+        dt.place(plants.scalar([0.5]), [0.0])

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import certificate_reference as reference
 import deadtime as dt
 from deadtime.certificates.proof import balls, check, load_evidence
+from deadtime.certificates.proof.covering import Covering
 from deadtime.certificates.proof.definite import is_positive_definite
 from deadtime.certificates.proof.enclosure import Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
@@ -223,6 +224,19 @@ def saved(tmp_path):
 def assert_refused(path, message):
     with pytest.raises(CertificateFileError, match=message):
         dt.verify(path)
+
+
+def test_ages_with_the_same_row_are_checked_once(monkeypatch):
+    plant = dt.problems.paper().plant.apart(0.5)
+    law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]), dwell_time=20.0)
+    asked, holds = [], Covering.holds
+    monkeypatch.setattr(
+        Covering, "holds", lambda self, *step: asked.append(step) or holds(self, *step)
+    )
+    certificate = dt.certify(plant, law, 20.0, step=0.1)
+    assert certificate.proven
+    assert certificate.evidence.setting.transitions.ages > 150
+    assert len(asked) < 150
 
 
 def test_an_altered_file_is_refused(saved, tmp_path):

@@ -100,6 +100,36 @@ def test_the_step_that_is_proposed_is_affordable(asked):
     assert left_out(asked, plant, law, None) == ""
 
 
+@pytest.mark.parametrize(
+    ("asked", "delay", "step"),
+    [
+        *(("delay margin", 250.0, 0.04), ("gain margin", 250.0, 0.2), ("gain margin", 25.0, 0.02)),
+        *(("design", 250.0, 0.3), ("design", 25.0, 0.03)),
+    ],
+)
+def test_margins_and_designs_that_would_take_long_are_refused_with_a_step_that_does(
+    asked, delay, step
+):
+    plant = plants.scalar([-0.5], delay=delay)
+    law = dt.SingleModePredictor(plant, [[[0.1]]], 0)
+    ask = {
+        "delay margin": lambda: dt.delay_margin(plant, law, step=0.01),
+        "gain margin": lambda: dt.gain_margin(plant, law, step=0.01),
+        "design": lambda: dt.design(plant, delay_margin=0.1, step=0.01),
+    }[asked]
+    began = time.process_time()
+    with pytest.raises(dt.ArgumentError, match=f"a {asked}, got 0.01 s: .* longer step, {step} s"):
+        ask()
+    assert time.process_time() - began < 5.0
+
+
+def test_a_delay_whose_work_is_beyond_floats_is_refused_with_a_step_too():
+    plant = plants.scalar([-0.5], delay=1e200)
+    law = dt.DelayedStateFeedback(plant, [[[0.1]]])
+    with pytest.raises(dt.ArgumentError, match=r"takes about inf h; .* longer step, 5e\+196 s"):
+        dt.gain_margin(plant, law, step=0.01)
+
+
 def test_robustness_leaves_margins_out_where_they_would_take_long():
     plant = plants.scalar([-0.2, -0.3], delay=60.0)
     law = dt.MeanPredictor(plant, [[-0.05]], [[[-0.05]], [[-0.05]]])
@@ -107,3 +137,10 @@ def test_robustness_leaves_margins_out_where_they_would_take_long():
     result = dt.robustness(plant, law, signal, [1.0], 61.0, 0.01, scenarios=1)
     assert result.delay is result.gain is None
     assert sum("was left out" in sentence for sentence in result.sentences) == 2
+
+
+def test_a_delay_that_floats_cannot_tell_from_none_is_compared_like_any_short_one():
+    plant = dt.SwitchedSystem(PAPER.plant.A, PAPER.plant.B, 5e-324)
+    laws = {"averaged": dt.AveragedPredictor(plant, PAPER.gains)}
+    result = compare(dataclasses.replace(PAPER, plant=plant, laws=laws, step=2.5))
+    assert len(result.growth) == 2

@@ -1,5 +1,7 @@
 """Lyapunov functions along stretches: back in their inequalities, and as far as LMIs reach."""
 
+import dataclasses
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -8,11 +10,13 @@ from scipy.linalg import expm
 import certificate_reference as reference
 import deadtime as dt
 import plants
+from certificate_corpus import CORPUS
 from certificate_reference import Loop
 from deadtime.certificates.dwell.shape import future_sums
 from deadtime.certificates.dwell.stretch_search import StretchSearch
-from deadtime.certificates.proof import StretchEvidence
+from deadtime.certificates.proof import Check, StretchEvidence, balls, check, load_evidence
 from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.stretches import StretchInequalities
 
 LEFT = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])  # mode 0 grows
 TURNING = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])
@@ -183,6 +187,37 @@ def test_a_mode_that_must_be_left_is_certified_close_to_how_long_it_may_last():
     assert certificate.stable is True, certificate.message
     beyond = dt.certify(*idle(LEFT), 1.0, 0.1, maximum_dwell=5.1, search_signals=False)
     assert beyond.stable is None
+
+
+@pytest.mark.parametrize("longest", [7.0, 30.0, 100.0, 240.0])
+def test_sojourns_claimed_far_too_long_are_refused_after_few_of_their_steps(longest):
+    evidence = load_evidence(CORPUS / "stretches-maximum.json").evidence
+    claimed = dataclasses.replace(evidence.setting, maximum_dwell=longest)
+    outcome = check(dataclasses.replace(evidence, setting=claimed))
+    assert not outcome.proven
+    assert outcome.cells < 100
+
+
+def test_long_products_of_equal_steps_cost_a_few_multiplications():
+    evidence = load_evidence(CORPUS / "stretches-maximum.json").evidence
+    inequalities = StretchInequalities(evidence)
+    with balls.precision():
+        for end in (2000, 2001, 2002, 1999):
+            inequalities.full(0, 0, end)
+        M = balls.middle(inequalities.full(1, 0, 1))
+        assert np.allclose(
+            balls.middle(inequalities.full(1, 3, 40)), np.linalg.matrix_power(M, 37), rtol=1e-9
+        )
+    assert len(inequalities.known) < 60
+
+
+def test_more_knots_than_stretches_may_be_are_refused_before_any_is_looked_at():
+    evidence = load_evidence(CORPUS / "stretches-maximum-free.json").evidence
+    setting = dataclasses.replace(evidence.setting, dwell_time=600.0, maximum_dwell=600.2)
+    knots = tuple(range(5_990))
+    P = np.repeat(evidence.P[:, :1], len(knots), axis=1)
+    claimed = dataclasses.replace(evidence, setting=setting, knots=knots, P=P)
+    assert check(claimed) == Check(False, "there are too many stretches")
 
 
 @pytest.mark.long

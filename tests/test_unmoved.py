@@ -5,6 +5,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.certificates.unmoved import unmoved
 
 STEP = 0.1
 SCALAR = plants.scalar([0.0, 0.5])
@@ -81,3 +82,9 @@ def test_the_least_dwell_time_of_a_servo_s_plant_is_none_with_a_reason():
     found = dt.least_dwell_time(servo.plant, law, STEP)
     assert found.certified is None
     assert "keeps its value" in found.message
+
+
+@pytest.mark.parametrize("size", [1e-170, 1e160])
+def test_states_in_whatever_units_move(size):
+    plant = dt.SwitchedSystem(CART.A * size, CART.B * size, 0.2 / size)
+    assert unmoved([plant]) == ""

@@ -76,9 +76,10 @@ def place(
     wanted = pole_lists(poles, plant.modes, plant.states)
     for i, row in enumerate(wanted):
         if (fastest := row[np.argmax(row.real)]).real >= 0.0 and not allow_unstable:
+            hint = f"; write {_written(-fastest)} for one that does" if fastest.real else ""
             raise ArgumentError(
                 f"poles of mode {i} must have negative real parts, got {_written(fastest)}: a loop "
-                f"with this pole does not decay; write {_written(-fastest)} for one that does."
+                f"with this pole does not decay{hint}."
             )
     step = None if step is None else positive("step", step)
     return np.stack([_place_mode(plant, i, wanted[i], step) for i in range(plant.modes)])

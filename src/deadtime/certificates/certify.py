@@ -175,9 +175,8 @@ def _decide(
                 f"decay_rate = {wanted:g} 1/s is more than a constant mode has: the slowest decays "
                 f"at {-slowest:.4g} 1/s.",
             )
-        if (
-            abs(slowest) <= GROWS
-        ):  # no Lyapunov function decreases: only a signal that grows is left
+        if abs(slowest) <= GROWS:
+            # No Lyapunov function decreases: only a signal that grows is left.
             kept = neutral(mode, slowest)
             found = _refuted(corner, law, setting, "") if search_signals else None
             return found if found is not None and found.stable is False else Certificate(None, kept)

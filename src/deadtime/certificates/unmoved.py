@@ -22,7 +22,7 @@ def unmoved(plants: Sequence[SwitchedSystem]) -> str:
     That part are the v with vᵀA_i = 0 and vᵀB_i = 0 in every mode: vᵀx is constant.
     """
     motions = np.concatenate([part for p in plants for part in (*p.A, *p.B)], axis=1)
-    size = np.linalg.norm(motions, axis=1)
+    size = np.abs(motions).max(axis=1)  # no square, which floats might not hold
     still = np.flatnonzero(size == 0.0)
     # In units in which the rows are about 1, so that slow states do not count as still.
     units = np.where(size > 0.0, size, 1.0)

@@ -17,6 +17,7 @@ from deadtime.gains import lqr, require_controllable
 from deadtime.laws.averaged import AveragedPredictor
 from deadtime.laws.base import Law, checked_gains
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.affordable import require_affordable
 from deadtime.spectrum.growth import growth_rate
 from deadtime.spectrum.margin import constant_delay_margin
 
@@ -82,8 +83,9 @@ def design(
     Raises
     ------
     ArgumentError
-        If an argument is malformed, a mode is not controllable or has no `delay_limit`, or the law
-        family makes laws that are no table or foresee the signal.
+        If an argument is malformed, a mode is not controllable or has no `delay_limit`, the law
+        family makes laws that are no table or foresee the signal, or the delay holds so many
+        periods that the search would take long.
 
     Notes
     -----
@@ -105,9 +107,11 @@ def design(
     make = _averaged if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
-    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
-    plain = _plain(plant, required_table(plant, make, start), step, cost == "worst")
+    first = required_table(plant, make, start)
+    require_affordable("design", plant, first, step, budget)
+    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
+    plain = _plain(plant, first, step, cost == "worst")
     search = Search(plant, make, cost == "worst", budget, dearest, slowest)
     pairs = pairs_of(search, filtered, step, longest_step)
     spend(search, pairs, start, asked, np.random.default_rng(seed))

@@ -150,7 +150,7 @@ class Search:
     def _slow(self, tried: Tried) -> float:
         """By how much it decays too slowly, the logarithm."""
         wanted = _SLACK * self.slowest
-        if -tried.growth >= wanted:
+        if not wanted or -tried.growth >= wanted:
             return 0.0
         return math.log(wanted / max(-tried.growth, 1e-9 * wanted))
 

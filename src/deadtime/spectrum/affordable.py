@@ -9,18 +9,22 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 
-MOST = 10.0  # seconds
+MOST = 10.0  # seconds, of what is one of many answers or asked for alone
+_SEARCH = 600.0  # of a design, which is worth waiting for
 _FEW = 500.0  # inputs in flight, W m: up to there nothing takes long
 # Seconds per mode and (W m)², measured on one core of a desktop with W from 500 to 5,000.
-_UNIT = {"growth rate": 1.3e-7, "delay margin": 1.5e-7, "gain margin": 1.7e-6}
-Asked = Literal["growth rate", "delay margin", "gain margin"]
+_UNIT = {"growth rate": 1.3e-7, "delay margin": 1.5e-7, "gain margin": 1.7e-6, "design": 1e-6}
+Asked = Literal["growth rate", "delay margin", "gain margin", "design"]
 
 
-def seconds_of(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) -> float:
-    """About how long an answer takes; 0 where that is no question.
+def seconds_of(
+    asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
+) -> float:
+    """About how long an answer takes, or so many `trials`; 0 where that is no question.
 
     Examples
     --------
@@ -31,7 +35,7 @@ def seconds_of(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None
     [94, 0]
     """
     values = 0.0 if step is None else _longest(plant, law) / step * plant.inputs
-    return _UNIT[asked] * plant.modes * values**2 if values > _FEW else 0.0
+    return _UNIT[asked] * plant.modes * trials * values * values if values > _FEW else 0.0
 
 
 def left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) -> str:
@@ -46,14 +50,45 @@ def left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) 
     the delay margin was left out: the delay of 250 s holds D/h = 25,000 periods of 0.01 s, with \
 which it takes about 2 min; check their units, or give a longer step, 0.04 s
     """
-    seconds = seconds_of(asked, plant, law, step)
-    if step is None or seconds <= MOST:
+    why = _too_long(asked, plant, law, step)
+    return why and f"the {asked} was left out: {why}"
+
+
+def require_affordable(
+    asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
+) -> None:
+    """Refuse what would take long, before it does.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[-0.5]]], [[[1.0]]], delay=250.0)
+    >>> law = dt.SingleModePredictor(plant, [[[0.1]]], 0)
+    >>> require_affordable("delay margin", plant, law, 0.01)
+    Traceback (most recent call last):
+    deadtime.errors.ArgumentError: step must be longer for a delay margin, got 0.01 s: the delay \
+of 250 s holds D/h = 25,000 periods of 0.01 s, with which it takes about 2 min; check their units, \
+or give a longer step, 0.04 s.
+    """
+    why = _too_long(asked, plant, law, step, trials)
+    if why:
+        raise ArgumentError(f"step must be longer for a {asked}, got {step:g} s: {why}.")
+
+
+def _too_long(
+    asked: Asked, plant: SwitchedSystem, law: Law, step: float | None, trials: int = 1
+) -> str:
+    """What makes an answer take long, and with which step it does not; empty where none does."""
+    seconds = seconds_of(asked, plant, law, step, trials)
+    most = _SEARCH if asked == "design" else MOST
+    if step is None or seconds <= most:
         return ""
     delay = _longest(plant, law)
+    least = delay * plant.inputs * math.sqrt(_UNIT[asked] * plant.modes * trials / most)
     return (
-        f"the {asked} was left out: the delay of {delay:g} s holds D/h = {delay / step:,.0f} "
-        f"periods of {step:g} s, with which it takes about {_time(seconds)}; check their units, "
-        f"or give a longer step, {_rounded_up(step * math.sqrt(seconds / MOST)):g} s"
+        f"the delay of {delay:g} s holds D/h = {delay / step:,.0f} periods of {step:g} s, with "
+        f"which it takes about {_time(seconds)}; check their units, or give a longer step, "
+        f"{_rounded_up(least):g} s"
     )
 
 

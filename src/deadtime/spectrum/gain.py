@@ -21,6 +21,7 @@ from deadtime.checks import positive
 from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.affordable import require_affordable
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.growth import growth_rate, not_decaying
 from deadtime.spectrum.ideal import IdealLoop
@@ -82,7 +83,8 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
     Raises
     ------
     ArgumentError
-        As by `growth_rate`.
+        As by `growth_rate`, and if the delay holds so many periods that the answer would take
+        long.
 
     Notes
     -----
@@ -100,6 +102,7 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
     """
     require_constant(plant, law)
     step = None if step is None else positive("step", step)
+    require_affordable("gain margin", plant, law, step)
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
     if growth.max() >= 0.0:
         worst = int(growth.argmax())

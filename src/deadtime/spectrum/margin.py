@@ -20,6 +20,7 @@ from deadtime.errors import ArgumentError
 from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.affordable import require_affordable
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.crossing import first_crossing, reaching
 from deadtime.spectrum.growth import growth_rate, not_decaying
@@ -116,7 +117,8 @@ def constant_delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate`, and if `upto` is no longer than the nominal delay.
+        As by `growth_rate`; if `upto` is no longer than the nominal delay, or the delay holds so
+        many periods that the answer would take long.
 
     Notes
     -----
@@ -146,6 +148,7 @@ def constant_delay_margin(
             f"upto must be longer than the nominal delay, {plant.delay:g} s, got {upto:g}: it is "
             "the longest true delay that is tried."
         )
+    require_affordable("delay margin", plant, law, step)
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
     nominal = plant.delay
     if growth.max() >= 0.0:

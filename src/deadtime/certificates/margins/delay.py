@@ -62,7 +62,8 @@ def delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate` and `certify`, and if `upto` is no longer than the nominal delay.
+        As by `growth_rate` and `certify`; if `upto` is no longer than the nominal delay, or the
+        delay holds so many periods that the answer would take long.
 
     Examples
     --------

@@ -44,6 +44,7 @@ class SmallInequalities:
         self.T = [balls.exact(T).tolist() for T in centre.T]
         self.covering = Covering(evidence.setting.family)
         self.forms: dict[Any, Theta] = {}
+        self.answers: dict[Any, tuple[int, float | None]] = {}
 
     def holds(self, transition: Transition) -> tuple[int, float | None]:
         """Check all cells of a transition: how many, and the instant where it fails, if it does.
@@ -51,10 +52,16 @@ class SmallInequalities:
         The instant is that of the switch as a fraction of the period.
         """
         lower: list[Any] = []
+        row = b""
         if self.evidence.setting.rows_differ:
+            row = self.evidence.centre.T[transition.row].tobytes()
             lower = [line + [0] * self.s for line in self.T[transition.row]]
-        form = self.form(transition).form
-        return self.covering.holds(form, transition, lower)
+        theta = self.form(transition)
+        # Ages at which rows and S are the same ask for the same inequality.
+        key = id(theta), transition.mode, transition.after, transition.instants, row
+        if key not in self.answers:
+            self.answers[key] = self.covering.holds(theta.form, transition, lower)
+        return self.answers[key]
 
     def S(self, mode: int, age: int) -> Any:
         """S_{mode, age}, interpolated exactly."""

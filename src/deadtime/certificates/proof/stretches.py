@@ -142,16 +142,20 @@ class StretchInequalities:
     def full(self, mode: int, start: int, end: int) -> Any:
         """The product of the full steps from one age to another.
 
-        By halves: multiplied one by one the balls would grow as the product of norms.
+        By halves: multiplied one by one the balls would grow as the product of norms. From the age
+        on at which the rows no longer change all steps are one, and a product is known by its
+        length.
         """
-        key = mode, start, end
+        same = self.setting.ages - 1
+        late = max(0, start - same)
+        key = mode, start - late, end - late
         if key not in self.known:
             if end == start:
                 product = balls.exact(np.eye(self.setting.order))
             elif end == start + 1:
                 product = self._full_step(mode, start)
             else:
-                middle = (start + end) // 2
+                middle = same if start < same < end else (start + end) // 2
                 product = self.full(mode, middle, end) * self.full(mode, start, middle)
             self.known[key] = product
         return self.known[key]

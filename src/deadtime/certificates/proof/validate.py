@@ -159,7 +159,8 @@ def _stretches(evidence: StretchEvidence) -> str:
         return f"knots must end at {graph.last}, from where a mode may last"
     if (family.ranges or len(setting.A) > 1) and knots != tuple(range(graph.last + 1)):
         return "knots must be all ages where the steps of a stretch are not known"
-    if graph.modes * len(graph.others(0)) * (graph.last - graph.first + 1) > MOST_STRETCHES:
+    switching = graph.modes * len(graph.others(0)) * (graph.last - graph.first + 1)
+    if max(switching, graph.modes * len(knots)) > MOST_STRETCHES:
         return "there are too many stretches"
     return ""
 
