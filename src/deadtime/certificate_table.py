@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from deadtime.checks import positive
 from deadtime.errors import ArgumentError
 from deadtime.problems import Problem
-from deadtime.wording import sentence_of, signed
+from deadtime.wording import finite_or_none, sentence_of, signed
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -157,8 +157,8 @@ def judged_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
             "delay_margin": None
             if one.margin is None
             else {
-                "lower": finite(one.margin.lower),
-                "upper": finite(one.margin.upper),
+                "lower": finite_or_none(one.margin.lower),
+                "upper": finite_or_none(one.margin.upper),
                 "message": one.margin.message,
             },
         }
@@ -237,14 +237,10 @@ def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:
     if worst is None:
         return None
     return {
-        "growth_rate": finite(worst.growth_rate),
+        "growth_rate": finite_or_none(worst.growth_rate),
         "proven": worst.proven,
         "modes": list(worst.modes),
-        "sojourns": [finite(sojourn) for sojourn in worst.sojourns],
+        "sojourns": [finite_or_none(sojourn) for sojourn in worst.sojourns],
         "phase": worst.phase,
         "message": worst.message,
     }
-
-
-def finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

@@ -17,6 +17,7 @@ from deadtime.comparison import Comparison, Progress
 from deadtime.errors import ArgumentError
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
+from deadtime.wording import file_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,9 +92,8 @@ def _witness_figures(problem: Problem, judged: list[Judged]) -> list[tuple[str, 
         baseline = isinstance(problem.laws[one.law], DelayedStateFeedback)
         if one.stable is not False or one.worst is None or baseline:
             continue
-        word = "".join(c if c.isalnum() else "-" for c in one.law.lower())
         figures.append((
-            f"witness-{word}",
+            f"witness-{file_name(one.law)}",
             f"A signal with the dwell time that the law “{one.law}” does not stabilise.",
             plot_witness(one.worst, f"Law: {one.law}", problem.modes),
         ))  # fmt: skip

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.theorem import FORMS
 from deadtime.problems import Problem
-from deadtime.wording import compact
+from deadtime.wording import compact, finite_or_none
 
 
 def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
@@ -84,13 +83,10 @@ def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
 def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any]]:
     """The constants for JSON, which knows no infinity: their logarithms are always there."""
 
-    def finite(value: float | None) -> float | None:
-        return value if value is not None and math.isfinite(value) else None
-
     names = ("epsilon", "epsilon_star", "nu1", "nu2", "kappa", "b", "mu", "rho", "xi")
     logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
     return {
-        form: {name: finite(getattr(bound, name)) for name in (*names, *logs)}
+        form: {name: finite_or_none(getattr(bound, name)) for name in (*names, *logs)}
         | {"holds": bound.holds, "message": bound.message}
         for form, bound in bounds.items()
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from deadtime.design import Design, TradeOff
 from deadtime.design.message import percent
 from deadtime.plant import SwitchedSystem
-from deadtime.wording import compact, signed
+from deadtime.wording import compact, finite_or_none, signed
 
 HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s")
 LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
@@ -86,30 +85,30 @@ def design_record(design: Design) -> dict[str, Any]:
         "asked": design.asked,
         "reached": design.reached,
         "delay_margin": {
-            "relative": _finite(margin.relative),
-            "lower": _finite(margin.lower),
-            "upper": _finite(margin.upper),
+            "relative": finite_or_none(margin.relative),
+            "lower": finite_or_none(margin.lower),
+            "upper": finite_or_none(margin.upper),
         },
         "growth_at_both_ends": design.growth.tolist(),
         "gains": design.gains.tolist(),
         "time_constant": None if design.time_constant is None else design.time_constant.tolist(),
         "step": design.step,
-        "cost": _finite(design.cost),
-        "decay_rate": _finite(design.decay_rate),
+        "cost": finite_or_none(design.cost),
+        "decay_rate": finite_or_none(design.decay_rate),
         "plain": {
-            "margin": _finite(design.plain.margin),
-            "cost": _finite(design.plain.cost),
-            "decay_rate": _finite(design.plain.decay_rate),
+            "margin": finite_or_none(design.plain.margin),
+            "cost": finite_or_none(design.plain.cost),
+            "decay_rate": finite_or_none(design.plain.decay_rate),
         },
         "limits": [
-            {"reached": _finite(limit.reached), "most": _finite(limit.most)}
+            {"reached": finite_or_none(limit.reached), "most": finite_or_none(limit.most)}
             for limit in design.limits
         ],
         "points": [
             {
-                "margin": _finite(point.margin),
+                "margin": finite_or_none(point.margin),
                 "cost": point.cost,
-                "decay_rate": _finite(point.decay_rate),
+                "decay_rate": finite_or_none(point.decay_rate),
                 "step": point.step,
             }
             for point in design.points
@@ -117,7 +116,3 @@ def design_record(design: Design) -> dict[str, Any]:
         "evaluated": design.evaluated,
         "message": design.message,
     }
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

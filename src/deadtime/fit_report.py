@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from deadtime.switching import SemiMarkov
 from deadtime.switching.families import Goodness
 from deadtime.switching.sojourns import Fixed
-from deadtime.wording import amount
+from deadtime.wording import amount, finite_or_none
 
 HEADINGS = ("mode", "sojourns", "cut off", "mean (s)", "family", "KS distance", "p")
 DOUBTFUL = 0.05
@@ -100,7 +98,7 @@ def fit_record(model: SemiMarkov, names: Sequence[str]) -> dict[str, Any]:
                 "censored": good.censored,
                 "ks_distance": float(good.distance),
                 "p_value": float(good.p_value),
-                "aic": float(good.aic) if np.isfinite(good.aic) else None,
+                "aic": finite_or_none(good.aic),
             }
             for name, good, mean in zip(names, _goodness(model), model.mean, strict=True)
         },

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.errors import ArgumentError
-from deadtime.wording import compact
+from deadtime.wording import compact, finite_or_none
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -94,8 +94,8 @@ class Summary:
         for one in self.laws:
             record = asdict(one)
             for metric in ("cost", "ise"):
-                record[metric] = dict(zip(names, map(_finite, record[metric]), strict=True))
-            records.append(record | {"relative": _finite(one.relative)})
+                record[metric] = dict(zip(names, map(finite_or_none, record[metric]), strict=True))
+            records.append(record | {"relative": finite_or_none(one.relative)})
         return records
 
 
@@ -199,7 +199,3 @@ def _quantiles(values: np.ndarray) -> tuple[float, float, float]:
 
 def _share(share: float) -> str:
     return f"{100.0 * share:.1f} %"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

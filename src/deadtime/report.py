@@ -27,6 +27,7 @@ from deadtime.simulation.outcome import Outcome
 from deadtime.switching import SwitchingSignal
 from deadtime.verdict import HEADINGS, table, verdict
 from deadtime.version import __version__
+from deadtime.wording import file_name, finite_or_none
 
 SCENARIOS = 1000
 
@@ -62,7 +63,7 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
         if not _is_shown(problem, name):
             continue
         figure = plotting.plot_run(run, None, problem.states, problem.modes, problem.inputs)
-        yield _file_name(name), f"States, input and mode under the law “{name}”.", figure
+        yield file_name(name), f"States, input and mode under the law “{name}”.", figure
     yield (
         "all-laws",
         "Every law on one axis; a law far above the others leaves the frame.",
@@ -221,28 +222,24 @@ def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[s
 
 def _write_data(result: Comparison, folder: Path) -> None:
     for number, (name, run) in enumerate(result.runs.items(), 1):
-        run.to_csv(folder / "data" / f"{number}-{_file_name(name)}.csv")
+        run.to_csv(folder / "data" / f"{number}-{file_name(name)}.csv")
     text = json.dumps(metrics_of(result), indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
 
 
 def metrics_of(result: Comparison) -> dict[str, Any]:
-    """The figures of a comparison for JSON, which knows no infinity: null where there is one."""
-
-    def finite(value: float) -> float | None:
-        return value if np.isfinite(value) else None
-
+    """The figures of a comparison for JSON."""
     return {
         "problem": result.problem.name,
         "version": __version__,
         "laws": {
-            name: {key: finite(value) for key, value in row.items()}
+            name: {key: finite_or_none(value) for key, value in row.items()}
             | _ended(result.outcomes[name])
             | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
             for name, row in result.metrics.items()
         },
         "growth_without_switching": {
-            name: finite(rate)
+            name: finite_or_none(rate)
             for name, rate in zip(result.problem.modes, result.growth, strict=True)
         },
     }
@@ -250,13 +247,9 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
 
 def _ended(outcome: Outcome) -> dict[str, Any]:
     """How a run ends; it settles where it comes to rest, which need not be 0."""
-    settles = outcome.settling if np.isfinite(outcome.settling) else None
     rest = None if outcome.rest is None else outcome.rest.tolist()
+    settles = finite_or_none(outcome.settling)
     return {"outcome": outcome.kind, "settling_time": settles, "rest": rest}
-
-
-def _file_name(law: str) -> str:
-    return "".join(c if c.isalnum() else "-" for c in law.lower())
 
 
 def _matrix(array: np.ndarray) -> str:

@@ -11,6 +11,7 @@ from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
 from deadtime.errors import ArgumentError
+from deadtime.wording import file_name
 
 if TYPE_CHECKING:
     from deadtime.asked import Given
@@ -222,8 +223,7 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
     saved = []
     for name, certificate in certificates.items():
         assert certificate is not None
-        word = "".join(c if c.isalnum() else "-" for c in name.lower())
-        path = out if len(judged) == 1 else out.with_stem(f"{out.stem}-{word}")
+        path = out if len(judged) == 1 else out.with_stem(f"{out.stem}-{file_name(name)}")
         saved.append(certificate.save(path))
     return saved
 

@@ -90,7 +90,7 @@ def robustness(
 
 def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
     """The figures for JSON, which knows no infinity: null where there is one."""
-    from deadtime.certificate_table import finite
+    from deadtime.wording import finite_or_none
 
     delay, gain, noise = result.delay, result.gain, result.noise
     return {
@@ -99,7 +99,7 @@ def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
         "lost_samples": _tolerance(result.drops),
         "late_samples": _tolerance(result.late),
         "detection_lag": None if result.lag is None else _tolerance(result.lag),
-        "noise": {"base": finite(noise.base), "doubling": finite(noise.doubling)},
+        "noise": {"base": finite_or_none(noise.base), "doubling": finite_or_none(noise.doubling)},
         "sentences": [*result.sentences, *slips],
     }
 

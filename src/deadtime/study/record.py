@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from deadtime.study.findings import best, summary
 from deadtime.study.phrases import Answer
 from deadtime.study.run import failures
 from deadtime.sweeps.laws import LEVELS, ORACLE, knowledge_of, within
+from deadtime.wording import finite_or_none
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -92,4 +92,4 @@ def _plain(value: Any) -> float | str | None:
     """A number of numpy's as one of Python's, or a text."""
     if isinstance(value, str):
         return str(value)
-    return float(value) if math.isfinite(value) else None
+    return finite_or_none(value)
