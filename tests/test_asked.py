@@ -75,6 +75,26 @@ def test_monte_carlo_draws_what_the_file_states(file, capsys, signal, options, e
     assert f"Mean sojourn {expected[1]:g} s: {whole}." in text
 
 
+def test_a_dwell_time_of_zero_goes_with_the_mean_that_the_file_states(file, capsys):
+    path = file("dwell_time = 0.6\nmean_sojourn = 1.1")
+    code, out, err = run(capsys, "monte-carlo", path, "--scenarios", 3, "--dwell-time", 0, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["mean_sojourn"] == 1.1
+    code, _, err = run(capsys, "monte-carlo", file("dwell_time = 0.6"), "--dwell-time", 0)
+    assert (code, "or 0 with a --mean-sojourn" in err) == (2, True)
+
+
+def test_the_bound_of_a_plant_that_a_rule_switches_takes_the_dwell_time_asked_for(file, capsys):
+    path = file("")
+    text = path.read_text(encoding="utf-8").replace('"random"\nseed = 3', '"half-space"')
+    path.write_text(text.replace("[[law]]", "normal = [1.0]\n[[law]]"), encoding="utf-8")
+    code, out, err = run(capsys, "bound", path, "--dwell-time", 0.5)
+    assert (code, err) == (0, "")
+    assert "Dwell time 0.5 s (as asked)." in " ".join(out.split())
+    code, _, err = run(capsys, "bound", path)
+    assert (code, "give --dwell-time" in err) == (2, True)
+
+
 def test_report_bound_and_certificate_ask_about_the_file_s_dwell_time(file, capsys, tmp_path):
     path = file("dwell_time = 0.6\nmean_sojourn = 1.1")
     problem = load_problem(path)

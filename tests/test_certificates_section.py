@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.certificate_table import asked_of, delay_sentence
+from deadtime.asked import dwell_time_of
+from deadtime.certificate_table import delay_sentence
 from deadtime.certificates_section import certificates_section, steps_of_section
 from deadtime.comparison import compare
 from deadtime.problems import Problem
@@ -147,7 +148,7 @@ def test_the_delay_margin_of_the_first_law_is_put_in_a_sentence(made_up):
 
 def test_certificates_are_asked_about_whole_periods():
     problem = closer(0.5)
-    assert asked_of(problem, dt.SwitchingSignal.constant(0)) == (3.0, 0.01)
-    assert asked_of(problem, dt.SwitchingSignal([0.0, 0.07], [0, 1], end=0.14))[0] == 0.07
-    assert asked_of(problem, dt.SwitchingSignal([0.0, 0.0794], [0, 1], end=0.16))[0] == 0.07
-    assert asked_of(problem, dt.SwitchingSignal([0.0, 0.004], [0, 1], end=0.01))[0] == 0.004
+    assert dwell_time_of(problem, dt.SwitchingSignal.constant(0)).value == 3.0
+    for sojourn, dwell in ((0.07, 0.07), (0.0794, 0.07), (0.004, 0.004)):
+        signal = dt.SwitchingSignal([0.0, sojourn], [0, 1], end=2.0 * sojourn)
+        assert dwell_time_of(problem, signal).value == dwell

@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from deadtime.checks import number
 from deadtime.errors import ArgumentError
 from deadtime.problems import Problem
 from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching.random import mean_or_twice
 
 STEP = 0.01  # for problems whose loop is ideal, seconds
+_OPTION = "as asked"
 
 
 class Given(NamedTuple):
@@ -23,12 +26,20 @@ class Given(NamedTuple):
     source: str
 
 
-def dwell_time_of(problem: Problem, signal: SwitchingSignal | Rule) -> Given:
+def step_of(problem: Problem) -> float:
+    """The sampling period of a problem, seconds; `STEP` where its loop is ideal."""
+    return problem.step or STEP
+
+
+def dwell_time_of(
+    problem: Problem, signal: SwitchingSignal | Rule, wanted: float | None = None
+) -> Given:
     """The dwell time that a problem is about.
 
-    The problem's own; where it states none, that of the signal, down to whole periods: what holds
-    for every signal with the shorter one holds for those with the longer one. A signal that never
-    switches is taken to dwell for the problem's horizon.
+    What somebody wanted to know about, if anything; else the problem's own; where it states none,
+    that of the signal, down to whole periods: what holds for every signal with the shorter one
+    holds for those with the longer one. A signal that never switches is taken to dwell for the
+    problem's horizon.
 
     Examples
     --------
@@ -40,6 +51,8 @@ def dwell_time_of(problem: Problem, signal: SwitchingSignal | Rule) -> Given:
     >>> dwell_time_of(unsaid, problem.signal)
     Given(value=0.2, source='the shortest sojourn of its signal')
     """
+    if wanted is not None:
+        return Given(number("dwell_time", wanted), _OPTION)
     if problem.dwell_time is not None:
         return Given(problem.dwell_time, "the problem's dwell time")
     if isinstance(signal, Rule):
@@ -49,16 +62,17 @@ def dwell_time_of(problem: Problem, signal: SwitchingSignal | Rule) -> Given:
         )
     if not math.isfinite(signal.dwell_time):
         return Given(problem.horizon, "the horizon, since its signal never switches")
-    step = problem.step or STEP
+    step = step_of(problem)
     periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
     return Given(dwell, "the shortest sojourn of its signal")
 
 
-def mean_sojourn_of(problem: Problem, dwell: float) -> Given:
+def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None) -> Given:
     """The mean sojourn that a problem is about, for signals with a dwell time.
 
-    Twice the dwell time where the problem states none, or one that leaves no room above it.
+    What somebody wanted; else the problem's. Twice the dwell time where the problem states none, or
+    one that leaves no room above it.
 
     Examples
     --------
@@ -66,9 +80,11 @@ def mean_sojourn_of(problem: Problem, dwell: float) -> Given:
     >>> mean_sojourn_of(dt.problems.paper(), 0.5)
     Given(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
     """
-    mean = problem.mean_sojourn
+    if wanted is not None:
+        return Given(number("mean_sojourn", wanted), _OPTION)
+    mean, twice = problem.mean_sojourn, mean_or_twice(dwell)
     if mean is None:
-        return Given(2.0 * dwell, "twice the dwell time")
+        return Given(twice, "twice the dwell time")
     if mean <= dwell:
-        return Given(2.0 * dwell, f"twice the dwell time; the problem's, {mean:g} s, is too short")
+        return Given(twice, f"twice the dwell time; the problem's, {mean:g} s, is too short")
     return Given(mean, "the problem's mean sojourn")

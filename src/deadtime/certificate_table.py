@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING, Any
 
-from deadtime.asked import STEP, dwell_time_of
 from deadtime.checks import positive
 from deadtime.errors import ArgumentError
 from deadtime.problems import Problem
-from deadtime.switching import SwitchingSignal
 from deadtime.wording import sentence_of, signed
 
 if TYPE_CHECKING:
@@ -25,19 +23,6 @@ LEGEND = (
     "verified in ball arithmetic, also where a witness refutes. Growth: of the worst signal found. "
     "Delay margin: true delays, between which the law as it is keeps every constant mode stable."
 )
-
-
-def asked_of(problem: Problem, signal: SwitchingSignal) -> tuple[float, float]:
-    """The dwell time (`dwell_time_of`) and the period that certificates are about, seconds.
-
-    Examples
-    --------
-    >>> import deadtime as dt
-    >>> problem = dt.problems.paper()
-    >>> round(problem.signal.dwell_time, 4), asked_of(problem, problem.signal)
-    (0.202, (0.2, 0.01))
-    """
-    return dwell_time_of(problem, signal).value, problem.step or STEP
 
 
 @dataclass(frozen=True, eq=False)

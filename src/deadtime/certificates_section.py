@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from deadtime.asked import dwell_time_of
+from deadtime.asked import dwell_time_of, step_of
 from deadtime.certificate_table import (
     HEADINGS,
     Judged,
-    asked_of,
     judge,
     judged_rows,
     judged_sentences,
@@ -63,8 +62,7 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     problem's period, or at 0.01 s where the problem's loop is ideal.
     """
     problem = result.problem
-    dwell, step = asked_of(problem, result.signal)
-    source = dwell_time_of(problem, result.signal).source
+    (dwell, source), step = dwell_time_of(problem, result.signal), step_of(problem)
     judged = judge(problem, dwell, step, progress=progress)
     sentences = judged_sentences(judged)
     figures = []

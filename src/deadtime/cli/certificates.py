@@ -161,10 +161,10 @@ def verify(
 
 def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
     """The bracket of every law, or of one; 1 if that one has none."""
-    from deadtime.certificate_table import STEP
+    from deadtime.asked import step_of
     from deadtime.certificates import least_dwell_time
 
-    period, names = problem.step or STEP, list(problem.laws) if law is None else [law]
+    period, names = step_of(problem), list(problem.laws) if law is None else [law]
     laws, found = [problem.law(name) for name in names], {}
     with progress_bar(len(names), quiet=json_output) as advance:
         for name, one in zip(names, laws, strict=True):
@@ -203,11 +203,9 @@ def _with_step(problem: Problem, step: float | None) -> Problem:
 
 def _asked(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
     """The dwell time and the period that a problem asks about, in seconds."""
-    from deadtime.asked import STEP, Given, dwell_time_of
+    from deadtime.asked import dwell_time_of, step_of
 
-    if dwell_time is not None:
-        return Given(dwell_time, "as asked"), problem.step or STEP
-    return dwell_time_of(problem, problem.signal), problem.step or STEP
+    return dwell_time_of(problem, problem.signal, dwell_time), step_of(problem)
 
 
 def _print_verification(result: Verification) -> None:

@@ -72,6 +72,7 @@ def design(
         Print the result as JSON instead of text.
     """
     from deadtime import SwitchedSystem
+    from deadtime.asked import step_of
     from deadtime.design import design as designed
     from deadtime.design_plots import plot_designs
     from deadtime.design_table import design_record, problem_sections
@@ -82,7 +83,7 @@ def design(
         one = slice(index("mode", mode, plant.modes), mode + 1)
         plant = SwitchedSystem(plant.A[one], plant.B[one], plant.delay)
         gains = gains[one]
-    period = chosen.step or 0.01 if step is None else positive("step", step)
+    period = step_of(chosen) if step is None else positive("step", step)
     found = designed(
         plant,
         delay_margin=delay_margin,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deadtime.checks import number, positive
+from deadtime.checks import positive
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_of
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from deadtime.switching import SemiMarkov, SwitchingSignal
 
 _DATA = (".nc", ".csv")
-_OPTION = "as asked"
 _PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -164,7 +163,7 @@ class Sojourn(NamedTuple):
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
     """Dwell time and mean sojourn, where the problem's plant is one that signals switch."""
-    from deadtime.asked import Given, mean_sojourn_of
+    from deadtime.asked import mean_sojourn_of
     from deadtime.switching import SwitchingSignal
 
     if problem.plant.modes == 1:
@@ -185,14 +184,11 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
         )
     shortest = _dwell_time(problem, problem.signal, dwell)
     least = shortest.value
-    if least < 0.0 or (least == 0.0 and mean is None):
+    whole = mean_sojourn_of(problem, least, mean)
+    if least < 0.0 or least == whole.value == 0.0:
         raise ArgumentError(
             f"dwell_time must be positive, in s, or 0 with a --mean-sojourn, got {least:g}."
         )
-    if mean is None:
-        whole = mean_sojourn_of(problem, least)
-    else:
-        whole = Given(number("mean_sojourn", mean), _OPTION)
     if whole.value <= least:
         raise ArgumentError(
             f"mean_sojourn must be above the dwell time, {least:g} s, got {whole.value:g} "
@@ -203,16 +199,14 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> Given:
     """The dwell time asked for, or the problem's."""
-    from deadtime.asked import Given, dwell_time_of
+    from deadtime.asked import dwell_time_of
 
-    if dwell is not None:
-        return Given(number("dwell_time", dwell), _OPTION)
-    if problem.dwell_time is None and not math.isfinite(signal.dwell_time):
+    if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
             f"the signal of the problem {problem.name!r} never switches, so it has no dwell "
             "time: give one, --dwell-time 0.2."
         )
-    return dwell_time_of(problem, signal)
+    return dwell_time_of(problem, signal, dwell)
 
 
 def _model(problem: Problem, dwell: float, mean: float) -> SemiMarkov:

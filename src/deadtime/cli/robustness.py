@@ -50,7 +50,7 @@ def robustness(
     json_output
         Print the results as JSON instead of text.
     """
-    from deadtime.certificate_table import STEP
+    from deadtime.asked import step_of
     from deadtime.robustness.assess import STEPS
     from deadtime.robustness.assess import robustness as assess
     from deadtime.robustness_plots import plot_robustness
@@ -59,7 +59,7 @@ def robustness(
     chosen = problem_of(problem)
     name = next(iter(chosen.laws)) if law is None else law
     chosen_law = chosen.law(name)
-    period = chosen.step or STEP if step is None else positive("step", step)
+    period = step_of(chosen) if step is None else positive("step", step)
     with progress_bar(len(STEPS), quiet=json_output) as advance:
         result = assess(
             chosen.plant,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deadtime.checks import positive
 from deadtime.cli.entry import JUDGE, AsJson, app, lines
 from deadtime.cli.printing import print_json, print_table
 from deadtime.cli.problems import problem_of
@@ -38,9 +37,7 @@ def bound(
     from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
 
     chosen = problem_of(problem)
-    dwell, source = dwell_time_of(chosen, chosen.signal)
-    if dwell_time is not None:
-        dwell, source = positive("dwell_time", dwell_time), "as asked"
+    dwell, source = dwell_time_of(chosen, chosen.signal, dwell_time)
     bounds = bounds_of(chosen, dwell)
     if json_output:
         print_json(bounds_record(bounds))

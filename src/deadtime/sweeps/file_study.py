@@ -22,6 +22,7 @@ from deadtime.sweeps.axes import AXES, Draft, axis_of
 from deadtime.sweeps.laws import COARSE, Setting, kinds_of
 from deadtime.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SemiMarkov
+from deadtime.switching.random import mean_or_twice
 from deadtime.toml_file import require_valid, section
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
@@ -148,8 +149,7 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> Model:
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
         from scipy.stats import expon
 
-        mean = 2.0 * signal.dwell_time if signal.mean_sojourn is None else signal.mean_sojourn
-        rest = mean - signal.dwell_time
+        rest = mean_or_twice(signal.dwell_time, signal.mean_sojourn) - signal.dwell_time
         return SemiMarkov(expon(loc=signal.dwell_time, scale=rest), modes=modes)
     raise ArgumentError(
         "a study draws its signals: give grid.dwell_time, or the problem file a [switching] "

@@ -84,6 +84,11 @@ def random_signal(
     return SwitchingSignal(np.array([0.0, *times]), np.array(visited), horizon)
 
 
+def mean_or_twice(dwell_time: float, mean_sojourn: float | None = None) -> float:
+    """The mean of whole sojourns, seconds: twice the dwell time where none is stated."""
+    return 2.0 * dwell_time if mean_sojourn is None else mean_sojourn
+
+
 def require_few(horizon: float, mean: float) -> None:
     """Refuse a horizon that would hold more switches than memory."""
     if horizon / mean > MOST_SWITCHES:
@@ -97,7 +102,7 @@ def _minimum_dwell(
     rng: np.random.Generator, horizon: float, dwell_time: float, mean_sojourn: float | None
 ) -> list[float]:
     """Switching instants below the horizon, at least `dwell_time` apart."""
-    mean = 2.0 * dwell_time if mean_sojourn is None else positive("mean_sojourn", mean_sojourn)
+    mean = positive("mean_sojourn", mean_or_twice(dwell_time, mean_sojourn))
     if mean < dwell_time:
         raise ArgumentError(
             f"mean_sojourn must be at least dwell_time = {dwell_time:g} s, got {mean:g}."
