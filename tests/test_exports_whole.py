@@ -71,6 +71,12 @@ def test_if_one_export_fails_none_is_there(folder, capsys, wrong, message):
     assert sorted(folder.iterdir()) == before
 
 
+def test_an_fmu_goes_into_the_folder_that_is_made_for_the_c(folder):
+    assert command("export", "two.toml", "--c", "a/out", "--fmu", "a/out/m.fmu") == 0
+    assert {"m.fmu", "controller.c"} <= {path.name for path in (folder / "a/out").iterdir()}
+    assert {path.name for path in folder.iterdir()} == {"two.toml", "a"}
+
+
 def test_a_folder_keeps_what_else_is_in_it_and_its_old_files_until_all_is_made(folder):
     run = dt.Controller(plants.LAWS["averaged"](plants.paper()), 0.1)
     run.export_c(folder / "out")

@@ -85,39 +85,19 @@ def export(
     precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law
     names = Names(called, chosen.states, chosen.modes, chosen.inputs)
-    text = [f"{chosen.title}: law {called}, {_limited(controller)}"]
-    record: dict[str, Any] = {"law": called, "step": controller.step}
-    passed = True
+    shared: dict[str, Any] = {"precision": precision, "accuracy": accuracy, "names": names}
+    code = law_fmu = model = None
     with Staging() as staging:  # all that is asked for, or nothing
         if c is not None:
-            written = export_c(
-                controller,
-                c,
-                precision=precision,
-                accuracy=accuracy,
-                rom_budget=rom_budget,
-                name=name,
-                names=names,
-                staging=staging,
+            code = export_c(
+                controller, c, rom_budget=rom_budget, name=name, staging=staging, **shared
             )
-            passed = written.check.passed is not False
-            text += _c_lines(written, precision)
-            record["c"] = _c_record(written)
         if fmu is not None:
-            made = export_fmu(
-                controller,
-                fmu,
-                version=fmi,
-                precision=precision,
-                accuracy=accuracy,
-                u0=chosen.u0,
-                names=names,
-                staging=staging,
+            law_fmu = export_fmu(
+                controller, fmu, version=fmi, u0=chosen.u0, staging=staging, **shared
             )
-            text.append(f"FMU of the controller: {made}")
-            record["fmu"] = _fmu_record(made)
         if plant_fmu is not None:
-            made = export_plant_fmu(
+            model = export_plant_fmu(
                 chosen.plant,
                 plant_fmu,
                 x0=chosen.x0,
@@ -127,13 +107,28 @@ def export(
                 names=replace(names, title=f"Plant: {chosen.title}"),
                 staging=staging,
             )
-            text.append(f"FMU of the plant: {made}")
-            record["plant_fmu"] = _fmu_record(made)
     if json_output:
+        made = {
+            "c": code and _c_record(code),
+            "fmu": law_fmu and _fmu_record(law_fmu),
+            "plant_fmu": model and _fmu_record(model),
+        }
+        record = {"law": called, "step": controller.step}
+        record |= {kind: one for kind, one in made.items() if one is not None}
         print_json(record, _files_of(record))
     else:
-        print("\n".join(text))
-    return 0 if passed else 1
+        print(f"{chosen.title}: law {called}, {_limited(controller)}")
+        print("\n".join(_lines(code, precision, law_fmu, model)))
+    return 1 if code is not None and code.check.passed is False else 0
+
+
+def _lines(
+    code: Exported | None, precision: str, fmu: ExportedFmu | None, plant: ExportedFmu | None
+) -> list[str]:
+    """What was written, for a reader."""
+    text = [] if code is None else _c_lines(code, precision)
+    text += [] if fmu is None else [f"FMU of the controller: {fmu}"]
+    return text + ([] if plant is None else [f"FMU of the plant: {plant}"])
 
 
 def _c_lines(written: Exported, precision: str) -> list[str]:
@@ -173,6 +168,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     """The controller of a law of the problem, within the limits of its saturation."""
     import numpy as np
 
+    from deadtime.asked import step_of
     from deadtime.checks import bound
     from deadtime.controller import Controller
     from deadtime.imperfections import Saturation
@@ -188,7 +184,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
         limits = (low, high)
-    period = problem.step or 0.01 if step is None else step
+    period = step_of(problem) if step is None else step
     return Controller(chosen, period, limits=limits)
 
 

@@ -53,7 +53,11 @@ class Staging:
         try:
             if target.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            place = self._place(target.parent, target, "path")
+            around = [place for place, folder, _ in self._moves if folder == target.parent]
+            if around and not target.parent.exists():
+                place = around[0] / target.name  # it appears with its folder
+            else:
+                place = self._place(target.parent, target, "path")
             place.touch(exist_ok=False)
         except OSError as error:
             raise unwritable("path", target, error) from None
