@@ -94,8 +94,10 @@ def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
 
     delay, gain, noise = result.delay, result.gain, result.noise
     return {
-        "delay_margin": None if delay is None else [*map(finite, (delay.lower, delay.upper))],
-        "gain_margin": None if gain is None else [*map(finite, (gain.lower, gain.upper))],
+        "delay_margin": None
+        if delay is None
+        else [*map(finite_or_none, (delay.lower, delay.upper))],
+        "gain_margin": None if gain is None else [*map(finite_or_none, (gain.lower, gain.upper))],
         "lost_samples": _tolerance(result.drops),
         "late_samples": _tolerance(result.late),
         "detection_lag": None if result.lag is None else _tolerance(result.lag),

@@ -102,7 +102,10 @@ def _times(setting: Setting) -> str:
             return "chatter and maximum_dwell exclude each other"
         if setting.maximum_dwell / setting.step > MOST_AGES:
             return "the period is too short for these times"
-    if setting.chatter * setting.dwell_time / setting.step > MOST_AGES:
+    if (
+        setting.chatter > MOST_AGES
+        or setting.chatter * setting.dwell_time > MOST_AGES * setting.step
+    ):
         return "the period is too short for these times"
     try:
         family = setting.family
