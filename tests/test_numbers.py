@@ -147,6 +147,8 @@ def test_a_dwell_time_of_too_many_periods_is_refused_before_anything_is_laid_out
     for ask in (dt.certify, dt.falsify):
         with pytest.raises(dt.ArgumentError, match=r"dwell_time / step = .* periods, at most"):
             ask(PLANT, LAW, size, step=0.1)
+    with pytest.raises(dt.ArgumentError, match=r"maximum_dwell / step = .* periods, at most"):
+        dt.certify(PLANT, LAW, 0.2, step=0.1, maximum_dwell=size)
 
 
 @pytest.mark.parametrize(

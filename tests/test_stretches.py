@@ -189,9 +189,15 @@ def test_a_mode_that_must_be_left_is_certified_close_to_how_long_it_may_last():
     assert beyond.stable is None
 
 
+def along_stretches(name):
+    evidence = load_evidence(CORPUS / f"{name}.json").evidence
+    assert isinstance(evidence, StretchEvidence)
+    return evidence
+
+
 @pytest.mark.parametrize("longest", [7.0, 30.0, 100.0, 240.0])
 def test_sojourns_claimed_far_too_long_are_refused_after_few_of_their_steps(longest):
-    evidence = load_evidence(CORPUS / "stretches-maximum.json").evidence
+    evidence = along_stretches("stretches-maximum")
     claimed = dataclasses.replace(evidence.setting, maximum_dwell=longest)
     outcome = check(dataclasses.replace(evidence, setting=claimed))
     assert not outcome.proven
@@ -199,7 +205,7 @@ def test_sojourns_claimed_far_too_long_are_refused_after_few_of_their_steps(long
 
 
 def test_long_products_of_equal_steps_cost_a_few_multiplications():
-    evidence = load_evidence(CORPUS / "stretches-maximum.json").evidence
+    evidence = along_stretches("stretches-maximum")
     inequalities = StretchInequalities(evidence)
     with balls.precision():
         for end in (2000, 2001, 2002, 1999):
@@ -212,7 +218,7 @@ def test_long_products_of_equal_steps_cost_a_few_multiplications():
 
 
 def test_more_knots_than_stretches_may_be_are_refused_before_any_is_looked_at():
-    evidence = load_evidence(CORPUS / "stretches-maximum-free.json").evidence
+    evidence = along_stretches("stretches-maximum-free")
     setting = dataclasses.replace(evidence.setting, dwell_time=600.0, maximum_dwell=600.2)
     knots = tuple(range(5_990))
     P = np.repeat(evidence.P[:, :1], len(knots), axis=1)

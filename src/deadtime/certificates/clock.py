@@ -21,11 +21,17 @@ def clock_tolerance_in_range(value: object, least: float = LEAST) -> float:
     return tolerance
 
 
-def require_periods(dwell_time: float, step: float) -> None:
-    """Refuse a dwell time of more periods than certificates and searches lay out."""
+def require_periods(dwell_time: float, step: float, maximum: float | None = None) -> None:
+    """Refuse sojourns of more periods than certificates and searches lay out."""
     if dwell_time / step > MOST_PERIODS:
         raise ArgumentError(
             f"dwell_time / step = {dwell_time / step:.3g} periods, at most {MOST_PERIODS:.0e} are "
             "possible: are both in seconds? Lengthen the step; what a shorter dwell time proves "
             "holds for a longer one too."
+        )
+    if maximum is not None and maximum / step > MOST_PERIODS:
+        raise ArgumentError(
+            f"maximum_dwell / step = {maximum / step:.3g} periods, at most {MOST_PERIODS:.0e} are "
+            "possible: are both in seconds? Lengthen the step, or leave maximum_dwell out, for "
+            "sojourns of any length."
         )

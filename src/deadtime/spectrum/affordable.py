@@ -85,8 +85,10 @@ def _too_long(
         return ""
     delay = _longest(plant, law)
     least = delay * plant.inputs * math.sqrt(_UNIT[asked] * plant.modes * trials / most)
+    periods = delay / step
+    count = f"{periods:,.0f}" if periods < 1e9 else f"{periods:.3g}"
     return (
-        f"the delay of {delay:g} s holds D/h = {delay / step:,.0f} periods of {step:g} s, with "
+        f"the delay of {delay:g} s holds D/h = {count} periods of {step:g} s, with "
         f"which it takes about {_time(seconds)}; check their units, or give a longer step, "
         f"{_rounded_up(least):g} s"
     )
