@@ -86,6 +86,7 @@ FALSE = [
     (UNTIL, put("signals.maximum_dwell", 6.0)),
     (UNTIL, put("signals.maximum_dwell", None)),
     ("maximum", put("signals.maximum_dwell", None)),
+    *((AVERAGE, put("signals.chatter", count)) for count in (10**400, 10**9)),
     (AVERAGE, put("signals.chatter", 6)),
     (AVERAGE, put("signals.dwell_time", 2.0)),
     (AVERAGE, put("signals.dwell_time", 0.5)),

@@ -149,6 +149,8 @@ def test_a_dwell_time_of_too_many_periods_is_refused_before_anything_is_laid_out
             ask(PLANT, LAW, size, step=0.1)
     with pytest.raises(dt.ArgumentError, match=r"maximum_dwell / step = .* periods, at most"):
         dt.certify(PLANT, LAW, 0.2, step=0.1, maximum_dwell=size)
+    with pytest.raises(dt.ArgumentError, match=r"chatter · dwell_time / step must be at most"):
+        dt.certify(PLANT, LAW, 0.2, step=0.1, chatter=int(size))
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ def certify(
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
-    require_periods(dwell_time, step, maximum_dwell)
+    require_periods(dwell_time, step, maximum_dwell, chatter)
     reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or unmoved(plants)
     if reason:
         return Certificate(None, reason)

@@ -21,7 +21,9 @@ def clock_tolerance_in_range(value: object, least: float = LEAST) -> float:
     return tolerance
 
 
-def require_periods(dwell_time: float, step: float, maximum: float | None = None) -> None:
+def require_periods(
+    dwell_time: float, step: float, maximum: float | None = None, chatter: int = 1
+) -> None:
     """Refuse sojourns of more periods than certificates and searches lay out."""
     if dwell_time / step > MOST_PERIODS:
         raise ArgumentError(
@@ -34,4 +36,10 @@ def require_periods(dwell_time: float, step: float, maximum: float | None = None
             f"maximum_dwell / step = {maximum / step:.3g} periods, at most {MOST_PERIODS:.0e} are "
             "possible: are both in seconds? Lengthen the step, or leave maximum_dwell out, for "
             "sojourns of any length."
+        )
+    if chatter > MOST_PERIODS or chatter * dwell_time > MOST_PERIODS * step:
+        raise ArgumentError(
+            f"chatter · dwell_time / step must be at most {MOST_PERIODS:.0e} periods, got a chatter "
+            f"of {chatter if chatter < MOST_PERIODS else f'more than {MOST_PERIODS:.0e}'}: fewer "
+            "switches at once, or a longer step."
         )
