@@ -131,7 +131,7 @@ def test_a_hostile_log_is_refused_in_a_short_line(text, message, tmp_path):
 
 @pytest.mark.parametrize(
     ("start", "step"),
-    [("1732300000000.0", "0.1"), ("1732300000.123456789", "0.001"), ("99999999999999999", "1e-7")],
+    [("17323000000.0", "0.1"), ("1732300000.123456789", "0.001"), ("-99999999999", "1e-7")],
 )
 def test_a_log_keeps_every_digit_that_its_clock_has_after_the_first_row(start, step, tmp_path):
     from decimal import Decimal

@@ -46,6 +46,17 @@ def test_end_is_on_the_clock_of_the_log(log):
     assert log("time,mode\n100,1\n101,1\n", end=105.0).end == 5.0
 
 
+@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_a_clock_that_counts_other_than_seconds_is_told(log, unit, scale):
+    start = int(1_763_800_000 * scale)
+    rows = "".join(f"{start + int(t * scale)},{mode}\n" for t, mode in ((0, 0), (0.35, 1), (2, 0)))
+    signal = log("time,mode\n" + rows, unit=unit, end=float(start + 3 * scale))
+    assert (signal.times.tolist(), signal.end) == ([0.0, 0.35, 2.0], 3.0)
+    with pytest.raises(dt.ArgumentError, match=r"clock starts at 1\.7638e\+.*say unit = "):
+        log("time,mode\n" + rows)
+    assert log("time,mode\n" + rows, unit="s").times[1] == 0.35 * scale
+
+
 def test_labels_name_the_modes(log):
     signal = log("time,mode\n0,brake\n1, throttle\n", labels={"throttle": 0, "brake": 1})
     assert signal.modes.tolist() == [1, 0]
@@ -86,6 +97,7 @@ HEAD = "time,mode\n0,0\n"
         ),
         (HEAD + "1,b\n", {"labels": {"0": 0, "b": 7}, "modes": 2}, "line 3: mode must be"),
         (HEAD + "2,1\n1,0\n", {}, "line 4: time must be later than in line 3"),
+        (HEAD, {"unit": "min"}, "unit must be one of s, ms, us, ns, got 'min'."),
         (HEAD + "1e308,1\n-1e308,0\n", {}, "line 4: time must be later than in line 3"),
     ],
 )

@@ -39,7 +39,8 @@ def require_periods(
         )
     if chatter > MOST_PERIODS or chatter * dwell_time > MOST_PERIODS * step:
         raise ArgumentError(
-            f"chatter · dwell_time / step must be at most {MOST_PERIODS:.0e} periods, got a chatter "
-            f"of {chatter if chatter < MOST_PERIODS else f'more than {MOST_PERIODS:.0e}'}: fewer "
-            "switches at once, or a longer step."
+            f"chatter · dwell_time / step must be at most {MOST_PERIODS:.0e} periods, got a "
+            f"chatter of {min(chatter, MOST_PERIODS):.0e}"
+            f"{' or more' if chatter > MOST_PERIODS else ''}: allow fewer switches at once, or "
+            "lengthen the step."
         )

@@ -24,6 +24,7 @@ def fit(
     family: str = "auto",
     first: Literal["whole", "drop"] = "whole",
     labels: dict[str, int] | None = None,
+    unit: Literal["s", "ms", "us", "ns"] | None = None,
     out: Folder = Path("fit.png"),
     json_output: AsJson = False,
 ) -> None:
@@ -32,14 +33,16 @@ def fit(
     Parameters
     ----------
     logs
-        CSV files with the columns time (seconds) and mode.
+        CSV files with the columns time and mode.
     family
         Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
         lognormal, fixed; auto takes the best.
     first
         drop, if the logs begin in the middle of a sojourn.
     labels
-        Mode of each text in the logs.
+        Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
+    unit
+        Of the column time; s by default.
     out
         The figure, PNG, SVG or PDF.
     json_output
@@ -51,7 +54,7 @@ def fit(
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
-    signals = [SwitchingSignal.from_csv(log, labels=labels) for log in logs]
+    signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
     model = SemiMarkov.fit(signals, family=family, first=first)
     texts = {mode: text for text, mode in (labels or {}).items()}
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]

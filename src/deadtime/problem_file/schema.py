@@ -221,6 +221,9 @@ class FittedSwitching(Section):
         "whole", description='"drop" if the logs begin in mid-sojourn.'
     )
     labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
+    unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None, description="Of the logs' column time; seconds by default."
+    )
 
 
 class ConstantSignal(Section):
@@ -266,6 +269,9 @@ class LogSignal(Section):
     kind: Literal["log"]
     file: str = Field(description="Path, relative to the problem file.")
     labels: dict[str, int] | None = Field(None, description="Mode of each text in the log.")
+    unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None, description="Of the log's column time; seconds by default."
+    )
     end: float | None = Field(None, description="Up to when the log is known, on its own clock.")
     dwell_time: float | None = Field(None, description="Checked, seconds.")
 

@@ -41,7 +41,9 @@ def build_model(section: schema.Switching | None, modes: int, folder: Path) -> M
             model = SemiMarkov(sojourn, section.transition, modes=modes if one else None)
         case schema.FittedSwitching():
             signals = [
-                SwitchingSignal.from_csv(folder / log, modes=modes, labels=section.labels)
+                SwitchingSignal.from_csv(
+                    folder / log, modes=modes, labels=section.labels, unit=section.unit
+                )
                 for log in section.logs
             ]
             model = SemiMarkov.fit(signals, family=section.family, modes=modes, first=section.first)
@@ -113,7 +115,11 @@ def build_signal(
             signal = SwitchingSignal(section.times, section.modes, known)
         case schema.LogSignal():
             signal = SwitchingSignal.from_csv(
-                folder / section.file, modes=plant.modes, labels=section.labels, end=section.end
+                folder / section.file,
+                modes=plant.modes,
+                labels=section.labels,
+                end=section.end,
+                unit=section.unit,
             )
         case _:
             raise TypeError(section)  # a rule: see build_rule

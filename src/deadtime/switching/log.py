@@ -19,6 +19,8 @@ from deadtime.text_files import read_text
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known
+UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
+LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
 
 
 def read_log(
@@ -27,12 +29,14 @@ def read_log(
     modes: int | None = None,
     labels: Mapping[str, int] | None = None,
     end: float | None = None,
+    unit: str | None = None,
 ) -> SwitchingSignal:
-    """A signal from a CSV file with a header and the columns `time` (seconds) and `mode`.
+    """A signal from a CSV file with a header and the columns `time` and `mode`.
 
-    Rows may be switching events or samples; the first row's time becomes 0, before any digit
-    of the others is lost. If the last row repeats the mode before it, the signal ends there;
-    otherwise it has no end, unless `end` (on the log's own clock) says otherwise. A column
+    Rows may be switching events or samples, evenly spaced or not: a mode begins at the first row
+    that names it. The first row's time becomes 0, before any digit of the others is lost, so
+    clocks may count from any day. If the last row repeats the mode before it, the signal ends
+    there; otherwise it has no end, unless `end` (on the log's own clock) says otherwise. A column
     `initial_age` (seconds, first row) says how long the first mode had been active before the log
     began.
 
@@ -44,32 +48,50 @@ def read_log(
         Number of modes of the plant; a mode beyond it is an error.
     labels : mapping, optional
         From the text in the log to the mode, such as ``{"throttle": 0, "brake": 1}``.
+    unit : "s", "ms", "us" or "ns", optional
+        Of the column `time`, and of `end`; seconds by default.
 
     Raises
     ------
     ArgumentError
         If the file is missing or lacks a column, or a row's time or mode is not known; the
-        message names the line.
+        message names the line. If times are so large that seconds cannot be meant, and no unit
+        is given.
     """
     source = Path(path)
     text = read_text(source, MOST_BYTES)
     rows, age = _rows(source, text)
     clock = [_decimal(f"{source}, line {row.line}: time", row.time) for row in rows]
+    power = _power(source, clock[0], unit)
     visited = [_mode(source, row.line, row.mode, modes, labels) for row in rows]
     # Told from the first row, so that a clock that counts from 1970 loses nothing.
-    times = np.array([float(time - clock[0]) for time in clock])
+    times = np.array([float((time - clock[0]).scaleb(power)) for time in clock])
     for before, row, late in zip(rows, rows[1:], times[1:] <= times[:-1], strict=False):
         if late:
             raise ArgumentError(
                 f"{source}, line {row.line}: time must be later than in line {before.line}: sort "
                 "the log and keep one row per instant."
             )
-    known_until = np.inf if end is None else float(Decimal(repr(float(end))) - clock[0])
+    known_until = np.inf
+    if end is not None:
+        known_until = float((Decimal(repr(float(end))) - clock[0]).scaleb(power))
     if end is None and len(visited) > 1 and visited[-1] == visited[-2]:
         known_until = times[-1]
         times, visited = times[:-1], visited[:-1]
     age_at_start = float(_decimal(f"{source}: initial_age", age)) if age else 0.0
     return SwitchingSignal(times, np.array(visited), known_until, initial_age=age_at_start)
+
+
+def _power(source: Path, start: Decimal, unit: str | None) -> int:
+    """The power of ten that makes seconds of a log's clock."""
+    if unit is None and abs(start) >= LATEST:
+        raise ArgumentError(
+            f"{source}: its clock starts at {float(start):.6g}, which is after the year 5138 if it "
+            'counts seconds: say unit = "ms" (or "us", "ns") if it does not, "s" if it does.'
+        )
+    if unit is not None and unit not in UNITS:
+        raise ArgumentError(f"unit must be one of {', '.join(UNITS)}, got {unit!r}.")
+    return UNITS[unit or "s"]
 
 
 class _Row(NamedTuple):
@@ -126,7 +148,7 @@ def _mode(
         return int(text)
     if labels is None and (modes is not None or text.isdecimal()):
         known = f"an integer in 0..{most - 1}"
-    hint = "" if labels is not None else ": map other names with labels={'name': mode, …}"
+    hint = "" if labels is not None else ": map other names with labels, such as {'idle': 0}"
     raise ArgumentError(f"{source}, line {line}: mode must be {known}, got {_short(text)}{hint}.")
 
 

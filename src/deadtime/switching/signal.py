@@ -254,11 +254,12 @@ class SwitchingSignal(Frozen):
         labels: Mapping[str, int] | None = None,
         end: float | None = None,
         dwell_time: float | None = None,
+        unit: str | None = None,
     ) -> SwitchingSignal:
         """A signal from a log with columns `time` and `mode`; see `deadtime.switching.log`."""
         from deadtime.switching.log import read_log
 
-        signal = read_log(path, modes=modes, labels=labels, end=end)
+        signal = read_log(path, modes=modes, labels=labels, end=end, unit=unit)
         return signal if dwell_time is None else signal.require_dwell_time(dwell_time)
 
     def to_csv(self, path: str | PathLike[str]) -> None:
