@@ -248,6 +248,20 @@ def test_fit_prints_a_section_that_a_problem_file_takes(tmp_path, capsys, log):
     assert re.search(r"throttle +\d+ ", out)
 
 
+def test_fit_and_a_problem_file_take_the_unit_of_a_clock(tmp_path, capsys, log):
+    rows = [row.split(",") for row in log.read_text().splitlines()[1:]]
+    changed = [f"{1_763_800_000_000 + 1000 * float(t)!r},{name}" for t, name in rows]
+    (tmp_path / "ms.csv").write_text("\n".join(("time,mode", *changed)) + "\n")
+    _, seconds, _ = fit(capsys, "log.csv", *LABELS, "--json")
+    code, out, _ = fit(capsys, "ms.csv", *LABELS, "--unit", "ms", "--json")
+    means = [[mode["mean"] for mode in json.loads(one)["modes"].values()] for one in (seconds, out)]
+    np.testing.assert_allclose(means[1], means[0], rtol=1e-3)
+    code, _, err = fit(capsys, "ms.csv", *LABELS)
+    assert (code, "say unit =" in err) == (2, True)
+    section = '[signal]\nkind = "log"\nfile = "ms.csv"\nlabels = { throttle = 0, brake = 1 }\nunit = "ms"\n'
+    assert load(tmp_path, section).signal.dwell_time < 2.0
+
+
 def test_fit_as_json_names_families_and_goodness(capsys, log):
     code, out, err = fit(capsys, "log.csv", *LABELS, "--family", "gamma", "--json")
     assert (code, err) == (0, "")
