@@ -24,7 +24,7 @@ from deadtime.wording import amount, compact, signed
 
 
 def verdict(result: Comparison) -> list[str]:
-    """Plain sentences, each made from measured figures; what to look at in the numbers comes last.
+    """Plain sentences, each made from measured figures; numbers that do not fit each other lead.
 
     Examples
     --------
@@ -34,19 +34,20 @@ def verdict(result: Comparison) -> list[str]:
     Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
     """
     lead = untested(result.runs[result.lead], result.outcomes[result.lead])
-    sentences = [_headline(result), *([lead] if lead else []), *_imperfections(result)]
+    sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
+    sentences += _imperfections(result)
     early = [name for name, run in result.runs.items() if _ended_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
         chatter = f"Runs that chatter end early: {', '.join(early)}; see their messages."
-        return [*sentences, chatter, *slips_of(result.problem)]
+        return [*sentences, chatter]
     settled = not any(run.message and not run.diverged for run in result.held)
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _named(result, DelayedStateFeedback)[:1]]
     singles = _named(result, SingleModePredictor)
     sentences += [_believing_one_mode(result, singles)] if singles else []
     sentences += [_against_the_oracle(result, name) for name in _named(result, ExactPredictor)[:1]]
-    return [*sentences, *slips_of(result.problem), *disagreement_of(result)]
+    return [*sentences, *disagreement_of(result)]
 
 
 def _ended_early(result: Comparison, run: Trajectory) -> bool:
@@ -141,7 +142,12 @@ def _without_switching(result: Comparison) -> str:
     rates[1:] = [text.replace("it grows ", "") for text in rates[1:]]
     calm = "does not grow" if still else "decays"
     others = "" if len(unstable) == len(growth) else f" (in the other modes it {calm})"
-    return "Yet the same loop is unstable if it stops switching: " + ", ".join(rates) + others + "."
+    begin = (
+        f"{same} is unstable without switching, too: "
+        if _grows(result, result.lead)
+        else f"Yet {same[0].lower()}{same[1:]} is unstable if it stops switching: "
+    )
+    return begin + ", ".join(rates) + others + "."
 
 
 def _rate(growth: float) -> str:

@@ -144,7 +144,8 @@ def untested(run: Trajectory, outcome: Outcome) -> str:
         return ""
     return (
         f"The first switch, at {switches[0]:.4g} s, comes after x has settled ({settled:.3g} s): "
-        "this signal has not tested the law by switching. Let it switch earlier."
+        "this signal has not tested the law by switching. Take a signal that switches earlier, "
+        "or begin the run shortly before a switch."
     )
 
 
