@@ -16,6 +16,7 @@ RINGS = (
     ("errors", "checks", "frozen", "text_files", "wording", "version"),
     (
         *("plant", "switching", "steps", "lanes", "exponential", "covariance", "sampled"),
+        "sampled_plant",
         *("feedback", "forecast"),
     ),
     ("imperfections",),

@@ -5,6 +5,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.sampled_plant import Period
 from deadtime.spectrum import LiftedLoop, growth_rate, lifted, lifted_loop
 
 DELAYS = [0.234, 0.3, 0.04, 1.75]
@@ -225,7 +226,7 @@ def test_several_inputs_run_through_arnoldi_s_method_too(monkeypatch):
 
 def test_a_loop_that_comes_to_rest_grows_at_minus_infinity():
     nothing = np.zeros((1, 1))
-    loop = LiftedLoop(nothing, nothing, nothing, nothing, nothing[None], 1)
+    loop = LiftedLoop(Period(nothing, nothing[None], (1,)), nothing, nothing[None])
     assert loop.growth_rate(H) == -np.inf
 
 

@@ -247,7 +247,8 @@ def test_a_controller_tracks_as_simulate_does(law):
         y = loop.measured[:, k]
         mode = int(loop.mode[k]) if np.isfinite(y).all() else mode
         u = own.update(y, mode)
-        assert (np.abs(u - loop.inputs[:, k]) <= 1e-12 * terms[: k + 1].max()).all()
+        # Two loops, each of which carries its roundings on: how far depends on the processor.
+        assert (np.abs(u - loop.inputs[:, k]) <= 1e-11 * terms[: k + 1].max()).all()
         r = [1.0, 0.0] if loop.time[k] < 1.99 else [1.0, -2.0]
         assert (told.update(y, mode, reference=r) == u).all()
         if k == 70:

@@ -17,7 +17,7 @@ from deadtime.errors import ArgumentError
 from deadtime.laws import ExactPredictor
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
-from deadtime.steps import Window
+from deadtime.sampled_plant import SampledPlant, acting
 
 
 def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
@@ -101,13 +101,10 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
     """
     import control
 
-    from deadtime.exponential import held_modes
-
     instance("plant", plant, SwitchedSystem)
-    window = Window.of_plant(plant, step)
-    rest = window.step - window.phase
-    n, m, N = plant.states, plant.inputs, window.count
-    first, second = (held_modes(plant.A, plant.B, tau) for tau in (window.phase, rest))
+    sampled = SampledPlant(plant, positive("step", step))
+    n, m, N = plant.states, plant.inputs, sampled.longest_lag
+    pieces = [sampled.pieces(i) for i in range(plant.modes)]
 
     def output(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         return state[:n]
@@ -115,14 +112,15 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
     def update(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         i, u = _mode(given[m], plant.modes), given[:m]
         inputs = np.concatenate((u, state[n:])).reshape(N + 1, m)  # u_k, …, u_{k−N}
-        x = first[0][i] @ state[:n] + first[1][i] @ inputs[N]
-        x = second[0][i] @ x + second[1][i] @ inputs[N - 1]
+        x = state[:n]
+        for piece in pieces[i]:
+            x = piece.Phi @ x + piece.Gamma @ acting(piece.stretch.lag, inputs)
         return np.concatenate((x, inputs[:N].ravel()))
 
     return control.NonlinearIOSystem(
         update,
         output,
-        dt=window.step,
+        dt=sampled.step,
         inputs=[*(f"u[{i}]" for i in range(m)), "mode"],
         outputs=[f"x[{i}]" for i in range(n)],
         states=[*(f"x[{i}]" for i in range(n)), *_past(N, m)],

@@ -176,7 +176,7 @@ class OutputUpdate(Remembering):
     def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
         estimator, k = self._estimator, len(self.estimates)
         if k == 0:
-            estimator.begin(past[-len(estimator.ring) :])
+            estimator.begin(past)
         r = None if self._reference is None else self._reference(k * self._step)
         z = estimator.update(past[-1], y, mode, r)
         self.estimates.append(z.copy())

@@ -26,19 +26,20 @@ def _form(Q, x, u):
 
 
 @njit(cache=True)
-def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
+def cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, most, done):
     """∫ |x|² + |u|² from x0 with no inputs in the past.
 
-    `Phi`, `Gamma` and `Q` hold both phases of a period; G (m, taps·m) has the oldest tap first.
+    `Phi`, `Gamma`, `Q` and `lags` (pieces, m) hold the pieces of a period; G (m, taps·m) has the
+    oldest tap first.
     Blocks of `block` periods are run until one adds less than `done` of the sum, or `most` are;
     what is then missing is the tail of a geometric series. Returns the cost and the ratio of the
     last two blocks; a cost of ∞ where that is 1 or more.
     """
     m, n = F.shape
     taps = G.shape[1] // m
-    past = max(taps, count)
+    past = max(taps, lags.max())
     inputs = np.zeros((past + block) * m)
-    x, middle = x0.copy(), np.empty(n)
+    x, middle, u = x0.copy(), np.empty(n), np.empty(m)
     total, before, ratio, first = 0.0, 0.0, 0.0, 0.0
     for rounds in range(most):
         inputs[: past * m] = inputs[block * m :]
@@ -51,11 +52,11 @@ def cost_of_run(Phi, Gamma, Q, F, G, count, step, x0, block, most, done):
                     value += F[i, j] * x[j]
                 inputs[k * m + i] = value
                 added += step * value * value
-            for phase in range(2):
-                at = (k - count + phase) * m
-                u = inputs[at : at + m]
-                added += _form(Q[phase], x, u)
-                advance(Phi[phase], Gamma[phase], x, u, middle)
+            for piece in range(lags.shape[0]):
+                for i in range(m):
+                    u[i] = inputs[(k - lags[piece, i]) * m + i]
+                added += _form(Q[piece], x, u)
+                advance(Phi[piece], Gamma[piece], x, u, middle)
                 x[:] = middle
         total += added
         if not total < LARGEST:

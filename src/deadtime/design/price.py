@@ -20,8 +20,8 @@ import numpy as np
 from deadtime.checks import read_only
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
+from deadtime.sampled_plant import SampledPlant
 from deadtime.spectrum.lifted import aged_row
-from deadtime.steps import Window
 
 _DONE = 1e-15  # of the cost: what the last block may add
 BLOCKS = 4000  # of one delay each
@@ -59,22 +59,22 @@ def cost_and_growth(
     After so many `blocks` of one delay the rest is taken for a geometric series.
     """
     from deadtime.design.march import cost_of_run
-    from deadtime.exponential import energy_gramian, held
+    from deadtime.exponential import energy_gramian
 
     A, B, step = read_only(plant.A[mode]), read_only(plant.B[mode]), feedback.step
-    window = Window.of_plant(plant, step)
-    lengths = (window.phase, step - window.phase)
-    moves = [held(A, B, length) for length in lengths]
-    Phi, Gamma = (np.stack(parts) for parts in zip(*moves, strict=True))
+    pieces = SampledPlant(plant, step).pieces(mode)
+    Phi, Gamma = (np.stack([piece[part] for piece in pieces]) for part in range(2))
+    lags = np.stack([piece.stretch.lag for piece in pieces])
+    lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
     Q = np.stack([energy_gramian(A, B, length) for length in lengths])
     row = aged_row(feedback, mode)
     F, G = np.ascontiguousarray(feedback.state_gain[row]), feedback.input_gain[row]
     taps, m, _ = G.shape
     G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
-    block = max(taps, window.count, _SHORTEST)
+    block = max(taps, int(lags.max()), _SHORTEST)
     total, growth = 0.0, -math.inf
     for x0 in np.eye(plant.states):
-        cost, ratio = cost_of_run(Phi, Gamma, Q, F, G, window.count, step, x0, block, blocks, _DONE)
+        cost, ratio = cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, blocks, _DONE)
         if math.isinf(cost):
             return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
         total += cost

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.observers.observer import Observer
-from deadtime.sampled import held_pair
+from deadtime.sampled_plant import SampledPlant
 
 
 class Tracked:
@@ -46,7 +46,7 @@ class Estimator:
         Whether the last update had a measurement that it could use.
     """
 
-    arrays = ("z", "ring", "at_phase", "counters", "asked", "before")
+    arrays = ("z", "ring", "counters", "asked", "before")
 
     def __init__(
         self,
@@ -54,30 +54,30 @@ class Estimator:
         estimate: Float[np.ndarray, " n"],
         tracked: Tracked | None = None,
     ) -> None:
-        plant, window = observer.plant, observer.window
+        plant = observer.plant
         self.observer, self.tracked, self._start = observer, tracked, estimate
-        self._early = _motion(plant.A, plant.B, window.phase)
-        self._late = _motion(plant.A, plant.B, window.step - window.phase)
+        sampled = SampledPlant(plant, observer.step)
+        self._pieces = [sampled.pieces(mode) for mode in range(plant.modes)]
         r = 0 if tracked is None else tracked.H.shape[0]
         q = r if tracked is not None and tracked.integral else 0
         n = plant.states
         self.z = np.zeros(n + q + r)
         self._x, self._q, self._r = self.z[:n], self.z[n : n + q], self.z[n + q :]
         self.corrected = False
-        self.ring = np.zeros((window.count, plant.inputs))
-        self.at_phase, self._spare = np.zeros(n), np.zeros(n)
+        self.ring = np.zeros((sampled.longest_lag + 1, plant.inputs))
+        self._spare = np.zeros(n)
         self.counters = np.zeros(3, np.int64)  # samples, place in the ring, mode
         self.asked = np.zeros(plant.inputs)
         self.before, self._now = np.zeros(r), np.zeros(r)
         self._innovation = np.zeros(observer.outputs)
         self._nothing = np.full(observer.outputs, np.nan)
 
-    def begin(self, history: Float[np.ndarray, "N m"]) -> None:
-        """Start anew; `history` are the N inputs before, the oldest first."""
+    def begin(self, history: Float[np.ndarray, "past m"]) -> None:
+        """Start anew; `history` are the inputs before, at least N of them, the oldest first."""
         for name in self.arrays:
             getattr(self, name)[...] = 0
         self._x[:] = self._start
-        self.ring[1:] = history[:-1]
+        self.ring[2:] = history[len(history) + 1 - len(self.ring) : -1]
         self.asked[:] = history[-1]
 
     def update(
@@ -92,15 +92,12 @@ class Estimator:
         A y that is None or not finite corrects nothing. `mode` is the sampled mode; below 0 it is
         not known, and the last one goes on, mode 0 before any was known.
         """
-        from deadtime.exponential import advance
         from deadtime.observers.kernel import correct, integrate, seen
 
         samples, place, before = self.counters
-        oldest = (place + 1) % len(self.ring)
-        self.ring[place], self.counters[1] = latest, oldest
+        self.ring[place], self.counters[1] = latest, (place + 1) % len(self.ring)
         if samples:
-            Phi, Gamma = self._late
-            advance(Phi[before], Gamma[before], self.at_phase, self.ring[oldest], self._x)
+            self._predict(int(before), int(place))
         mode = int(before) if mode < 0 else mode
         C = self.observer.C[mode]
         y = self._nothing if y is None else y
@@ -123,10 +120,17 @@ class Estimator:
                 )
             self.before[:] = self._now
             self._r[:] = 0.0 if reference is None else reference
-        Phi, Gamma = self._early
-        advance(Phi[mode], Gamma[mode], self._x, self.ring[oldest], self.at_phase)
         self.counters[0], self.counters[2] = samples + 1, mode
         return self.z
+
+    def _predict(self, mode: int, latest: int) -> None:
+        """Take x̂ over the period that ends; its own input is at `latest` in the ring."""
+        from deadtime.exponential import advance
+
+        channels, size = np.arange(self.ring.shape[1]), len(self.ring)
+        for Phi, Gamma, (_, _, lag) in self._pieces[mode]:
+            advance(Phi, Gamma, self._x, self.ring[(latest - lag) % size, channels], self._spare)
+            self._x[:] = self._spare
 
     def saved(self) -> dict[str, Any]:
         """Copies of everything that changes."""
@@ -136,10 +140,3 @@ class Estimator:
         """The opposite of `saved`."""
         for name in self.arrays:
             getattr(self, name)[...] = saved[name]
-
-
-def _motion(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Φ and Γ of every mode over a piece of a period."""
-    pairs = [held_pair(a, b, time) for a, b in zip(A, B, strict=True)]
-    Phi, Gamma = zip(*pairs, strict=True)
-    return np.stack(Phi), np.stack(Gamma)

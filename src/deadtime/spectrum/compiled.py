@@ -11,10 +11,10 @@ _SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
 
 
 @njit(cache=True)
-def march(Phi, early, late, F, G, count, x, inputs, first):
+def march(Phi, Gamma, lags, F, G, x, inputs, first):
     """Run on from x and the inputs before step `first`; fill `inputs` and return the last x.
 
-    G (m, taps·m), the oldest tap first; `inputs` (steps·m,); `count` is the plant's N.
+    Gamma (lags, n, m), G (m, taps·m), the oldest tap first; `inputs` (steps·m,).
     """
     m, taps = G.shape[0], G.shape[1] // G.shape[0]
     n = x.size
@@ -26,13 +26,15 @@ def march(Phi, early, late, F, G, count, x, inputs, first):
             for k in range(n):
                 total += F[i, k] * x[k]
             inputs[now * m + i] = total
-        old = (now - count) * m
         for i in range(n):
             total = 0.0
             for k in range(n):
                 total += Phi[i, k] * x[k]
             for k in range(m):
-                total += early[i, k] * inputs[old + k] + late[i, k] * inputs[old + m + k]
+                arriving = 0.0
+                for part in range(lags.size):
+                    arriving += Gamma[part, i, k] * inputs[(now - lags[part]) * m + k]
+                total += arriving
             moved[i] = total
         x[:] = moved
     return x

@@ -28,7 +28,7 @@ import numpy as np
 
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
-from deadtime.steps import Window
+from deadtime.sampled_plant import SampledPlant
 
 BITS = (256, 512, 1024, 2048)
 NARROW = 1e-11  # 1/s, relative above a rate of 1: bounds closer than this are close enough
@@ -72,28 +72,41 @@ def exact_held(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, Any]:
     return arb_mat([row[:n] for row in whole]), arb_mat([row[n:] for row in whole])
 
 
+def _period(plant: SwitchedSystem, step: float, mode: int) -> tuple[Any, dict[int, Any]]:
+    """Balls of Φ, and of Γ by lag, over a period of one mode; see `deadtime.sampled_plant`."""
+    from flint import arb, arb_mat
+
+    n, m = plant.B.shape[1:]
+    whole, arrived = exact_matrix(np.eye(n)), dict[int, Any]()
+    for start, stop, lags in SampledPlant(plant, step).stretches(mode):
+        Phi, Gamma = exact_held(plant.A[mode], plant.B[mode], arb(stop) - arb(start))
+        whole, arrived = Phi * whole, {lag: Phi * old for lag, old in arrived.items()}
+        for lag in set(lags.tolist()):
+            own = exact_matrix(np.diag((lags == lag).astype(float)))
+            arrived[lag] = arrived.get(lag, arb_mat(n, m)) + Gamma * own
+    return whole.tolist(), {lag: one.tolist() for lag, one in arrived.items()}
+
+
 def _coefficients(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> list[Any]:
     """p_0 = 1, p_1, …, p_d in balls."""
     from flint import acb, acb_mat, arb
 
-    window = Window.of_plant(plant, feedback.step)
-    A, B = plant.A[mode], plant.B[mode]
-    Phi, early = exact_held(A, B, window.phase)
-    rest, late = exact_held(A, B, arb(window.step) - arb(window.phase))
-    blocks = [(rest * Phi).tolist(), late.tolist(), (rest * early).tolist()]
+    Phi, arriving = _period(plant, feedback.step, mode)
     F, G = feedback.state_gain[row], feedback.input_gain[row]
-    (n, m), N = B.shape, window.count
-    order = n + max(N, feedback.taps) * m
+    n, m = plant.B.shape[1:]
+    order = n + max(*arriving, feedback.taps) * m
     size = 1 << order.bit_length()
     taps = [[_transformed(G[:, i, j], size, float(i == j)) for j in range(m)] for i in range(m)]
     gains = [[acb(-float(F[i, j])) for j in range(n)] for i in range(m)]
     values = []
     for k in range(size):
         t = acb(arb(-2 * k) / size).exp_pi_i()
-        tN = acb(arb(-2 * (k * N % size)) / size).exp_pi_i()
-        table = [[float(i == j) - t * blocks[0][i][j] for j in range(n)] for i in range(n)]
+        old = {lag: acb(arb(-2 * (k * (lag + 1) % size)) / size).exp_pi_i() for lag in arriving}
+        table = [[float(i == j) - t * Phi[i][j] for j in range(n)] for i in range(n)]
         for i in range(n):
-            table[i] += [-tN * (blocks[1][i][j] + t * blocks[2][i][j]) for j in range(m)]
+            table[i] += [
+                -sum(old[lag] * Gamma[i][j] for lag, Gamma in arriving.items()) for j in range(m)
+            ]
         table += [gains[i] + [taps[i][j][k] for j in range(m)] for i in range(m)]
         values.append(acb_mat(table).det())
     return [value.real for value in acb.dft(values, inverse=True)[: order + 1]]

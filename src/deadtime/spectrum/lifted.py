@@ -4,12 +4,12 @@ Over a sampling period the plant in one mode under one row (F, G) of a law's tab
 
     z_k = (x_k, u_{k−1}, …, u_{k−W}),
 
-W the longer of the plant's window N and the law's taps:
+W the longer of the plant's longest lag N and the law's taps:
 
-    u_k = F x_k + Σ_j G_j u_{k−j},    x_{k+1} = Φ₁Φ₀ x_k + Φ₁Γ₀ u_{k−N} + Γ₁ u_{k−N+1},
+    u_k = F x_k + Σ_j G_j u_{k−j},    x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},
 
-Φ₀, Γ₀ over the first φ of a period and Φ₁, Γ₁ over the rest (`deadtime.steps`). The rest of z is
-shifted. The law's row comes from its own model, which need not be the plant.
+l over the lags of the plant's period (`deadtime.sampled_plant`). The rest of z is shifted. The
+law's row comes from its own model, which need not be the plant.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxtyping import Complex, Float
 from deadtime.checks import index
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
-from deadtime.steps import Window
+from deadtime.sampled_plant import Period, SampledPlant
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
@@ -37,37 +37,26 @@ class LiftedLoop:
 
     Attributes
     ----------
-    Phi : (n, n), early : (n, m), late : (n, m)
-        x_{k+1} = Phi x_k + early u_{k−N} + late u_{k−N+1}.
+    period : Period
+        x_{k+1} = Phi x_k + Σ_l Gamma[l] u_{k−lags[l]}, of the plant.
     F : (m, n), G : (taps, m, m)
         The row.
-    count : int
-        N of the plant.
     """
 
-    Phi: Float[np.ndarray, "n n"]
-    early: Float[np.ndarray, "n m"]
-    late: Float[np.ndarray, "n m"]
+    period: Period
     F: Float[np.ndarray, "m n"]
     G: Float[np.ndarray, "tap m m"]
-    count: int
 
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> LiftedLoop:
         """The loop of a mode of the plant under a row of a table, at the table's period."""
-        from deadtime.exponential import held
-
-        window = Window.of_plant(plant, feedback.step)
-        A, B = plant.A[mode], plant.B[mode]
-        Phi, early = held(A, B, window.phase)
-        rest, late = held(A, B, window.step - window.phase)
-        F, G = feedback.state_gain[row], feedback.input_gain[row]
-        return cls(rest @ Phi, rest @ early, late, F, G, window.count)
+        period = SampledPlant(plant, feedback.step).period(mode)
+        return cls(period, feedback.state_gain[row], feedback.input_gain[row])
 
     @property
     def held(self) -> int:
         """W, the number of past inputs in z."""
-        return max(self.count, self.G.shape[0])
+        return max(*self.period.lags, self.G.shape[0])
 
     @property
     def order(self) -> int:
@@ -78,18 +67,18 @@ class LiftedLoop:
     def matrix(self) -> Float[np.ndarray, "order order"]:
         """L of z_{k+1} = L z_k."""
         m, n = self.F.shape
-        taps, N = self.G.shape[0], self.count
+        taps = self.G.shape[0]
         L = np.zeros((self.order, self.order))
         u = L[n : n + m]
         u[:, :n] = self.F
         u[:, n : n + taps * m] = self.G.transpose(1, 0, 2).reshape(m, taps * m)
         L[n + m :, n:-m] = np.eye(self.order - n - m)
-        L[:n, :n] += self.Phi
-        L[:n, n + (N - 1) * m : n + N * m] += self.early
-        if N == 1:
-            L[:n] += self.late @ u
-        else:
-            L[:n, n + (N - 2) * m : n + (N - 1) * m] += self.late
+        L[:n, :n] += self.period.Phi
+        for lag, Gamma in zip(self.period.lags, self.period.Gamma, strict=True):
+            if lag == 0:
+                L[:n] += Gamma @ u
+            else:
+                L[:n, n + (lag - 1) * m : n + lag * m] += Gamma
         return L
 
     def after(self, z: Float[np.ndarray, " order"], periods: int) -> Float[np.ndarray, " order"]:
@@ -97,11 +86,12 @@ class LiftedLoop:
         from deadtime.spectrum.compiled import march
 
         m, n = self.F.shape
-        taps, N, W = self.G.shape[0], self.count, self.held
+        taps, W = self.G.shape[0], self.held
         G = np.array(self.G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
         inputs = np.empty((W + periods) * m)
         inputs[: W * m] = z[n:].reshape(W, m)[::-1].ravel()
-        x = march(self.Phi, self.early, self.late, self.F, G, N, z[:n].copy(), inputs, W)
+        Phi, Gamma, lags = self.period
+        x = march(Phi, Gamma, np.array(lags), self.F, G, z[:n].copy(), inputs, W)
         return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
     def growth_rate(self, step: float) -> float:
@@ -146,21 +136,22 @@ class LiftedLoop:
         """How wrong the largest of some eigenvalues is, relative, by Newton's next step.
 
         Those of the others count that are so wrong that they might be the largest. Newton's
-        method is for det [[zI − Φ, −z^{−N} (early + z late)], [−F, I − Σ_j G_j z^{−j}]]. At an
-        eigenvalue of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
+        method is for det [[zI − Φ, −Σ_l z^{−l} Γ_l], [−F, I − Σ_j G_j z^{−j}]]. At an eigenvalue
+        of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
         """
         from deadtime.spectrum.compiled import transform
         from deadtime.spectrum.newton import decomposed
 
-        (m, n), N, z = self.F.shape, self.count, values[:, None, None]
+        (m, n), z = self.F.shape, values[:, None, None]
+        Phi, Gamma, lags = self.period
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             g, slope = transform(self.G, 1.0 / values)
-            old, new = z ** (-N), z ** (1 - N)
             Delta = np.zeros((values.size, n + m, n + m), complex)
             prime = np.zeros_like(Delta)
-            Delta[:, :n, :n], prime[:, :n, :n] = z * np.eye(n) - self.Phi, np.eye(n)
-            Delta[:, :n, n:] = -(old * self.early + new * self.late)
-            prime[:, :n, n:] = (N * old * self.early + (N - 1) * new * self.late) / z
+            Delta[:, :n, :n], prime[:, :n, :n] = z * np.eye(n) - Phi, np.eye(n)
+            arriving = [z ** (-lag) * part for lag, part in zip(lags, Gamma, strict=True)]
+            Delta[:, :n, n:] = -sum(arriving)
+            prime[:, :n, n:] = sum(map(np.multiply, lags, arriving)) / z
             Delta[:, n:, :n], Delta[:, n:, n:] = -self.F, np.eye(m) - g
             prime[:, n:, n:] = slope / z
             if not (np.isfinite(Delta).all() and np.isfinite(prime).all()):

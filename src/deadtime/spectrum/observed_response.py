@@ -10,9 +10,10 @@ from deadtime.feedback import Feedback
 from deadtime.laws.base import Law
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
+from deadtime.sampled_plant import Period
 from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.lifted import aged_row
-from deadtime.spectrum.observed import Joined, Period
+from deadtime.spectrum.observed import Joined, periods_of
 from deadtime.spectrum.response import Samples
 from deadtime.switching import SwitchingSignal
 
@@ -26,25 +27,25 @@ class ObservedResponse(DigitalResponse):
 
     Attributes
     ----------
-    model : Joined
-        Its `early` and `late` below the plant's states are p_o's.
-    taps : int
-        N of the observer's model.
+    model : Period
+        Of the observer's model: its inputs are p_o's.
+    true : int
+        How many of X are the plant's.
     """
 
-    model: Joined
-    taps: int
+    model: Period
+    true: int
 
     @classmethod
     def beside(
         cls, plant: SwitchedSystem, law: OutputFeedback, feedback: Feedback, mode: int
     ) -> ObservedResponse:
         """The loop with one mode for ever."""
-        row, h = aged_row(feedback, mode), feedback.step
-        true, model = Period.of(plant, mode, h), Period.of(law.observer.plant, mode, h)
+        row, (x, x_bar) = aged_row(feedback, mode), periods_of(plant, law, mode)
         F, G = feedback.state_gain[row], feedback.input_gain[row]
-        X = Joined.of(law, true, model, F, mode)
-        return cls(plant.A[mode], plant.B[mode], X.gain, G, h, X.Phi, X, model.taps)
+        X = Joined.of(law, x, x_bar, F, mode)
+        A, B = plant.A[mode], plant.B[mode]
+        return cls(A, B, X.gain, G, feedback.step, X.Phi, x_bar, X.true)
 
     def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))
@@ -52,15 +53,16 @@ class ObservedResponse(DigitalResponse):
 
     def _observer_pipe(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """p_o and its slope by ω, (points, size − n, m)."""
-        n, old = self.model.true, np.exp(-1j * omega * self.step * self.taps)[:, None, None]
-        new = old * np.exp(1j * omega * self.step)[:, None, None]
-        early, late = self.model.early[n:], self.model.late[n:]
-        rate = -1j * self.step * self.taps
-        p = old * early + new * late
-        return p, rate * p + 1j * self.step * new * late
+        n_o, m = self.model.Gamma.shape[1:]
+        p, slope = np.zeros((2, omega.size, len(self.Phi) - self.true, m), complex)
+        for lag, Gamma in zip(self.model.lags, self.model.Gamma, strict=True):
+            arriving = np.exp(-1j * omega * self.step * lag)[:, None, None] * Gamma
+            p[:, :n_o] += arriving
+            slope[:, :n_o] += -1j * self.step * lag * arriving
+        return p, slope
 
     def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
-        whole, n = super().samples(omega, even), self.model.true
+        whole, n = super().samples(omega, even), self.true
         p, slope = self._observer_pipe(omega)
         r, r_slope = whole.r[:, :, n:], whole.r_slope[:, :, n:]
         return whole._replace(
@@ -74,7 +76,7 @@ class ObservedResponse(DigitalResponse):
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         m, size = self.F.shape
-        n, (p_o, p_o_slope) = self.model.true, self._observer_pipe(omega)
+        n, (p_o, p_o_slope) = self.true, self._observer_pipe(omega)
         p, p_slope, p_speed = self.pipe(omega, delay)
         Delta, slope, speed = np.zeros((3, omega.size, size + m, size + m), complex)
         Delta[:, :size, :size], slope[:, :size, :size] = self.free(omega)
