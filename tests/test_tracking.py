@@ -246,11 +246,12 @@ def test_a_controller_tracks_as_simulate_does(law):
     for k in range(loop.time.size):
         y = loop.measured[:, k]
         mode = int(loop.mode[k]) if np.isfinite(y).all() else mode
-        u = own.update(y, mode)
-        # Two loops, each of which carries its roundings on: how far depends on the processor.
-        assert (np.abs(u - loop.inputs[:, k]) <= 1e-11 * terms[: k + 1].max()).all()
+        # The inputs of the simulation, for the loop would carry each rounding on and amplify it.
+        applied = loop.inputs[:, k - 1] if k else None
+        u = own.update(y, mode, applied=applied)
+        assert (np.abs(u - loop.inputs[:, k]) <= 1e-12 * terms[: k + 1].max()).all()
         r = [1.0, 0.0] if loop.time[k] < 1.99 else [1.0, -2.0]
-        assert (told.update(y, mode, reference=r) == u).all()
+        assert (told.update(y, mode, reference=r, applied=applied) == u).all()
         if k == 70:
             again = dt.Controller(loop_law, STEP, limits=(-1.0, 3.0))
             again.restore(told.state)

@@ -63,7 +63,7 @@ def cost_and_growth(
 
     A, B, step = read_only(plant.A[mode]), read_only(plant.B[mode]), feedback.step
     pieces = SampledPlant(plant, step).pieces(mode)
-    Phi, Gamma = (np.stack([piece[part] for piece in pieces]) for part in range(2))
+    Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
     lags = np.stack([piece.stretch.lag for piece in pieces])
     lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
     Q = np.stack([energy_gramian(A, B, length) for length in lengths])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+_ROUND_OFF = 1e-9
+
 
 @njit(cache=True)
 def correct(C, L, y, x, spare, innovation):
@@ -45,14 +47,17 @@ def integrate(step, before, now, reference, asked, applied, push, q):
     """q += h ((before + now)/2 − reference), unless that asks for more of what was refused.
 
     `push` is the law's answer to q. Where the input applied was not the one asked for, a change
-    of q that drives it further the same way is left out, so that nothing winds up.
+    of q that drives it further the same way is left out, so that nothing winds up. Round-off of
+    what was applied, as of one that was measured and told, refuses nothing.
     """
     further = 0.0
     for i in range(push.shape[0]):
         change = 0.0
         for j in range(q.size):
             change += push[i, j] * step * (0.5 * (before[j] + now[j]) - reference[j])
-        further += (asked[i] - applied[i]) * change
+        refused = asked[i] - applied[i]
+        if abs(refused) > _ROUND_OFF * abs(asked[i]):
+            further += refused * change
     if further > 0.0:
         return
     for j in range(q.size):
