@@ -10,9 +10,9 @@ from pydantic import Field
 
 from deadtime import imperfections as kinds
 from deadtime.imperfections import Imperfection, Sizes
-from deadtime.problem_file.section import Matrix, Section, Vector
 from deadtime.toml_file import Shape
 from deadtime.toml_file import section as _section
+from deadtime.toml_file.table import Matrix, Section, Vector
 
 PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0.2])]
 

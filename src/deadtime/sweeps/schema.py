@@ -10,8 +10,8 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 
 from deadtime.monte_carlo.dataset import METRICS
 from deadtime.problem_file.imperfections import ImperfectionSection
-from deadtime.problem_file.section import First, Poles, Section
 from deadtime.sweeps.sojourns import FAMILIES
+from deadtime.toml_file.table import First, Poles, Section
 
 MOST_VALUES = 5000  # of an axis
 
