@@ -29,7 +29,7 @@ RINGS = (
     ("problems",),
     ("asked",),
     ("toml_file",),
-    ("law_registry",),
+    ("law_registry", "imperfection_registry"),
     (
         "comparison",
         "slips",

@@ -129,7 +129,7 @@ def test_two_entries_of_one_class_name_are_refused():
 
 
 def test_a_file_without_an_entry_is_refused():
-    with pytest.raises(dt.ArgumentError, match=r"^mine holds no entry of a law: write a subclass"):
+    with pytest.raises(dt.ArgumentError, match=r"^mine holds no entry of laws: write a subclass"):
         collect([module()])
 
 

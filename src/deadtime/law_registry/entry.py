@@ -15,7 +15,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
@@ -102,9 +102,3 @@ class LawSection(Section):
     @abstractmethod
     def law(self, setting: Setting) -> Law:
         """The law that the section asks for; what the entry `needs` is there."""
-
-    @classmethod
-    def kinds(cls) -> tuple[str, ...]:
-        """The texts that `kind` may be: one, in an entry."""
-        kind = cls.model_fields.get("kind")
-        return () if kind is None else get_args(kind.annotation)

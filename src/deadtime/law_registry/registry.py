@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import pkgutil
-from collections.abc import Iterable, Iterator, Mapping
-from importlib import import_module
+from collections.abc import Iterable, Mapping
+from functools import partial
 from types import ModuleType
 from typing import Any, NamedTuple, cast
 
-from deadtime.errors import ArgumentError
 from deadtime.law_registry import entries
 from deadtime.law_registry.entry import LEVELS, LawSection, Named
 from deadtime.law_registry.setting import NEEDS, Setting
 from deadtime.laws import Law
+from deadtime.toml_file.entries import collect as entries_in
+from deadtime.toml_file.entries import kinds_of, modules_of, refuse
 
 Entry = type[LawSection]
+_refuse = partial(refuse, "law")
 
 
 class Known(NamedTuple):
@@ -25,7 +26,7 @@ class Known(NamedTuple):
 
     @property
     def kind(self) -> str:
-        return self.entry.kinds()[0]
+        return kinds_of(self.entry)[0]
 
     @property
     def usual(self) -> bool:
@@ -61,50 +62,21 @@ class Known(NamedTuple):
 def build_law(section: LawSection, setting: Setting) -> Law:
     """The law that a section asks for, its filter aside; refused where something is lacking."""
     for need in section.needs:
-        setting.require(need, section.kinds()[0])
+        setting.require(need, kinds_of(type(section))[0])
     return section.law(setting)
 
 
 def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
-    """The entries of some modules, in their order there; refused if one is not whole.
-
-    Raises
-    ------
-    ArgumentError
-        If a module holds no entry, or an entry lacks something or takes what another one has.
-    """
-    found: list[Entry] = []
-    for module in modules:
-        own = [one for one in vars(module).values() if _is_entry(one, module)]
-        if not own:
-            raise ArgumentError(
-                f"{module.__name__} holds no entry of a law: write a subclass of LawSection."
-            )
-        for entry in own:
-            _require_whole(entry)
-            for other in found:
-                _require_apart(entry, other)
-            found.append(entry)
-    return tuple(found)
+    """The entries of some modules, in their order there; refused if one is not whole."""
+    return entries_in("law", LawSection, modules, _require_whole, _names)
 
 
-def _is_entry(one: object, module: ModuleType) -> bool:
-    return (
-        isinstance(one, type) and issubclass(one, LawSection) and one.__module__ == module.__name__
-    )
-
-
-def _refuse(entry: Entry, why: str) -> None:
-    raise ArgumentError(f"law entry {entry.__name__} in {entry.__module__} {why}")
+def _names(entry: Entry) -> list[str]:
+    return [named.name for named in entry.names]
 
 
 def _require_whole(entry: Entry) -> None:
     """Refuse an entry that lacks something."""
-    kinds = entry.kinds()
-    if len(kinds) != 1 or not isinstance(kinds[0], str):
-        _refuse(entry, 'lacks its kind: write kind: Literal["…"], what problem files call it.')
-    if not vars(entry).get("__doc__"):
-        _refuse(entry, "lacks a docstring: write a line, which editors show beside the kind.")
     if "law" in entry.__abstractmethods__:
         _refuse(entry, "lacks law(self, setting): define it, to build the law from the section.")
     if not entry.names:
@@ -112,8 +84,7 @@ def _require_whole(entry: Entry) -> None:
     unknown = [need for need in entry.needs if need not in NEEDS]
     if unknown:
         _refuse(entry, f"needs {unknown[0]!r}: it must be one of {', '.join(NEEDS)}.")
-    names = [named.name for named in entry.names]
-    if len(set(names)) < len(names):
+    if len(set(_names(entry))) < len(entry.names):
         _refuse(entry, "has a name twice: give each of its names another text.")
     for named in entry.names:
         _require_fit(entry, named)
@@ -133,25 +104,7 @@ def _require_fit(entry: Entry, named: Named) -> None:
             _refuse(entry, f"{name!r} does not say {key}: give it in keys, or give it a default.")
 
 
-def _require_apart(entry: Entry, other: Entry) -> None:
-    """Refuse an entry that takes what another one has."""
-    kind, taken = entry.kinds()[0], {named.name for named in other.names}
-    if kind == other.kinds()[0]:
-        _refuse(entry, f"takes the kind {kind!r}, which {other.__name__} has: choose another.")
-    if entry.__name__ == other.__name__:
-        _refuse(entry, f"takes the class name of that in {other.__module__}: choose another.")
-    for name in (named.name for named in entry.names):
-        if name in taken:
-            _refuse(entry, f"takes the name {name!r}, which {other.__name__} has: choose another.")
-
-
-def _modules() -> Iterator[ModuleType]:
-    """The files of the entries, in the order of their names."""
-    for name in sorted(info.name for info in pkgutil.iter_modules(entries.__path__)):
-        yield import_module(f"{entries.__name__}.{name}")
-
-
-ENTRIES: tuple[Entry, ...] = collect(_modules())
+ENTRIES: tuple[Entry, ...] = collect(modules_of(entries))
 # Laws by name: those that need no model, those that do, and variants of both.
 LAWS: Mapping[str, Known] = {
     known.named.name: known
@@ -160,10 +113,10 @@ LAWS: Mapping[str, Known] = {
         key=lambda known: 2 if not known.usual else int("model" in known.entry.needs),
     )
 }
-MODEL_KINDS = frozenset(entry.kinds()[0] for entry in ENTRIES if "model" in entry.needs)
+MODEL_KINDS = frozenset(kinds_of(entry)[0] for entry in ENTRIES if "model" in entry.needs)
 # Periods of the delay up to which laws are tabulated in a moment, by kind; others always are.
 QUICK: Mapping[str, int] = {
-    entry.kinds()[0]: cast(int, entry.quick) for entry in ENTRIES if entry.quick is not None
+    kinds_of(entry)[0]: cast(int, entry.quick) for entry in ENTRIES if entry.quick is not None
 }
 
 

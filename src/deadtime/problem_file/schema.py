@@ -19,7 +19,7 @@ from deadtime.law_registry.entry import (
     Plants,
     Square,
 )
-from deadtime.problem_file.imperfections import ImperfectionSection
+from deadtime.problem_file.imperfections import ImperfectionEntry
 from deadtime.problem_file.observer import ObserverSection
 from deadtime.toml_file import Shape
 from deadtime.toml_file.table import (
@@ -277,7 +277,7 @@ class ProblemFile(Section):
     truth: ModelSection | None = Field(
         None, description="The plant that is simulated, where it differs from [plant]."
     )
-    imperfection: list[ImperfectionSection] = Field(
+    imperfection: list[ImperfectionEntry] = Field(
         [], description="Disturbances, sensors and actuators, in order."
     )
 
