@@ -1,13 +1,17 @@
 """What the pages of docs/ say is run: their Python, their commands, and what they say is printed.
 
 On a page, code blocks run in order, in one folder. A block `text` after one is what it prints, with
-… for what does not matter; a block that begins with `# name` is a file.
+… for what does not matter; a block that begins with `# name` is a file. A file under src/ is one
+that a reader adds to the library: commands run as if it stood there.
 """
 
 import ast
+import importlib
+import os
 import re
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +66,21 @@ def pattern(said):
     return ".*".join(parts)
 
 
+def with_added_files(arguments):
+    """Run Python with the files under src/ added to the library, and return what it prints."""
+    path = os.pathsep.join([str(ROOT / "tests/overlay"), str(ROOT / "src")])
+    added = {"PYTHONPATH": path, "DEADTIME_ADDED": str(Path("src").resolve())}
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, env={**os.environ, **added}
+    )
+    assert (done.returncode, done.stderr) == (0, ""), arguments
+    return done.stdout
+
+
 def command(line, capsys):
     """Run a line of a shell, and return what it prints."""
+    if line.startswith("deadtime ") and Path("src").is_dir():
+        return with_added_files(["-m", *shlex.split(line)])
     if line.startswith("deadtime "):
         with pytest.raises(SystemExit) as stopped:
             main(line.split()[1:])
@@ -78,11 +95,19 @@ def command(line, capsys):
 def run(name, folder, monkeypatch, capsys):
     """Run a page; return the names that its Python leaves, and what was printed."""
     monkeypatch.chdir(folder)
+    for package in ("laws", "imperfections"):
+        module = importlib.import_module(f"deadtime.{package}")
+        own = [*module.__path__, str(folder / "src/deadtime" / package)]
+        monkeypatch.setattr(module, "__path__", own)
     names, printed, everything = {"__name__": "page"}, None, ""
     for language, text in BLOCK.findall(PAGES[name]):
-        file = re.match(r"# ([\w-]+\.\w+)\n", text)
+        file = re.match(r"# ([\w/-]+\.\w+)\n", text)
         if file:
+            (folder / file[1]).parent.mkdir(parents=True, exist_ok=True)
             (folder / file[1]).write_text(text, encoding="utf-8")
+            importlib.invalidate_caches()
+        if file and file[1].startswith("src/"):
+            continue
         if language == "python":
             capsys.readouterr()
             exec(compile(text, name, "exec"), names)
@@ -109,6 +134,47 @@ def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monke
         assert 20 * float(data.sel(law="current mode")) < float(data.sel(law="averaged"))
         assert float(data.sel(law="current mode")) < 1.2 * float(data.sel(law="expected"))
         assert names["exported"].check.passed
+        with_added_files(["-c", KNOWN_EVERYWHERE])
+    if name == "howto/add-an-imperfection.md":
+        with_added_files(["-c", IMPERFECTION_ON_THE_PAGE])
+
+
+KNOWN_EVERYWHERE = """
+from deadtime.app.documents import open_named
+from deadtime.app.laws import offered
+from deadtime.app.script import script_of
+from deadtime.colours import colour_of
+from deadtime.law_registry import the_law
+from deadtime.palette import SLATE
+from deadtime.problem_file import json_schema, load_problem
+from deadtime.sweeps.laws import kinds_of
+
+assert offered(open_named("paper"))[0]["current mode"] == {"kind": "current-mode"}
+assert colour_of("current mode") == SLATE
+assert the_law("current mode") == "the current-mode law"
+assert "CurrentModeLaw" in json_schema()["$defs"]
+assert "current mode" in kinds_of(2)
+code = script_of(load_problem("mine.toml"))
+assert "from deadtime.laws.current_mode import CurrentModePredictor" in code
+compile(code, "script", "exec")
+"""
+
+IMPERFECTION_ON_THE_PAGE = """
+from deadtime.app.documents import open_named
+from deadtime.app.ranges import ranges_of
+from deadtime.app.script import script_of
+from deadtime.app.settings import Settings, draft_of
+from deadtime.problem_file import json_schema, load_problem
+
+paper = open_named("paper")
+assert [one.label for one in ranges_of(paper)][-1] == "Valve, slower to open (u/s)"
+draft = draft_of(paper, {}, Settings({"valve": 30.0}))
+assert draft["imperfection"] == [{"kind": "valve", "opens": 30.0, "closes": 60.0}]
+assert "ValveSection" in json_schema()["$defs"]
+code = script_of(load_problem("mine.toml"))
+assert "from deadtime.imperfections.valve import Valve" in code
+compile(code, "script", "exec")
+"""
 
 
 def the_law_agrees_with_a_runge_kutta_method(law_of):
@@ -150,7 +216,7 @@ def test_every_page_with_python_is_run():
 
 
 def test_the_law_of_the_page_is_about_fifty_lines():
-    (code,) = re.findall(r"```python\n(# current_mode.py.*?)```", PAGES["howto/add-a-law.md"], re.S)
+    (code,) = re.findall(r"```python\n(# src/deadtime/laws/current_mode.py.*?)```", PAGES["howto/add-a-law.md"], re.S)
     assert len(code.strip().splitlines()) <= 55
 
 

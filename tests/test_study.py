@@ -12,6 +12,7 @@ from scipy.stats import expon
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.law_registry import LEVELS
 from deadtime.paired.statistics import mean_interval, median_interval
 from deadtime.problem_file.schema import SemiMarkovSwitching
 from deadtime.problem_file.switching import build_model
@@ -31,7 +32,7 @@ from deadtime.study.phrases import region
 from deadtime.study.report import write_study
 from deadtime.study.run import failures
 from deadtime.sweeps.cell import run_cell
-from deadtime.sweeps.laws import LEVELS, kinds_of, within
+from deadtime.sweeps.laws import kinds_of, within
 from deadtime.sweeps.sojourns import FAMILIES, sojourn_section
 
 SHIPPED = Path(__file__).parents[1] / "studies" / "paper.toml"

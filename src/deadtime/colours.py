@@ -10,21 +10,23 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from deadtime.plotting import COLOURS
+from deadtime.law_registry import LAWS
+from deadtime.palette import (
+    BLUE,
+    BROWN,
+    GREEN,
+    GREY,
+    OLIVE,
+    ORANGE,
+    PINK,
+    PURPLE,
+    SKY,
+    SLATE,
+    VERMILION,
+)
 
-GREY = "#8a8a8a"
-HUES = {
-    "averaged": COLOURS[0],
-    "averaged, dwell-aware": COLOURS[5],
-    "mean": COLOURS[1],
-    "mean, dwell-aware": COLOURS[4],
-    "expected": COLOURS[2],
-    "averaged, minimax": COLOURS[3],
-    "averaged, one-gain minimax": "#7a4fa3",
-    "optimal": "#7f9f2f",
-    "oracle": GREY,
-}
-_SPARE = (*COLOURS[:6], "#7a4fa3", "#8b5a2b", "#7f9f2f", "#4a6b8a")
+HUES = {name: known.named.colour for name, known in LAWS.items() if known.named.colour}
+_SPARE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN, OLIVE, SLATE)
 
 
 class Look(NamedTuple):

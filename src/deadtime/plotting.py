@@ -14,6 +14,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deadtime.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
 from deadtime.simulation import Trajectory
 from deadtime.switching import SwitchingSignal
 from deadtime.wording import input_names, one_line, signed, subscript
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from deadtime.comparison import Comparison
     from deadtime.problems import Problem
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, BLACK)
 LINES = ("-", "--", "-.", ":")
 WIDTH = 4.6
 STYLE: dict[Any, Any] = {

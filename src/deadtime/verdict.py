@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from deadtime.comparison import Comparison
+from deadtime.law_registry import LAWS, LEVELS, the_law
 from deadtime.laws import (
     DelayedStateFeedback,
     ExactPredictor,
@@ -65,8 +66,10 @@ def _named(result: Comparison, kind: type[Law]) -> list[str]:
 
 
 def _law(name: str) -> str:
-    known = ("averaged", "mean", "expected")
-    return f"the {name} law" if name in known else f"the law “{name}”"
+    """As `the_law` says it where files run it unasked and it could run on a plant."""
+    known = LAWS.get(name)
+    causal = known is not None and known.named.in_files and known.named.knows != LEVELS[-1]
+    return the_law(name) if causal else f"the law “{name}”"
 
 
 def _grows(result: Comparison, name: str) -> bool:

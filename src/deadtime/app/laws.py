@@ -7,6 +7,7 @@ from typing import Any
 
 from deadtime.app.documents import Document
 from deadtime.app.switching import dwell_time_of, with_model
+from deadtime.law_registry import LAWS
 from deadtime.problem_file.lenient import build_what_can
 from deadtime.switching import SwitchingSignal
 
@@ -35,20 +36,21 @@ def offered(document: Document) -> tuple[dict[str, Section], tuple[str, ...]]:
 
 
 def _standard(modes: int, dwell_time: float, rule: bool) -> list[Section]:
-    """A section for each kind of law that there is, in the order of figures."""
-    many = modes > 1
-    kinds: list[Section] = [{"kind": "averaged"}]
-    kinds += [{"kind": "single", "mode": mode} for mode in range(modes)] if many else []
-    kinds += [{"kind": "mean"}] if many else []
-    kinds += [{"kind": "state-dependent"}] if rule else [{"kind": "exact"}]
-    kinds += [{"kind": "delayed"}]
-    if not many:
-        return kinds
-    dwelling = [
-        {"kind": kind, "name": f"{kind}, dwell-aware", "dwell_time": dwell_time}
-        for kind in ("averaged", "mean")
-    ]
-    return [*kinds, {"kind": "expected"}, {"kind": "optimal"}, *dwelling]
+    """A section for each law of the registry that a page offers."""
+    sections: list[Section] = []
+    for name, known in LAWS.items():
+        needs = known.entry.needs
+        if not known.named.on_page or ("signal" if rule else "rule") in needs:
+            continue
+        # With one mode there is no switching that a law could know.
+        if modes == 1 and (known.named.several or "model" in needs):
+            continue
+        own = {} if known.usual else {"name": name}
+        sections += [
+            {"kind": known.kind, **own, **known.keys(mode, dwell_time)}
+            for mode in known.modes(modes)
+        ]
+    return sections
 
 
 def _named(document: Document, draft: Mapping[str, Any]) -> list[tuple[str, Section]]:

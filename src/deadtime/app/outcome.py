@@ -10,6 +10,7 @@ from typing import Any
 
 from deadtime.comparison import ended
 from deadtime.errors import ArgumentError, DeadtimeError
+from deadtime.law_registry import QUICK
 from deadtime.laws import ExactPredictor, Law
 from deadtime.output_feedback import OutputFeedback
 from deadtime.problem_file.lenient import build_what_can
@@ -23,7 +24,6 @@ from deadtime.switching import SwitchingSignal
 MOST_SAMPLES = 20_000
 MOST_TAPS = 2_000
 MOST_STATES, MOST_INPUTS, MOST_MODES, MOST_LAWS = 12, 6, 12, 16
-_DEAR = {"optimal": 100}  # periods of delay up to which a law is tabulated in a moment
 _WORST = 1e9  # a ratio of costs beyond which a run just grows
 
 
@@ -142,7 +142,7 @@ def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, 
     """The problem without the laws that would keep a page waiting, and why they do not run."""
     step, delay = draft["run"].get("step", 0.01), draft["plant"]["delay"]
     taps = delay / step if isinstance(step, (int, float)) and step > 0.0 else 0.0
-    dear = [law for law in draft.get("law", []) if taps > _DEAR.get(law["kind"], taps)]
+    dear = [law for law in draft.get("law", []) if taps > QUICK.get(law["kind"], taps)]
     if not dear:
         return draft, {}
     if len(dear) == len(draft["law"]):
@@ -150,7 +150,7 @@ def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, 
             f"a delay of {taps:.0f} periods is too long for this law on a page: lengthen h, or use "
             "`deadtime simulate`."
         )
-    why = f"takes long where the delay is above {min(_DEAR.values())} periods: lengthen h"
+    why = f"takes long where the delay is above {min(QUICK.values())} periods: lengthen h"
     kept = [law for law in draft["law"] if law not in dear]
     return {**draft, "law": kept}, {law.get("name") or law["kind"]: why for law in dear}
 

@@ -10,6 +10,7 @@ from typing import Any
 from deadtime.app.documents import Document
 from deadtime.app.outcome import MOST_SAMPLES, MOST_TAPS
 from deadtime.app.switching import dwell_time_of
+from deadtime.imperfection_registry import SWEPT, Slider
 from deadtime.wording import subscript
 
 FROM_FILE = "as in the file"
@@ -65,15 +66,16 @@ def ranges_of(document: Document) -> list[Range]:
         label = f"{name} at t = 0"
         ranges.append(Range(f"run.x0.{i}", label, "Run", float(x), -most, most, most / 100.0))
     size = max(abs(float(x)) for x in run["x0"]) or 1.0
-    noise, limit = _imperfection(draft, "noise", "std"), _imperfection(draft, "saturation", "high")
-    loud, wide = _nice(max(0.3 * size, 2.0 * noise)), _nice(max(100.0 * size, 2.0 * limit))
     group = "Imperfections"
     return [
         *ranges,
         _wide("horizon", "Horizon T (s)", "Run", horizon),
         Range("delay_error", "True delay off by (%)", group, error, -20.0, 20.0, 0.1, 0.01),
-        Range("noise", "Measurement noise (std)", group, noise, 0.0, loud, loud / 300.0),
-        Range("saturation", "Input limit (0: none)", group, limit, 0.0, wide, wide / 200.0),
+        *(
+            _imperfect(name, group, slider, _imperfection(draft, kind, slider.key), size)
+            for name, (kind, _, slider) in SWEPT.items()
+            if slider is not None
+        ),
     ]
 
 
@@ -97,6 +99,12 @@ def _imperfection(draft: Mapping[str, Any], kind: str, key: str) -> float:
         if one["kind"] == kind and isinstance(one.get(key), (int, float)):
             return float(one[key])
     return 0.0
+
+
+def _imperfect(name: str, group: str, slider: Slider, value: float, size: float) -> Range:
+    """From none of an imperfection to twice the file's, or what is much for a state."""
+    most = _nice(max(slider.reach * size, 2.0 * value))
+    return Range(name, slider.label, group, value, 0.0, most, most / slider.steps)
 
 
 def _wide(name: str, label: str, group: str, value: float, factor: float = 3.0) -> Range:

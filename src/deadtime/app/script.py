@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.imperfections import Imperfection
+import deadtime
+from deadtime import imperfections
 from deadtime.problems import Problem
 from deadtime.switching.sojourns import Fixed
 from deadtime.version import __version__
@@ -158,17 +159,25 @@ class _Writer:
     def _call(self, value: Any) -> str:
         """A call of the class with what it was made of, defaults left out."""
         kind = type(value)
-        home = "dt.imperfections" if isinstance(value, Imperfection) else "dt"
+        call = self._callable(kind)
         arguments = [
             f"{name}={self.code(getattr(value, name))}"
             for name, one in signature(kind).parameters.items()
             if not _is_default(getattr(value, name, one.default), one.default)
         ]
-        code = f"{home}.{kind.__name__}({', '.join(arguments)})"
+        code = f"{call}({', '.join(arguments)})"
         if len(code) <= _LINE - 10:
             return code
         lines = "".join(f"{line},\n" for line in arguments)
-        return f"{home}.{kind.__name__}(\n{_indented(lines.splitlines(), 4)}\n)"
+        return f"{call}(\n{_indented(lines.splitlines(), 4)}\n)"
+
+    def _callable(self, kind: type) -> str:
+        """A class by its public name, or else by its own, imported."""
+        for home, place in (("dt", deadtime), ("dt.imperfections", imperfections)):
+            if getattr(place, kind.__name__, None) is kind:
+                return f"{home}.{kind.__name__}"
+        self.imports.add(f"from {kind.__module__} import {kind.__name__}")
+        return kind.__name__
 
 
 def _indented(lines: list[str], columns: int) -> str:

@@ -11,10 +11,9 @@ from deadtime.app.documents import Document
 from deadtime.app.laws import Section
 from deadtime.app.switching import dwell_time_of, with_model
 from deadtime.errors import ArgumentError
+from deadtime.imperfection_registry import SWEPT
+from deadtime.law_registry import MODEL_KINDS
 from deadtime.sweeps.axes import AXES, Draft, axis_of
-
-_NEEDS_MODEL = {"expected", "optimal"}
-_REPLACES = {"noise": "noise", "saturation": "saturation"}  # axis: kind of imperfection
 
 
 @dataclass(frozen=True)
@@ -72,14 +71,14 @@ def draft_of(document: Document, offer: Mapping[str, Section], settings: Setting
     values = dict(settings.values)
     if "sojourn" in values:
         values.setdefault("dwell_time", dwell_time_of(draft))
-    wanted = any(law["kind"] in _NEEDS_MODEL for law in draft.get("law", []))
+    wanted = any(law["kind"] in MODEL_KINDS for law in draft.get("law", []))
     if wanted or isinstance(settings.signal, Drawn):
         draft = with_model(draft)
     paths = [name for name in values if name not in AXES]
     for name in [*paths, *(name for name in AXES if name in values)]:
-        if name in _REPLACES:
-            kept = [one for one in draft.get("imperfection", []) if one["kind"] != _REPLACES[name]]
-            draft["imperfection"] = kept
+        if name in SWEPT:  # what is moved replaces what the file has
+            given = draft.get("imperfection", [])
+            draft["imperfection"] = [one for one in given if one["kind"] != SWEPT[name].kind]
         axis_of(name).write(draft, values[name])
     if not draft.get("imperfection", True):
         del draft["imperfection"]

@@ -165,26 +165,26 @@ def _fmu_record(made: ExportedFmu) -> dict[str, Any]:
 
 
 def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:
-    """The controller of a law of the problem, within the limits of its saturation."""
+    """The controller of a law of the problem, within the limits of its inputs."""
     import numpy as np
 
     from deadtime.asked import step_of
-    from deadtime.checks import bound
     from deadtime.controller import Controller
-    from deadtime.imperfections import Saturation
+    from deadtime.imperfections import Limiting, Sizes
 
     name = next(iter(problem.laws)) if law is None else law
     chosen = problem.law(name)
-    found = [one for one in problem.imperfections if isinstance(one, Saturation)]
-    m = problem.plant.inputs
+    period = step_of(problem) if step is None else step
+    sizes = Sizes.of(problem.plant, period)
+    clips = [one.limits(sizes) for one in problem.imperfections if isinstance(one, Limiting)]
+    clips = [clip for clip in clips if not clip.relative]
     limits = None
-    if found:  # one after the other: what all of them allow
-        low = np.max([bound("low", one.low, m) for one in found], axis=0)
-        high = np.min([bound("high", one.high, m) for one in found], axis=0)
+    if clips:  # one after the other: what all of them allow
+        low = np.max([clip.low for clip in clips], axis=0)
+        high = np.min([clip.high for clip in clips], axis=0)
         if (low > high).any():
             raise ArgumentError("the problem's saturations have no input in common.")
         limits = (low, high)
-    period = step_of(problem) if step is None else step
     return Controller(chosen, period, limits=limits)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.imperfections import RateLimit, Saturation, Sizes
+from deadtime.imperfections import Limiting, Sizes
 from deadtime.monte_carlo.cut_periods import (
     WIDE,
     Maps,
@@ -61,14 +61,14 @@ class Loop:
         K, periods within the horizon; samples are t_0, …, t_K.
     rest : float
         Seconds from t_K to the horizon, in [0, h).
-    actuators : sequence of Saturation and RateLimit
+    actuators : sequence of Limiting
     """
 
     plant: SwitchedSystem
     window: Window
     x0: Float[np.ndarray, " n"]
     horizon: float
-    actuators: Sequence[Saturation | RateLimit] = ()
+    actuators: Sequence[Limiting] = ()
 
     @cached_property
     def whole(self) -> int:
@@ -112,14 +112,10 @@ class Loop:
         """Per actuator: 1 where it limits the change of the input and 0 otherwise, low, high."""
         m = self.plant.inputs
         sizes = Sizes(self.plant.modes, self.plant.states, m, self.window.step)
-        rate, low, high = [], [], []
-        far = np.full(m, np.inf)
-        for one in self.actuators:
-            act = one.actuator(sizes)
-            rate.append(float(isinstance(one, RateLimit)))
-            low.append(act(-far, np.zeros(m)))
-            high.append(act(far, np.zeros(m)))
-        return np.array(rate), np.array(low).reshape(-1, m), np.array(high).reshape(-1, m)
+        limits = [one.limits(sizes) for one in self.actuators]
+        rate = np.array([float(limit.relative) for limit in limits])
+        low = np.reshape([limit.low for limit in limits], (-1, m))
+        return rate, low, np.reshape([limit.high for limit in limits], (-1, m))
 
     def lay(self, signals: SignalBatch) -> Laid:
         """Signals laid on the periods up to the horizon."""

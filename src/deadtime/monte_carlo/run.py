@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.checks import instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
-from deadtime.imperfections import Imperfection, RateLimit, Saturation, streams
+from deadtime.imperfections import Imperfection, Limiting, streams
 from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.monte_carlo.block import Block
 from deadtime.monte_carlo.dataset import METRICS, Results, dataset_of
@@ -64,7 +64,7 @@ def monte_carlo(
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
     where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
-    laws with imperfections other than saturation and rate limits, horizons of fewer than some 20
+    laws with imperfections other than limits of the input, horizons of fewer than some 20
     periods, plants beyond some 30 states or a thousand times faster than the period;
     `attrs["one_by_one"]` names the laws. So do scenarios that diverge or vanish.
 
@@ -178,9 +178,9 @@ def _block(loop: Loop, backend: str) -> int:
     return 8 * int(np.clip(larger * _BLOCK_STEPS / 8 / (loop.whole + 1), 1, larger * _BLOCK / 8))
 
 
-def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Saturation | RateLimit]:
+def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
     """What engines know of imperfections: limits of the inputs."""
-    return [one for one in imperfections if isinstance(one, (Saturation, RateLimit))]
+    return [one for one in imperfections if isinstance(one, Limiting)]
 
 
 def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:

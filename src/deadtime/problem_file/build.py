@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,25 +13,16 @@ from deadtime.checks import positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.gains import lqr, place
 from deadtime.imperfections import Imperfection, Sizes
-from deadtime.laws import (
-    AveragedPredictor,
-    DelayedStateFeedback,
-    ExactPredictor,
-    ExpectedPredictor,
-    Law,
-    LowPassPredictor,
-    MeanPredictor,
-    OptimalPredictor,
-    SingleModePredictor,
-    StateDependentPredictor,
-)
+from deadtime.law_registry import LAWS, Model, Setting, build_law
+from deadtime.law_registry.entry import ModelSection
+from deadtime.laws import Law, LowPassPredictor
 from deadtime.laws.base import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file import schema
 from deadtime.problem_file.imperfections import build_imperfections
 from deadtime.problem_file.observer import observed
-from deadtime.problem_file.switching import Model, build_model, build_rule, build_signal
-from deadtime.problems import Problem, comparison_laws
+from deadtime.problem_file.switching import build_model, build_rule, build_signal
+from deadtime.problems import Problem
 from deadtime.switching import Rule
 from deadtime.toml_file import section as _section
 
@@ -50,7 +42,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         rule = build_rule(file.signal)
         if rule is not None:
             rule.require(plant)
-    laws = _laws(_Parts(plant, gains, file, model, rule))
+    laws = _laws(file, plant, gains, model, rule)
     with _section("run"):
         run = file.run
         x0 = shaped("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
@@ -152,109 +144,71 @@ def _pole(given: float | str) -> complex:
         ) from None
 
 
-@dataclass(frozen=True)
-class _Parts:
-    """What laws are built from."""
-
-    plant: SwitchedSystem
-    gains: np.ndarray
-    file: schema.ProblemFile
-    model: Model | None
-    rule: Rule | None
-
-
-def _laws(parts: _Parts) -> dict[str, Law]:
+def _laws(
+    file: schema.ProblemFile,
+    plant: SwitchedSystem,
+    gains: np.ndarray,
+    model: Model | None,
+    rule: Rule | None,
+) -> dict[str, Law]:
     """The laws of the file by name, or all that apply if it lists none."""
+    weights = file.gains.lqr
+    setting = Setting(
+        plant=plant,
+        gains=gains,
+        mean_gain=partial(_mean_gain, file.gains, gains),
+        period=_period(file, plant),
+        model=model,
+        rule=rule,
+        weights=None if weights is None else (np.array(weights.Q), np.array(weights.R)),
+        allow_unstable=file.gains.allow_unstable,
+    )
     laws: dict[str, Law] = {}
-    for i, section in enumerate(parts.file.law):
+    for i, section in enumerate(file.law):
         with _section("law", i):
-            law = _law(parts, section)
+            law = build_law(section, _believed(setting, file, section.model))
             if section.low_pass is not None:
                 law = LowPassPredictor(law, section.low_pass)
             name = section.name or law.label
             if name in laws:
                 raise ArgumentError(f"name {name!r} is used twice: give the law another name.")
             laws[name] = law
-    return laws or _all_laws(parts)
+    return laws or _all_laws(file, setting)
 
 
-def _all_laws(parts: _Parts) -> dict[str, Law]:
+def _believed(setting: Setting, file: schema.ProblemFile, own: ModelSection) -> Setting:
+    """The setting with the plant that a law believes in."""
+    plant = _changed(setting.plant, own)
+    allow = setting.allow_unstable or own.A is not None or own.B is not None
+    return replace(setting, plant=plant, period=_period(file, plant), allow_unstable=allow)
+
+
+def _all_laws(file: schema.ProblemFile, setting: Setting) -> dict[str, Law]:
     """The paper's laws, and those that use what the file says about the switching.
 
-    Where a rule switches an ideal loop there is one law that it can have.
+    Where a rule switches the loop the law that knows it comes first, and an ideal loop can have
+    no other.
     """
-    plant, gains, file = parts.plant, parts.gains, parts.file
-    allow = file.gains.allow_unstable
-    with _section("gains"):
-        exact = (
-            StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
-            if parts.rule is not None
-            else None
-        )
-        if exact is not None and file.run.step == "ideal":
-            return {exact.label: exact}
-        mean = _mean_law(plant, gains, file, None, allow) if plant.modes > 1 else None
-        laws = comparison_laws(plant, gains, mean, allow)
-    if parts.model is not None:
-        with _section("switching"):
-            law = ExpectedPredictor(plant, gains, parts.model, allow_unstable=allow)
-            laws[law.label] = law
-    if exact is not None:
-        # The oracle knows a signal, and there is none before the run.
-        laws = {exact.label: exact} | {
-            name: one for name, one in laws.items() if not isinstance(one, ExactPredictor)
-        }
+    modes = setting.plant.modes
+    usual = [
+        known
+        for known in LAWS.values()
+        if known.named.in_files
+        and (modes > 1 or not known.named.several)
+        and all(map(setting.has, known.entry.needs))
+    ]
+    usual.sort(key=lambda known: "rule" not in known.entry.needs)
+    if setting.rule is not None and file.run.step == "ideal":
+        usual = usual[:1]
+    laws: dict[str, Law] = {}
+    for known in usual:
+        with _section("switching" if "model" in known.entry.needs else "gains"):
+            built = [known.build(setting, mode) for mode in known.modes(modes)]
+        laws |= {law.label: law for law in built}
     return laws
 
 
-def _law(parts: _Parts, section: schema.LawSection) -> Law:
-    file, gains, own = parts.file, parts.gains, section.model
-    plant = _changed(parts.plant, own)
-    allow = file.gains.allow_unstable or own.A is not None or own.B is not None
-    match section:
-        case schema.AveragedLaw(weights="minimax"):
-            return AveragedPredictor.minimax(
-                plant,
-                gains,
-                _period(file, plant),
-                common_gain=section.common_gain,
-                dwell_time=section.dwell_time,
-                allow_unstable=allow,
-            )
-        case schema.AveragedLaw(common_gain=True):
-            raise ArgumentError('common_gain = true goes with weights = "minimax" only.')
-        case schema.AveragedLaw():
-            return AveragedPredictor(
-                plant, gains, section.weights, section.dwell_time, allow_unstable=allow
-            )
-        case schema.SingleLaw():
-            return SingleModePredictor(plant, gains, section.mode, allow_unstable=allow)
-        case schema.MeanLaw():
-            return _mean_law(plant, gains, file, section, allow)
-        case schema.ExpectedLaw():
-            model = _required(parts.model, section.kind)
-            return ExpectedPredictor(plant, gains, model, ages=section.ages, allow_unstable=allow)
-        case schema.OptimalLaw():
-            return _optimal_law(plant, file, section, _required(parts.model, section.kind))
-        case schema.ExactLaw():
-            if parts.rule is not None:
-                raise ArgumentError(
-                    'kind = "exact" needs a signal that is known in advance, but the state '
-                    'decides the mode: use kind = "state-dependent", which is exact there.'
-                )
-            return ExactPredictor(plant, gains, allow_unstable=allow)
-        case schema.StateDependentLaw():
-            if parts.rule is None:
-                raise ArgumentError(
-                    'kind = "state-dependent" needs a [signal] of kind "half-space", '
-                    '"polyhedra" or "quadratic": that is the rule it runs forward.'
-                )
-            return StateDependentPredictor(plant, gains, parts.rule, allow_unstable=allow)
-        case _:
-            return DelayedStateFeedback(plant, gains, allow_unstable=allow)
-
-
-def _changed(plant: SwitchedSystem, own: schema.ModelSection) -> SwitchedSystem:
+def _changed(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
     """The plant with what a section says otherwise, of the same sizes."""
     parts = {}
     for name, given in (("A", own.A), ("B", own.B)):
@@ -266,45 +220,14 @@ def _changed(plant: SwitchedSystem, own: schema.ModelSection) -> SwitchedSystem:
 
 def _period(file: schema.ProblemFile, plant: SwitchedSystem) -> float:
     """The sampling period of the run; a fine one where the law is updated continuously."""
-    return plant.delay / 100.0 if file.run.step == "ideal" else positive("step", file.run.step)
+    return plant.delay / 100.0 if file.run.step == "ideal" else file.run.step
 
 
-def _required(model: Model | None, kind: str) -> Model:
-    if model is None:
-        raise ArgumentError(f"kind = {kind!r} needs a [switching] section: a model to rely on.")
-    return model
-
-
-def _optimal_law(
-    plant: SwitchedSystem, file: schema.ProblemFile, section: schema.OptimalLaw, model: Model
-) -> OptimalPredictor:
-    """The optimal law for its own weights, or those of the gains, or the identity."""
-    weights = file.gains.lqr
-    Q = section.Q or (weights.Q if weights else np.eye(plant.states))
-    R = section.R or (weights.R if weights else np.eye(plant.inputs))
-    return OptimalPredictor(plant, model, Q, R)
-
-
-def _mean_law(
-    model: SwitchedSystem,
-    gains: np.ndarray,
-    file: schema.ProblemFile,
-    section: schema.MeanLaw | None,
-    allow: bool,
-) -> MeanPredictor:
-    """The mean law; without a gain of its own, one designed for the mean as the others were.
+def _mean_gain(section: schema.GainsSection, gains: np.ndarray, mean: SwitchedSystem) -> np.ndarray:
+    """A gain designed for the mean plant as the others were.
 
     Where that is not defined (gains given as K, or poles per mode), the mean of the gains.
     """
-    A, B = model.mean().A[0], model.mean().B[0]
-    if section is not None:
-        A = A if section.A is None else real_array("A", section.A, "(n, n)", 2)
-        B = B if section.B is None else real_array("B", section.B, "(n, m)", 2)
-    if section is not None and section.gain is not None:
-        gain = real_array("gain", section.gain, "(m, n)", 2)
-    elif file.gains.K is not None or isinstance((file.gains.poles or [0])[0], list):
-        gain = gains.mean(axis=0)
-    else:
-        gain = _gains(SwitchedSystem(A[None], B[None], model.delay), file.gains)[0]
-    dwell_time = None if section is None else section.dwell_time
-    return MeanPredictor(model, gain, gains, dwell_time, (A, B), allow_unstable=allow)
+    if section.K is not None or isinstance((section.poles or [0])[0], list):
+        return gains.mean(axis=0)
+    return _gains(mean, section)[0]

@@ -1,138 +1,20 @@
-"""The sections of a file that say what is imperfect, and what they become."""
+"""The imperfections of a problem file, and what they become."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import Field
 
-from deadtime import imperfections as kinds
-from deadtime.imperfections import Imperfection, Sizes
-from deadtime.problem_file.section import Matrix, Section, Vector
-from deadtime.toml_file import Shape
+from deadtime.imperfection_registry import ENTRIES, ImperfectionSection, build_imperfection
+from deadtime.imperfections import Imperfection, SensorImperfection, Sizes, require
 from deadtime.toml_file import section as _section
 
-PerSignal = Annotated[float | Vector, Shape("a number, or one for each", [0.1, 0.2])]
-
-
-def _without_default(schema: dict[str, Any]) -> None:
-    """JSON has no infinity."""
-    del schema["default"]
-
-
-class NoiseSection(Section):
-    """White measurement noise."""
-
-    kind: Literal["noise"]
-    std: PerSignal = Field(description="Standard deviation, a number or one per state.")
-
-
-class MeasurementDelaySection(Section):
-    """A measurement delay beside the input delay."""
-
-    kind: Literal["measurement-delay"]
-    delay: float = Field(description="Seconds.")
-
-
-class JitterSection(Section):
-    """Samples taken early."""
-
-    kind: Literal["jitter"]
-    most: float = Field(description="How early at most, seconds, at most a period.")
-
-
-class LateSamplesSection(Section):
-    """Samples that come late."""
-
-    kind: Literal["late-samples"]
-    periods: int = Field(description="How late, in periods.")
-    probability: float = Field(1.0, description="Of each sample.")
-
-
-class DropoutSection(Section):
-    """Lost samples."""
-
-    kind: Literal["dropout"]
-    probability: float = Field(description="Of each sample.")
-
-
-class ModeDelaySection(Section):
-    """Late mode detection."""
-
-    kind: Literal["mode-delay"]
-    periods: int = Field(description="How late, in periods.")
-
-
-class WrongModeSection(Section):
-    """Wrong mode detection."""
-
-    kind: Literal["wrong-mode"]
-    probability: float = Field(description="Of each sample.")
-
-
-class SaturationSection(Section):
-    """Limits of the input."""
-
-    kind: Literal["saturation"]
-    low: PerSignal = Field(description="A number or one per input.")
-    high: PerSignal = Field(description="A number or one per input.")
-
-
-class RateLimitSection(Section):
-    """A limit of the input's rate."""
-
-    kind: Literal["rate-limit"]
-    rate: PerSignal = Field(description="Units of the input per second.")
-
-
-class WhiteDisturbanceSection(Section):
-    """White process noise."""
-
-    kind: Literal["white-disturbance"]
-    intensity: Annotated[float | Vector | Matrix, Shape("a number, (n,) or (n, n)", [0.1, 0.1])] = (
-        Field(description="W in units of x² per second: a number, a diagonal or an n × n matrix.")
-    )
-
-
-class ColouredDisturbanceSection(Section):
-    """Process noise with a correlation time."""
-
-    kind: Literal["coloured-disturbance"]
-    std: PerSignal = Field(description="Standard deviation of each source.")
-    time_constant: PerSignal = Field(description="Correlation time of each source, seconds.")
-    force: Annotated[Vector | Matrix, Shape("(n,) or (n, q)", [0.0, 1.0])] = Field(
-        description="How the sources act on dx/dt, n or n × q."
-    )
-
-
-class StepDisturbanceSection(Section):
-    """A constant force on dx/dt."""
-
-    kind: Literal["step-disturbance"]
-    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
-        description="Units of x per second."
-    )
-    start: float = Field(0.0, description="Seconds.")
-    end: float = Field(math.inf, description="Seconds.", json_schema_extra=_without_default)
-
-
-ImperfectionSection = Annotated[
-    NoiseSection
-    | MeasurementDelaySection
-    | JitterSection
-    | LateSamplesSection
-    | DropoutSection
-    | ModeDelaySection
-    | WrongModeSection
-    | SaturationSection
-    | RateLimitSection
-    | WhiteDisturbanceSection
-    | ColouredDisturbanceSection
-    | StepDisturbanceSection,
-    Field(discriminator="kind"),
-]
+if TYPE_CHECKING:
+    ImperfectionEntry = ImperfectionSection
+else:
+    ImperfectionEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
 
 
 def build_imperfections(
@@ -146,8 +28,7 @@ def build_imperfections(
     built = []
     for i, one in enumerate(sections):
         with _section("imperfection", i):
-            name = type(one).__name__.removesuffix("Section")
-            made = getattr(kinds, name)(**one.model_dump(exclude={"kind"}))
-            kinds.require(made, sensors if isinstance(made, kinds.SensorImperfection) else sizes)
+            made = build_imperfection(one)
+            require(made, sensors if isinstance(made, SensorImperfection) else sizes)
             built.append(made)
     return tuple(built)

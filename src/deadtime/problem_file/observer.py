@@ -12,8 +12,8 @@ from deadtime.laws import Law
 from deadtime.observers import Observer, kalman, luenberger
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
-from deadtime.problem_file.section import Matrices, Matrix, Poles, PolesPerMode, Section, Vector
 from deadtime.toml_file import Shape
+from deadtime.toml_file.table import Matrices, Matrix, Poles, PolesPerMode, Section, Vector
 
 
 class _Measured(Section):

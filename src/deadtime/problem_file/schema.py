@@ -5,13 +5,24 @@ Only names and types are checked here; what the numbers mean is checked by the p
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import ConfigDict, Field, model_validator
 
-from deadtime.problem_file.imperfections import ImperfectionSection
+from deadtime.law_registry import ENTRIES, LawSection
+from deadtime.law_registry.entry import (
+    SQUARE,
+    UNIT,
+    InputMatrices,
+    InputWeight,
+    ModelSection,
+    Plants,
+    Square,
+)
+from deadtime.problem_file.imperfections import ImperfectionEntry
 from deadtime.problem_file.observer import ObserverSection
-from deadtime.problem_file.section import (
+from deadtime.toml_file import Shape
+from deadtime.toml_file.table import (
     Integers,
     Matrices,
     Matrix,
@@ -21,19 +32,11 @@ from deadtime.problem_file.section import (
     Texts,
     Vector,
 )
-from deadtime.toml_file import Shape
 
-_SQUARE = [[0.0, 1.0], [-1.0, -0.5]]
-_COLUMN = [[0.0], [1.0]]
-_UNIT = [[1.0, 0.0], [0.0, 1.0]]
 _RATES = [[0.0, 0.5], [0.5, 0.0]]
 
 # What keys are called that are lists of numbers: their shape, and a value that fits.
-Plants = Annotated[Matrices, Shape("(modes, n, n)", [_SQUARE, _SQUARE])]
-InputMatrices = Annotated[Matrices, Shape("(modes, n, m)", [_COLUMN, _COLUMN])]
 Gains = Annotated[Matrices | None, Shape("(modes, m, n)", [[[-1.0, -2.0]], [[-1.0, -2.0]]])]
-Square = Annotated[Matrix, Shape("(n, n)", _UNIT)]
-InputWeight = Annotated[Matrix, Shape("(m, m)", [[1.0]])]
 PerMode = Annotated[Matrix, Shape("(modes, modes)", _RATES)]
 State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
 Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
@@ -78,103 +81,6 @@ class GainsSection(Section):
         if sum(value is not None for value in (self.K, self.poles, self.lqr)) != 1:
             raise ValueError("give exactly one of K, poles and lqr")
         return self
-
-
-class ModelSection(Section):
-    """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
-
-    delay: float | None = None
-    A: Plants | None = None
-    B: InputMatrices | None = None
-
-
-class LawSection(Section):
-    """What all laws share."""
-
-    name: str | None = Field(None, description="Name in tables and figures.")
-    low_pass: Annotated[float | Matrix | None, Shape("a number or (m, m)", [[0.1]])] = Field(
-        None,
-        description="Time constant of a low-pass filter on the law's input, seconds; a number, or "
-        "m × m.",
-    )
-    model: ModelSection = Field(default_factory=ModelSection)
-
-
-class AveragedLaw(LawSection):
-    """Average of the modes' exact predictor feedbacks."""
-
-    kind: Literal["averaged"]
-    weights: Annotated[
-        Vector | Literal["minimax"] | None, Shape('(modes,) or "minimax"', [0.5, 0.5])
-    ] = Field(
-        None,
-        description='Probability of each mode; equal by default; "minimax" finds those with the '
-        "least growth rate of the worst mode.",
-    )
-    common_gain: bool = Field(
-        False, description="With minimax weights: one gain for all modes, tuned as well."
-    )
-    dwell_time: float | None = Field(
-        None, description="Trust the current mode for the rest of this dwell time, seconds."
-    )
-
-
-class SingleLaw(LawSection):
-    """Exact predictor feedback of one mode."""
-
-    kind: Literal["single"]
-    mode: int
-
-
-class MeanLaw(LawSection):
-    """Exact predictor feedback of the mean plant; its gain is designed like the others."""
-
-    kind: Literal["mean"]
-    gain: Annotated[Matrix | None, Shape("(m, n)", [[-1.0, -2.0]])] = Field(
-        None, description="K̄, m × n; needed when gains are given as K."
-    )
-    A: Annotated[Matrix | None, Shape("(n, n)", _SQUARE)] = Field(
-        None, description="Ā; the element-wise mean by default."
-    )
-    B: Annotated[Matrix | None, Shape("(n, m)", _COLUMN)] = Field(
-        None, description="B̄; the element-wise mean by default."
-    )
-    dwell_time: float | None = Field(
-        None, description="Trust the current mode for the rest of this dwell time, seconds."
-    )
-
-
-class ExpectedLaw(LawSection):
-    """Expected predictor feedback under the file's [switching] model."""
-
-    kind: Literal["expected"]
-    ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
-
-
-class OptimalLaw(LawSection):
-    """The best causal law under the file's [switching] model, for ∫ xᵀQx + uᵀRu."""
-
-    kind: Literal["optimal"]
-    Q: Square | None = Field(None, description="n × n; that of [gains.lqr], or I, by default.")
-    R: InputWeight | None = Field(None, description="m × m; that of [gains.lqr], or I, by default.")
-
-
-class ExactLaw(LawSection):
-    """The oracle, which knows the signal."""
-
-    kind: Literal["exact"]
-
-
-class StateDependentLaw(LawSection):
-    """Exact predictor feedback where the state decides the mode, by the rule in [signal]."""
-
-    kind: Literal["state-dependent"]
-
-
-class DelayedLaw(LawSection):
-    """State feedback that ignores the delay."""
-
-    kind: Literal["delayed"]
 
 
 class SojournSection(Section):
@@ -310,7 +216,7 @@ class QuadraticSignal(Section):
     """Switching by the state: the mode whose form xᵀ S[i] x is the largest."""
 
     kind: Literal["quadratic"]
-    S: Annotated[list[Matrix], Shape("(modes, n, n)", [_UNIT, _SQUARE])] = Field(
+    S: Annotated[list[Matrix], Shape("(modes, n, n)", [UNIT, SQUARE])] = Field(
         description="A symmetric matrix per mode; −S for the smallest form."
     )
 
@@ -335,17 +241,10 @@ class RunSection(Section):
     )
 
 
-Law = Annotated[
-    AveragedLaw
-    | SingleLaw
-    | MeanLaw
-    | ExpectedLaw
-    | OptimalLaw
-    | ExactLaw
-    | StateDependentLaw
-    | DelayedLaw,
-    Field(discriminator="kind"),
-]
+if TYPE_CHECKING:
+    LawEntry = LawSection
+else:
+    LawEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
 Switching = Annotated[
     MarkovSwitching | SemiMarkovSwitching | FittedSwitching, Field(discriminator="kind")
 ]
@@ -370,7 +269,9 @@ class ProblemFile(Section):
     source: str = Field("", description="Where the numbers come from.")
     plant: PlantSection
     gains: GainsSection
-    law: list[Law] = Field([], description="Laws to run, in order; all of the paper's by default.")
+    law: list[LawEntry] = Field(
+        [], description="Laws to run, in order; all of the paper's by default."
+    )
     switching: Switching | None = Field(
         None, description="A stochastic model of the switching, for laws and signals that use one."
     )
@@ -382,7 +283,7 @@ class ProblemFile(Section):
     truth: ModelSection | None = Field(
         None, description="The plant that is simulated, where it differs from [plant]."
     )
-    imperfection: list[ImperfectionSection] = Field(
+    imperfection: list[ImperfectionEntry] = Field(
         [], description="Disturbances, sensors and actuators, in order."
     )
 

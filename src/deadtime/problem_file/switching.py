@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.errors import ArgumentError
+from deadtime.law_registry import Model
 from deadtime.plant import SwitchedSystem
 from deadtime.problem_file import schema
 from deadtime.switching import (
@@ -19,8 +20,6 @@ from deadtime.switching import (
     SemiMarkov,
     SwitchingSignal,
 )
-
-Model = Markov | SemiMarkov
 
 
 def build_model(section: schema.Switching | None, modes: int, folder: Path) -> Model | None:

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from deadtime.checks import count, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.imperfections import (
+    Additive,
     Disturbance,
     Dropout,
     Imperfection,
     LateSamples,
     ModeDelay,
-    Noise,
     streams,
 )
 from deadtime.laws.base import Law, TableLaw
@@ -137,7 +137,7 @@ def robustness(
             f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
             "then no input arrives."
         )
-    moved = any(isinstance(one, (Disturbance, Noise)) for one in imperfections)
+    moved = any(isinstance(one, (Disturbance, Additive)) for one in imperfections)
     if not (x0.any() or moved):
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
     setting = Setting(plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections))

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.imperfections import Disturbance, Imperfection, Noise
+from deadtime.imperfections import Additive, Disturbance, Imperfection
 from deadtime.laws.base import Law
 from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.trajectory import Trajectory
@@ -85,7 +85,7 @@ class Outcome:
 def pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
     """Whether something keeps a loop from 0: a force, noise, or a reference."""
     follows = isinstance(law, OutputFeedback) and law.servo is not None
-    return follows or any(isinstance(one, Disturbance | Noise) for one in imperfections)
+    return follows or any(isinstance(one, Disturbance | Additive) for one in imperfections)
 
 
 def elsewhere(x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deadtime.law_registry import LEVELS, the_law
 from deadtime.study.findings import favourite, summary, typical_regret, unbeaten
 from deadtime.study.knowledge_answer import EXPECTED, worth_of_distribution, worth_of_dwell_time
 from deadtime.study.mean_answer import AVERAGED, MEAN, MOST, averaged_or_mean
-from deadtime.study.phrases import Answer, of_cells, percent, region, the_law
-from deadtime.sweeps.laws import AWARE, LEVELS, ORACLE, knowledge_of, within
+from deadtime.study.phrases import Answer, of_cells, percent, region
+from deadtime.sweeps.laws import AWARE, ORACLE, knowledge_of, within
 from deadtime.wording import amount
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deadtime.law_registry import the_law
 from deadtime.study.findings import against_best, duel, favourite, steadier, summary
 from deadtime.study.phrases import (
     Answer,
@@ -18,7 +19,6 @@ from deadtime.study.phrases import (
     percent,
     place_of,
     tally,
-    the_law,
     times_the_oracle,
     words_of,
 )

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deadtime.law_registry import the_law
 from deadtime.study.findings import duel, steadier, summary
-from deadtime.study.phrases import Answer, of_cells, percent, region, span, tally, the_law
+from deadtime.study.phrases import Answer, of_cells, percent, region, span, tally
 from deadtime.study.tables import table
 
 if TYPE_CHECKING:

@@ -43,20 +43,6 @@ class Answer:
     duels: tuple[tuple[str, str], ...] = ()
 
 
-def the_law(name: str) -> str:
-    """A law's name in a sentence.
-
-    Examples
-    --------
-    >>> the_law("mean, dwell-aware"), the_law("mode 1 only"), the_law("oracle")
-    ('the dwell-aware mean law', 'the law “mode 1 only”', 'the oracle')
-    """
-    name, _, rest = name.partition(", ")
-    if name in ("averaged", "mean", "expected", "optimal"):
-        return f"the {rest} {name} law" if rest else f"the {name} law"
-    return "the oracle" if name == "oracle" else f"the law “{name}”"
-
-
 def change(ratio: float) -> str:
     """What a quotient of two ∫|x|² means.
 

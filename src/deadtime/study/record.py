@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deadtime.law_registry import LEVELS
 from deadtime.study.findings import best, summary
 from deadtime.study.phrases import Answer
 from deadtime.study.run import failures
-from deadtime.sweeps.laws import LEVELS, ORACLE, knowledge_of, within
+from deadtime.sweeps.laws import ORACLE, knowledge_of, within
 from deadtime.wording import finite_or_none
 
 if TYPE_CHECKING:

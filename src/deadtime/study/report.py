@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.errors import ArgumentError
+from deadtime.law_registry import LEVELS, the_law
 from deadtime.report import save_figure
 from deadtime.study import maps
 from deadtime.study.answers import answers
-from deadtime.study.phrases import Answer, the_law
+from deadtime.study.phrases import Answer
 from deadtime.study.record import record_of, write_cells
 from deadtime.study.run import failures, run_study
 from deadtime.sweeps.axes import AXES
 from deadtime.sweeps.file_study import FileStudy
-from deadtime.sweeps.laws import LEVELS, ORACLE, knowledge_of, within
+from deadtime.sweeps.laws import ORACLE, knowledge_of, within
 from deadtime.sweeps.run import Report
 from deadtime.sweeps.sojourns import FAMILIES
 from deadtime.version import __version__

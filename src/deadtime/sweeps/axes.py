@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.errors import ArgumentError
+from deadtime.imperfection_registry import SWEPT, Swept
 from deadtime.plant import SwitchedSystem
 from deadtime.sweeps.sojourns import sojourn_section
 
@@ -130,19 +131,14 @@ def _speed(draft: Draft, factor: float) -> None:
     draft["gains"]["poles"] = moved(poles)
 
 
-def _imperfect(kind: str, **fields: Callable[[float], Any]) -> Write:
+def _imperfect(swept: Swept) -> Write:
     """Add an imperfection; none for the value 0."""
 
     def write(draft: Draft, value: float) -> None:
         if value:
-            section = {"kind": kind, **{name: of(value) for name, of in fields.items()}}
-            draft["imperfection"] = [*draft.get("imperfection", []), section]
+            draft["imperfection"] = [*draft.get("imperfection", []), swept.section(value)]
 
     return write
-
-
-def _same(value: float) -> float:
-    return value
 
 
 def _dwell_time(draft: Draft, dwell_time: float) -> None:
@@ -160,47 +156,34 @@ def no_write(draft: Draft, value: Any) -> None:
     """Of an axis that is in no problem file."""
 
 
+def _by_name(*axes: Axis) -> dict[str, Axis]:
+    """The axes by their names, no two of which may be the same."""
+    named: dict[str, Axis] = {}
+    for axis in axes:
+        if axis.name in named:
+            raise ArgumentError(f"the name of the axis {axis.name!r} is taken: choose another.")
+        named[axis.name] = axis
+    return named
+
+
 # In the order in which they are written: what reads the plant comes after what changes it.
-AXES: Mapping[str, Axis] = {
-    axis.name: axis
-    for axis in (
-        Axis("distance", "mode distance α", "", _distance),
-        Axis("delay", "delay", "s", at("plant.delay")),
-        Axis("speed", "closed-loop speed", "", _speed),
-        Axis("step", "sampling period", "s", at("run.step")),
-        Axis("horizon", "horizon", "s", at("run.horizon")),
-        Axis("start", "size of x(0)", "", _start),
-        Axis("delay_error", "delay error", "", _delay_error),
-        Axis("gain_error", "gain error", "", _gain_error),
-        Axis("sojourn", "sojourns", "", at("sojourn")),
-        Axis("dwell_time", "dwell time", "s", _dwell_time),
-        Axis("noise", "measurement noise", "x", _imperfect("noise", std=_same)),
-        Axis(
-            "measurement_delay",
-            "measurement delay",
-            "s",
-            _imperfect("measurement-delay", delay=_same),
-        ),
-        Axis("jitter", "jitter", "s", _imperfect("jitter", most=_same)),
-        Axis("dropout", "samples lost", "", _imperfect("dropout", probability=_same)),
-        Axis("mode_delay", "late modes", "periods", _imperfect("mode-delay", periods=_same)),
-        Axis("wrong_mode", "wrong modes", "", _imperfect("wrong-mode", probability=_same)),
-        Axis(
-            "saturation",
-            "input limit",
-            "u",
-            _imperfect("saturation", low=lambda value: -value, high=_same),
-        ),
-        Axis("rate_limit", "input rate limit", "u/s", _imperfect("rate-limit", rate=_same)),
-        Axis(
-            "disturbance",
-            "disturbance intensity",
-            "x^2/s",
-            _imperfect("white-disturbance", intensity=_same),
-        ),
-        Axis("seed", "seed", "", no_write),
-    )
-}
+AXES: Mapping[str, Axis] = _by_name(
+    Axis("distance", "mode distance α", "", _distance),
+    Axis("delay", "delay", "s", at("plant.delay")),
+    Axis("speed", "closed-loop speed", "", _speed),
+    Axis("step", "sampling period", "s", at("run.step")),
+    Axis("horizon", "horizon", "s", at("run.horizon")),
+    Axis("start", "size of x(0)", "", _start),
+    Axis("delay_error", "delay error", "", _delay_error),
+    Axis("gain_error", "gain error", "", _gain_error),
+    Axis("sojourn", "sojourns", "", at("sojourn")),
+    Axis("dwell_time", "dwell time", "s", _dwell_time),
+    *(
+        Axis(name, swept.axis.label, swept.axis.unit, _imperfect(swept))
+        for name, swept in SWEPT.items()
+    ),
+    Axis("seed", "seed", "", no_write),
+)
 
 
 # Paths of the problem file that an axis replaces, whatever stood there.

@@ -10,16 +10,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deadtime.errors import ArgumentError, DeadtimeError
 from deadtime.gains import place
+from deadtime.law_registry import Model, Setting
 from deadtime.laws import Law
 from deadtime.problem_file import schema
 from deadtime.problem_file.build import as_numbers, build_problem
 from deadtime.problem_file.lenient import build_what_can
-from deadtime.problem_file.switching import Model, build_model
+from deadtime.problem_file.switching import build_model
 from deadtime.problems import Problem
 from deadtime.sweeps.axes import AXES, Draft, axis_of
-from deadtime.sweeps.laws import COARSE, Setting, kinds_of
+from deadtime.sweeps.laws import COARSE, INPUT_WEIGHT, kinds_of
 from deadtime.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SemiMarkov
 from deadtime.switching.random import mean_or_twice
@@ -115,19 +118,20 @@ class FileStudy(Study):
         """The study's laws for gains placed at its poles; and why others could not be built."""
         plant = problem.model or problem.plant
         poles = as_numbers(file.gains.poles or [])
+        mean_gain = place(plant.mean(), poles)[0]
         setting = Setting(
             plant=plant,
             gains=problem.gains,
-            mean_gain=place(plant.mean(), poles)[0],
+            mean_gain=lambda _: mean_gain,
+            period=max(problem.step or 0.0, plant.delay / COARSE),
             model=model,
-            dwell_time=dwell_time,
-            step=problem.step or plant.delay / COARSE,
+            weights=(np.eye(plant.states), INPUT_WEIGHT * np.eye(plant.inputs)),
         )
         laws, reasons = {}, {}
         kinds = kinds_of(plant.modes)
         for name in self.laws:
             try:
-                laws[name] = kinds[name].make(setting)
+                laws[name] = kinds[name].make(setting, dwell_time)
             except DeadtimeError as error:
                 reasons[name] = str(error)
         return laws, reasons

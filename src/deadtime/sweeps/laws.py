@@ -2,104 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-
-import numpy as np
-from jaxtyping import Float
 
 from deadtime.errors import ArgumentError
-from deadtime.laws import (
-    AveragedPredictor,
-    DelayedStateFeedback,
-    ExactPredictor,
-    ExpectedPredictor,
-    Law,
-    MeanPredictor,
-    OptimalPredictor,
-    SingleModePredictor,
-)
-from deadtime.plant import SwitchedSystem
-from deadtime.switching import Markov, SemiMarkov
+from deadtime.law_registry import LAWS, LEVELS, Known, Setting
+from deadtime.laws import Law
 
 ORACLE, AWARE = "oracle", ", dwell-aware"
 COARSE = 20  # sampling periods per delay at which minimax laws are sought
 INPUT_WEIGHT = 1e-3  # of ∫|u|² beside ∫|x|² in what the optimal law minimises
-# What a law may know of the switching, each level including those before it.
-LEVELS = ("nothing", "the dwell time", "the distribution", "the future")
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What a law of one cell is made from: the cell's plant, its gains, and its switching."""
-
-    plant: SwitchedSystem
-    gains: Float[np.ndarray, "mode m n"]
-    mean_gain: Float[np.ndarray, "m n"]
-    model: Markov | SemiMarkov
-    dwell_time: float | None
-    step: float
-
-    def told(self) -> float:
-        """τ_d, for laws that are told it."""
-        if self.dwell_time is None:
-            raise ArgumentError("a dwell-aware law is told τ_d: give grid.dwell_time.")
-        return self.dwell_time
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a law is made, and its entry in `LEVELS`."""
+    """A law of the registry, of one of the modes if there is one for each."""
 
-    knows: str
-    make: Callable[[Setting], Law]
+    known: Known
+    mode: int | None = None
 
+    @property
+    def knows(self) -> str:
+        """One of `LEVELS`."""
+        return self.known.named.knows
 
-def _minimax(setting: Setting, common_gain: bool) -> Law:
-    """The law found at a coarse period, where that costs a second or less."""
-    plant = setting.plant
-    period = max(setting.step, plant.delay / COARSE)
-    arrays = (_frozen(plant.A), _frozen(plant.B), _frozen(setting.gains))
-    return _found_minimax(*arrays, plant.delay, period, common_gain)
-
-
-def _frozen(array: np.ndarray) -> tuple:
-    """An array of three dimensions as something that can be looked up."""
-    return tuple(tuple(map(tuple, matrix)) for matrix in array.tolist())
+    def make(self, setting: Setting, dwell_time: float | None = None) -> Law:
+        """The law for one cell; τ_d for those that are told it."""
+        if self.known.is_told and dwell_time is None:
+            raise ArgumentError("a dwell-aware law is told τ_d: give grid.dwell_time.")
+        return self.known.build(setting, self.mode, dwell_time)
 
 
-@lru_cache(maxsize=64)
-def _found_minimax(
-    A: tuple, B: tuple, gains: tuple, delay: float, step: float, common_gain: bool
-) -> Law:
-    """The same for all cells with this plant: it depends on no switching."""
-    plant = SwitchedSystem(np.array(A), np.array(B), delay)
-    return AveragedPredictor.minimax(plant, np.array(gains), step, common_gain=common_gain)
-
-
-def _optimal(setting: Setting) -> Law:
-    n, m = setting.plant.states, setting.plant.inputs
-    return OptimalPredictor(setting.plant, setting.model, np.eye(n), INPUT_WEIGHT * np.eye(m))
-
-
+# Signals of a study are drawn: no rule decides the mode. The less a law knows, the earlier.
 KINDS: Mapping[str, Kind] = {
-    "averaged": Kind("nothing", lambda s: AveragedPredictor(s.plant, s.gains)),
-    "mean": Kind("nothing", lambda s: MeanPredictor(s.plant, s.mean_gain, s.gains)),
-    "delay ignored": Kind("nothing", lambda s: DelayedStateFeedback(s.plant, s.gains)),
-    "averaged, minimax": Kind("nothing", lambda s: _minimax(s, common_gain=False)),
-    "averaged, one-gain minimax": Kind("nothing", lambda s: _minimax(s, common_gain=True)),
-    "averaged, dwell-aware": Kind(
-        "the dwell time", lambda s: AveragedPredictor(s.plant, s.gains, None, s.told())
-    ),
-    "mean, dwell-aware": Kind(
-        "the dwell time", lambda s: MeanPredictor(s.plant, s.mean_gain, s.gains, s.told())
-    ),
-    "expected": Kind("the distribution", lambda s: ExpectedPredictor(s.plant, s.gains, s.model)),
-    "optimal": Kind("the distribution", _optimal),
-    ORACLE: Kind("the future", lambda s: ExactPredictor(s.plant, s.gains)),
+    known.named.name: Kind(known)
+    for known in sorted(LAWS.values(), key=lambda known: LEVELS.index(known.named.knows))
+    if "rule" not in known.entry.needs and not known.per_mode
 }
-DEFAULT = ("averaged", "mean", "averaged, dwell-aware", "mean, dwell-aware", "expected", ORACLE)
+DEFAULT = tuple(name for name, kind in KINDS.items() if kind.known.named.in_studies)
 
 
 def kinds_of(modes: int) -> dict[str, Kind]:
@@ -110,11 +50,13 @@ def kinds_of(modes: int) -> dict[str, Kind]:
     >>> [name for name in kinds_of(2) if name.endswith("only")]
     ['mode 0 only', 'mode 1 only']
     """
-
-    def only(mode: int) -> Kind:
-        return Kind("nothing", lambda s: SingleModePredictor(s.plant, s.gains, mode))
-
-    return {**KINDS, **{f"mode {mode} only": only(mode) for mode in range(modes)}}
+    own = {
+        known.named.name.format(mode=mode): Kind(known, mode)
+        for known in LAWS.values()
+        if known.per_mode
+        for mode in range(modes)
+    }
+    return {**KINDS, **own}
 
 
 def within(laws: Sequence[str], knows: str) -> list[str]:

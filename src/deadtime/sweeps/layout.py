@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from deadtime.checks import read_only
 from deadtime.errors import DeadtimeError
-from deadtime.imperfections import RateLimit, Saturation
+from deadtime.imperfections import Limiting
 from deadtime.laws import ExactPredictor
 from deadtime.laws.base import Law, TableLaw
 from deadtime.steps import Window
@@ -125,7 +125,7 @@ def _cost(study: Study, index: tuple[int, ...]) -> float:
 
 def _of_law(loop: Loop, law: Law) -> float:
     """Seconds of a period of a scenario."""
-    alone = any(not isinstance(one, (Saturation, RateLimit)) for one in loop.imperfections)
+    alone = any(not isinstance(one, Limiting) for one in loop.imperfections)
     if alone or not isinstance(law, TableLaw):
         return _ALONE
     taps = Window.of(law.plant.delay, loop.step).count

@@ -6,20 +6,18 @@ import difflib
 from collections.abc import Hashable, Sequence
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_model
 
+from deadtime.imperfection_registry import SWEPT
 from deadtime.monte_carlo.dataset import METRICS
-from deadtime.problem_file.imperfections import ImperfectionSection
-from deadtime.problem_file.section import First, Poles, Section
+from deadtime.problem_file.imperfections import ImperfectionEntry
 from deadtime.sweeps.sojourns import FAMILIES
+from deadtime.toml_file.table import Count, First, NotNegative, Poles, Section
 
 MOST_VALUES = 5000  # of an axis
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 AboveMinusOne = Annotated[float, Field(gt=-1.0, allow_inf_nan=False)]
-Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
-Count = Annotated[int, Field(strict=True, ge=0)]
 
 
 def known(what: str, name: str, names: Sequence[str]) -> str:
@@ -63,17 +61,13 @@ List = (First(), BeforeValidator(_listed), AfterValidator(distinct))
 Positives = Annotated[list[Positive], *List]
 NotNegatives = Annotated[list[NotNegative], *List]
 Errors = Annotated[list[AboveMinusOne], *List]
-Probabilities = Annotated[list[Probability], *List]
 Counts = Annotated[list[Count], *List]
 Families = Annotated[list[Annotated[str, AfterValidator(_family)]], *List]
 Metrics = Annotated[list[Annotated[str, AfterValidator(_metric)]], *List]
 
 
-class GridSection(Section):
-    """The axes of the grid: a list of values each, or a single one.
-
-    Beside these, paths into the problem file, such as law.averaged.low_pass.
-    """
+class _PlainAxes(Section):
+    """Axes that are no imperfections."""
 
     model_config = ConfigDict(extra="allow", strict=False, title=None)
 
@@ -93,21 +87,27 @@ class GridSection(Section):
     )
     sojourn: Families | None = Field(None, description="Families of sojourns, of mean 2 τ_d.")
     dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
-    noise: NotNegatives | None = Field(None, description="Standard deviation of measurements.")
-    measurement_delay: NotNegatives | None = Field(None, description="Seconds.")
-    jitter: NotNegatives | None = Field(None, description="Samples are up to this early, seconds.")
-    dropout: Probabilities | None = Field(None, description="Probability to lose a sample.")
-    mode_delay: Counts | None = Field(None, description="Periods by which modes are known late.")
-    wrong_mode: Probabilities | None = Field(None, description="Probability of a wrong mode.")
-    saturation: NotNegatives | None = Field(
-        None, description="Inputs stay within plus and minus this; 0: no limit."
-    )
-    rate_limit: NotNegatives | None = Field(
-        None, description="Inputs move by so much a second; 0: no limit."
-    )
-    disturbance: NotNegatives | None = Field(
-        None, description="Intensity of a white disturbance on every state."
-    )
+
+
+_ImperfectionAxes: Any = create_model(
+    "_ImperfectionAxes",
+    __base__=_PlainAxes,
+    **{
+        name: (
+            Annotated[list[swept.axis.values], *List] | None,
+            Field(None, description=swept.axis.description),
+        )
+        for name, swept in SWEPT.items()
+    },
+)
+
+
+class GridSection(_ImperfectionAxes):
+    """The axes of the grid: a list of values each, or a single one.
+
+    Beside these, paths into the problem file, such as law.averaged.low_pass.
+    """
+
     seed: Counts | None = Field(None, description="Seeds of the signals, instead of the study's.")
 
 
@@ -133,6 +133,6 @@ class StudyFile(Section):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     metrics: Metrics = Field(list(METRICS), description="What to keep of every run.")
     grid: GridSection
-    imperfection: list[ImperfectionSection] = Field(
+    imperfection: list[ImperfectionEntry] = Field(
         [], description="Disturbances, sensors and actuators, after those of the problem."
     )

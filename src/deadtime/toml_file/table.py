@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, FailFast
+from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 
 class First(FailFast):
@@ -20,6 +20,9 @@ Poles = Annotated[list[float | str], First()]
 PolesPerMode = Annotated[list[Poles], First()]
 Integers = Annotated[list[int], First()]
 Texts = Annotated[list[str], First()]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
+Count = Annotated[int, Field(strict=True, ge=0)]
 
 
 class Section(BaseModel):
