@@ -15,7 +15,7 @@ shifted. The law's row comes from its own model, which need not be the plant.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from jaxtyping import Complex, Float
 from deadtime.checks import index
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.steps import Window
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
@@ -75,6 +76,13 @@ class LiftedLoop:
         m, n = self.F.shape
         return n + self.held * m
 
+    def balanced(self) -> LiftedLoop:
+        """The same loop, of the same eigenvalues, with inputs in `units_of` their effect."""
+        effect = np.vstack((self.early, self.late))
+        scaled, F, G = in_units(units_of(effect), effect, self.F, self.G)
+        early, late = np.split(scaled, 2)
+        return replace(self, early=early, late=late, F=F, G=G)
+
     def matrix(self) -> Float[np.ndarray, "order order"]:
         """L of z_{k+1} = L z_k."""
         m, n = self.F.shape
@@ -106,7 +114,7 @@ class LiftedLoop:
 
     def growth_rate(self, step: float) -> float:
         """ln(spectral radius of L)/h, −∞ where that is 0; `leading` says how it is found."""
-        radius = self.leading()[1]
+        radius = self.balanced().leading()[1]
         return math.log(radius) / step if radius > 0.0 else -math.inf
 
     def leading(self) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:

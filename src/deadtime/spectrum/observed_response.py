@@ -11,6 +11,7 @@ from deadtime.laws.base import Law
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.digital_response import DigitalResponse
+from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.observed import Joined, Period
 from deadtime.spectrum.response import Samples
@@ -43,8 +44,11 @@ class ObservedResponse(DigitalResponse):
         row, h = aged_row(feedback, mode), feedback.step
         true, model = Period.of(plant, mode, h), Period.of(law.observer.plant, mode, h)
         F, G = feedback.state_gain[row], feedback.input_gain[row]
-        X = Joined.of(law, true, model, F, mode)
-        return cls(plant.A[mode], plant.B[mode], X.gain, G, h, X.Phi, X, model.taps)
+        X, B = Joined.of(law, true, model, F, mode), plant.B[mode]
+        effect, gain, G = in_units(units_of(B), np.vstack((B, X.early, X.late)), X.gain, G)
+        B, early, late = np.split(effect, [len(B), len(B) + len(X.early)])
+        X = X._replace(early=early, late=late, gain=gain)
+        return cls(plant.A[mode], B, gain, G, h, X.Phi, X, model.taps)
 
     def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))
