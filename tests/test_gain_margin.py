@@ -155,6 +155,27 @@ def test_laws_that_are_no_table_are_refused_by_name():
         dt.gain_margin(PLANT, plants.LAWS["averaged"](MODEL), 0.0)
 
 
+@pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e100, 1e200, 1e250])
+@pytest.mark.parametrize("observed", [False, True])
+def test_the_units_of_an_input_change_no_margin(unit, observed, recwarn):
+    A, B, poles = MODEL.A[:1], MODEL.B[:1], [-1.0, -1.5, -2.0]
+    gains = dt.place(dt.SwitchedSystem(A, B, 0.25), poles)
+    each = np.array([unit, 1.0])[: B.shape[2]]  # of every input
+
+    def answers(each):
+        plant = dt.SwitchedSystem(A, B * each, 0.25)
+        law = dt.SingleModePredictor(plant, gains / each[:, None], 0)
+        if observed:
+            law = dt.OutputFeedback(law, dt.luenberger(plant, np.eye(3), [-4.0, -5.0, -6.0], 0.01))
+        margin = dt.gain_margin(plant, law, 0.01)
+        return margin.lower, margin.upper, dt.growth_rate(plant, law, 0, 0.01)
+
+    expected = answers(np.ones(each.size))
+    assert answers(each) == pytest.approx(expected, rel=1e-8)
+    assert answers(np.full(each.size, unit)) == pytest.approx(expected, rel=1e-8)
+    assert not recwarn
+
+
 # -- the ideal loop ------------------------------------------------------------------------------
 
 

@@ -225,18 +225,32 @@ def test_a_plant_that_switches_by_its_state_takes_imperfections_too():
         ([ModeDelay(10**30)], "ModeDelay.periods must be at most 1,000,000,000"),
         ([Noise("loud")], "Noise.std must hold real numbers, one or"),
         ([Noise([[1.0], [1.0, 2.0]])], "Noise.std must hold real numbers"),
-        ([Saturation("low", 1.0)], "Saturation.low must hold real numbers"),
-        ([Saturation(math.nan, 1.0)], "Saturation.low must not be NaN"),
         (Noise(0.1), "imperfections must be a list of imperfections, got Noise"),
         ([WrongMode(-0.1)], "WrongMode.probability must be in"),
-        ([Saturation(1.0, 1.0)], "Saturation must have low < high"),
-        ([Saturation(0.0, [1.0, -1.0])], "Saturation must have low < high"),
         ([RateLimit(0.0)], "RateLimit.rate must be positive"),
     ],
 )
 def test_malformed_imperfections_are_refused_by_name(imperfections, message):
     with pytest.raises(dt.ArgumentError, match=message):
         run(imperfections=imperfections)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "message"),
+    [
+        (12.0, -12.0, r"Saturation must have low < high, got 12.0 and -12.0\."),
+        (1.0, 1.0, "Saturation must have low < high"),
+        (0.0, [1.0, -1.0], "Saturation must have low < high"),
+        ([-1.0, 2.0], np.ones(2), "Saturation must have low < high"),
+        ([0.0, 0.0], [1.0, 1.0, 1.0], r"low and high of one length, got shapes \(2,\) and \(3,\)"),
+        ("low", 1.0, "Saturation.low must hold real numbers"),
+        (math.nan, 1.0, "Saturation.low must not be NaN"),
+        (0.0, [1.0, math.nan], "Saturation.high must not be NaN"),
+    ],
+)
+def test_malformed_limits_are_refused_when_they_are_made(low, high, message):
+    with pytest.raises(dt.ArgumentError, match=message):
+        Saturation(low, high)
 
 
 def test_a_saturation_may_have_one_side():

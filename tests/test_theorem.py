@@ -428,6 +428,18 @@ def test_a_longer_delay_leaves_less_room(form):
     assert (np.diff(stars) < 0.0).all()
 
 
+@pytest.mark.parametrize("form", ["printed", "corrected"])
+def test_dwell_times_down_to_the_least_float_scale_epsilon_star_with_them(form):
+    # While D/τ_d is large, δ₁ and δ₂ are proportional to it.
+    of = functools.partial(bound_of, CASES["paper"], form)
+    known = of(1e-100).log10_epsilon_star + 100.0
+    for dwell_time in (1e-300, 1e-308, 5e-324):
+        found = of(dwell_time)
+        assert found.log10_epsilon_star - math.log10(dwell_time) == pytest.approx(known, abs=1e-9)
+        assert not found.holds
+        assert math.isinf(found.delta1(0.1)) == (dwell_time < 1e-306)
+
+
 def test_only_the_sharp_constants_do_not_depend_on_the_dwell_time():
     for form in FORMS:
         stars = [bound_of(CASES["paper"], form, tau).epsilon_star for tau in (0.1, 1.0)]

@@ -170,9 +170,14 @@ def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
     """A limit for each of m = `size` inputs, a number for all; infinite for none."""
     array = as_floats(name, value, f"one or (m,) = ({size},)")
     whole = np.full(size, array) if array.ndim == 0 else array
-    if np.isnan(whole).any():
-        raise ArgumentError(f"{name} must not be NaN, got {whole.tolist()}.")
-    return shaped(name, whole, (size,), "(m,)")
+    return shaped(name, not_nan(name, whole), (size,), "(m,)")
+
+
+def not_nan(name: str, array: np.ndarray) -> np.ndarray:
+    """The same array, without NaN."""
+    if np.isnan(array).any():
+        raise ArgumentError(f"{name} must not be NaN, got {array.tolist()}.")
+    return array
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deadtime.certificates.constants import Constants, Gains, largest_norm
-from deadtime.certificates.logs import exp, log, log_inverse, log_one_plus
+from deadtime.certificates.logs import exp, log, log_inverse, log_one_plus, log_sum
 from deadtime.lyapunov import CommonLyapunov, closed_loops
 from deadtime.plant import SwitchedSystem
 
@@ -35,15 +35,19 @@ class Mismatch:
 
     def log_delta1(self, x: float) -> float:
         D = self.delay
-        switches = log(self.M_K * (D / self.dwell_time + 2.0) * D)
+        switches = log(self.M_K) + self._log_intervals(2.0) + log(D)
         return x + self.M_A * D + log_one_plus(switches + exp(x) * D)
 
     def log_delta2(self, x: float) -> float:
         D = self.delay
-        inner = log_one_plus(self.M_A * D + log(D / self.dwell_time + 1.0))
+        inner = log_one_plus(self.M_A * D + self._log_intervals(1.0))
         first = log(D * self.M_B) + exp(x) * D + inner
         outer = np.logaddexp(log(self.M_K) + log_one_plus(first), log(self.M_B))
         return x + self.M_A * D + float(outer)
+
+    def _log_intervals(self, more: float) -> float:
+        """log(D/τ_d + more); D/τ_d itself may overflow."""
+        return log_sum((log(self.delay) - log(self.dwell_time), log(more)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,6 +71,7 @@ def robustness(
             scenarios=scenarios,
             seed=seed,
             imperfections=chosen.imperfections,
+            u0=chosen.u0,
             progress=advance,
         )
     path = Path(f"{chosen.name}-robustness.png") if out is None else out

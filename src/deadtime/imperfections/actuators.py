@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
-from deadtime.checks import bound
+from deadtime.checks import as_floats, bound, not_nan
 from deadtime.errors import ArgumentError
 from deadtime.imperfections.base import ActuatorImperfection, Limiting, Limits, Sizes, per_signal
 
@@ -26,13 +26,24 @@ class Saturation(Limiting, ActuatorImperfection):
     low: ArrayLike
     high: ArrayLike
 
-    def limits(self, sizes: Sizes) -> Limits:
-        low = bound("Saturation.low", self.low, sizes.inputs)
-        high = bound("Saturation.high", self.high, sizes.inputs)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        form = "one or (m,)"
+        low = not_nan("Saturation.low", as_floats("Saturation.low", self.low, form))
+        high = not_nan("Saturation.high", as_floats("Saturation.high", self.high, form))
+        if low.ndim and high.ndim and low.shape != high.shape:
+            raise ArgumentError(
+                f"Saturation must have low and high of one length, got shapes {low.shape} and "
+                f"{high.shape}."
+            )
         if (low >= high).any():
             raise ArgumentError(
                 f"Saturation must have low < high, got {low.tolist()} and {high.tolist()}."
             )
+
+    def limits(self, sizes: Sizes) -> Limits:
+        low = bound("Saturation.low", self.low, sizes.inputs)
+        high = bound("Saturation.high", self.high, sizes.inputs)
         return Limits(low, high, False)
 
 

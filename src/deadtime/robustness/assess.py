@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from deadtime.checks import count, instance, positive, real_array, shaped
 from deadtime.errors import ArgumentError
 from deadtime.imperfections import (
-    Additive,
-    Disturbance,
     Dropout,
     Imperfection,
     LateSamples,
@@ -22,9 +20,11 @@ from deadtime.imperfections import (
 from deadtime.laws.base import Law, TableLaw
 from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
-from deadtime.robustness.tolerance import NoisePrice, Setting, Tolerance, noise_price
+from deadtime.robustness.setting import Setting
+from deadtime.robustness.tolerance import NoisePrice, Tolerance, noise_price
 from deadtime.robustness.tolerance import sweep as _sweep
 from deadtime.robustness.tolerance import tolerance_of as _tolerance_of
+from deadtime.simulation.initial_input import InitialInput
 from deadtime.spectrum.affordable import left_out
 from deadtime.spectrum.gain import GainMargin, gain_margin
 from deadtime.spectrum.margin import DelayMargin, constant_delay_margin
@@ -33,6 +33,7 @@ from deadtime.wording import sentence_of
 
 _DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _FINE = 0.1  # of a probability, relative
+_LOSES = ("none", "loses the plant", "")
 _MARGINS = ("delay margin", "gain margin")
 STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "noise")
 
@@ -85,6 +86,7 @@ def robustness(
     scenarios: int = 20,
     seed: int = 0,
     imperfections: Sequence[Imperfection] = (),
+    u0: InitialInput = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
     """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
@@ -92,7 +94,9 @@ def robustness(
     Errors of delay and gain are those that leave every constant mode stable, exact from the
     spectrum; where a delay of very many periods would make them take long they are left out, and a
     sentence says so. The rest is simulated on the given signal: a run counts as lost when it
-    diverges, its loop grows, or |x| ends above where it started though nothing pushes it.
+    diverges, its loop grows, or |x| ends above where it started. Where that says nothing, because
+    x is pushed, starts at 0, or inputs are limited, a run must come to rest where the perfect loop
+    does, which is pushed alike and has no other imperfection; `docs/robustness.md` has the details.
 
     Parameters
     ----------
@@ -104,6 +108,8 @@ def robustness(
         Of the first scenario; the others count on.
     imperfections : sequence of Imperfection
         What every run has beside what is tried.
+    u0 : optional
+        Inputs before time 0, as `simulate` takes them.
     progress : callable
         Called with a few words before each of `len(STEPS)` pieces of work.
 
@@ -137,10 +143,11 @@ def robustness(
             f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
             "then no input arrives."
         )
-    moved = any(isinstance(one, (Disturbance, Additive)) for one in imperfections)
-    if not (x0.any() or moved):
+    setting = Setting(
+        plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0
+    )
+    if not setting.moves:
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
-    setting = Setting(plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections))
     inner = law.law if isinstance(law, OutputFeedback) else law
     table = isinstance(inner, TableLaw)
     progress("delay margin")
@@ -161,7 +168,7 @@ def robustness(
         lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
     progress("noise")
     if drops.tolerated is None:
-        noise = NoisePrice.unknown("what noise costs cannot be told: the runs are lost without it")
+        noise = NoisePrice.unknown("what noise costs cannot be told: the runs fail without it")
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     margins = "but for the imperfections of every run, " if setting.imperfections else ""
@@ -185,18 +192,18 @@ def _drops(setting: Setting) -> Tolerance:
     def between(good: float, bad: float) -> float | None:
         return 0.5 * (good + bad) if bad - good > max(_FINE * bad, 1e-3) else None
 
-    def say(tolerated: float, failed: float | None) -> str:
-        runs = f"{setting.scenarios} runs"
-        if failed is None:
-            return (
-                f"with {100 * tolerated:.3g} % of the samples lost none of {runs} loses the plant"
-            )
-        return (
-            f"with up to {100 * tolerated:.3g} % of the samples lost none of {runs} loses the "
-            f"plant; with {100 * failed:.3g} % some do"
+    def say(tolerated: float, failed: float | None, bounded: bool) -> str:
+        upto = "" if failed is None else "up to "
+        which, what, some = ("each", setting.works, " not") if bounded else _LOSES
+        runs = "1 run" if setting.scenarios == 1 else f"{setting.scenarios} runs"
+        text = (
+            f"with {upto}{100 * tolerated:.3g} % of the samples lost {which} of {runs} "
+            f"{setting.where} {what}"
         )
+        return text if failed is None else f"{text}; with {100 * failed:.3g} % some do{some}"
 
-    return _tolerance_of(_sweep(setting, Dropout, _DROPS, between, setting.scenarios), say)
+    swept = _sweep(setting, Dropout, _DROPS, between, setting.scenarios)
+    return _tolerance_of(swept, setting, say)
 
 
 def _whole(
@@ -211,14 +218,16 @@ def _whole(
     def between(good: float, bad: float) -> float | None:
         return float((good + bad) // 2) if bad - good > 1.0 else None
 
-    def say(tolerated: float, failed: float | None) -> str:
+    def say(tolerated: float, failed: float | None, bounded: bool) -> str:
         periods = "1 period" if tolerated == 1.0 else f"{tolerated:g} periods"
-        seconds = f"{periods} ({tolerated * setting.step:.3g} s) {how}"
+        seconds = f"{periods} ({tolerated * setting.step:.3g} s) {how} {setting.where}"
+        fate = f"no longer {setting.works}" if bounded else "is lost"
         if failed is None:
             return f"{what} {seconds}, and more was not tried"
         if tolerated == 0.0:
-            return f"{what} no whole period {how}: one, {setting.step:g} s, loses the loop"
-        return f"{what} up to {seconds}; with {failed:g} the loop is lost"
+            one = f"with one, {setting.step:g} s,"
+            return f"{what} no whole period {how} {setting.where}: {one} the loop {fate}"
+        return f"{what} up to {seconds}; with {failed:g} the loop {fate}"
 
     swept = _sweep(setting, lambda value: kind(int(value)), values, between, scenarios)
-    return _tolerance_of(swept, say)
+    return _tolerance_of(swept, setting, say)

@@ -1,9 +1,7 @@
-"""Tolerances by simulation: how far an imperfection may go before runs are lost.
+"""Tolerances by simulation: how far an imperfection may go before a loop fails to do its work.
 
-A run is lost when it diverges, ends early, or its loop grows (`simulation.outcome`), and where
-nothing pushes x also when |x| ends above where it started; x is not lost where a force or a
-reference holds it elsewhere. An imperfection is tolerated up to a value if none
-of the runs with it is lost there, or at any smaller value that was tried.
+An imperfection is tolerated up to a value if every run with it does its work there
+(`robustness.setting`), and at every smaller value that was tried.
 """
 
 from __future__ import annotations
@@ -11,60 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.frozen import Frozen
 from deadtime.imperfections import Imperfection, Noise
-from deadtime.laws.base import Law
-from deadtime.plant import SwitchedSystem
-from deadtime.simulation import Trajectory, simulate
-from deadtime.simulation.outcome import elsewhere, outcome_of, pushed
-from deadtime.switching import Rule, SwitchingSignal
+from deadtime.robustness.setting import BOUNDED, KEPT, LOST, Cost, Setting
 
 _TRIALS = 10
-Cost = Float[np.ndarray, " scenario"]
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What is run, and how often."""
-
-    plant: SwitchedSystem
-    law: Law
-    signal: SwitchingSignal | Rule
-    x0: Float[np.ndarray, " n"]
-    horizon: float
-    step: float
-    scenarios: int
-    seed: int
-    imperfections: tuple[Imperfection, ...]
-
-    def runs(self, more: Sequence[Imperfection], scenarios: int) -> tuple[Cost, np.ndarray]:
-        """The cost of every scenario with more imperfections, and whether it is lost."""
-        cost, lost = np.empty(scenarios), np.empty(scenarios, bool)
-        moved = pushed(self.law, self.imperfections)
-        for i in range(scenarios):
-            run = self._run(self.x0, more, i)
-            again = partial(self._run, elsewhere(self.x0), more, i) if moved else None
-            cost[i] = run.metrics()["cost"]
-            outcome = outcome_of(run, self.horizon, again)
-            lost[i] = outcome.lost or (not moved and outcome.kind == "bounded")
-        return cost, lost
-
-    def _run(self, x0: np.ndarray, more: Sequence[Imperfection], scenario: int) -> Trajectory:
-        return simulate(
-            self.plant,
-            self.law,
-            self.signal,
-            x0,
-            self.horizon,
-            self.step,
-            imperfections=(*self.imperfections, *more),
-            seed=self.seed + scenario,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +31,11 @@ class Tolerance(Frozen):
     cost : (k, scenarios)
         ∫|x|² + ∫|u|² of each run.
     lost : (k, scenarios) bool
+        Whether a run is lost, or no longer settles.
+    bounded : (k, scenarios) bool
+        Which of these stay bounded.
     tolerated : float or None
-        The largest value tried at and below which no run was lost; None where one is at 0.
+        The largest value tried at and below which no run was `lost`; None where one is at 0.
     failed : float or None
         The smallest value at which one was; None where none was.
     message : str
@@ -89,6 +45,7 @@ class Tolerance(Frozen):
     values: Float[np.ndarray, " k"]
     cost: Float[np.ndarray, "k scenarios"]
     lost: Bool[np.ndarray, "k scenarios"]
+    bounded: Bool[np.ndarray, "k scenarios"]
     tolerated: float | None
     failed: float | None
     message: str
@@ -129,13 +86,13 @@ def sweep(
     refine: Callable[[float, float], float | None],
     scenarios: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values until one loses runs, then between it and the one before while `refine` names one."""
+    """Values until one fails, then between it and the one before while `refine` names one."""
     tried: dict[float, tuple[Cost, np.ndarray]] = {}
 
     def ask(value: float) -> bool:
         more = [make(value)] if value > 0.0 else []
         tried[value] = setting.runs(more, scenarios)
-        return bool(tried[value][1].any())
+        return bool((tried[value][1] != KEPT).any())
 
     good, bad = None, None
     for value in values:
@@ -157,28 +114,37 @@ def sweep(
 
 
 def tolerance_of(
-    swept: tuple[np.ndarray, np.ndarray, np.ndarray], say: Callable[[float, float | None], str]
+    swept: tuple[np.ndarray, np.ndarray, np.ndarray],
+    setting: Setting,
+    say: Callable[[float, float | None, bool], str],
 ) -> Tolerance:
-    """What a sweep shows; `say(tolerated, failed)` is its sentence."""
-    values, cost, lost = swept
+    """What a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
+
+    `bounded` says that a run which fails stays bounded; without one that fails, that it could.
+    """
+    values, cost, ends = swept
+    lost, bounded = ends != KEPT, ends == BOUNDED
     bad = np.flatnonzero(lost.any(axis=1))
-    if bad.size and bad[0] == 0:
-        text = "the runs are lost as they are, with nothing added"
-        return Tolerance(values, cost, lost, None, float(values[0]), text)
     failed = float(values[bad[0]]) if bad.size else None
+    stays = not (ends[bad[0]] == LOST).any() if bad.size else setting.compared
+    if failed == values[0]:
+        text = "the runs are lost as they are, with nothing added"
+        if stays:
+            text = f"not every run {setting.works} as it is, with nothing added"
+        return Tolerance(values, cost, lost, bounded, None, failed, text)
     tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
-    return Tolerance(values, cost, lost, tolerated, failed, say(tolerated, failed))
+    text = say(tolerated, failed, bool(stays))
+    return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
 
 
 def noise_price(setting: Setting, unit: float) -> NoisePrice:
     """The price of measurement noise, `unit` being the size of a state."""
-    scenarios = setting.scenarios
-    base_cost, _ = setting.runs([], scenarios)
+    base_cost = setting.costs([])
     base = float(base_cost.mean())
     trial, slope = 1e-3 * unit, 0.0
     # Large enough that what the noise adds stands out of what it happens to do to these runs.
     for _ in range(_TRIALS):
-        more = float(setting.runs([Noise(trial)], scenarios)[0].mean() - base)
+        more = float(setting.costs([Noise(trial)]).mean() - base)
         slope = more / trial**2
         if more > 0.3 * base:
             break
@@ -188,7 +154,7 @@ def noise_price(setting: Setting, unit: float) -> NoisePrice:
         text = "the price of measurement noise could not be told: no noise tried costs more"
         return NoisePrice(np.zeros(1), base_cost[None], base, slope, math.nan, text)
     std = doubling * np.array([0.0, 0.25, 0.5, 1.0, 2.0])
-    cost = np.array([base_cost, *(setting.runs([Noise(s)], scenarios)[0] for s in std[1:])])
+    cost = np.array([base_cost, *(setting.costs([Noise(s)]) for s in std[1:])])
     slope = float((cost[1:].mean(axis=1) - base) @ std[1:] ** 2 / np.sum(std[1:] ** 4))
     doubling = math.sqrt(base / slope) if slope > 0.0 else math.nan
     share = f", {100.0 * doubling / unit:.2g} % of |x(0)|" if setting.x0.any() else ""

@@ -85,7 +85,12 @@ class Outcome:
 def pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
     """Whether something keeps a loop from 0: a force, noise, or a reference."""
     follows = isinstance(law, OutputFeedback) and law.servo is not None
-    return follows or any(isinstance(one, Disturbance | Additive) for one in imperfections)
+    return follows or bool(pushes(imperfections))
+
+
+def pushes(imperfections: Sequence[Imperfection]) -> list[Imperfection]:
+    """Those that move x whatever the loop does: forces and noise."""
+    return [one for one in imperfections if isinstance(one, Disturbance | Additive)]
 
 
 def elsewhere(x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -137,6 +142,35 @@ def outcome_of(
     return Outcome(kind, start, final, peak, rest, settling)
 
 
+def keeps_up(run: Trajectory, perfect: Trajectory) -> bool:
+    """Whether a run ends as that of a perfect loop does.
+
+    Where the perfect run comes to rest the other has come to rest there, too. Where it does not,
+    the other stays, over its last quarter, as near to it as it moves itself.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> run = problem.simulate("averaged")
+    >>> keeps_up(run, run), keeps_up(problem.simulate("delayed"), run)
+    (True, False)
+    """
+    time = run.record.grid(min(run.end, perfect.end))
+    states, rest = run.record.states_at(time), at_rest(perfect)
+    if rest is not None:
+        return _stays(time, np.linalg.norm(states - rest, axis=1))
+    model = perfect.record.states_at(time)
+    apart = np.linalg.norm(states - model, axis=1)[time >= 0.75 * time[-1]]
+    return not perfect.diverged and bool(apart.max() <= _norm(np.ptp(model, axis=0)))
+
+
+def at_rest(run: Trajectory) -> Float[np.ndarray, " n"] | None:
+    """Where a run has come to rest; None where it has not."""
+    time = run.record.grid(run.end)
+    return None if run.diverged else _rest(time, run.record.states_at(time))[0]
+
+
 def untested(run: Trajectory, outcome: Outcome) -> str:
     """That a signal's first switch comes after settling, so that it tested nothing; or empty."""
     switches, settled = run.signal.times[1:], outcome.settling
@@ -169,12 +203,18 @@ def _difference(
 
 def _rest(time: np.ndarray, states: np.ndarray) -> tuple[np.ndarray | None, float]:
     """Where x stays all through the last tenth of a run, and since when; None if it does not."""
-    tail = time >= (1.0 - _TAIL) * time[-1]
-    rest = states[tail].mean(axis=0)
+    rest = states[_tail(time)].mean(axis=0)
     distance = np.linalg.norm(states - rest, axis=1)
-    if distance[tail].max() > SETTLED * distance.max():
-        return None, math.inf
-    return rest, _settling(time, distance)
+    return (rest, _settling(time, distance)) if _stays(time, distance) else (None, math.inf)
+
+
+def _stays(time: np.ndarray, distance: np.ndarray) -> bool:
+    """Whether a distance is settled all through the last tenth of a run."""
+    return bool(distance[_tail(time)].max() <= SETTLED * distance.max())
+
+
+def _tail(time: np.ndarray) -> np.ndarray:
+    return time >= (1.0 - _TAIL) * time[-1]
 
 
 def _norm(x: np.ndarray) -> float:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
 from deadtime.sampled import held_pair
+from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.response import Response
 
@@ -18,7 +19,10 @@ _CUTS = 5  # delays within a period at which the pipe is tried
 
 @dataclass(frozen=True, eq=False)
 class DigitalResponse(Response):
-    """A plant in one mode under a row (F, G) of a table, at the table's period (immutable)."""
+    """A plant in one mode under a row (F, G) of a table, at the table's period (immutable).
+
+    Inputs are in `units_of` B.
+    """
 
     A: Float[np.ndarray, "n n"]
     B: Float[np.ndarray, "n m"]
@@ -33,6 +37,7 @@ class DigitalResponse(Response):
         row = aged_row(feedback, mode)
         A, B, h = plant.A[mode], plant.B[mode], feedback.step
         F, G = feedback.state_gain[row], feedback.input_gain[row]
+        B, F, G = in_units(units_of(B), B, F, G)
         return cls(A, B, F, G, h, held_pair(A, B, h)[0])
 
     @property

@@ -89,7 +89,7 @@ def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: i
     """The growth rate of a mode under a row of a table, 1/s, to about 1e-9."""
     from deadtime.spectrum.enclosure import LARGEST, enclosed_growth
 
-    step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row)
+    step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row).balanced()
     values, radius = loop.leading()
     rate = math.log(radius) / step if radius > 0.0 else -math.inf
     if rate * loop.held * step < _FADED or loop.order > LARGEST:

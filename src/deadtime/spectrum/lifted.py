@@ -25,6 +25,7 @@ from deadtime.checks import index
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
 from deadtime.sampled_plant import Period, SampledPlant
+from deadtime.spectrum.input_units import in_units, units_of
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.
 DENSE = 500
@@ -64,6 +65,13 @@ class LiftedLoop:
         m, n = self.F.shape
         return n + self.held * m
 
+    def balanced(self) -> LiftedLoop:
+        """The same loop, of the same eigenvalues, with inputs in `units_of` their effect."""
+        Gamma = self.period.Gamma
+        power = units_of(Gamma.reshape(-1, Gamma.shape[2]))
+        Gamma, F, G = in_units(power, Gamma, self.F, self.G)
+        return LiftedLoop(self.period._replace(Gamma=Gamma), F, G)
+
     def matrix(self) -> Float[np.ndarray, "order order"]:
         """L of z_{k+1} = L z_k."""
         m, n = self.F.shape
@@ -96,7 +104,7 @@ class LiftedLoop:
 
     def growth_rate(self, step: float) -> float:
         """ln(spectral radius of L)/h, −∞ where that is 0; `leading` says how it is found."""
-        radius = self.leading()[1]
+        radius = self.balanced().leading()[1]
         return math.log(radius) / step if radius > 0.0 else -math.inf
 
     def leading(self) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:

@@ -12,6 +12,7 @@ from deadtime.output_feedback import OutputFeedback
 from deadtime.plant import SwitchedSystem
 from deadtime.sampled_plant import Period
 from deadtime.spectrum.digital_response import DigitalResponse
+from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.observed import Joined, periods_of
 from deadtime.spectrum.response import Samples
@@ -44,8 +45,11 @@ class ObservedResponse(DigitalResponse):
         row, (x, x_bar) = aged_row(feedback, mode), periods_of(plant, law, mode)
         F, G = feedback.state_gain[row], feedback.input_gain[row]
         X = Joined.of(law, x, x_bar, F, mode)
-        A, B = plant.A[mode], plant.B[mode]
-        return cls(A, B, X.gain, G, feedback.step, X.Phi, x_bar, X.true)
+        A, B, count = plant.A[mode], plant.B[mode], len(x_bar.lags)
+        effect, gain, G = in_units(units_of(B), np.vstack((B, *x_bar.Gamma)), X.gain, G)
+        B, Gamma = effect[: len(B)], effect[len(B) :].reshape(count, -1, B.shape[1])
+        model = x_bar._replace(Gamma=Gamma)
+        return cls(A, B, gain, G, feedback.step, X.Phi, model, X.true)
 
     def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))

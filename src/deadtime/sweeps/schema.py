@@ -89,17 +89,14 @@ class _PlainAxes(Section):
     dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
 
 
-_ImperfectionAxes: Any = create_model(
-    "_ImperfectionAxes",
-    __base__=_PlainAxes,
-    **{
-        name: (
-            Annotated[list[swept.axis.values], *List] | None,
-            Field(None, description=swept.axis.description),
-        )
-        for name, swept in SWEPT.items()
-    },
-)
+def _imperfection_axis(axis: Any) -> tuple[Any, Any]:
+    """A key that takes a list of values of an axis, or a single one."""
+    values: Any = Annotated[list[axis.values], *List]
+    return (values | None, Field(None, description=axis.description))
+
+
+_fields: dict[str, Any] = {name: _imperfection_axis(swept.axis) for name, swept in SWEPT.items()}
+_ImperfectionAxes: Any = create_model("_ImperfectionAxes", __base__=_PlainAxes, **_fields)
 
 
 class GridSection(_ImperfectionAxes):
