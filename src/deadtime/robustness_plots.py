@@ -31,8 +31,8 @@ def plot_robustness(
     """Growth rates over errors of delay and gain; costs over what was simulated.
 
     `modes` are names for the legend. Costs are relative to the loop as it is: the line is the
-    median of the runs, the band their extremes, crosses are values at which runs were lost. The
-    tolerated range is shaded.
+    median of the runs, the band their extremes, crosses are values at which runs were lost or did
+    not settle. The tolerated range is shaded.
     """
     names = modes or [f"mode {i}" for i in range(result.plant.modes)]
     with rc_context(STYLE):
@@ -49,7 +49,7 @@ def plot_robustness(
         keys = [Line2D([], [], color=COLOURS[i % 6], linestyle=LINES[i % len(LINES)],
                        label=plain(name)) for i, name in enumerate(names)]  # fmt: skip
         keys += [Patch(color=GOOD, label="tolerated")]
-        keys += [Line2D([], [], color=BAD, marker="x", linestyle="", label="runs lost")]
+        keys += [Line2D([], [], color=BAD, marker="x", linestyle="", label="lost, or not settling")]
         figure.legend(handles=keys, loc="outside lower center", ncols=6)
         if title:
             figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
@@ -122,7 +122,7 @@ def _cost_panel(panel: Axes, tolerance: Tolerance | None, label: str, unit: floa
         _nothing(panel, "the law does not\nread the mode")
         return
     if tolerance.tolerated is None:
-        _nothing(panel, "lost as it is")
+        _nothing(panel, "fails as it is")
         return
     base = float(np.median(tolerance.cost[0]))
     values, cost = unit * tolerance.values, np.minimum(tolerance.cost / base, _LARGEST)

@@ -192,9 +192,9 @@ def _drops(setting: Setting) -> Tolerance:
     def between(good: float, bad: float) -> float | None:
         return 0.5 * (good + bad) if bad - good > max(_FINE * bad, 1e-3) else None
 
-    def say(tolerated: float, failed: float | None, bounded: bool) -> str:
+    def say(tolerated: float, failed: float | None, _: bool) -> str:
         upto = "" if failed is None else "up to "
-        which, what, some = ("each", setting.works, " not") if bounded else _LOSES
+        which, what, some = ("each", setting.works, " not") if setting.compared else _LOSES
         runs = "1 run" if setting.scenarios == 1 else f"{setting.scenarios} runs"
         text = (
             f"with {upto}{100 * tolerated:.3g} % of the samples lost {which} of {runs} "

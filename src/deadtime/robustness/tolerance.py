@@ -120,20 +120,20 @@ def tolerance_of(
 ) -> Tolerance:
     """What a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
 
-    `bounded` says that a run which fails stays bounded; without one that fails, that it could.
+    `bounded` says that the runs that fail stay bounded.
     """
     values, cost, ends = swept
     lost, bounded = ends != KEPT, ends == BOUNDED
     bad = np.flatnonzero(lost.any(axis=1))
     failed = float(values[bad[0]]) if bad.size else None
-    stays = not (ends[bad[0]] == LOST).any() if bad.size else setting.compared
+    stays = bool(bad.size) and not (ends[bad[0]] == LOST).any()
     if failed == values[0]:
         text = "the runs are lost as they are, with nothing added"
         if stays:
             text = f"not every run {setting.works} as it is, with nothing added"
         return Tolerance(values, cost, lost, bounded, None, failed, text)
     tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
-    text = say(tolerated, failed, bool(stays))
+    text = say(tolerated, failed, stays)
     return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
 
 
