@@ -216,7 +216,9 @@ def test_every_page_with_python_is_run():
 
 
 def test_the_law_of_the_page_is_about_fifty_lines():
-    (code,) = re.findall(r"```python\n(# src/deadtime/laws/current_mode.py.*?)```", PAGES["howto/add-a-law.md"], re.S)
+    (code,) = re.findall(
+        r"```python\n(# src/deadtime/laws/current_mode.py.*?)```", PAGES["howto/add-a-law.md"], re.S
+    )
     assert len(code.strip().splitlines()) <= 55
 
 

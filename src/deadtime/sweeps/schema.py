@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_model
 
-from deadtime.imperfection_registry import SWEPT
+from deadtime.imperfection_registry import SWEPT, Axis
 from deadtime.monte_carlo.dataset import METRICS
 from deadtime.problem_file.imperfections import ImperfectionEntry
 from deadtime.sweeps.sojourns import FAMILIES
@@ -89,17 +89,14 @@ class _PlainAxes(Section):
     dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
 
 
-_ImperfectionAxes: Any = create_model(
-    "_ImperfectionAxes",
-    __base__=_PlainAxes,
-    **{
-        name: (
-            Annotated[list[swept.axis.values], *List] | None,
-            Field(None, description=swept.axis.description),
-        )
-        for name, swept in SWEPT.items()
-    },
-)
+def _axis(axis: Axis) -> tuple[Any, Any]:
+    """The field of an imperfection: its type and what editors show."""
+    values: Any = Annotated[list[axis.values], *List]
+    return values | None, Field(None, description=axis.description)
+
+
+_IMPERFECT: dict[str, Any] = {name: _axis(swept.axis) for name, swept in SWEPT.items()}
+_ImperfectionAxes: Any = create_model("_ImperfectionAxes", __base__=_PlainAxes, **_IMPERFECT)
 
 
 class GridSection(_ImperfectionAxes):
