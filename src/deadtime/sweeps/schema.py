@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_model
 
-from deadtime.imperfection_registry import SWEPT
+from deadtime.imperfection_registry import SWEPT, Axis
 from deadtime.monte_carlo.dataset import METRICS
 from deadtime.problem_file.imperfections import ImperfectionEntry
 from deadtime.sweeps.sojourns import FAMILIES
@@ -89,14 +89,14 @@ class _PlainAxes(Section):
     dwell_time: Positives | None = Field(None, description="τ_d: no sojourn is shorter, seconds.")
 
 
-def _imperfection_axis(axis: Any) -> tuple[Any, Any]:
-    """A key that takes a list of values of an axis, or a single one."""
+def _axis(axis: Axis) -> tuple[Any, Any]:
+    """The field of an imperfection: its type and what editors show."""
     values: Any = Annotated[list[axis.values], *List]
-    return (values | None, Field(None, description=axis.description))
+    return values | None, Field(None, description=axis.description)
 
 
-_fields: dict[str, Any] = {name: _imperfection_axis(swept.axis) for name, swept in SWEPT.items()}
-_ImperfectionAxes: Any = create_model("_ImperfectionAxes", __base__=_PlainAxes, **_fields)
+_IMPERFECT: dict[str, Any] = {name: _axis(swept.axis) for name, swept in SWEPT.items()}
+_ImperfectionAxes: Any = create_model("_ImperfectionAxes", __base__=_PlainAxes, **_IMPERFECT)
 
 
 class GridSection(_ImperfectionAxes):
