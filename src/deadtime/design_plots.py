@@ -106,10 +106,10 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
             Line2D([], [], color="grey", marker=">", label="stable whatever the delay", **line),
         ),
         (True, Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label="margin asked for")),
-        (True, Patch(facecolor=REACHED, label="within reach of linear controllers")),
+        (True, Patch(facecolor=REACHED, label="linear controllers reach it, per mode")),
         (
             any(100.0 * most < _right(one) for one, most in limits),
-            Patch(facecolor=BEYOND, label="beyond every linear controller"),
+            Patch(facecolor=BEYOND, label="none reaches it, in some mode"),
         ),
     ]
     return [key for there, key in keys if there]

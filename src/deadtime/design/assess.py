@@ -10,6 +10,7 @@ from deadtime.laws.base import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.lifted import LiftedLoop, aged_row
 
+_DENSE = 150  # order: up to there all eigenvalues of a loop are as fast as the largest
 WIDEST = 9.0  # relative: beyond, margins are not told apart
 
 
@@ -34,7 +35,7 @@ def assessed(
         cost, grows = cost_and_growth(plant, table, mode, blocks)
         if exact and math.isfinite(cost):
             row = aged_row(table, mode)
-            grows = LiftedLoop.of(plant, table, mode, row).growth_rate(step)
+            grows = LiftedLoop.of(plant, table, mode, row).growth_rate(step, _DENSE)
         costs.append(cost)
         growth = max(growth, grows)
         if math.isinf(cost):

@@ -104,19 +104,19 @@ class LiftedLoop:
         x = march(self.Phi, self.early, self.late, self.F, G, N, z[:n].copy(), inputs, W)
         return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
-    def growth_rate(self, step: float) -> float:
+    def growth_rate(self, step: float, dense: int = DENSE) -> float:
         """ln(spectral radius of L)/h, −∞ where that is 0; `leading` says how it is found."""
-        radius = self.leading()[1]
+        radius = self.leading(dense)[1]
         return math.log(radius) / step if radius > 0.0 else -math.inf
 
-    def leading(self) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
+    def leading(self, dense: int = DENSE) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
         """Eigenvalues of L of the largest moduli, some of them, and the spectral radius.
 
-        Above the order `DENSE` the largest eigenvalues of L^{4W} are found by Arnoldi's method:
+        Above the order `dense` the largest eigenvalues of L^{4W} are found by Arnoldi's method:
         over several windows they grow far apart, while those of L lie close to each other. The
         rates of the two methods agree to about 1e-9 1/s where eigenvalues are well conditioned.
         """
-        if self.order > DENSE:
+        if self.order > dense:
             from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
             periods, shape = 4 * self.held, (self.order, self.order)
