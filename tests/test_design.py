@@ -11,6 +11,7 @@ import deadtime as dt
 import plants
 from deadtime.design.estimate import estimated_margin
 from deadtime.design.families import Poles, Weights
+from deadtime.design.floors import Floors
 from deadtime.design.limits import DelayLimit
 from deadtime.design.message import percent, sentences
 from deadtime.design.price import cost_and_growth, loop_cost
@@ -268,7 +269,7 @@ def test_the_answer_depends_on_nothing_but_its_arguments():
 
 def test_longer_steps_are_tried_where_they_are_allowed():
     plant = plants.scalar(1.0, 1.0, 1.0)
-    search = Search(plant, dt.AveragedPredictor, False, 100, 100.0)
+    search = Search(plant, dt.AveragedPredictor, False, 100, 100.0, Floors(0.1))
     pairs = pairs_of(search, True, 0.05, 0.5)
     assert [step for _, step in pairs] == pytest.approx([0.05, 0.1, 0.25, 0.5])
     assert [(one.filtered, step) for one, step in pairs_of(search, None, 0.05, None)] == [
@@ -338,7 +339,7 @@ def room(asked, *limits):
     """The last sentence of a design's message."""
     limits = [DelayLimit(*limit, np.empty(0, complex)) for limit in limits]
     plain = TradeOff(LAW, 0.1, 0.0, math.inf)
-    return sentences(asked, False, None, plain, limits, 1).split("constant mode. ")[1]
+    return sentences(Floors(asked), False, None, plain, limits, 1).split("constant mode. ")[1]
 
 
 def test_the_modes_with_the_least_room_are_named():

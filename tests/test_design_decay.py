@@ -9,6 +9,7 @@ import deadtime as dt
 import plants
 from deadtime.cli import main
 from deadtime.design.families import Poles
+from deadtime.design.floors import Floors
 from deadtime.design.search import Search
 
 # Stable without an input: the cheapest loop with the widest margin hardly moves.
@@ -71,8 +72,12 @@ def test_the_command_takes_the_floor(tmp_path, capsys, monkeypatch):
 
 def test_without_a_floor_an_estimate_that_hardly_grows_costs_nothing():
     plant = plants.scalar([0.5], delay=0.2)
-    search = Search(plant, lambda plant, K: dt.SingleModePredictor(plant, K, 0), False, 20, 10.0)
+
+    def law(plant, K):
+        return dt.SingleModePredictor(plant, K, 0)
+
+    search = Search(plant, law, False, 20, 10.0, Floors(0.1))
     [start, *_] = Poles(plant, False).starts(dt.place(plant, [-1.0]))
     tried = search.evaluate(Poles(plant, False), 0.1, start)
     barely = dataclasses.replace(tried, growth=1e-12)
-    assert search.cheapest(0.1)(barely) == search.cheapest(0.1)(tried)
+    assert search.cheapest()(barely) == search.cheapest()(tried)

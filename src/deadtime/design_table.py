@@ -12,22 +12,27 @@ from deadtime.design.message import percent
 from deadtime.plant import SwitchedSystem
 from deadtime.wording import compact, finite_or_none, signed
 
-HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s")
+HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s", "misses")
 LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
 
 
 def design_rows(design: Design) -> list[tuple[str, ...]]:
-    """The plain design, the trade-off, and the one chosen."""
-    names = ("chosen" if point.law is design.law else "" for point in design.points)
-    points = [_row(name, point) for name, point in zip(names, design.points, strict=True)]
-    return [_row("plain", design.plain), *points]
+    """The plain design, the trade-off, and the one chosen; what each misses of the request."""
+    others = [point for point in design.points if point.law is not design.plain.law]
+    rows = []
+    for point in (design.plain, *others):
+        names = ["plain"] if point is design.plain else []
+        names += ["chosen"] if point.law is design.law and design.points else []
+        rows.append(_row(", ".join(names), point, ", ".join(design.missed(point)) or "–"))
+    return rows
 
 
-def _row(name: str, point: TradeOff) -> tuple[str, ...]:
+def _row(name: str, point: TradeOff, missed: str) -> tuple[str, ...]:
     T = point.time_constant
     slowest = "–" if T is None else f"{np.abs(np.linalg.eigvals(T)).max():.3g}"
     decay = f"{point.decay_rate:.3g}" if point.decay_rate > 0.0 else "–"
-    return name, percent(point.margin), compact(point.cost), decay, slowest, f"{point.step:g}"
+    step = f"{point.step:g}"
+    return name, percent(point.margin), compact(point.cost), decay, slowest, step, missed
 
 
 def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
@@ -83,6 +88,7 @@ def design_record(design: Design) -> dict[str, Any]:
     margin = design.margin
     return {
         "asked": design.asked,
+        "decay_asked": design.decay_asked,
         "reached": design.reached,
         "delay_margin": {
             "relative": finite_or_none(margin.relative),
@@ -110,6 +116,8 @@ def design_record(design: Design) -> dict[str, Any]:
                 "cost": point.cost,
                 "decay_rate": finite_or_none(point.decay_rate),
                 "step": point.step,
+                "chosen": point.law is design.law,
+                "missed": list(design.missed(point)),
             }
             for point in design.points
         ],

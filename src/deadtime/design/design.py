@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.checks import count
+from deadtime.design.assess import WIDEST, assessed
 from deadtime.design.exact import Exact
+from deadtime.design.families import Choice, Family
+from deadtime.design.floors import Floors
 from deadtime.design.limits import DelayLimit, delay_limit
 from deadtime.design.message import sentences
 from deadtime.design.request import checked, decay_asked, required_table
 from deadtime.design.result import Design, TradeOff
-from deadtime.design.search import MakeLaw, Search, Tried, assessed
+from deadtime.design.search import MakeLaw, Search, Tried
 from deadtime.design.strategy import pairs_of, spend
 from deadtime.gains import lqr, require_controllable
 from deadtime.laws.averaged import AveragedPredictor
@@ -43,7 +46,7 @@ def design(
 
     Varied are the gains (with one input the poles of each mode, with several the LQR weights), the
     time constant of a low-pass filter in the law, and, if allowed, a longer sampling period. If
-    nothing tried has the margin, the largest margin found comes back, beside what any linear
+    nothing tried meets the request, what comes nearest comes back, beside what any linear
     controller could reach.
 
     Parameters
@@ -70,9 +73,10 @@ def design(
     cost : "mean" or "worst"
         The cost ∫ |x|² + |u|² of the mean or of the worst mode, each for ever.
     budget : int
-        How many designs to try.
+        How many designs to try. A larger budget tries all that a smaller one does.
     dearest : float
-        Designs that cost more than so many times the cheapest found are not considered.
+        Designs that cost more than so many times the cheapest found are not considered, the plain
+        one apart.
     seed : int
         Of the samples that the search starts from; the answer depends on nothing else.
 
@@ -101,7 +105,7 @@ def design(
     (True, True, True)
     """
     asked = checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
-    slowest = decay_asked(decay_rate)
+    floors = Floors(asked, decay_asked(decay_rate))
     given = None if gains is None else checked_gains(plant, gains, True)
     budget, seed = count("budget", budget, 20), count("seed", seed, 0)
     make = _averaged if law is None else law
@@ -112,11 +116,14 @@ def design(
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     plain = _plain(plant, first, step, cost == "worst")
-    search = Search(plant, make, cost == "worst", budget, dearest, slowest)
+    search = Search(plant, make, cost == "worst", budget, dearest, floors)
     pairs = pairs_of(search, filtered, step, longest_step)
-    spend(search, pairs, start, asked, np.random.default_rng(seed))
+    if not filtered:
+        search.plain = _tried(plain, *pairs[0], start)
+        search.tried.append(search.plain)
+    spend(search, pairs, start, np.random.default_rng(seed))
     exact = Exact(plant, search)
-    return _result(plant, exact, exact.choose(asked), asked, plain, start, limits)
+    return _result(plant, exact, exact.choose(), plain, start, limits)
 
 
 def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
@@ -126,11 +133,24 @@ def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOf
     return TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
 
 
+def _tried(plain: TradeOff, family: Family, step: float, gains: np.ndarray) -> Tried:
+    """The plain design as the first of the candidates, with parameters of gains close to it."""
+    return Tried(
+        family=family,
+        step=step,
+        parameters=family.starts(gains)[0],
+        choice=Choice(gains, None),
+        law=plain.law,
+        margin=min(plain.margin, WIDEST),
+        cost=plain.cost,
+        growth=-plain.decay_rate,
+    )
+
+
 def _result(
     plant: SwitchedSystem,
     exact: Exact,
     chosen: Tried | None,
-    asked: float,
     plain: TradeOff,
     gains: np.ndarray,
     limits: tuple[DelayLimit, ...],
@@ -143,28 +163,28 @@ def _result(
         margin, gains = exact.margin(chosen), chosen.choice.gains
         law, step = chosen.law, chosen.step
         cost = assessed(plant, law, step, exact.search.worst)[1]
-    growth = _ends(plant, law, step, asked)
-    decay, slowest = -float(margin.growth.max()), exact.search.slowest
-    wide = (margin.relative or 0.0) >= asked and bool((growth < 0.0).all())
-    reached = wide and decay >= slowest
-    found = TradeOff(law, step, margin.relative or 0.0, cost, decay)
-    tried = exact.search.spent
+    floors = exact.search.floors
+    growth = _ends(plant, law, step, floors.margin)
+    found = TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
+    reached = not floors.missed(found.margin, found.decay_rate) and bool((growth < 0.0).all())
+    offered = None if chosen is None else found
     return Design(
         law=law,
         gains=gains,
         time_constant=found.time_constant,
         step=step,
         margin=margin,
-        asked=asked,
+        asked=floors.margin,
+        decay_asked=floors.decay_rate,
         reached=reached,
         growth=growth,
         cost=cost,
-        decay_rate=decay,
+        decay_rate=found.decay_rate,
         plain=plain,
         limits=limits,
-        points=exact.trade_off(chosen),
-        evaluated=tried,
-        message=sentences(asked, reached, chosen and found, plain, limits, tried, slowest),
+        points=exact.trade_off(offered),
+        evaluated=exact.search.spent,
+        message=sentences(floors, reached, offered, plain, limits, exact.search.spent),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from deadtime.design.floors import DECAY, MARGIN, Floors
 from deadtime.design.limits import DelayLimit
 from deadtime.design.result import TradeOff
 from deadtime.wording import amount
@@ -34,35 +35,51 @@ def percent(part: float, up: bool = False) -> str:
 
 
 def sentences(
-    asked: float,
+    floors: Floors,
     reached: bool,
     found: TradeOff | None,
     plain: TradeOff,
     limits: Sequence[DelayLimit],
     evaluated: int,
-    slowest: float = 0.0,
 ) -> str:
-    """Whether the margin is reached, at what price, how fast, and what could be reached at all."""
-    text = [_answer(asked, reached, found, evaluated)]
-    if found is not None:
-        text += [_price(found, plain), _decay(found, plain, slowest)]
-    return " ".join([*text, _limits(limits, asked)])
-
-
-def _answer(asked: float, reached: bool, found: TradeOff | None, evaluated: int) -> str:
+    """Whether the request is met, at what price, how fast, and what could be reached at all."""
     if found is None:
-        return (
+        text = [
             f"Not reached: none of {evaluated} designs that were tried is stable in every "
             "constant mode."
-        )
+        ]
+    else:
+        text = [
+            _answer(floors, reached, found, evaluated),
+            _price(found, plain),
+            _decay(found, plain, floors.decay_rate),
+        ]
+    return " ".join([*text, _limits(limits, floors.margin)])
+
+
+def _answer(floors: Floors, reached: bool, found: TradeOff, evaluated: int) -> str:
     filtered = "" if found.time_constant is None else ", with a low-pass filter"
-    where = f"({percent(asked)} asked){filtered}, at a step of {found.step:g} s."
+    where = f"({percent(floors.margin)} asked){filtered}, at a step of {found.step:g} s."
     if reached:
         return f"Every constant mode stays stable {_while(found.margin)} {where}"
     return (
-        f"Not reached: of {evaluated} designs that were tried, the one with the largest margin "
-        f"has {percent(found.margin)} {where}"
+        f"Not reached: of {evaluated} designs that were tried, the one that comes nearest has a "
+        f"delay margin of {percent(found.margin)} {where} {_missed(floors, found)}"
     )
+
+
+def _missed(floors: Floors, found: TradeOff) -> str:
+    """Which of the requests it misses, and by how much."""
+    missed = floors.missed(found.margin, found.decay_rate)
+    if not missed:
+        return "Spectra at both ends of that margin do not confirm it."
+    by = {
+        MARGIN: f"{percent(floors.margin - found.margin, up=True)} of the delay",
+        DECAY: f"{floors.decay_rate - found.decay_rate:.3g} /s",
+    }
+    text = "It misses " + " and ".join(f"the {name} asked for by {by[name]}" for name in missed)
+    kept = MARGIN if missed == (DECAY,) else DECAY
+    return f"{text}, not the {kept}." if floors.decay_rate and len(missed) == 1 else f"{text}."
 
 
 def _while(margin: float) -> str:
@@ -74,6 +91,8 @@ def _while(margin: float) -> str:
 def _price(found: TradeOff, plain: TradeOff) -> str:
     if math.isinf(plain.cost):
         return f"It costs {amount(found.cost)}; the plain design is unstable in a constant mode."
+    if found.law is plain.law:
+        return f"It is the plain design, at a cost of {amount(found.cost)}."
     return (
         f"It costs {amount(found.cost / plain.cost)} times as much as the plain design, whose "
         f"margin is {percent(plain.margin)}."
@@ -84,7 +103,7 @@ def _decay(found: TradeOff, plain: TradeOff, slowest: float) -> str:
     """How fast it is: a low price may be that of a loop that hardly moves."""
     wanted = f" ({slowest:.3g} /s asked)" if slowest else ""
     text = f"In its slowest constant mode it decays at {found.decay_rate:.3g} /s{wanted}"
-    if math.isinf(plain.cost):
+    if math.isinf(plain.cost) or found.law is plain.law:
         return f"{text}."
     return f"{text}, the plain design at {plain.decay_rate:.3g} /s."
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.design.floors import Floors
 from deadtime.design.limits import DelayLimit
 from deadtime.frozen import Frozen
 from deadtime.laws.base import Law
@@ -49,7 +50,7 @@ class TradeOff:
 
 @dataclass(frozen=True, eq=False)
 class Design(Frozen):
-    """Gains and a law with a requested delay margin, or the largest margin found (immutable).
+    """Gains and a law that meet a request, or come nearest to it (immutable).
 
     Attributes
     ----------
@@ -65,6 +66,8 @@ class Design(Frozen):
         The exact margin of constant modes, as by `delay_margin(plant, law, step)`.
     asked : float
         The margin asked for, relative to the delay.
+    decay_asked : float
+        The decay rate asked for, 1/s; 0 where none was.
     reached : bool
         Whether the margin is at least that, and the spectrum at both ends says so, too; and the
         decay rate at least what was asked.
@@ -80,7 +83,8 @@ class Design(Frozen):
     limits : tuple of DelayLimit
         Per mode, what any linear controller could reach.
     points : tuple of TradeOff
-        The best of what was tried: no other tolerates more and costs less; by growing margin.
+        The best of what was tried, by growing margin: no other that decays as fast as asked
+        tolerates more and costs less. The chosen one is always among them.
     evaluated : int
         How many designs were tried.
     message : str
@@ -93,6 +97,7 @@ class Design(Frozen):
     step: float
     margin: DelayMargin
     asked: float
+    decay_asked: float
     reached: bool
     growth: Float[np.ndarray, "end mode"]
     cost: float
@@ -102,6 +107,10 @@ class Design(Frozen):
     points: tuple[TradeOff, ...]
     evaluated: int
     message: str
+
+    def missed(self, point: TradeOff) -> tuple[str, ...]:
+        """What a point falls short of: of "margin" and "decay rate" those asked for in vain."""
+        return Floors(self.asked, self.decay_asked).missed(point.margin, point.decay_rate)
 
     def __repr__(self) -> str:
         return f"Design({self.message})"

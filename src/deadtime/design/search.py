@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deadtime.design.estimate import estimated_margin
+from deadtime.design.assess import assessed
 from deadtime.design.families import Choice, Family
-from deadtime.design.price import BLOCKS, cost_and_growth
+from deadtime.design.floors import Floors
 from deadtime.errors import ArgumentError
 from deadtime.laws.base import Law
 from deadtime.laws.low_pass import LowPassPredictor
@@ -21,19 +21,21 @@ from deadtime.plant import SwitchedSystem
 
 MakeLaw = Callable[[SwitchedSystem, np.ndarray], Law]
 Merit = Callable[["Tried | None"], float]
-_SLACK = 1.003  # of the margin asked for: what the estimate may err by
-_SLOPE = 12.0  # of the penalty, of the cost's logarithm by that of the margin
+_SLACK = 1.003  # of what is asked for: what the estimates may err by
+_SLOPE = 12.0  # of the penalty, of the cost's logarithm by the shortfall
 _LOST = 1e3
-_NEARLY = 0.9  # of the decay asked for: what the estimate may err by
 _BLOCKS = 150  # of one delay: enough to compare costs by
-_WIDEST = 9.0  # relative: beyond, margins are not told apart
+
+
+class Spent(Exception):
+    """The budget is spent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tried:
     """One design: its parameters, law, estimated margin (relative, 0 if unstable) and cost.
 
-    growth : of the fastest mode, about, 1/s; negative where all decay
+    growth : of the fastest mode, 1/s; negative where all decay, exact where a decay is asked for
     """
 
     family: Family
@@ -48,26 +50,24 @@ class Tried:
 
 @dataclass
 class Search:
-    """The state of a search: what it may spend, and what it has tried."""
+    """The state of a search: what is asked, what it may spend, and what it has tried."""
 
     plant: SwitchedSystem
     make: MakeLaw
     worst: bool
     budget: int
     dearest: float
-    slowest: float = 0.0  # decay rate that is asked for, 1/s
+    floors: Floors
+    plain: Tried | None = None  # the design to compare with, where it may be chosen, too
     tried: list[Tried] = field(default_factory=list)
     spent: int = 0
 
     @property
     def stable(self) -> list[Tried]:
-        """Those that are stable and cost at most `dearest` times the cheapest.
-
-        Of these the ones that decay as fast as is asked, where there are any.
-        """
+        """Those stable at a cost of at most `dearest` times the cheapest's; and the plain one."""
         most = self.dearest * self.least_cost
-        found = [one for one in self.tried if one.margin > 0.0 and one.cost <= most]
-        return [one for one in found if -one.growth >= _NEARLY * self.slowest] or found
+        stable = [one for one in self.tried if one.margin > 0.0]
+        return [one for one in stable if one.cost <= most or one is self.plain]
 
     @property
     def least_cost(self) -> float:
@@ -75,7 +75,9 @@ class Search:
         return min((one.cost for one in self.tried), default=math.inf)
 
     def evaluate(self, family: Family, step: float, parameters: np.ndarray) -> Tried | None:
-        """Try parameters (modes, size); None where they make no law."""
+        """Try parameters (modes, size); None where they make no law. `Spent` when that is over."""
+        if self.spent >= self.budget:
+            raise Spent
         self.spent += 1
         choice = family.choice(parameters)
         if choice is None:
@@ -84,7 +86,8 @@ class Search:
             law = made(self.make, self.plant, choice)
         except ArgumentError:  # the law's own rules for gains
             return None
-        one = assessed(self.plant, law, step, self.worst, _BLOCKS)
+        exact = self.floors.decay_rate > 0.0
+        one = assessed(self.plant, law, step, self.worst, _BLOCKS, exact)
         tried = Tried(family, step, parameters, choice, law, *one)
         self.tried.append(tried)
         return tried
@@ -124,35 +127,31 @@ class Search:
             options=options,
         )
 
-    def cheapest(self, asked: float) -> Merit:
-        """To be minimised: the cost's logarithm, with a penalty where the margin is too small."""
+    def cheapest(self) -> Merit:
+        """To be minimised: the cost's logarithm, with a penalty on what falls short."""
 
         def merit(tried: Tried | None) -> float:
             if tried is None or tried.margin <= 0.0:
                 return _lost(tried)
-            short = math.log(max(asked * _SLACK / tried.margin, 1.0))
-            return math.log(tried.cost) + _SLOPE * (short + self._slow(tried))
+            return math.log(tried.cost) + _SLOPE * self.shortfall(tried, _SLACK)
 
         return merit
 
-    def widest(self) -> Merit:
-        """To be minimised: minus the margin's logarithm, with a penalty on what is too dear."""
+    def nearest(self) -> Merit:
+        """To be minimised: what is short of the request, with a penalty on what is too dear."""
         most = self.dearest * self.least_cost
 
         def merit(tried: Tried | None) -> float:
             if tried is None or tried.margin <= 0.0:
                 return _lost(tried)
             dear = math.log(max(tried.cost / most, 1.0)) if most < math.inf else 0.0
-            return dear - math.log(tried.margin) + _SLOPE * self._slow(tried)
+            return dear + self.shortfall(tried, _SLACK)
 
         return merit
 
-    def _slow(self, tried: Tried) -> float:
-        """By how much it decays too slowly, the logarithm."""
-        wanted = _SLACK * self.slowest
-        if not wanted or -tried.growth >= wanted:
-            return 0.0
-        return math.log(wanted / max(-tried.growth, 1e-9 * wanted))
+    def shortfall(self, tried: Tried, slack: float = 1.0) -> float:
+        """By how much the estimates fall short of the request."""
+        return self.floors.shortfall(tried.margin, -tried.growth, slack)
 
     def ranked(self, merit: Merit) -> list[Tried]:
         """All that was tried, the best first."""
@@ -171,22 +170,3 @@ def made(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
         return law
     T = choice.time_constant
     return LowPassPredictor(law, T[0, 0] if T.shape[0] == 1 else T)
-
-
-def assessed(
-    plant: SwitchedSystem, law: Law, step: float, worst: bool, blocks: int = BLOCKS
-) -> tuple[float, float, float]:
-    """Estimated relative margin, cost, and growth of the fastest mode, 1/s, about."""
-    from deadtime.switching import SwitchingSignal
-
-    costs, margin, growth = [], math.inf, -math.inf
-    for mode in range(plant.modes):
-        table = law.digital(step, SwitchingSignal.constant(mode), 1)
-        cost, grows = cost_and_growth(plant, table, mode, blocks)
-        costs.append(cost)
-        growth = max(growth, grows)
-        if math.isinf(cost):
-            margin = 0.0
-        elif margin > 0.0:
-            margin = min(margin, _WIDEST, estimated_margin(plant, table, mode))
-    return margin, max(costs) if worst else sum(costs) / len(costs), growth

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from deadtime.design.families import Family, Poles, Weights
-from deadtime.design.search import Merit, Search, Tried
+from deadtime.design.search import Merit, Search, Spent, Tried
 
-_SAMPLED = 0.35  # of the budget
+_ROUND = 50  # trials in the first round
+_SAMPLED = 0.2  # of a round
 _PARTS = (0.2, 0.25, 0.35, 0.5, 1.0)  # of the rest, one after the other
 _SIZES = (0.25, 0.6, 0.25, 0.6, 0.15)  # of the simplex that each starts with
 _FEWEST = 20  # trials that polishing is worth
@@ -32,27 +33,49 @@ def spend(
     search: Search,
     pairs: Sequence[tuple[Family, float]],
     gains: np.ndarray,
-    asked: float,
     rng: np.random.Generator,
 ) -> None:
-    """Samples, then polishing for cost, and for margin where that falls short."""
-    share = max(4, int(_SAMPLED * search.budget / len(pairs)))
+    """Rounds of samples and polishing, each twice as long as the one before.
+
+    The budget only says where they end, so a larger one tries all that a smaller one does.
+    """
+    try:
+        for family, step in pairs:
+            for parameters in family.starts(gains):
+                search.evaluate(family, step, parameters)
+        size = _ROUND
+        while True:
+            _round(search, pairs, search.spent + size, size, rng)
+            size *= 2
+    except Spent:
+        return
+
+
+def _round(
+    search: Search,
+    pairs: Sequence[tuple[Family, float]],
+    end: int,
+    size: int,
+    rng: np.random.Generator,
+) -> None:
+    """Samples, then polishing for cost, and for the request where that falls short."""
+    share = max(4, int(_SAMPLED * size / len(pairs)))
     for family, step in pairs:
-        for parameters in family.starts(gains):
-            search.evaluate(family, step, parameters)
         search.samples(family, step, share, rng)
-    for part, size in zip(_PARTS, _SIZES, strict=True):
-        short = not any(one.margin >= asked for one in search.stable)
-        merits = [search.widest()] if short else [search.cheapest(asked)]
+    for part, simplex in zip(_PARTS, _SIZES, strict=True):
+        short = not any(search.shortfall(one) == 0.0 for one in search.stable)
+        merits = [search.nearest()] if short else [search.cheapest()]
         if short and part < 0.3:
-            merits.append(search.cheapest(asked))
-        left = search.budget - search.spent
+            merits.append(search.cheapest())
         per_mode = search.plant.modes > 1 and part >= 0.25
+        left = end - search.spent
         for merit in merits:
+            if search.budget - search.spent < _FEWEST:
+                raise Spent
             if left < _FEWEST:
                 return
             for start in _distinct(search, merit, 1 if part == 1.0 else 2):
-                search.polish(start, merit, per_mode, int(part * left / 3.0) + 10, size)
+                search.polish(start, merit, per_mode, int(part * left / 3.0) + 10, simplex)
 
 
 def _distinct(search: Search, merit: Merit, most: int) -> list[Tried]:

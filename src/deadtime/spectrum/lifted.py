@@ -102,19 +102,20 @@ class LiftedLoop:
         x = march(Phi, Gamma, np.array(lags), self.F, G, z[:n].copy(), inputs, W)
         return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
-    def growth_rate(self, step: float) -> float:
+    def growth_rate(self, step: float, dense: int | None = None) -> float:
         """ln(spectral radius of L)/h, −∞ where that is 0; `leading` says how it is found."""
-        radius = self.balanced().leading()[1]
+        radius = self.balanced().leading(dense)[1]
         return math.log(radius) / step if radius > 0.0 else -math.inf
 
-    def leading(self) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
+    def leading(self, dense: int | None = None) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
         """Eigenvalues of L of the largest moduli, some of them, and the spectral radius.
 
-        Above the order `DENSE` the largest eigenvalues of L^{4W} are found by Arnoldi's method:
-        over several windows they grow far apart, while those of L lie close to each other. The
-        rates of the two methods agree to about 1e-9 1/s where eigenvalues are well conditioned.
+        Above the order `dense`, `DENSE` by default, the largest eigenvalues of L^{4W} are found by
+        Arnoldi's method: over several windows they grow far apart, while those of L lie close to
+        each other. The rates of the two methods agree to about 1e-9 1/s where eigenvalues are well
+        conditioned.
         """
-        if self.order > DENSE:
+        if self.order > (DENSE if dense is None else dense):
             from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
             periods, shape = 4 * self.held, (self.order, self.order)
