@@ -21,8 +21,16 @@ from deadtime.app.page import Page
 from deadtime.app.sessions import Sessions
 from deadtime.cli import main
 
-# Of widgets that set options of other widgets; none of ours.
-pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+# Of widgets that set options of other widgets, and of messages that Bokeh had yet to send to a page
+# that left; none of ours.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::PendingDeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:coroutine 'WSHandler:RuntimeWarning"),
+    pytest.mark.filterwarnings(
+        "ignore:Exception ignored in. .coroutine object WSHandler:"
+        "pytest.PytestUnraisableExceptionWarning"
+    ),
+]
 
 MEMORY = Path(__file__).parents[1] / "benchmarks" / "explorer_memory.py"
 

@@ -119,7 +119,7 @@ regions = [
 
 LOGS = (
     "time,mode\n0.0,0\n0.5,1\n2.0,0\n9.0,0\n",
-    "time,mode,initial_age\n1732300000000.1,1,0.25\n1732300000000.2,0,\n1732300000000.4,1,\n",
+    "time,mode,initial_age\n1732300000.1,1,0.25\n1732300000.2,0,\n1732300000.4,1,\n",
     'mode,"speed",time\r\n1,9,100\r\n0,"9,5",100.5\r\n',
     "time,mode\n3.0,idle\n3.5,busy\n5.0,idle\n9.0,idle\n",
 )

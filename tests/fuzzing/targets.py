@@ -97,7 +97,7 @@ class Log(Target):
         content = mutators.of_bytes(rng, text, other)
         (self.folder / "mutant.csv").write_bytes(content)
         self.options = rng.choice(
-            ({}, {"modes": 2}, {"labels": {"idle": 0, "busy": 1}}, {"end": 100.0})
+            ({}, {"modes": 2}, {"labels": {"idle": 0, "busy": 1}}, {"end": 100.0}, {"unit": "ms"})
         )
 
     def read_seeds(self) -> None:

@@ -153,7 +153,7 @@ def keeps_up(run: Trajectory, perfect: Trajectory) -> bool:
     >>> import deadtime as dt
     >>> problem = dt.problems.paper()
     >>> run = problem.simulate("averaged")
-    >>> keeps_up(run, run), keeps_up(problem.simulate("delayed"), run)
+    >>> keeps_up(run, run), keeps_up(problem.simulate("delay ignored"), run)
     (True, False)
     """
     time = run.record.grid(min(run.end, perfect.end))

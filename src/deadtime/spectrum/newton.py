@@ -8,6 +8,7 @@ large entries would hide the digits of small ones.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -72,8 +73,9 @@ def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.nda
     """How far round-off δ in Δ may move each root.
 
     To first order that is |u|ᵀ δ |v| / |uᴴ Δ' v|, and with it goes what is left to the root of this
-    Δ, a step of Newton's method. Roots close to each other move farther: the answer is the radius
-    of a circle on which ρ(|Δ⁻¹| δ) < 1, so that no change of Δ by δ takes a root across it.
+    Δ, a step of Newton's method. Roots close to each other move farther, a double one as √δ and not
+    as δ over a slope of 0: the answer is the radius of a circle on which ρ(|Δ⁻¹| δ) < 1, so that no
+    change of Δ by δ takes a root across it, found from a smaller one outwards.
     """
     if roots.size == 0:
         return np.empty(0)
@@ -84,7 +86,8 @@ def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.nda
     change = np.einsum("pi,pij,pj->p", np.abs(u), round_off, np.abs(v))
     slope = np.abs(np.einsum("pi,pij,pj->p", u.conj(), prime, v))
     left = 1.0 / np.maximum(np.abs(now.slope(0)), 1e-300)
-    radius = np.minimum(1.25 * (change / np.maximum(slope, 1e-300) + left), loop.unit)
+    first = np.minimum(change / np.maximum(slope, 1e-300), math.sqrt(epsilon) * loop.unit)
+    radius = np.minimum(1.25 * (first + left), loop.unit)
     circle = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
     grown = np.arange(roots.size)
     while grown.size:
