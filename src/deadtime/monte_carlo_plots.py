@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from deadtime.colours import looks_of
 from deadtime.errors import ArgumentError
 from deadtime.monte_carlo_table import losses, names_of, quantile, reference_of, relative_costs
-from deadtime.plotting import COLOURS, LINES, STYLE, WIDTH, plain
+from deadtime.plotting import LINES, STYLE, WIDTH, plain
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,13 +58,19 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(1.55 * WIDTH, 3.2))
         left, right = figure.subplots(1, 2, sharey=True)
-        seen = _panel(left, losses(data, "cost")) | _panel(right, relative_costs(data))
+        looks = looks_of(names)
+        styles = [
+            {"color": looks[name].colour, "linestyle": LINES[i % len(LINES)]}
+            for i, name in enumerate(names)
+        ]
+        seen = _panel(left, losses(data, "cost"), styles)
+        seen |= _panel(right, relative_costs(data), styles)
         left.set_xlabel("cost, ∫ |x|² + |u|² dt  (x² s + u² s)")
         right.set_xlabel(f"cost / cost of “{plain(reference_of(data))}”  (–)")
         left.set_ylabel(f"share of {count:,} scenario{'s' * (count != 1)} (%)")
         left.set_ylim(0.0, 102.0)
         keys = [
-            Line2D([], [], **_style(i), label=plain(name) + " (off the axes)" * (not seen[i]))
+            Line2D([], [], **styles[i], label=plain(name) + " (off the axes)" * (not seen[i]))
             for i, name in enumerate(names)
         ]
         longest = max(len(str(key.get_label())) for key in keys)
@@ -74,11 +81,9 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
     return figure
 
 
-def _style(law: int) -> dict[str, Any]:
-    return {"color": COLOURS[law % len(COLOURS)], "linestyle": LINES[law % len(LINES)]}
-
-
-def _panel(panel: Axes, values: Float[np.ndarray, "law scenario"]) -> Bool[np.ndarray, " law"]:
+def _panel(
+    panel: Axes, values: Float[np.ndarray, "law scenario"], styles: list[dict[str, Any]]
+) -> Bool[np.ndarray, " law"]:
     """Distribution functions on a logarithmic axis; which of them can be seen."""
     limits = _limits(values)
     if limits is None:
@@ -87,20 +92,22 @@ def _panel(panel: Axes, values: Float[np.ndarray, "law scenario"]) -> Bool[np.nd
         return np.zeros(len(values), dtype=bool)
     low, high = limits
     panel.set_xscale("log")
-    for law, row in enumerate(values):
-        _curve(panel, row, (low, high), law)
+    for row, style in zip(values, styles, strict=True):
+        _curve(panel, row, (low, high), style)
     panel.set_xlim(low, high)
     if high / low < _WIDE:
         narrow = high / low < _NARROW
         panel.xaxis.set_major_locator(
-            MaxNLocator(9) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
+            MaxNLocator(5) if narrow else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12)
         )
         panel.xaxis.set_major_formatter("{x:g}")
         panel.xaxis.set_minor_locator(NullLocator())
     return np.any(values < high, axis=1)
 
 
-def _curve(panel: Axes, row: np.ndarray, limits: tuple[float, float], law: int) -> None:
+def _curve(
+    panel: Axes, row: np.ndarray, limits: tuple[float, float], style: dict[str, Any]
+) -> None:
     """One law's share of scenarios up to each value, right to the edges of the axis."""
     finite = np.sort(row[np.isfinite(row)])
     if finite.size == 0:
@@ -111,7 +118,7 @@ def _curve(panel: Axes, row: np.ndarray, limits: tuple[float, float], law: int) 
     share = np.concatenate(
         ([0.0], 100.0 * (ranks + 1) / row.size, [100.0 * finite.size / row.size])
     )
-    panel.step(np.maximum.accumulate(x), share, where="post", **_style(law))
+    panel.step(np.maximum.accumulate(x), share, where="post", **style)
 
 
 def _limits(values: Float[np.ndarray, "law scenario"]) -> tuple[float, float] | None:

@@ -172,6 +172,8 @@ def visible(norm: np.ndarray) -> np.ndarray:
 
 def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figure:
     """|x| of several runs on one logarithmic axis; a run far above the others leaves the frame."""
+    from deadtime.colours import looks_of
+
     norms = {name: np.linalg.norm(run.states, axis=0) for name, run in runs.items()}
     tops = sorted(float(norm.max()) for norm in norms.values())
     bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())
@@ -179,10 +181,10 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 3.3))
         axes = figure.subplots()
-        for i, (name, norm) in enumerate(norms.items()):
-            style = LINES[i // len(COLOURS)]
-            colour = COLOURS[i % len(COLOURS)]
-            axes.semilogy(runs[name].time, visible(norm), style, color=colour, label=plain(name))
+        looks = looks_of(list(runs))
+        for name, norm in norms.items():
+            colour, dash = looks[name].colour, LINES[looks[name].dash % len(LINES)]
+            axes.semilogy(runs[name].time, visible(norm), dash, color=colour, label=plain(name))
         axes.set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
         axes.set_xlim(0.0, max(run.time[-1] for run in runs.values()))
         axes.set_xlabel("time (s)")
