@@ -59,7 +59,7 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
         figure = Figure(figsize=(1.55 * WIDTH, 3.2))
         left, right = figure.subplots(1, 2, sharey=True)
         looks = looks_of(names)
-        styles = [
+        styles: list[dict[str, Any]] = [
             {"color": looks[name].colour, "linestyle": LINES[i % len(LINES)]}
             for i, name in enumerate(names)
         ]
