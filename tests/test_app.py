@@ -464,10 +464,19 @@ def test_the_worst_signal_of_the_page_is_that_of_falsify(own):
     assert (np.diff(inner) > 0.6 * (1.0 - 1e-9)).all()
 
 
+def test_a_column_without_an_answer_says_why():
+    paper = open_named("paper")
+    draft = dict(paper.draft) | {"run": {**paper.draft["run"], "step": 0.2}}
+    *margin, reason = jobs.margin(draft, paper.source, "averaged", (0.02, 2.0), 0.2)
+    assert np.isnan(margin).all()
+    assert "dwell_time = 0.2 s is not above one period of 0.2 s" in reason
+
+
 def test_a_column_of_the_chart_is_a_stability_margin():
     paper = open_named("paper")
     draft = draft_of(paper, {}, Settings({"step": 0.05}))
-    certified, refuted = jobs.margin(draft, paper.source, "averaged", (0.02, 2.0), 0.2)
+    certified, refuted, reason = jobs.margin(draft, paper.source, "averaged", (0.02, 2.0), 0.2)
+    assert reason == ""
     assert certified < refuted < certified * jobs.RATIO
     assert certified < 0.6565 < refuted * 1.02  # unstable from 0.6565 on at h = 0.1, 0.639 at 0.01
 

@@ -211,19 +211,29 @@ class Actions:
         draft = page.draft(without=("distance",))
         times = self.chart.clear(self._dwell_time())
         given = (draft, page.document.source, law, BOUNDS)
-        self._fill_column(self._round, law, times, 0, given)
+        self._fill_column(self._round, law, times, [], given)
 
-    def _fill_column(self, mine: int, law: str, times: list[float], i: int, given: tuple) -> None:
-        """Compute a column of the chart, then the next, unless another was begun meanwhile."""
+    def _fill_column(
+        self, mine: int, law: str, times: list[float], before: list[str], given: tuple
+    ) -> None:
+        """Compute a column of the chart, then the next, unless another was begun meanwhile.
 
-        def found(margin: tuple[float, float]) -> None:
+        `before` says of each column before why it has no answer, or nothing.
+        """
+        i = len(before)
+
+        def found(margin: tuple[float, float, str]) -> None:
             if mine != self._round:
                 return
-            self.chart.add(times[i], *margin)
+            certified, refuted, reason = margin
+            self.chart.add(times[i], certified, refuted)
+            reasons = [*before, reason]
             if i + 1 < len(times):
-                self._fill_column(mine, law, times, i + 1, given)
-            else:
-                self.state.object = f"{html.escape(law)}: the chart is complete."
+                self._fill_column(mine, law, times, reasons, given)
+                return
+            pairs = zip(times, reasons, strict=True)
+            missing = [f" No answer at τ_d = {time:.3g} s: {why}" for time, why in pairs if why]
+            self.state.object = html.escape(f"{law}: the chart is complete." + "".join(missing))
 
         text = f"{law}: column {i + 1} of {len(times)}, τ_d = {times[i]:.3g} s …"
         self._search(self.fill, text, found, margin, *given, times[i])

@@ -94,10 +94,11 @@ def margin(
     law: str,
     bounds: tuple[float, float],
     dwell_time: float,
-) -> tuple[float, float]:
+) -> tuple[float, float, str]:
     """Mode distances up to which a law is certified, and from which on it is refuted, or NaN.
 
-    `draft` is that of the distance 1; the law is told the dwell time where it uses one.
+    And why there is no answer at this dwell time, or an empty text. `draft` is that of the
+    distance 1; the law is told the dwell time where it uses one.
     """
 
     def problem_at(distance: float) -> tuple[SwitchedSystem, Law]:
@@ -111,9 +112,13 @@ def margin(
         return problem.plant, chosen
 
     problem, _ = _problem(draft, source, law)
-    found = stability_margin(problem_at, bounds, dwell_time, step=_step(problem), ratio=RATIO)
-    refuted = float("nan") if found.refuted is None else float(found.refuted)
-    return float(found.certified), refuted
+    step = _step(problem)
+    try:
+        found = stability_margin(problem_at, bounds, dwell_time, step=step, ratio=RATIO)
+    except ArgumentError as error:
+        return math.nan, math.nan, str(error)
+    refuted = math.nan if found.refuted is None else float(found.refuted)
+    return float(found.certified), refuted, ""
 
 
 def _problem(draft: Mapping[str, Any], source: Path, law: str) -> tuple[Problem, Law]:
