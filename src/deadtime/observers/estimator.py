@@ -58,6 +58,7 @@ class Estimator:
         self.observer, self.tracked, self._start = observer, tracked, estimate
         sampled = SampledPlant(plant, observer.step)
         self._pieces = [sampled.pieces(mode) for mode in range(plant.modes)]
+        self._channels = np.arange(plant.inputs)
         r = 0 if tracked is None else tracked.H.shape[0]
         q = r if tracked is not None and tracked.integral else 0
         n = plant.states
@@ -127,9 +128,10 @@ class Estimator:
         """Take x̂ over the period that ends; its own input is at `latest` in the ring."""
         from deadtime.exponential import advance
 
-        channels, size = np.arange(self.ring.shape[1]), len(self.ring)
+        size = len(self.ring)
         for Phi, Gamma, (_, _, lag) in self._pieces[mode]:
-            advance(Phi, Gamma, self._x, self.ring[(latest - lag) % size, channels], self._spare)
+            acting = self.ring[(latest - lag) % size, self._channels]
+            advance(Phi, Gamma, self._x, acting, self._spare)
             self._x[:] = self._spare
 
     def saved(self) -> dict[str, Any]:

@@ -56,12 +56,18 @@ class SmallInequalities:
         if self.evidence.setting.rows_differ:
             row = self.evidence.centre.T[transition.row].tobytes()
             lower = [line + [0] * self.s for line in self.T[transition.row]]
-        theta = self.form(transition)
         # Ages at which rows and S are the same ask for the same inequality.
-        key = id(theta), transition.mode, transition.after, transition.instants, row
+        ends = self._ends(transition)
+        key = ends, transition.mode, transition.after, transition.instants, row
         if key not in self.answers:
-            self.answers[key] = self.covering.holds(theta.form, transition, lower)
+            form = self.form(transition).form
+            self.answers[key] = self.covering.holds(form, transition, lower)
         return self.answers[key]
+
+    def _ends(self, transition: Transition) -> tuple[int, ...]:
+        """What Θ depends on: where the transition begins and ends; on nothing without S."""
+        ends = (transition.mode, transition.age, transition.after, transition.next_age)
+        return ends if self.s else ()
 
     def S(self, mode: int, age: int) -> Any:
         """S_{mode, age}, interpolated exactly."""
@@ -77,8 +83,7 @@ class SmallInequalities:
         """Θ of a transition; the same for all rows and instants."""
         from flint import arb_mat
 
-        key = (transition.mode, transition.age, transition.after, transition.next_age)
-        key = key if self.s else ()
+        key = self._ends(transition)
         if key in self.forms:
             return self.forms[key]
         lines, SF = self.Pi.tolist(), None
