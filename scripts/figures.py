@@ -1,4 +1,4 @@
-"""Print 639 figures of the package to the last bit, one a line; to compare two versions of it.
+"""Print 644 figures of the package to the last bit, one a line; to compare two versions of it.
 
     python scripts/figures.py > before    (another version)    python scripts/figures.py > after
     diff before after
