@@ -15,8 +15,8 @@ from batch_problem import LAWS, PAPER, USUAL, X0
 from numba import njit, prange
 
 import deadtime as dt
-from deadtime.monte_carlo.loop import Loop
-from deadtime.steps import Window
+from deadtime.plant import Window
+from deadtime.scenarios.loop import Loop
 
 WIDTH = 64  # scenarios side by side in `side_by_side`
 

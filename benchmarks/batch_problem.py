@@ -10,9 +10,9 @@ import numpy as np
 from scipy.stats import expon
 
 import deadtime as dt
-from deadtime.monte_carlo.loop import Loop
-from deadtime.monte_carlo.window_form import window_form
-from deadtime.steps import Window
+from deadtime.plant import Window
+from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.window_form import window_form
 from deadtime.switching import SignalBatch
 
 PAPER, X0 = dt.problems.paper(), (-1.0, 1.0)

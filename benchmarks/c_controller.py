@@ -24,7 +24,7 @@ import scipy.stats
 from machine import heading
 
 import deadtime as dt
-from deadtime.export.compiler import WARNINGS, compiler
+from deadtime.controller.export.compiler import WARNINGS, compiler
 
 TIMER = """
 #define _POSIX_C_SOURCE 200112L

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 import deadtime as dt
-from deadtime.lanes import LANES, load, same, store, times
+from deadtime.numerics.lanes import LANES, load, same, store, times
 
 _LATENCY = 4.0  # cycles of a dependent fma: Intel since Skylake, AMD since Zen 3
 

@@ -23,11 +23,11 @@ import numpy as np
 from machine import heading
 
 import deadtime as dt
-from deadtime.sweeps import Progress
-from deadtime.sweeps.cluster import cluster
-from deadtime.sweeps.layout import Layout
-from deadtime.sweeps.run import run_block
-from deadtime.sweeps.store import create, open_store
+from deadtime.scenarios.sweeps import Progress
+from deadtime.scenarios.sweeps.cluster import cluster
+from deadtime.scenarios.sweeps.layout import Layout
+from deadtime.scenarios.sweeps.run import run_block
+from deadtime.scenarios.sweeps.store import create, open_store
 
 SECOND = 180_000  # scenarios of a cell of about a second
 WORKERS = (1, 2)

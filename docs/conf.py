@@ -11,7 +11,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "extensions"), str(HERE.parent / "src")]
 
-from deadtime.version import __version__  # noqa: E402
+from deadtime.base.version import __version__  # noqa: E402
 
 project = "deadtime"
 author = "The deadtime developers"

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from deadtime.export.compiler import WARNINGS, compiler
+from deadtime.controller.export.compiler import WARNINGS, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 needs_frama_c = pytest.mark.skipif(shutil.which("frama-c") is None, reason="needs frama-c")

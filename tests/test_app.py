@@ -28,9 +28,9 @@ from deadtime.app.script import script_of
 from deadtime.app.settings import Drawn, Given, Settings, draft_of
 from deadtime.app.table import csv_of
 from deadtime.app.workers import Workers
-from deadtime.colours import looks_of
-from deadtime.problem_file import load_problem
-from deadtime.run_plots import plot_laws
+from deadtime.problems.file import load_problem
+from deadtime.reports.figures.colours import looks_of
+from deadtime.reports.figures.runs import plot_laws
 
 # Three modes, two inputs, a delay of 7.3 periods, a plant that is not the laws' model.
 OWN = """# my plant

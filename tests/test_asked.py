@@ -6,11 +6,11 @@ import json
 import pytest
 
 import deadtime as dt
-from deadtime.asked import dwell_time_of, mean_sojourn_of
-from deadtime.cli import main
-from deadtime.comparison import compare
-from deadtime.problem_file import load_problem
-from deadtime.report import write_report
+from deadtime.cli.entry import main
+from deadtime.problems.asked import dwell_time_of, mean_sojourn_of
+from deadtime.problems.comparison import compare
+from deadtime.problems.file import load_problem
+from deadtime.reports.report import write_report
 
 FILE = """
 [plant]

@@ -9,11 +9,18 @@ from scipy.stats import binomtest
 
 import deadtime as dt
 import plants
-from deadtime.audit import STEPS, Claim, Proportion, audit
-from deadtime.audit.measure import LEAD, MEAN, commands, exact_commands, gather, random_signals
-from deadtime.audit.sweeps import moved, stretched
-from deadtime.audit_plots import plot_claims, plot_distances, plot_dwell_times
-from deadtime.wording import amount
+from deadtime.base.wording import amount
+from deadtime.reports.audit import STEPS, Claim, Proportion, audit
+from deadtime.reports.audit.measure import (
+    LEAD,
+    MEAN,
+    commands,
+    exact_commands,
+    gather,
+    random_signals,
+)
+from deadtime.reports.audit.sweeps import moved, stretched
+from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
 
 PROBLEM = dt.problems.paper()
 SCENARIOS = 40

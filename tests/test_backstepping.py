@@ -5,7 +5,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.backstepping import (
+from deadtime.certificates.theorem.backstepping import (
     Backstepping,
     lyapunov_derivative,
     lyapunov_functional,

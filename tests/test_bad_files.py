@@ -6,11 +6,11 @@ import time
 import pytest
 
 import deadtime as dt
-from deadtime.cli import main
-from deadtime.errors import CertificateFileError
-from deadtime.problem_file import load_problem
-from deadtime.sweeps import load_study
-from deadtime.text_files import read_text
+from deadtime.base.errors import CertificateFileError
+from deadtime.base.text_files import read_text
+from deadtime.cli.entry import main
+from deadtime.problems.file import load_problem
+from deadtime.scenarios.sweeps import load_study
 from fuzzing.seeds import PLAIN
 
 READERS = {

@@ -12,11 +12,11 @@ import scipy.linalg
 import deadtime as dt
 import plants
 import reference
-from deadtime.monte_carlo import draw_signals
-from deadtime.monte_carlo.cpu import CpuEngine
-from deadtime.monte_carlo.loop import Loop
-from deadtime.monte_carlo.window_form import window_form
-from deadtime.steps import Window
+from deadtime.plant import Window
+from deadtime.scenarios import draw_signals
+from deadtime.scenarios.cpu import CpuEngine
+from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.window_form import window_form
 from deadtime.switching import SignalBatch
 
 METRICS = ("ise", "energy", "cost", "peak", "settling_time", "decay_rate", "final_norm")
@@ -179,7 +179,7 @@ def test_results_do_not_depend_on_blocks_threads_or_how_signals_are_handed_over(
     for name in METRICS:
         here = run(model=part)[name].values
         np.testing.assert_array_equal(here, whole[name].values[:, 13:18])
-    module = importlib.import_module("deadtime.monte_carlo.run")
+    module = importlib.import_module("deadtime.scenarios.run")
     for block, threads in ((8, 1), (16, 3)):
         monkeypatch.setattr(module, "_BLOCK", block)
         assert run(seed=4, threads=threads).identical(whole)
@@ -221,7 +221,7 @@ def test_a_first_mode_of_any_age_is_as_in_single_runs():
 
 
 def test_what_would_not_fit_into_memory_is_refused_with_the_estimate(monkeypatch):
-    module = importlib.import_module("deadtime.monte_carlo.memory")
+    module = importlib.import_module("deadtime.scenarios.memory")
     monkeypatch.setattr(module, "free_memory", lambda: 2.0**30)
     message = r"trajectories of 1,000,000 scenarios of 81 samples under 3 laws would take 5.* GiB"
     with pytest.raises(dt.ArgumentError, match=message):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.asked import dwell_time_of
-from deadtime.certificate_table import delay_sentence
-from deadtime.certificates_section import certificates_section, steps_of_section
-from deadtime.comparison import compare
 from deadtime.problems import Problem
+from deadtime.problems.asked import dwell_time_of
+from deadtime.problems.comparison import compare
+from deadtime.reports.certificates_section import certificates_section, steps_of_section
+from deadtime.reports.tables.certificates import delay_sentence
 
 LIMIT = 0.64
 

@@ -17,9 +17,9 @@ import certificate_reference as reference
 import deadtime as dt
 import plants
 from certificate_reference import Loop, ellipses, steps
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import StretchEvidence
 from deadtime.certificates.proof.transitions import Transitions, interpolation
-from deadtime.errors import ArgumentError
 
 PAPER = dt.problems.paper().plant
 THREE = dt.problems.three_mode().plant

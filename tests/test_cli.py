@@ -7,7 +7,7 @@ import sys
 import pytest
 
 import deadtime as dt
-from deadtime.cli import main
+from deadtime.cli.entry import main
 
 
 def run(capsys, *arguments):

@@ -13,7 +13,7 @@ import deadtime as dt
 from certificate_reference import rewritten
 from deadtime.certificates import Verification
 from deadtime.certificates.proof.archive import digest
-from deadtime.cli import main
+from deadtime.cli.entry import main
 
 WITNESS = SimpleNamespace(
     growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), phase=0.0, signal=None,

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from c_code import needs_compiler
-from deadtime.cli import main
-from deadtime.export import compiler
+from deadtime.cli.entry import main
+from deadtime.controller.export import compiler
 
 SATURATION = '\n[[imperfection]]\nkind = "saturation"\nlow = -20.0\nhigh = 30.0\n'
 SATURATION += '\n[[imperfection]]\nkind = "saturation"\nlow = -25.0\nhigh = 20.0\n'

@@ -11,9 +11,9 @@ import pytest
 import xarray as xr
 
 import deadtime as dt
-from deadtime.cli import main
-from deadtime.monte_carlo_plots import plot_monte_carlo
-from deadtime.monte_carlo_table import quantile, summary
+from deadtime.cli.entry import main
+from deadtime.reports.figures.monte_carlo import plot_monte_carlo
+from deadtime.reports.tables.monte_carlo import quantile, summary
 
 COARSE = ("--step", "0.05", "--out", "run.png")
 DIMS = ("law", "scenario")
@@ -122,7 +122,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
 
         yield report
 
-    module = import_module("deadtime.monte_carlo.run")
+    module = import_module("deadtime.scenarios.run")
     monkeypatch.setattr(module, "shown", interrupting)
     monkeypatch.setattr(module, "_BLOCK", 8)
     flags = ("--json",) if ending == "json" else ()

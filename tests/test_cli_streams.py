@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from deadtime.cli import app, main
+from deadtime.cli.entry import app, main
 from deadtime.cli.printing import print_json
 
 PAGE = (Path(__file__).parents[1] / "docs" / "cli.md").read_text(encoding="utf-8")
@@ -230,7 +230,7 @@ def test_an_error_of_the_system_is_one_line_with_its_file(capsys, monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device", "bounds.txt")
 
-    monkeypatch.setattr(import_module("deadtime.constants_table"), "bounds_of", full)
+    monkeypatch.setattr(import_module("deadtime.reports.tables.constants"), "bounds_of", full)
     with pytest.raises(SystemExit) as stopped:
         main(["bound", "paper"])
     captured = capsys.readouterr()

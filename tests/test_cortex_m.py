@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.export.compiler import WARNINGS
+from deadtime.controller.export.compiler import WARNINGS
 
 GCC, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
 MISSING = [command for command in (GCC, QEMU) if shutil.which(command) is None]
@@ -76,7 +76,9 @@ CASES = [
 def test_an_emulated_cortex_m_gives_the_answers_of_the_vectors(
     tmp_path, monkeypatch, law, plant, step, precision, core
 ):
-    monkeypatch.setattr("deadtime.export.compiler.compiler", lambda: None)  # this machine's
+    monkeypatch.setattr(
+        "deadtime.controller.export.compiler.compiler", lambda: None
+    )  # this machine's
     run = dt.Controller(plants.LAWS[law](plant), step, limits=(-25.0, 25.0))
     run.export_c(tmp_path, precision=precision)
     answer = answer_of(tmp_path, core)

@@ -8,7 +8,7 @@ from scipy.optimize import brentq, minimize_scalar, root
 import deadtime as dt
 import encirclements
 import plants
-from deadtime.wording import error_percent, inwards
+from deadtime.base.wording import error_percent, inwards
 
 
 def touching(omega=1.0, damping=0.5, factor=1.0, delay=1.0):

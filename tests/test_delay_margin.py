@@ -8,7 +8,7 @@ import pytest
 
 import certificate_reference as reference
 import deadtime as dt
-from deadtime.certificates.margins import delay as searched
+from deadtime.margins import delay as searched
 
 # Three modes, one state, two inputs; the law's model is 4 % off, N = 3 and φ = 0.034 s.
 MODEL = dt.SwitchedSystem(

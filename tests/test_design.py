@@ -9,16 +9,15 @@ from scipy.linalg import solve_discrete_lyapunov
 
 import deadtime as dt
 import plants
-from deadtime.design.estimate import estimated_margin
-from deadtime.design.families import Poles, Weights
-from deadtime.design.floors import Floors
-from deadtime.design.limits import DelayLimit
-from deadtime.design.message import percent, sentences
-from deadtime.design.price import cost_and_growth, loop_cost
-from deadtime.design.result import TradeOff
-from deadtime.design.search import Search
-from deadtime.design.strategy import pairs_of
 from deadtime.spectrum import lifted_loop
+from deadtime.synthesis import DelayLimit, TradeOff
+from deadtime.synthesis.estimate import estimated_margin
+from deadtime.synthesis.families import Poles, Weights
+from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.message import percent, sentences
+from deadtime.synthesis.price import cost_and_growth, loop_cost
+from deadtime.synthesis.search import Search
+from deadtime.synthesis.strategy import pairs_of
 
 # Three modes, two inputs, unstable poles in each; N = 5 and φ = 0.034 s.
 PLANT = dt.SwitchedSystem(

@@ -7,10 +7,10 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli import main
-from deadtime.design.families import Poles
-from deadtime.design.floors import Floors
-from deadtime.design.search import Search
+from deadtime.cli.entry import main
+from deadtime.synthesis.families import Poles
+from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.search import Search
 
 # Stable without an input: the cheapest loop with the widest margin hardly moves.
 PLANT = dt.SwitchedSystem([[[-0.06]]], [[[1.0]]], 1.0)

@@ -9,16 +9,16 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli import main
-from deadtime.design_plots import plot_designs
-from deadtime.design_table import (
+from deadtime.cli.entry import main
+from deadtime.problems.file import load_problem
+from deadtime.reports.figures.design import plot_designs
+from deadtime.reports.tables.design import (
     HEADINGS,
     design_record,
     design_rows,
     limit_rows,
     problem_sections,
 )
-from deadtime.problem_file import load_problem
 
 PLANT = plants.scalar([1.0, 1.1], 1.0, 1.0)
 GAINS = dt.place(PLANT, [-1.0])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.design.floors import Floors
-from deadtime.design_plots import plot_designs
-from deadtime.design_table import HEADINGS, design_record, design_rows
+from deadtime.reports.figures.design import plot_designs
+from deadtime.reports.tables.design import HEADINGS, design_record, design_rows
+from deadtime.synthesis.floors import Floors
 
 # A quadrotor's roll axis with and without payload: poles that turn, in two modes under one law.
 PLANT = dt.SwitchedSystem(

@@ -11,7 +11,6 @@ from scipy.linalg import expm
 import deadtime as dt
 import plants
 import reference
-from deadtime.covariance import noise_covariance, square_root
 from deadtime.imperfections import (
     ColouredDisturbance,
     Jitter,
@@ -22,6 +21,7 @@ from deadtime.imperfections import (
     StepDisturbance,
     WhiteDisturbance,
 )
+from deadtime.numerics.covariance import noise_covariance, square_root
 
 MODEL = plants.generic()
 # Not what the law believes: N = 3, φ = 0.051 and other matrices.

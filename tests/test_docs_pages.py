@@ -19,9 +19,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import deadtime as dt
-from deadtime.cli import app, main
-from deadtime.cli.entry import as_command
-from deadtime.export.compiler import compiler
+from deadtime.cli.entry import app, as_command, main
+from deadtime.controller.export.compiler import compiler
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -112,10 +112,10 @@ def test_every_name_of_the_outer_modules_links_to_its_entry(site):
     codes = r'(<a [^>]*>)?<code class="[^"]*literal[^"]*"><span class="pre">(deadtime\.[\w.]+)<'
     names = {name: link for link, name in re.findall(codes, text)}
     packages = {
-        "deadtime.study",
-        "deadtime.sweeps",
-        "deadtime.sweep_plots",
-        "deadtime.margin_plots",
+        "deadtime.reports.study",
+        "deadtime.scenarios.sweeps",
+        "deadtime.reports.figures.sweeps",
+        "deadtime.reports.figures.margins",
     }
     assert len(names) > 20
     assert {name for name, link in names.items() if not link} <= packages

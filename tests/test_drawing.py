@@ -10,8 +10,9 @@ from scipy import stats
 from scipy.linalg import expm
 
 from deadtime import ArgumentError
-from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal, drawing, random
-from deadtime.switching.philox import block_words, uniform, uniforms
+from deadtime.numerics.philox import block_words, uniform, uniforms
+from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal, random
+from deadtime.switching.models import drawing
 
 RATES = np.array([[0.0, 2.0, 1.0], [0.5, 0.0, 1.5], [4.0, 1.0, 0.0]])
 JUMPS = np.array([[0.0, 0.8, 0.2], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]])

@@ -11,12 +11,12 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.imperfections import RateLimit, Saturation
-from deadtime.monte_carlo.cpu import CpuEngine
-from deadtime.monte_carlo.figures import metrics_of, needs_own_run
-from deadtime.monte_carlo.jax_engine import JaxEngine
-from deadtime.monte_carlo.jax_kernel import run_scenarios
-from deadtime.monte_carlo.loop import Loop
-from deadtime.steps import Window
+from deadtime.plant import Window
+from deadtime.scenarios.cpu import CpuEngine
+from deadtime.scenarios.figures import metrics_of, needs_own_run
+from deadtime.scenarios.jax_engine import JaxEngine
+from deadtime.scenarios.jax_kernel import run_scenarios
+from deadtime.scenarios.loop import Loop
 from deadtime.switching import SignalBatch
 
 X0 = np.array([0.3, -0.6, 0.9])
@@ -181,4 +181,4 @@ def test_without_jax_the_import_says_what_to_install(monkeypatch):
         monkeypatch.delitem(sys.modules, f"deadtime.monte_carlo.{module}")
     message = 'backend "jax" needs JAX: pip install "deadtime[jax]".'
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
-        importlib.import_module("deadtime.monte_carlo.jax_engine")
+        importlib.import_module("deadtime.scenarios.jax_engine")

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 import plants
-from deadtime.exponential import between, energy_between, energy_gramian, held, held_modes
+from deadtime.numerics.exponential import between, energy_between, energy_gramian, held, held_modes
 
 rng = np.random.default_rng(3)
 NILPOTENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])

@@ -12,8 +12,8 @@ import pytest
 import deadtime as dt
 import plants
 from c_code import needs_compiler
-from deadtime.export import Names, export_plant_fmu
-from deadtime.export.compiler import compiler
+from deadtime.controller.export import Names, export_plant_fmu
+from deadtime.controller.export.compiler import compiler
 
 fmpy = pytest.importorskip("fmpy")
 fmi2, fmi3 = pytest.importorskip("fmpy.fmi2"), pytest.importorskip("fmpy.fmi3")

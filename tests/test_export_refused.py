@@ -8,7 +8,7 @@ import pytest
 import deadtime as dt
 import plants
 from c_code import needs_compiler
-from deadtime.export.forms import dense, low_ranks
+from deadtime.controller.export.forms import dense, low_ranks
 
 GENERIC = plants.generic()
 
@@ -23,7 +23,7 @@ def test_the_export_checks_itself_and_a_changed_table_is_found(tmp_path):
     assert exported.check.passed
     assert re.search(r"compiled with \S+: \d+ vectors, 0 differ, worst error", str(exported))
     assert set(exported.files) == {path.name for path in tmp_path.iterdir()}
-    from deadtime.export.compiler import self_check
+    from deadtime.controller.export.compiler import self_check
 
     tables = tmp_path / "law_tables.h"
     text = tables.read_text()
@@ -38,7 +38,7 @@ def test_the_export_checks_itself_and_a_changed_table_is_found(tmp_path):
 
 def spoilt(tmp_path, name, factor=1.01):
     """The self-check with the last number of a table changed."""
-    from deadtime.export.compiler import self_check
+    from deadtime.controller.export.compiler import self_check
 
     tables = tmp_path / "controller_tables.h"
     text = tables.read_text()

@@ -12,9 +12,9 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli import main
-from deadtime.export import Staging, compiler, export_c, export_fmu
-from deadtime.problem_file import load_problem
+from deadtime.cli.entry import main
+from deadtime.controller.export import Staging, compiler, export_c, export_fmu
+from deadtime.problems.file import load_problem
 
 TWO_INPUTS = """
 [plant]
@@ -102,7 +102,7 @@ def test_an_interrupt_and_a_full_disk_leave_nothing(folder, monkeypatch, error):
     def stop(*_):
         raise error
 
-    monkeypatch.setattr("deadtime.export.c_code.self_check", stop)
+    monkeypatch.setattr("deadtime.controller.export.c_code.self_check", stop)
     run = dt.Controller(plants.LAWS["averaged"](plants.paper()), 0.1)
     with pytest.raises(BaseException) as caught:
         run.export_c(folder / "new" / "out")
@@ -116,8 +116,8 @@ def test_names_of_inputs_reach_figures_headers_and_descriptions(folder):
     assert dt.problems.paper().inputs == ("u",)
     assert command("export", "two.toml", "--c", "out") == 0
     assert "Inputs: u[0]: throttle, u[1]: brake (N)." in (folder / "out/controller.h").read_text()
-    from deadtime.plotting import plot_run
-    from deadtime.run_plots import plot_laws
+    from deadtime.reports.figures.plotting import plot_run
+    from deadtime.reports.figures.runs import plot_laws
 
     run = problem.simulate("averaged")
     lines = plot_run(run, inputs=problem.inputs).axes[1].get_lines()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.checks import read_only
-from deadtime.frozen import Frozen
+from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
 from deadtime.imperfections import Noise, Saturation, StepDisturbance
 
 PAPER = dt.problems.paper()
@@ -165,8 +165,8 @@ def test_an_object_takes_its_own_copy_of_what_can_be_written_to():
 
 @pytest.mark.parametrize("again", [pickled, copy.deepcopy])
 def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(again):
-    from deadtime.exponential import energy_between, held, phases
-    from deadtime.laws import frozen as rows
+    from deadtime.laws.tables import constant_mode as rows
+    from deadtime.numerics.exponential import energy_between, held, phases
     from deadtime.simulation import kernel
 
     compiled = [

@@ -11,12 +11,12 @@ import deadtime as dt
 import plants
 from c_code import needs_compiler
 from deadtime.app.script import SCRIPT, script_of
-from deadtime.export import Names, compiler, export_plant_fmu
-from deadtime.export.compiler import self_check
-from deadtime.export.names import in_comment
-from deadtime.plotting import plot_run
-from deadtime.problem_file import load_problem
-from deadtime.wording import file_name, one_line
+from deadtime.base.wording import file_name, one_line
+from deadtime.controller.export import Names, compiler, export_plant_fmu
+from deadtime.controller.export.compiler import self_check
+from deadtime.controller.export.names import in_comment
+from deadtime.problems.file import load_problem
+from deadtime.reports.figures.plotting import plot_run
 
 NAMES = {
     "control": "a\x01b\x1bc\x7fd\x85e\x9f",

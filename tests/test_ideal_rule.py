@@ -9,10 +9,10 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 import plants
 import rule_reference as second
-from deadtime.cli import main
+from deadtime.cli.entry import main
 from deadtime.laws import StateDependentPredictor
-from deadtime.problem_file import load_problem
-from deadtime.problem_file.load import problem_with_run
+from deadtime.problems.file import load_problem
+from deadtime.problems.file.load import problem_with_run
 from deadtime.switching import FunctionRule, HalfSpace, QuadraticRegions
 from sectors import EDGES, PLANE, SECTORS, sector
 

@@ -8,7 +8,8 @@ from typing import ClassVar, Literal
 import pytest
 
 import deadtime as dt
-from deadtime.imperfection_registry import (
+from deadtime.imperfections import ActuatorImperfection
+from deadtime.problems.imperfection_registry import (
     ENTRIES,
     SWEPT,
     Axis,
@@ -18,9 +19,8 @@ from deadtime.imperfection_registry import (
     collect,
     require_all,
 )
-from deadtime.imperfections import ActuatorImperfection
-from deadtime.sweeps.axes import AXES, _by_name
-from deadtime.sweeps.axes import Axis as SweepAxis
+from deadtime.scenarios.sweeps.axes import AXES, _by_name
+from deadtime.scenarios.sweeps.axes import Axis as SweepAxis
 
 
 @dataclass(frozen=True)

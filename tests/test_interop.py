@@ -7,7 +7,7 @@ import deadtime as dt
 import plants
 
 control = pytest.importorskip("control")
-interop = pytest.importorskip("deadtime.interop")
+interop = pytest.importorskip("deadtime.controller.interop")
 
 GENERIC = plants.generic()
 STEP = 0.05

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import deadtime as dt
-from deadtime.monte_carlo import scenario_seed
+from deadtime.scenarios import scenario_seed
 
 PAPER = dt.problems.paper()
 THREE = dt.problems.three_mode()

@@ -11,7 +11,10 @@ import pytest
 import deadtime as dt
 from deadtime.app.documents import open_named
 from deadtime.app.laws import offered
-from deadtime.law_registry import (
+from deadtime.problems.file.build import build_problem
+from deadtime.problems.file.named import template
+from deadtime.problems.file.schema import ProblemFile
+from deadtime.problems.law_registry import (
     ENTRIES,
     LAWS,
     LawSection,
@@ -21,10 +24,7 @@ from deadtime.law_registry import (
     collect,
     the_law,
 )
-from deadtime.problem_file.build import build_problem
-from deadtime.problem_file.named import template
-from deadtime.problem_file.schema import ProblemFile
-from deadtime.sweeps.laws import DEFAULT, KINDS
+from deadtime.scenarios.sweeps.laws import DEFAULT, KINDS
 
 PAPER = dt.problems.paper()
 GAIN = dt.place(PAPER.plant.mean(), [-1.0, -2.0])[0]

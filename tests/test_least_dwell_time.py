@@ -10,10 +10,10 @@ import pytest
 
 import certificate_reference as reference
 import deadtime as dt
-from deadtime.certificates.margins import dwell_time as module
-from deadtime.certificates.margins.bracket import Questions, bracket
-from deadtime.cli import main
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
+from deadtime.cli.entry import main
+from deadtime.margins import dwell_time as module
+from deadtime.margins.bracket import Questions, bracket
 
 TURNING = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])
 PLANT = dt.SwitchedSystem(TURNING, np.ones((2, 2, 1)), 0.3)

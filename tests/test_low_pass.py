@@ -135,7 +135,7 @@ horizon = 2.0
 """
     path = tmp_path / "problem.toml"
     path.write_text(text)
-    from deadtime.problem_file import load_problem
+    from deadtime.problems.file import load_problem
 
     (law,) = load_problem(str(path)).laws.values()
     assert law.time_constant == pytest.approx(0.05)

@@ -10,17 +10,11 @@ from scipy.linalg import solve_continuous_lyapunov
 
 import deadtime as dt
 import plants
-from deadtime import lmi
-from deadtime.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.laws.base import checked_gains
-from deadtime.lyapunov import (
-    CommonLyapunov,
-    checked_lyapunov,
-    common_lyapunov,
-    decaying_lyapunov,
-    growth_in_norm,
-)
-from deadtime.stabilization import stabilize
+from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
+from deadtime.feedback.law import checked_gains
+from deadtime.gains import CommonLyapunov, common_lyapunov, stabilize
+from deadtime.gains.lyapunov import checked_lyapunov, decaying_lyapunov, growth_in_norm
+from deadtime.numerics import lmi
 
 PROBLEM = dt.problems.paper()
 seeds = st.integers(0, 2**32 - 1)
@@ -175,7 +169,7 @@ def test_no_exception_from_inside_a_solver_reaches_the_user(monkeypatch):
 
 
 def test_a_wrong_answer_of_a_solver_is_not_believed(monkeypatch):
-    monkeypatch.setattr("deadtime.lyapunov.symmetric_value", lambda _: np.eye(2))
+    monkeypatch.setattr("deadtime.gains.lyapunov.symmetric_value", lambda _: np.eye(2))
     with pytest.raises(InfeasibleError, match="CLARABEL: optimal, but it fails when put back"):
         common_lyapunov(PROBLEM.plant, PROBLEM.gains)
 

@@ -7,10 +7,10 @@ import pytest
 
 import deadtime as dt
 from deadtime.certificates import theorem_bound
-from deadtime.certificates.constants import distance
-from deadtime.certificates.margins import StabilityChart, StabilityMargin
-from deadtime.margin_plots import plot_chart, plot_tightness
-from deadtime.tightness import Reach, Tightness, moved, reach_of
+from deadtime.certificates.theorem.constants import distance
+from deadtime.margins import StabilityChart, StabilityMargin
+from deadtime.reports.figures.margins import plot_chart, plot_tightness
+from deadtime.reports.tightness import Reach, Tightness, moved, reach_of
 
 
 def chart():

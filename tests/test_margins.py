@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.certificates.margins import stability_chart, stability_margin
-from deadtime.certificates.margins.bracket import Questions, bracket
+from deadtime.margins import stability_chart, stability_margin
+from deadtime.margins.bracket import Questions, bracket
 
 TRUTH = 0.6391  # the made-up loops are stable below
 

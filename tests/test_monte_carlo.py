@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.monte_carlo import monte_carlo, scenario_seed
+from deadtime.scenarios import monte_carlo, scenario_seed
 
 H = 0.05
 X0 = [-1.0, 1.0]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.checks import as_floats, brief, count, index, number, real_array
-from deadtime.covariance import noise_covariance
-from deadtime.exponential import energy_gramian, held
+from deadtime.base.checks import as_floats, brief, count, index, number, real_array
+from deadtime.numerics.covariance import noise_covariance
+from deadtime.numerics.exponential import energy_gramian, held
 from deadtime.spectrum import characteristic_roots
 
 PAPER = dt.problems.paper()

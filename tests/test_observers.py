@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_lyapunov
 import deadtime as dt
 import plants
 import reference
-from deadtime.observers.estimator import Estimator
+from deadtime.estimation.estimator import Estimator
 
 PLANT, C, STEP = plants.generic(), plants.OUTPUTS, 0.1
 PER_MODE = np.stack([C, 1.1 * C, C[::-1]])

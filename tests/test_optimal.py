@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, expm, solve_discrete_are
 
 import deadtime as dt
 import plants
-from deadtime.laws.optimal import OptimalPredictor
+from deadtime.laws import OptimalPredictor
 
 H = 0.1
 TRANSITION = np.array([[0.0, 0.8, 0.2], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]])

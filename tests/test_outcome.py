@@ -7,15 +7,10 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.comparison import compare
-from deadtime.imperfections import (
-    ColouredDisturbance,
-    Noise,
-    StepDisturbance,
-    WhiteDisturbance,
-)
+from deadtime.imperfections import ColouredDisturbance, Noise, StepDisturbance, WhiteDisturbance
+from deadtime.problems.comparison import compare
+from deadtime.reports.verdict import table, verdict
 from deadtime.simulation.outcome import outcome_of
-from deadtime.verdict import table, verdict
 
 PLANT = plants.scalar([0.4, 0.5])
 GAINS = dt.place(PLANT, [-1.5])

@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.checks import number, positive
+from deadtime.base.checks import number, positive
 
 A = [[[2.0, 1.0], [0.0, 1.0]], [[2.3, 1.1], [0.05, 1.2]]]
 B = [[[0.0], [1.0]], [[0.0], [1.02]]]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.problem_file import json_schema, load_problem
-from deadtime.toml_file.lines import key_lines
+from deadtime.problems.file import json_schema, load_problem
+from deadtime.problems.toml.lines import key_lines
 
 TEMPLATES = Path(str(files("deadtime"))) / "templates"
 PLAIN = """\

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli import main
-from deadtime.comparison import compare
-from deadtime.imperfection_registry import ENTRIES
+from deadtime.cli.entry import main
 from deadtime.imperfections import Noise, Saturation, StepDisturbance
-from deadtime.problem_file import load_problem
-from deadtime.sweeps import load_study
-from deadtime.verdict import verdict
+from deadtime.problems.comparison import compare
+from deadtime.problems.file import load_problem
+from deadtime.problems.imperfection_registry import ENTRIES
+from deadtime.reports.verdict import verdict
+from deadtime.scenarios.sweeps import load_study
 
 PLAIN = """\
 [plant]
@@ -192,7 +192,7 @@ def study(tmp_path, text):
 
 
 def test_a_study_runs_with_the_imperfections_of_its_problem_and_its_own(tmp_path):
-    from deadtime.sweeps.cell import run_cell
+    from deadtime.scenarios.sweeps.cell import run_cell
 
     load(tmp_path, PLAIN + '\n[[imperfection]]\nkind = "noise"\nstd = 0.1\n')
     limits = '\n[[imperfection]]\nkind = "saturation"\nlow = -3\nhigh = 3\n'

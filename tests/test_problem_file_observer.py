@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.cli import main
-from deadtime.problem_file import load_problem
-from deadtime.study import load_study
+from deadtime.cli.entry import main
+from deadtime.problems.file import load_problem
+from deadtime.scenarios.sweeps import load_study
 
 PLANT = """\
 [plant]

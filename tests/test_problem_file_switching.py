@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 import deadtime as dt
-from deadtime.cli import main
-from deadtime.comparison import compare
-from deadtime.problem_file import load_problem
-from deadtime.verdict import verdict
+from deadtime.cli.entry import main
+from deadtime.problems.comparison import compare
+from deadtime.problems.file import load_problem
+from deadtime.reports.verdict import verdict
 
 PLANT = """\
 [plant]

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 
 import certificate_reference as reference
 import deadtime as dt
+from deadtime.base.errors import CertificateFileError
 from deadtime.certificates.proof import balls, check, load_evidence
 from deadtime.certificates.proof.covering import Covering
 from deadtime.certificates.proof.definite import is_positive_definite
 from deadtime.certificates.proof.enclosure import Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
-from deadtime.errors import CertificateFileError
 
 PAPER = dt.problems.paper().plant
 ALPHA = {"common": 0.63, "eigenvectors": 0.65, "extended rows": 0.3}

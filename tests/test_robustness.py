@@ -8,9 +8,9 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.cli import main
+from deadtime.cli.entry import main
 from deadtime.imperfections import Dropout, LateSamples, ModeDelay, Noise, Saturation
-from deadtime.robustness_plots import plot_robustness
+from deadtime.reports.figures.robustness import plot_robustness
 
 NEAR = plants.generic().apart(0.1)
 MODEL = dt.SwitchedSystem(NEAR.A + np.eye(3), NEAR.B, NEAR.delay)

@@ -8,9 +8,9 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.numerics.bernstein import first_positive
 from deadtime.switching import FunctionRule, HalfSpace, Polyhedra, QuadraticRegions
-from deadtime.switching.bernstein import first_positive
-from deadtime.switching.rules import as_rule
+from deadtime.switching.rules.rule import as_rule
 
 RNG = np.random.default_rng(2)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import plants
-from deadtime.sampled_plant import SampledPlant, acting
+from deadtime.plant import SampledPlant
+from deadtime.plant.sampled_plant import acting
 
 STEP = 0.1
 

@@ -19,7 +19,7 @@ from deadtime.app.documents import open_named
 from deadtime.app.opening import Opening
 from deadtime.app.page import Page
 from deadtime.app.sessions import Sessions
-from deadtime.cli import main
+from deadtime.cli.entry import main
 
 # Of widgets that set options of other widgets, and of messages that Bokeh had yet to send to a page
 # that left; none of ours.

@@ -8,11 +8,11 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.certificate_table import delay_sentence, judge
-from deadtime.comparison import compare
-from deadtime.slips import disagreement_of, slips_of
+from deadtime.problems.comparison import compare
+from deadtime.problems.slips import disagreement_of, slips_of
+from deadtime.reports.tables.certificates import delay_sentence, judge
+from deadtime.reports.verdict import verdict
 from deadtime.spectrum.affordable import MOST, left_out, seconds_of
-from deadtime.verdict import verdict
 
 PAPER = dt.problems.paper()
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime import lmi
 from deadtime.certificates.dwell.cones import maximise
-from deadtime.cli import main
-from deadtime.lyapunov import common_lyapunov
-from deadtime.observers.switched import common_rate
-from deadtime.stabilization import stabilize
+from deadtime.cli.entry import main
+from deadtime.estimation.switched import common_rate
+from deadtime.gains import common_lyapunov, stabilize
+from deadtime.numerics import lmi
 
 PROBLEM = dt.problems.paper()
 SEARCHES = {

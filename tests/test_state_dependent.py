@@ -9,8 +9,8 @@ import pytest
 import deadtime as dt
 import plants
 import rule_reference as second
+from deadtime.feedback.law import TableLaw
 from deadtime.laws import StateDependentPredictor
-from deadtime.laws.base import TableLaw
 from deadtime.switching import FunctionRule, HalfSpace, Polyhedra
 
 H = 0.1

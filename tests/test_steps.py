@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deadtime as dt
-from deadtime.steps import Cuts, Window, modes_at, snap, snap_all
+from deadtime.plant import Window
+from deadtime.plant.steps import Cuts, modes_at, snap, snap_all
 
 quick = settings(max_examples=200, deadline=None, derandomize=True)
 

@@ -11,14 +11,13 @@ import xarray as xr
 from scipy.stats import expon
 
 import deadtime as dt
-from deadtime.cli import main
-from deadtime.law_registry import LEVELS
-from deadtime.paired.statistics import mean_interval, median_interval
-from deadtime.problem_file.schema import SemiMarkovSwitching
-from deadtime.problem_file.switching import build_model
-from deadtime.study import load_study, run_study
-from deadtime.study.answers import answers
-from deadtime.study.findings import (
+from deadtime.cli.entry import main
+from deadtime.problems.file.schema import SemiMarkovSwitching
+from deadtime.problems.file.switching import build_model
+from deadtime.problems.law_registry import LEVELS
+from deadtime.reports.study import run_study
+from deadtime.reports.study.answers import answers
+from deadtime.reports.study.findings import (
     against_best,
     best,
     duel,
@@ -28,12 +27,14 @@ from deadtime.study.findings import (
     typical_regret,
     unbeaten,
 )
-from deadtime.study.phrases import region
-from deadtime.study.report import write_study
-from deadtime.study.run import failures
-from deadtime.sweeps.cell import run_cell
-from deadtime.sweeps.laws import kinds_of, within
-from deadtime.sweeps.sojourns import FAMILIES, sojourn_section
+from deadtime.reports.study.phrases import region
+from deadtime.reports.study.report import write_study
+from deadtime.reports.study.run import failures
+from deadtime.scenarios.paired.statistics import mean_interval, median_interval
+from deadtime.scenarios.sweeps import load_study
+from deadtime.scenarios.sweeps.cell import run_cell
+from deadtime.scenarios.sweeps.laws import kinds_of, within
+from deadtime.scenarios.sweeps.sojourns import FAMILIES, sojourn_section
 
 SHIPPED = Path(__file__).parents[1] / "studies" / "paper.toml"
 PLAIN = """\
@@ -441,7 +442,7 @@ def test_regions_name_the_axes_that_cells_do_not_span():
 
 def test_the_report_opens_with_the_answers_and_holds_every_map(small, tmp_path, monkeypatch):
     study, data = small
-    monkeypatch.setattr("deadtime.study.report.run_study", lambda *_: data)
+    monkeypatch.setattr("deadtime.reports.study.report.run_study", lambda *_: data)
     report = write_study(study, tmp_path / "out", command="deadtime study mine.toml")
     page = report.path.read_text(encoding="utf-8")
     assert page.index("Which law to use?") < page.index("When is the averaged law better")

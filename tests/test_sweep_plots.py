@@ -10,13 +10,13 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from deadtime.cli import main
-from deadtime.colours import colours_of
-from deadtime.errors import ArgumentError
-from deadtime.sweep_plots import plot_bands, plot_heat, plot_regret, plot_wins
-from deadtime.sweep_plots.panels import NOT_BUILT, NOT_RUN
-from deadtime.sweep_plots.reduction import LEVELS, quantiles, reduced
-from deadtime.sweep_plots.selection import selected
+from deadtime.base.errors import ArgumentError
+from deadtime.cli.entry import main
+from deadtime.reports.figures.colours import colours_of
+from deadtime.reports.figures.sweeps import plot_bands, plot_heat, plot_regret, plot_wins
+from deadtime.reports.figures.sweeps.panels import NOT_BUILT, NOT_RUN
+from deadtime.reports.figures.sweeps.reduction import LEVELS, quantiles, reduced
+from deadtime.reports.figures.sweeps.selection import selected
 
 LAWS = ("averaged", "mean", "oracle")
 AXES = {

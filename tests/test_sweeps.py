@@ -20,14 +20,14 @@ import xarray as xr
 from scipy.stats import expon
 
 import deadtime as dt
-from deadtime.cli import main
+from deadtime.cli.entry import main
 from deadtime.cli.sweep import Lines
-from deadtime.sweeps import Progress, load_study, store
-from deadtime.sweeps.axes import AXES
-from deadtime.sweeps.cell import run_cell
-from deadtime.sweeps.layout import Layout, layout_of
-from deadtime.sweeps.run import prepare, run_block
-from deadtime.sweeps.store import create, open_store
+from deadtime.scenarios.sweeps import Progress, load_study, store
+from deadtime.scenarios.sweeps.axes import AXES
+from deadtime.scenarios.sweeps.cell import run_cell
+from deadtime.scenarios.sweeps.layout import Layout, layout_of
+from deadtime.scenarios.sweeps.run import prepare, run_block
+from deadtime.scenarios.sweeps.store import create, open_store
 
 # Three modes, two inputs, a delay that is no multiple of the period; laws with gains of their own.
 PROBLEM = """\
@@ -435,7 +435,7 @@ def test_a_changed_study_does_not_mix_with_an_old_store(own, tmp_path):
 
 def test_a_store_of_another_version_is_refused(own, tmp_path, monkeypatch):
     study, _ = own
-    monkeypatch.setattr("deadtime.sweeps.study.__version__", "0.0.1")
+    monkeypatch.setattr("deadtime.scenarios.sweeps.study.__version__", "0.0.1")
     prepare(study, str(tmp_path / "x.zarr"))
     monkeypatch.undo()
     with pytest.raises(dt.ArgumentError, match=r"version was .0\.0\.1., is .*Choose another store"):
@@ -662,7 +662,7 @@ def test_a_cluster_elsewhere_is_used_by_its_address(slow, tmp_path, monkeypatch)
     from distributed import LocalCluster
 
     study, folder = slow
-    monkeypatch.setattr("deadtime.sweeps.cluster._PATIENCE", 0.5)
+    monkeypatch.setattr("deadtime.scenarios.sweeps.cluster._PATIENCE", 0.5)
     create(str(tmp_path / "x.zarr"), study, Layout(study.shape, (1, 1)), {})
     options = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": "127.0.0.1:0"}
     with (
@@ -676,7 +676,7 @@ def test_a_cluster_elsewhere_is_used_by_its_address(slow, tmp_path, monkeypatch)
 
 
 def test_a_scheduler_that_is_not_there_is_named(own, tmp_path, monkeypatch):
-    monkeypatch.setattr("deadtime.sweeps.cluster._PATIENCE", 0.3)
+    monkeypatch.setattr("deadtime.scenarios.sweeps.cluster._PATIENCE", 0.3)
     with pytest.raises(dt.ClusterError, match=r"'tcp://127\.0\.0\.1:9' cannot be reached"):
         dt.sweep(own[0], tmp_path / "x.zarr", "tcp://127.0.0.1:9")
     with pytest.raises(dt.ClusterError, match=r"'nonsense' cannot be reached"):

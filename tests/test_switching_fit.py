@@ -8,8 +8,8 @@ from scipy import stats
 
 from deadtime import ArgumentError, SwitchingSignal
 from deadtime.switching import SemiMarkov
-from deadtime.switching.families import Observed, estimate
-from deadtime.switching.fit import distance, kaplan_meier, sojourns_of
+from deadtime.switching.models.families import Observed, estimate
+from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
 
 TRUTH = {
     "exponential": stats.expon(scale=0.7),

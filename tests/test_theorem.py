@@ -14,17 +14,16 @@ from scipy.optimize import minimize_scalar
 import deadtime as dt
 import plants
 import windows
+from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.certificates import theorem_bound
-from deadtime.certificates.logs import log_integral, log_inverse, log_one_plus, log_sum
-from deadtime.certificates.sharp import (
+from deadtime.certificates.theorem.sharp import (
     closed_loop_mismatch,
     euclidean,
     logarithmic_norm,
     weighted,
 )
-from deadtime.errors import ArgumentError, InfeasibleError
-from deadtime.lyapunov import common_lyapunov
-from deadtime.stabilization import stabilize
+from deadtime.gains import common_lyapunov, stabilize
+from deadtime.numerics.logs import log_integral, log_inverse, log_one_plus, log_sum
 
 FORMS = ("printed", "corrected", "sharp")
 PROVEN = ("corrected", "sharp")

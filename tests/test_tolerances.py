@@ -6,8 +6,8 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.imperfections import LateSamples, Noise, Saturation, StepDisturbance
-from deadtime.robustness.setting import BOUNDED, KEPT, LOST, Setting
-from deadtime.robustness_plots import plot_robustness
+from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Setting
+from deadtime.reports.figures.robustness import plot_robustness
 from deadtime.simulation.outcome import outcome_of
 
 STEP = 0.005

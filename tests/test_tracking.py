@@ -9,8 +9,8 @@ import pytest
 import deadtime as dt
 import plants
 from deadtime.controller import Status
+from deadtime.estimation.estimator import Tracked
 from deadtime.imperfections import Dropout, Noise, Saturation, StepDisturbance
-from deadtime.observers.estimator import Tracked
 
 MODEL, C, STEP = plants.generic().apart(0.03), plants.OUTPUTS, 0.05
 TRUTH = dt.SwitchedSystem(1.01 * MODEL.A, 0.99 * MODEL.B, 0.241)

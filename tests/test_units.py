@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.exponential import energy_gramian, held
+from deadtime.numerics.exponential import energy_gramian, held
 
 # A hydraulic axis in pascals, a two-mass drive, a rotation with far-apart units.
 BADLY_SCALED = {

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.comparison import compare
-from deadtime.report import steps_of, write_report
-from deadtime.verdict import verdict
+from deadtime.problems.comparison import compare
+from deadtime.reports.report import steps_of, write_report
+from deadtime.reports.verdict import verdict
 
 PAPER = dt.problems.paper()
 

@@ -16,7 +16,7 @@ import certificate_corpus as corpus
 import certificate_forgeries as forgeries
 import certificate_reference as reference
 import deadtime as dt
-from deadtime.errors import CertificateFileError
+from deadtime.base.errors import CertificateFileError
 
 VERIFY = Path(__file__).parents[1] / "verifier/verify.py"
 FILES = sorted(corpus.CORPUS.glob("*.json"))

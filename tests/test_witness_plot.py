@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.certificates.worst_case import falsify
-from deadtime.witness_plot import plot_witness
+from deadtime.certificates import falsify
+from deadtime.reports.figures.witness import plot_witness
 
 
 def worst_of(alpha, law=dt.AveragedPredictor, dwell_time=0.2):

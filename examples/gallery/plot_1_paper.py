@@ -15,7 +15,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.plotting import COLOURS, STYLE, WIDTH, plot_norms
+from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plot_norms
 
 # %%
 # Every law on one signal

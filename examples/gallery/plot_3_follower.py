@@ -19,7 +19,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.plotting import COLOURS, STYLE, WIDTH, plot_run
+from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plot_run
 
 problem = dt.problems.follower()
 costs = {name: problem.simulate(name).metrics()["cost"] for name in problem.laws}

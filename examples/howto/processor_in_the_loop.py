@@ -26,7 +26,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.exponential import held
+from deadtime.numerics.exponential import held
 
 SERVER = """
 #define _POSIX_C_SOURCE 200112L

@@ -10,9 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from deadtime import imperfections, problems
-from deadtime.controller import Controller
-from deadtime.design import DelayLimit, Design, delay_limit, design
-from deadtime.errors import (
+from deadtime.base.errors import (
     ArgumentError,
     CertificateFileError,
     ChatteringError,
@@ -25,29 +23,27 @@ from deadtime.errors import (
     StudyFileError,
     WorkerError,
 )
-from deadtime.feedback import Factor, Feedback
-from deadtime.gains import lqr, place
+from deadtime.base.version import __version__
+from deadtime.controller import Controller
+from deadtime.estimation import Observer, OutputFeedback, Servo, kalman, luenberger
+from deadtime.feedback import Factor, Feedback, Law
+from deadtime.gains import common_lyapunov, lqr, place, stabilize
 from deadtime.laws import (
     AveragedPredictor,
     DelayedStateFeedback,
     ExactPredictor,
     ExpectedPredictor,
-    Law,
     LowPassPredictor,
     MeanPredictor,
     OptimalPredictor,
     SingleModePredictor,
     StateDependentPredictor,
 )
-from deadtime.lyapunov import common_lyapunov
-from deadtime.monte_carlo import draw_signals, monte_carlo
-from deadtime.observers import Observer, kalman, luenberger
-from deadtime.output_feedback import OutputFeedback
+from deadtime.margins import Robustness, gain_margin, robustness
 from deadtime.plant import SwitchedSystem
-from deadtime.robustness import Robustness, robustness
+from deadtime.scenarios import draw_signals, monte_carlo
 from deadtime.simulation import Trajectory, simulate
-from deadtime.spectrum import characteristic_roots, gain_margin, growth_bounds, growth_rate
-from deadtime.stabilization import stabilize
+from deadtime.spectrum import characteristic_roots, growth_bounds, growth_rate
 from deadtime.switching import (
     FunctionRule,
     HalfSpace,
@@ -58,8 +54,7 @@ from deadtime.switching import (
     SignalBatch,
     SwitchingSignal,
 )
-from deadtime.tracking import Servo
-from deadtime.version import __version__
+from deadtime.synthesis import DelayLimit, Design, delay_limit, design
 
 if TYPE_CHECKING:
     from deadtime.certificates import (
@@ -67,15 +62,12 @@ if TYPE_CHECKING:
         Verification,
         WorstCase,
         certify,
-        delay_margin,
         falsify,
-        least_dwell_time,
-        stability_chart,
-        stability_margin,
         theorem_bound,
         verify,
     )
-    from deadtime.sweeps import (
+    from deadtime.margins import delay_margin, least_dwell_time, stability_chart, stability_margin
+    from deadtime.scenarios.sweeps import (
         FunctionStudy,
         Study,
         function_study,
@@ -170,7 +162,7 @@ _SWEEPS = ("FunctionStudy", "Study", "function_study", "load_study", "open_sweep
 def __getattr__(name: str) -> Any:
     """Certificates and sweeps are half of the package and are imported where they are asked for."""
     if name in __all__:
-        home = "deadtime.sweeps" if name in _SWEEPS else "deadtime.certificates"
+        home = "deadtime.scenarios.sweeps" if name in _SWEEPS else "deadtime.certificates"
         return getattr(import_module(home), name)
     raise AttributeError(f"module 'deadtime' has no attribute {name!r}")
 

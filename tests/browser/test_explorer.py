@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.problem_file import load_problem
+from deadtime.problems.file import load_problem
 from explorer import cost, open_page
 
 SHOTS = Path(__file__).parents[2] / "screenshots"

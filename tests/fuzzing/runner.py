@@ -17,7 +17,7 @@ from random import Random
 from typing import Any
 
 import deadtime
-from deadtime.errors import DeadtimeError
+from deadtime.base.errors import DeadtimeError
 
 SECONDS = 5  # of CPU, that reading a file may take
 BYTES = 8 * 2**30  # of addresses; most of them are never used

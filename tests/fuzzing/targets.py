@@ -12,9 +12,9 @@ from typing import Any
 import certificate_forgeries as forgeries
 import deadtime as dt
 from certificate_corpus import CORPUS
-from deadtime.problem_file import load_problem
-from deadtime.sweeps import load_study
-from deadtime.sweeps.run import prepare, run_block
+from deadtime.problems.file import load_problem
+from deadtime.scenarios.sweeps import load_study
+from deadtime.scenarios.sweeps.run import prepare, run_block
 from fuzzing import mutators, seeds
 
 WORDS = tuple(

@@ -12,18 +12,12 @@ import panel_material_ui as pmui
 
 from deadtime.app.chart import BOUNDS, KEY, Chart
 from deadtime.app.controls import WIDE
-from deadtime.app.jobs import (
-    growth_elsewhere,
-    growth_rates,
-    lifted_order,
-    margin,
-    worst_signal,
-)
+from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import Given
 from deadtime.app.table import csv_of
-from deadtime.run_plots import plot_laws
-from deadtime.wording import file_name, signed
+from deadtime.base.wording import file_name, signed
+from deadtime.reports.figures.runs import plot_laws
 
 if TYPE_CHECKING:
     from deadtime.app.page import Page

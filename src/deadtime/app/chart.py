@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
-from deadtime.margin_plots import BAD, GOOD
+from deadtime.reports.figures.margins import BAD, GOOD
 
 BOUNDS = (0.02, 2.0)
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # dwell times of the columns, as multiples of the current

@@ -11,8 +11,8 @@ from deadtime.app.documents import Document
 from deadtime.app.laws import Section
 from deadtime.app.ranges import FROM_FILE, IDEAL, Range, ranges_of, steps_of
 from deadtime.app.settings import Drawn, Given, Settings
-from deadtime.problem_file.schema import RULES
-from deadtime.sweeps.sojourns import FAMILIES
+from deadtime.problems.file.schema import RULES
+from deadtime.scenarios.sweeps.sojourns import FAMILIES
 
 WIDE: dict[str, Any] = {"sizing_mode": "stretch_width", "margin": (2, 10)}
 

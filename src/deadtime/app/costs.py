@@ -8,8 +8,8 @@ from html import escape
 
 from deadtime.app.outcome import Outcome
 from deadtime.app.style import dash_of
-from deadtime.colours import Look, looks_of
-from deadtime.wording import compact
+from deadtime.base.wording import compact
+from deadtime.reports.figures.colours import Look, looks_of
 
 _HEAD = (
     "<table class='costs'><caption>Cost ∫ |x|² + |u|² dt, and against the oracle{more}</caption>"

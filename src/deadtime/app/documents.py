@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deadtime.errors import ArgumentError, ProblemFileError
-from deadtime.problem_file import load_problem, schema
-from deadtime.problem_file.named import is_named, template
-from deadtime.sweeps.axes import Draft
-from deadtime.toml_file import MOST_BYTES, SectionError, TomlText, read_toml
+from deadtime.base.errors import ArgumentError, ProblemFileError
+from deadtime.problems.file import load_problem, schema
+from deadtime.problems.file.named import is_named, template
+from deadtime.problems.toml import MOST_BYTES, SectionError, TomlText, read_toml
+from deadtime.scenarios.sweeps.axes import Draft
 
 _READS_FILES = {"signal": "log", "switching": "fitted"}
 

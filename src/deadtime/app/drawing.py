@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deadtime.app.settings import Given
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
 
 MOST = 500  # switches
 

@@ -13,10 +13,10 @@ from bokeh.plotting import figure
 
 from deadtime.app.outcome import Outcome
 from deadtime.app.style import dash_of
-from deadtime.colours import looks_of
-from deadtime.palette import GREY
+from deadtime.base.palette import GREY
 from deadtime.problems import Problem
-from deadtime.run_plots import frame, mismatch_floor
+from deadtime.reports.figures.colours import looks_of
+from deadtime.reports.figures.runs import frame, mismatch_floor
 from deadtime.simulation import Trajectory
 
 MOST_POINTS = 1500

@@ -14,16 +14,17 @@ import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
 from deadtime.app.outcome import run_draft
-from deadtime.certificates import falsify, stability_margin
-from deadtime.errors import ArgumentError, DeadtimeError
-from deadtime.laws import Law
-from deadtime.laws.base import TableLaw
+from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.certificates import falsify
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.margins import stability_margin
 from deadtime.plant import SwitchedSystem
-from deadtime.problem_file.lenient import build_what_can
 from deadtime.problems import Problem
+from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.toml import SectionError
+from deadtime.scenarios.sweeps.axes import AXES
 from deadtime.spectrum import growth_rate
-from deadtime.sweeps.axes import AXES
-from deadtime.toml_file import SectionError
 
 RATIO = 1.02  # of the values between which a margin of the chart lies
 _BUDGET = 20_000  # cycles that the search for the worst signal looks at

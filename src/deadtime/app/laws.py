@@ -7,8 +7,8 @@ from typing import Any
 
 from deadtime.app.documents import Document
 from deadtime.app.switching import dwell_time_of, with_model
-from deadtime.law_registry import LAWS
-from deadtime.problem_file.lenient import build_what_can
+from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.law_registry import LAWS
 from deadtime.switching import SwitchingSignal
 
 Section = dict[str, Any]

@@ -8,17 +8,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from deadtime.comparison import ended
-from deadtime.errors import ArgumentError, DeadtimeError
-from deadtime.law_registry import QUICK
-from deadtime.laws import ExactPredictor, Law
-from deadtime.output_feedback import OutputFeedback
-from deadtime.problem_file.lenient import build_what_can
+from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
+from deadtime.laws import ExactPredictor
 from deadtime.problems import Problem
+from deadtime.problems.comparison import ended
+from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.law_registry import QUICK
+from deadtime.problems.slips import slips_of
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import Outcome as Ending
 from deadtime.simulation.outcome import untested
-from deadtime.slips import slips_of
 from deadtime.switching import SwitchingSignal
 
 MOST_SAMPLES = 20_000

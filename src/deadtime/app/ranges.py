@@ -10,8 +10,8 @@ from typing import Any
 from deadtime.app.documents import Document
 from deadtime.app.outcome import MOST_SAMPLES, MOST_TAPS
 from deadtime.app.switching import dwell_time_of
-from deadtime.imperfection_registry import SWEPT, Slider
-from deadtime.wording import subscript
+from deadtime.base.wording import subscript
+from deadtime.problems.imperfection_registry import SWEPT, Slider
 
 FROM_FILE = "as in the file"
 IDEAL = "ideal"

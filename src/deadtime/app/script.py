@@ -11,10 +11,10 @@ import numpy as np
 
 import deadtime
 from deadtime import imperfections
+from deadtime.base.version import __version__
+from deadtime.base.wording import file_name, one_line
 from deadtime.problems import Problem
-from deadtime.switching.sojourns import Fixed
-from deadtime.version import __version__
-from deadtime.wording import file_name, one_line
+from deadtime.switching.models.sojourns import Fixed
 
 # How a script's file is called after the problem's name: whatever that is, no `import` finds a file
 # with a hyphen, which Python would take instead of a library of the same name.

@@ -17,7 +17,7 @@ from deadtime.app.opening import Opening
 from deadtime.app.page import Page
 from deadtime.app.sessions import CHECK, LINGER, MOST, Sessions
 from deadtime.app.workers import Workers
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
 
 PORT = 5006
 _TRIED = 20  # ports, where none was asked for

@@ -10,10 +10,10 @@ from typing import Any
 from deadtime.app.documents import Document
 from deadtime.app.laws import Section
 from deadtime.app.switching import dwell_time_of, with_model
-from deadtime.errors import ArgumentError
-from deadtime.imperfection_registry import SWEPT
-from deadtime.law_registry import MODEL_KINDS
-from deadtime.sweeps.axes import AXES, Draft, axis_of
+from deadtime.base.errors import ArgumentError
+from deadtime.problems.imperfection_registry import SWEPT
+from deadtime.problems.law_registry import MODEL_KINDS
+from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Settings:
     Attributes
     ----------
     values : mapping
-        Parameters that were moved, by the names of `deadtime.sweeps.axes.AXES`, or by their
+        Parameters that were moved, by the names of `deadtime.scenarios.sweeps.axes.AXES`, or by their
         paths in the file, such as ``run.x0.0``.
     laws : tuple of str, or None
         Names of the laws that run; None: the file's.

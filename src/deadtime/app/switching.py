@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.sweeps.axes import Draft
-from deadtime.sweeps.sojourns import sojourn_section
+from deadtime.scenarios.sweeps.axes import Draft
+from deadtime.scenarios.sweeps.sojourns import sojourn_section
 
 _SHARE = 0.2  # of the delay, where a file says nothing that a dwell time could be read from
 

@@ -15,7 +15,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from deadtime.errors import ArgumentError, DeadtimeError
+from deadtime.base.errors import ArgumentError, DeadtimeError
 
 Job = Callable[..., Any]
 _MEMORY = 8 * 2**30  # bytes of addresses, of which libraries alone take two

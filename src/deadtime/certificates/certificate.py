@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.checks import count, index
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
 from deadtime.certificates.proof.statement import decay_rate, rounded_down, statement
-from deadtime.checks import count, index
-from deadtime.errors import ArgumentError
 
 
 @dataclass(frozen=True, eq=False, repr=False)

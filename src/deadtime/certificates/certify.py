@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.base.checks import count, instance, number, positive
+from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates.certificate import Certificate
 from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
 from deadtime.certificates.dwell.frame import WHOLE
@@ -24,9 +26,8 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import shortest
 from deadtime.certificates.unmoved import neutral, unmoved
-from deadtime.checks import count, instance, number, positive
-from deadtime.errors import ArgumentError, DeadtimeError
-from deadtime.laws.base import Law, TableLaw, require_match
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import GROWS, growth_rate
 
@@ -303,7 +304,7 @@ def _out_of_reach(
     if not isinstance(law, TableLaw):
         kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
         return f"{type(law).__name__} is no table but {kind}: no certificate of this kind."
-    from deadtime.laws.exact import ExactPredictor
+    from deadtime.laws import ExactPredictor
 
     if isinstance(law, ExactPredictor):
         return (

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from deadtime.checks import number
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import number
+from deadtime.base.errors import ArgumentError
 
 CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator round
 MOST_PERIODS = 100_000  # of a dwell time: more is a slip of units

@@ -11,16 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
+from deadtime.base.checks import count, instance, number, positive
+from deadtime.base.errors import DeadtimeError
+from deadtime.base.wording import counted
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
 from deadtime.certificates.proof.validate import malformed
-from deadtime.checks import count, instance, number, positive
-from deadtime.errors import DeadtimeError
-from deadtime.laws.base import Law, TableLaw
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
 from deadtime.plant import SwitchedSystem
-from deadtime.wording import counted
 
 SHOWN = 12  # digits of a digest
 FIRST = 4  # numbers of an array

@@ -6,18 +6,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deadtime.checks import positive
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import file_name
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
-from deadtime.errors import ArgumentError
-from deadtime.wording import file_name
 
 if TYPE_CHECKING:
-    from deadtime.asked import Given
-    from deadtime.certificate_table import Judged
     from deadtime.certificates import Verification
     from deadtime.problems import Problem
+    from deadtime.problems.asked import Given
+    from deadtime.reports.tables.certificates import Judged
 
 
 @app.command(
@@ -64,7 +64,7 @@ def certify(
     json_output
         Print the results as JSON instead of text.
     """
-    from deadtime.certificate_table import judge, judged_record
+    from deadtime.reports.tables.certificates import judge, judged_record
 
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
@@ -162,8 +162,8 @@ def verify(
 
 def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
     """The bracket of every law, or of one; 1 if that one has none."""
-    from deadtime.asked import step_of
-    from deadtime.certificates import least_dwell_time
+    from deadtime.margins import least_dwell_time
+    from deadtime.problems.asked import step_of
 
     period, names = step_of(problem), list(problem.laws) if law is None else [law]
     laws, found = [problem.law(name) for name in names], {}
@@ -191,7 +191,7 @@ def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> 
 
 
 def _seconds(value: float | None, up: bool = False) -> str:
-    from deadtime.certificates.margins.dwell_time import in_words
+    from deadtime.margins.dwell_time import in_words
 
     return (
         "–" if value is None else "any" if value == float("inf") else f"{in_words(value, up=up)} s"
@@ -204,7 +204,7 @@ def _with_step(problem: Problem, step: float | None) -> Problem:
 
 def _asked(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
     """The dwell time and the period that a problem asks about, in seconds."""
-    from deadtime.asked import dwell_time_of, step_of
+    from deadtime.problems.asked import dwell_time_of, step_of
 
     return dwell_time_of(problem, problem.signal, dwell_time), step_of(problem)
 
@@ -231,8 +231,8 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 def _print_judged(
     problem: Problem, judged: list[Judged], dwell: Given, step: float, in_full: bool
 ) -> None:
-    from deadtime.certificate_table import HEADINGS, LEGEND, judged_rows, judged_sentences
     from deadtime.cli.console import Terminal
+    from deadtime.reports.tables.certificates import HEADINGS, LEGEND, judged_rows, judged_sentences
 
     console = Terminal()
     console.print(problem.title, style="bold", markup=False)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import FILES, AsJson, Flag, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.errors import ArgumentError
 
 Shell = Literal["bash", "zsh", "fish"]
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from deadtime.checks import index, positive
+from deadtime.base.checks import index, positive
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, Folder, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_of
-from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from deadtime.design import Design
     from deadtime.problems import Problem
+    from deadtime.synthesis import Design
 
 Kind = Literal["averaged", "mean"]
 
@@ -72,10 +72,10 @@ def design(
         Print the result as JSON instead of text.
     """
     from deadtime import SwitchedSystem
-    from deadtime.asked import step_of
-    from deadtime.design import design as designed
-    from deadtime.design_plots import plot_designs
-    from deadtime.design_table import design_record, problem_sections
+    from deadtime.problems.asked import step_of
+    from deadtime.reports.figures.design import plot_designs
+    from deadtime.reports.tables.design import design_record, problem_sections
+    from deadtime.synthesis import design as designed
 
     chosen = problem_of(problem)
     plant, gains = chosen.plant, chosen.gains
@@ -122,7 +122,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
-    from deadtime.design_table import HEADINGS, LIMIT_HEADINGS, design_rows, limit_rows
+    from deadtime.reports.tables.design import HEADINGS, LIMIT_HEADINGS, design_rows, limit_rows
 
     print_heading(problem.title, [f"{found.message}\n"])
     print_table(HEADINGS, design_rows(found))

@@ -12,8 +12,8 @@ from typing import Annotated, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
-from deadtime.errors import DeadtimeError
-from deadtime.version import __version__
+from deadtime.base.errors import DeadtimeError
+from deadtime.base.version import __version__
 
 START = Group.create_ordered("Start")
 JUDGE = Group.create_ordered("Judge one loop")

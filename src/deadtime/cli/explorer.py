@@ -8,10 +8,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import START, AsJson, lines
 from deadtime.cli.entry import app as commands
 from deadtime.cli.printing import print_json
-from deadtime.errors import ArgumentError
 
 
 @commands.command(

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, app, lines
 from deadtime.cli.printing import print_json
 from deadtime.cli.problems import problem_of
-from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.controller import Controller
-    from deadtime.export import Exported, ExportedFmu
+    from deadtime.controller.export import Exported, ExportedFmu
     from deadtime.problems import Problem
 
 
@@ -78,7 +78,7 @@ def export(
     """
     if c is None and fmu is None and plant_fmu is None:
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
-    from deadtime.export import Names, Staging, export_c, export_fmu, export_plant_fmu
+    from deadtime.controller.export import Names, Staging, export_c, export_fmu, export_plant_fmu
 
     chosen = problem_of(problem)
     controller = _controller(chosen, law, step)
@@ -168,9 +168,9 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     """The controller of a law of the problem, within the limits of its inputs."""
     import numpy as np
 
-    from deadtime.asked import step_of
     from deadtime.controller import Controller
     from deadtime.imperfections import Limiting, Sizes
+    from deadtime.problems.asked import step_of
 
     name = next(iter(problem.laws)) if law is None else law
     chosen = problem.law(name)

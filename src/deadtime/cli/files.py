@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import FILES, START, AsJson, Flag, app, lines
 from deadtime.cli.printing import print_json
-from deadtime.errors import ArgumentError
 
 Name = Literal["paper", "three-mode", "follower"]
 
@@ -41,7 +41,7 @@ def init(
     json_output
         Print what was written as JSON instead of text.
     """
-    from deadtime.problem_file.named import template
+    from deadtime.problems.file.named import template
 
     if path.exists() and not force:
         raise ArgumentError(f"{path} exists: choose another name, or replace it with --force.")
@@ -70,6 +70,6 @@ def schema(*, json_output: AsJson = False) -> None:
     json_output
         Accepted, as everywhere; the schema is JSON in any case.
     """
-    from deadtime.problem_file import json_schema
+    from deadtime.problems.file import json_schema
 
     print_json(json_schema())

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Literal
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, COMPARE, AsJson, Folder, app, lines
 from deadtime.cli.printing import print_answers, print_json, print_table, save_figure
-from deadtime.errors import ArgumentError
 
 
 @app.command(
@@ -48,8 +48,8 @@ def fit(
     json_output
         Print the fit as JSON instead of text.
     """
-    from deadtime import fit_report
-    from deadtime.fit_plots import plot_fit
+    from deadtime.reports.figures.fit import plot_fit
+    from deadtime.reports.tables import fit as fit_report
     from deadtime.switching import SemiMarkov, SwitchingSignal
 
     if not logs:
@@ -104,9 +104,9 @@ def study(
         Print the findings as JSON instead of text.
     """
     from deadtime.cli.sweep import progress_of, with_scenarios
-    from deadtime.study import load_study
-    from deadtime.study.report import write_study
-    from deadtime.sweeps.plan import plan_of
+    from deadtime.reports.study.report import write_study
+    from deadtime.scenarios.sweeps import load_study
+    from deadtime.scenarios.sweeps.plan import plan_of
 
     chosen, command = load_study(file), f"deadtime study {file}"
     if scenarios is not None:

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deadtime.checks import positive
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_of
-from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from deadtime.asked import Given
-    from deadtime.monte_carlo_table import Summary
     from deadtime.problems import Problem
+    from deadtime.problems.asked import Given
+    from deadtime.reports.tables.monte_carlo import Summary
     from deadtime.switching import SemiMarkov, SwitchingSignal
 
 _DATA = (".nc", ".csv")
@@ -77,9 +77,9 @@ def monte_carlo(
     json_output
         Print the results as JSON instead of text.
     """
-    from deadtime.monte_carlo import monte_carlo as run
-    from deadtime.monte_carlo_plots import plot_monte_carlo
-    from deadtime.monte_carlo_table import summary
+    from deadtime.reports.figures.monte_carlo import plot_monte_carlo
+    from deadtime.reports.tables.monte_carlo import summary
+    from deadtime.scenarios import monte_carlo as run
 
     chosen = problem_of(problem)
     period = _period(chosen, step)
@@ -163,7 +163,7 @@ class Sojourn(NamedTuple):
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
     """Dwell time and mean sojourn, where the problem's plant is one that signals switch."""
-    from deadtime.asked import mean_sojourn_of
+    from deadtime.problems.asked import mean_sojourn_of
     from deadtime.switching import SwitchingSignal
 
     if problem.plant.modes == 1:
@@ -199,7 +199,7 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
 
 def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) -> Given:
     """The dwell time asked for, or the problem's."""
-    from deadtime.asked import dwell_time_of
+    from deadtime.problems.asked import dwell_time_of
 
     if dwell is None and problem.dwell_time is None and not math.isfinite(signal.dwell_time):
         raise ArgumentError(
@@ -235,7 +235,7 @@ def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
 
 def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary) -> None:
     """Heading, remarks and tables on the terminal."""
-    from deadtime.slips import slips_of
+    from deadtime.problems.slips import slips_of
 
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
     signals = "signal" if outcome.scenarios == 1 else "signals"

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, progress_bar, save_figure
-from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -131,7 +131,7 @@ def plot(
 
 def _open(store: str) -> xr.Dataset:
     """The store as a dataset, lazily."""
-    from deadtime.sweeps import open_sweep
+    from deadtime.scenarios.sweeps import open_sweep
 
     return open_sweep(store)
 
@@ -160,9 +160,9 @@ def _plan(
     held: dict[str, str],
 ) -> Plan:
     """What to draw; all that can be refused is refused here, before the store is read."""
-    from deadtime.sweep_plots import selection
-    from deadtime.sweep_plots.bands import panes
-    from deadtime.sweep_plots.heat import grid_for
+    from deadtime.reports.figures.sweeps import selection
+    from deadtime.reports.figures.sweeps.bands import panes
+    from deadtime.reports.figures.sweeps.heat import grid_for
 
     kept = selection.selected(data, metric, held)
     laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
@@ -208,10 +208,10 @@ def _written(plan: Plan, out: Path, single: bool, quiet: bool) -> list[Path]:
 
 def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
     """Figures with the names of their files, from one pass over the store."""
-    from deadtime.sweep_plots.bands import bands
-    from deadtime.sweep_plots.heat import heat, regret
-    from deadtime.sweep_plots.reduction import reduced
-    from deadtime.sweep_plots.wins import wins
+    from deadtime.reports.figures.sweeps.bands import bands
+    from deadtime.reports.figures.sweeps.heat import heat, regret
+    from deadtime.reports.figures.sweeps.reduction import reduced
+    from deadtime.reports.figures.sweeps.wins import wins
 
     metric, names = plan.metric, _file_names(plan.laws)
     found = reduced(plan.data, metric, plan.rivals, plan.oracle)
@@ -228,7 +228,7 @@ def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
 
 def _file_names(laws: Sequence[str]) -> dict[str, str]:
     """Laws in the names of files, no two the same."""
-    from deadtime.wording import file_name
+    from deadtime.base.wording import file_name
 
     names: dict[str, str] = {}
     for law in laws:

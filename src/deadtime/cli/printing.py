@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deadtime.comparison import Comparison
     from deadtime.problems import Problem
-    from deadtime.study.phrases import Answer
+    from deadtime.problems.comparison import Comparison
+    from deadtime.reports.study.phrases import Answer
 
 
 def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
@@ -54,7 +54,7 @@ def print_heading(title: str, sentences: Iterable[str] = ()) -> None:
 
 
 def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
-    from deadtime.verdict import HEADINGS, table
+    from deadtime.reports.verdict import HEADINGS, table
 
     print_heading(problem.title, sentences)
     print()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 def problem_of(place: Path) -> Problem:
     """A named problem, or one from a file."""
-    from deadtime.problem_file import load_problem
-    from deadtime.problem_file.named import is_named
-    from deadtime.problems import NAMED
+    from deadtime.problems.file import load_problem
+    from deadtime.problems.file.named import is_named
+    from deadtime.problems.problem import NAMED
 
     return NAMED[str(place)]() if is_named(place) else load_problem(place)
 
@@ -27,7 +27,7 @@ def problem_with(
 
     It is built anew: signals reach as far as the run, observers have its period.
     """
-    from deadtime.problem_file.load import problem_with_run
+    from deadtime.problems.file.load import problem_with_run
 
     run: dict[str, Any] = {"step": step, "horizon": horizon}
     run["x0"] = None if x0 is None else _numbers("x0", x0)

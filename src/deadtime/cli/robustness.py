@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.checks import positive
+from deadtime.base.checks import positive
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
-    from deadtime.robustness import Robustness, Tolerance
+    from deadtime.margins import Robustness, Tolerance
 
 
 @app.command(
@@ -50,11 +50,11 @@ def robustness(
     json_output
         Print the results as JSON instead of text.
     """
-    from deadtime.asked import step_of
-    from deadtime.robustness.assess import STEPS
-    from deadtime.robustness.assess import robustness as assess
-    from deadtime.robustness_plots import plot_robustness
-    from deadtime.slips import slips_of
+    from deadtime.margins import robustness as assess
+    from deadtime.margins.robustness.assess import STEPS
+    from deadtime.problems.asked import step_of
+    from deadtime.problems.slips import slips_of
+    from deadtime.reports.figures.robustness import plot_robustness
 
     chosen = problem_of(problem)
     name = next(iter(chosen.laws)) if law is None else law
@@ -91,7 +91,7 @@ def robustness(
 
 def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
     """The figures for JSON, which knows no infinity: null where there is one."""
-    from deadtime.wording import finite_or_none
+    from deadtime.base.wording import finite_or_none
 
     delay, gain, noise = result.delay, result.gain, result.noise
     return {

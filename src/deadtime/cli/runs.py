@@ -14,8 +14,8 @@ from deadtime.cli.printing import print_json, print_result, progress_bar, save_f
 from deadtime.cli.problems import problem_of, problem_with
 
 if TYPE_CHECKING:
-    from deadtime.comparison import Comparison
     from deadtime.problems import Problem
+    from deadtime.problems.comparison import Comparison
 
 
 @app.command(
@@ -46,7 +46,7 @@ def reproduce(
     json_output
         Print the metrics as JSON instead of text.
     """
-    from deadtime.report import steps_of, write_report
+    from deadtime.reports.report import steps_of, write_report
 
     chosen = problem_of(problem)
     command = f"deadtime reproduce {problem}" + ("" if certificates else " --no-certificates")
@@ -97,10 +97,10 @@ def simulate(
     json_output
         Print the metrics as JSON instead of text.
     """
-    from deadtime.certificate_table import delay_sentence
-    from deadtime.comparison import compare
-    from deadtime.report import metrics_of
-    from deadtime.verdict import verdict
+    from deadtime.problems.comparison import compare
+    from deadtime.reports.report import metrics_of
+    from deadtime.reports.tables.certificates import delay_sentence
+    from deadtime.reports.verdict import verdict
 
     chosen = problem_with(problem, step, horizon, x0)
     if law is not None:
@@ -124,7 +124,7 @@ def _picture(problem: Problem, out: Path | None) -> Path:
 
 def _save_figures(result: Comparison, path: Path) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
-    from deadtime import plotting
+    from deadtime.reports.figures import plotting
 
     problem = result.problem
     run = result.runs[result.lead]

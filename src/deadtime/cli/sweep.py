@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, Flag, app, lines
 from deadtime.cli.printing import on_terminal, print_heading, print_json
-from deadtime.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from deadtime.sweeps import FileStudy, Progress
-    from deadtime.sweeps.plan import Plan
+    from deadtime.scenarios.sweeps import FileStudy, Progress
+    from deadtime.scenarios.sweeps.plan import Plan
 
 _EVERY = 10.0  # seconds between lines about a cluster's progress
 
@@ -67,10 +67,10 @@ def sweep(
     json_output
         Print the result as JSON instead of text.
     """
-    from deadtime.checks import count
-    from deadtime.sweeps import load_study
-    from deadtime.sweeps import sweep as run
-    from deadtime.sweeps.plan import plan_of
+    from deadtime.base.checks import count
+    from deadtime.scenarios.sweeps import load_study
+    from deadtime.scenarios.sweeps import sweep as run
+    from deadtime.scenarios.sweeps.plan import plan_of
 
     chosen = load_study(file)
     if scenarios is not None:
@@ -114,14 +114,14 @@ def sweep(
 
 def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
     """The study with another number of signals per cell."""
-    from deadtime.checks import count
+    from deadtime.base.checks import count
 
     return dataclasses.replace(study, scenarios=count("scenarios", scenarios))
 
 
 def _verified(place: str) -> list[str]:
     """What of the store is damaged, now absent; coordinates are written anew."""
-    from deadtime.sweeps.store import open_store, place_of
+    from deadtime.scenarios.sweeps.store import open_store, place_of
 
     target = open_store(place_of(place))
     found = [f"the values of {name} were damaged" for name in target.restore_coordinates()]

@@ -33,8 +33,13 @@ def bound(
     json_output
         Print the constants as JSON instead of a table.
     """
-    from deadtime.asked import dwell_time_of
-    from deadtime.constants_table import bound_rows, bound_sentence, bounds_of, bounds_record
+    from deadtime.problems.asked import dwell_time_of
+    from deadtime.reports.tables.constants import (
+        bound_rows,
+        bound_sentence,
+        bounds_of,
+        bounds_record,
+    )
 
     chosen = problem_of(problem)
     dwell, source = dwell_time_of(chosen, chosen.signal, dwell_time)

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, bound, count
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import as_floats, bound, count
+from deadtime.base.errors import ArgumentError
 
 
 def limits_of(

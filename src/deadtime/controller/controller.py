@@ -9,19 +9,20 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, instance, positive
+from deadtime.base.checks import count, instance, positive
+from deadtime.base.errors import ArgumentError
 from deadtime.controller.arguments import limits_of, require_state, vector
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.controller.status import Clock, Status
-from deadtime.errors import ArgumentError
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
 from deadtime.laws import ExactPredictor
-from deadtime.laws.base import Law, TableLaw
-from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 if TYPE_CHECKING:
-    from deadtime.export import Exported, ExportedFmu, Names
+    from deadtime.controller.export import Exported, ExportedFmu, Names
 
 
 class Controller:
@@ -323,7 +324,7 @@ class Controller:
             Bytes that the tables may take.
         name : str
             Of the files, and the prefix of all names in them.
-        names : deadtime.export.Names, optional
+        names : deadtime.controller.export.Names, optional
             Of the law, its states and modes, for the header's comment.
 
         Raises
@@ -332,7 +333,7 @@ class Controller:
             If the folder cannot be written, the tables exceed the budget (it says what fits), or
             the law measures outputs: observers have no C.
         """
-        from deadtime.export import export_c
+        from deadtime.controller.export import export_c
 
         return export_c(
             self,
@@ -376,7 +377,7 @@ class Controller:
         ArgumentError
             If the file cannot be written, or the law measures outputs.
         """
-        from deadtime.export import export_fmu
+        from deadtime.controller.export import export_fmu
 
         return export_fmu(
             self,

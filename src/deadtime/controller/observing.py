@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, shaped
-from deadtime.errors import ArgumentError
-from deadtime.output_feedback import OutputFeedback
+from deadtime.base.checks import as_floats, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.estimation import OutputFeedback
 
 
 class Observing:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
 
 _MOST = 100_000  # periods that a call may be ahead of the last one
 

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, bound, not_nan
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import as_floats, bound, not_nan
+from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import ActuatorImperfection, Limiting, Limits, Sizes, per_signal
 
 

@@ -9,9 +9,9 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, instance, number, real_array, shaped
-from deadtime.errors import ArgumentError
-from deadtime.frozen import Frozen
+from deadtime.base.checks import as_floats, instance, number, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
 

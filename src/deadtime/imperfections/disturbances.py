@@ -15,11 +15,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, number, read_only, real_array, shaped
-from deadtime.covariance import noise_covariance, square_root, transition
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import as_floats, number, read_only, real_array, shaped
+from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
-from deadtime.steps import snap
+from deadtime.numerics.covariance import noise_covariance, square_root, transition
+from deadtime.plant.steps import snap
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class StepDisturbance(Disturbance):
         return active
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        from deadtime.exponential import held
+        from deadtime.numerics.exponential import held
 
         name = "StepDisturbance.force"
         force = real_array(name, self.force, "(n,)", 1)

@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import count
+from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import (
     Additive,
     Draw,

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from deadtime.checks import positive
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Lag, Sizes, TimingImperfection
 
 

@@ -6,7 +6,6 @@ Every law is the expectation of the exact predictor feedback under its forecast,
 """
 
 from deadtime.laws.averaged import AveragedPredictor
-from deadtime.laws.base import Law
 from deadtime.laws.delayed import DelayedStateFeedback
 from deadtime.laws.exact import ExactPredictor
 from deadtime.laws.expected import ExpectedPredictor
@@ -21,7 +20,6 @@ __all__ = [
     "DelayedStateFeedback",
     "ExactPredictor",
     "ExpectedPredictor",
-    "Law",
     "LowPassPredictor",
     "MeanPredictor",
     "OptimalPredictor",

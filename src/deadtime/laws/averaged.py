@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import real_array, shaped
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_dwell_time, checked_gains, remembered
+from deadtime.base.checks import real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback.law import TableLaw, checked_dwell_time, checked_gains, remembered
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -160,10 +159,10 @@ class AveragedPredictor(TableLaw):
     ) -> Feedback:
         plant, window = self.plant, self.window(step)
         if self.dwell_time is not None:
-            from deadtime.laws.dwelling import dwelling_table
+            from deadtime.laws.tables.dwell_time import dwelling_table
 
             return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, window)
-        from deadtime.laws.frozen import frozen_table
+        from deadtime.laws.tables.constant_mode import frozen_table
 
         return frozen_table(plant.A, plant.B, self.gains, self.weights, window)
 

@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains
+from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback.law import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

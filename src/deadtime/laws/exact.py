@@ -8,13 +8,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains
+from deadtime.base.checks import count
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback.law import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
-from deadtime.steps import Cuts, modes_at
+from deadtime.plant.steps import Cuts, modes_at
 from deadtime.switching import SwitchingSignal
 
 
@@ -92,7 +91,7 @@ class ExactPredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        from deadtime.laws.future import future_rows
+        from deadtime.laws.tables.known_signal import future_rows
 
         window = self.window(step)
         plant = self.plant

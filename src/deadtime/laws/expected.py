@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains, remembered, require_room, room
+from deadtime.base.checks import count
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback.law import TableLaw, checked_gains, remembered, require_room, room
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
 
@@ -106,10 +105,10 @@ class ExpectedPredictor(TableLaw):
     ) -> Feedback:
         plant, model, window = self.plant, self.model, self.window(step)
         if isinstance(model, Markov):
-            from deadtime.laws.markov_table import markov_table
+            from deadtime.laws.tables.markov import markov_table
 
             return markov_table(plant.A, plant.B, self.gains, model.generator, window)
-        from deadtime.laws.semi_markov_table import semi_markov_table
+        from deadtime.laws.tables.semi_markov import semi_markov_table
 
         most = room(8 * plant.modes * window.count * plant.inputs**2)
         ages = table_ages(model, window.step, self.ages, most)
@@ -125,7 +124,7 @@ class ExpectedPredictor(TableLaw):
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
                 "under a SemiMarkov model."
             )
-        from deadtime.laws.markov_table import markov_forecast
+        from deadtime.laws.tables.markov import markov_forecast
 
         forecast = markov_forecast(
             plant.A, plant.B, self.gains, model.generator, plant.delay, signal

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import instance, real_array, unmasked
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Factor, Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, TableLaw
+from deadtime.base.checks import instance, real_array, unmasked
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Factor, Feedback, Forecast, Law
+from deadtime.feedback.law import TableLaw
 from deadtime.switching import SwitchingSignal
 
 

@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import positive
-from deadtime.errors import InfeasibleError
+from deadtime.base.checks import positive
+from deadtime.base.errors import InfeasibleError
+from deadtime.feedback.law import checked_gains
 from deadtime.laws.averaged import AveragedPredictor
-from deadtime.laws.base import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop
 

@@ -8,15 +8,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, index, read_only, real_array, shaped
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.gains import weight_matrix
-from deadtime.laws.base import TableLaw, require_room, room
+from deadtime.base.checks import count, index, read_only, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback.law import TableLaw, require_room, room
+from deadtime.gains.state_feedback import weight_matrix
 from deadtime.laws.expected import require_model, table_ages
-from deadtime.plant import SwitchedSystem
-from deadtime.steps import Window
+from deadtime.plant import SwitchedSystem, Window
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
 
 MOST_MEMORY = 4e9
@@ -154,7 +152,7 @@ class OptimalPredictor(TableLaw):
         return kept
 
     def _solve(self, window: Window) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
-        from deadtime.laws.riccati import period, solve
+        from deadtime.laws.tables.riccati import period, solve
 
         plant, h, N = self.plant, window.step, window.count
         modes, n, m = plant.B.shape

@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import index
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import TableLaw, checked_gains
+from deadtime.base.checks import index
+from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback.law import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -64,7 +63,7 @@ class SingleModePredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        from deadtime.laws.frozen import frozen_table
+        from deadtime.laws.tables.constant_mode import frozen_table
 
         one = slice(self.mode, self.mode + 1)
         plant = self.plant

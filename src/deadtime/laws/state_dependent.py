@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.errors import ArgumentError, ChatteringError
-from deadtime.feedback import Feedback
-from deadtime.forecast import Forecast
-from deadtime.laws.base import Law, Update, checked_gains
+from deadtime.base.errors import ArgumentError, ChatteringError
+from deadtime.feedback import Feedback, Forecast, Law
+from deadtime.feedback.law import Update, checked_gains
 from deadtime.plant import SwitchedSystem
-from deadtime.steps import TOLERANCE
-from deadtime.switching import SwitchingSignal
-from deadtime.switching.motion import Beside, Motion
-from deadtime.switching.rules import Rule, as_rule
+from deadtime.plant.steps import TOLERANCE
+from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching.rules.motion import Beside, Motion
+from deadtime.switching.rules.rule import as_rule
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

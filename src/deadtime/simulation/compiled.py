@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.checks import read_only
+from deadtime.base.checks import read_only
 from deadtime.imperfections import Additive, Imperfection, Limiting, Sizes
 from deadtime.simulation.imperfect import tells_commands
 

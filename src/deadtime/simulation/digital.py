@@ -8,18 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.checks import read_only
-from deadtime.feedback import Feedback
+from deadtime.base.checks import read_only
+from deadtime.feedback import Feedback, Law
 from deadtime.imperfections import Disturbance, Sizes
-from deadtime.laws.base import Law
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.steps import Cuts, modes_at, snap
 from deadtime.simulation.compiled import Arrays
 from deadtime.simulation.forcing import Forcing
-from deadtime.simulation.ideal import IdealRecord
+from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.simulation.record import DigitalRecord, PhaseTable
-from deadtime.steps import Cuts, Window, modes_at, snap
 from deadtime.switching import SwitchingSignal
 
 ModeAt = Callable[[np.ndarray], np.ndarray]

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.checks import read_only
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import read_only
+from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.steps import Cuts
 from deadtime.simulation.record import PhaseTable
-from deadtime.steps import Cuts, Window
 
 _SINGULAR = 1e-8  # of a phase
 
@@ -80,7 +80,7 @@ class Forcing:
         self, pieces: list[tuple[np.ndarray, float]]
     ) -> tuple[list[np.ndarray], np.ndarray]:
         """How each disturbance's numbers become ξ over these pieces, and Γ_I⁻¹."""
-        from deadtime.exponential import held, multiply
+        from deadtime.numerics.exponential import held, multiply
 
         n = self._plant.states
         Gamma = np.zeros((n, n))

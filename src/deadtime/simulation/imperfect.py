@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback.law import Remembering, Update
 from deadtime.imperfections import (
     ActuatorImperfection,
     Imperfection,
@@ -16,7 +17,6 @@ from deadtime.imperfections import (
     Sizes,
     TimingImperfection,
 )
-from deadtime.laws.base import Remembering, Update
 from deadtime.plant import SwitchedSystem
 
 Lags = Callable[[], tuple[float, float]]

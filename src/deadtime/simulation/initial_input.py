@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.checks import real_array, shaped, unmasked
-from deadtime.errors import ArgumentError
-from deadtime.frozen import Frozen
-from deadtime.simulation.collocation import Nodes, gauss
+from deadtime.base.checks import real_array, shaped, unmasked
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.numerics.collocation import Nodes, gauss
 
 _TOLERANCE = 1e-12
 _MOST_PIECES = 2000

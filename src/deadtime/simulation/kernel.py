@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.exponential import advance, between, energy_between, energy_gramian
+from deadtime.numerics.exponential import advance, between, energy_between, energy_gramian
 
 LIMIT = 1e100
 

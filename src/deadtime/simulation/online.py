@@ -13,18 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.checks import read_only
-from deadtime.errors import ChatteringError
-from deadtime.laws.base import Law, Update
+from deadtime.base.checks import read_only
+from deadtime.base.errors import ChatteringError
+from deadtime.feedback import Law
+from deadtime.feedback.law import Update
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.steps import modes_at, snap
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw, Lags
 from deadtime.simulation.record import DigitalRecord, PhaseTable
 from deadtime.simulation.slides import told
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
-from deadtime.steps import modes_at, snap
-from deadtime.switching import SwitchingSignal
-from deadtime.switching.rules import Rule
+from deadtime.switching import Rule, SwitchingSignal
 
 
 class _Stop(NamedTuple):

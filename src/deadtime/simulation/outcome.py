@@ -17,11 +17,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.wording import amount
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
 from deadtime.imperfections import Additive, Disturbance, Imperfection
-from deadtime.laws.base import Law
-from deadtime.output_feedback import OutputFeedback
 from deadtime.simulation.trajectory import Trajectory
-from deadtime.wording import amount
 
 SETTLED = 0.02  # of the largest distance from where a run comes to rest
 _TAIL = 0.1  # of a run: within it a run at rest stays settled

@@ -9,16 +9,16 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.checks import read_only
-from deadtime.frozen import Frozen
-from deadtime.plant import SwitchedSystem
+from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.steps import Cuts, snap_all
 from deadtime.simulation.slides import Slides
-from deadtime.steps import Cuts, Window, snap_all
 
 
 @dataclass(frozen=True, eq=False)
 class PhaseTable(Frozen):
-    """The transitions of the steps of a run, as `deadtime.exponential.phases` returns them."""
+    """The transitions of the steps of a run, as `deadtime.numerics.exponential.phases` returns them."""
 
     index: Int[np.ndarray, "step 2"]
     Phi: Float[np.ndarray, "entry n n"]
@@ -30,7 +30,7 @@ class PhaseTable(Frozen):
     @classmethod
     def of(cls, plant: SwitchedSystem, window: Window, cuts: Cuts, total: int) -> PhaseTable:
         """The table of the steps 0, …, total − 1."""
-        from deadtime.exponential import phases
+        from deadtime.numerics.exponential import phases
 
         return cls(
             *phases(
@@ -204,7 +204,7 @@ class DigitalRecord(Frozen):
 
     def _within_step(self, k: int, end: float) -> float:
         """∫|x|² over [t_k, t_k + end], end < h."""
-        from deadtime.exponential import energy_between
+        from deadtime.numerics.exponential import energy_between
 
         if self.slides is not None and k in self.slides.steps:
             return self._within_slide(k, end)

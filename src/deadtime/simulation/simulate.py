@@ -8,22 +8,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.checks import count, instance, positive, real_array, shaped
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import count, instance, positive, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw, require_match
 from deadtime.imperfections import Disturbance, Imperfection, Sizes, streams
-from deadtime.laws.base import Law, TableLaw, require_match
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.steps import TOLERANCE
 from deadtime.simulation.compiled import Arrays, Pairs, takes
 from deadtime.simulation.digital import Drawn, Grid, Outcome, run_table
-from deadtime.simulation.ideal import run_ideal
-from deadtime.simulation.ideal_rule import run_ideal_rule
+from deadtime.simulation.ideal.rule import run_ideal_rule
+from deadtime.simulation.ideal.run import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
 from deadtime.simulation.trajectory import Trajectory, trajectory_of
-from deadtime.steps import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
-from deadtime.switching.rules import as_rule
+from deadtime.switching.rules.rule import as_rule
 
 _MOST_SAMPLES = 1e8
 

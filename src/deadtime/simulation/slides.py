@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.simulation.collocation import gauss
-from deadtime.switching.motion import Leg, Motion
+from deadtime.numerics.collocation import gauss
+from deadtime.switching.rules.motion import Leg, Motion
 
 _NODES = 10
 _JOINED = 1e-6  # of a step: slides that close are one

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.checks import read_only
-from deadtime.frozen import Frozen
+from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.ideal import IdealRecord
+from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
 from deadtime.switching import SwitchingSignal
@@ -131,7 +131,7 @@ class Trajectory(Frozen):
 
         A run that ended before the first of the `times` asked for is drawn at its samples.
         """
-        from deadtime.plotting import plot_run
+        from deadtime.reports.figures.plotting import plot_run
 
         if self.time.size:
             return plot_run(self, title)

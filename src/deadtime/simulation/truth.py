@@ -6,17 +6,16 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from deadtime.checks import read_only
-from deadtime.errors import ArgumentError
-from deadtime.plant import SwitchedSystem
+from deadtime.base.checks import read_only
+from deadtime.base.errors import ArgumentError
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.steps import TOLERANCE, Cuts, modes_at, snap
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.record import PhaseTable
 from deadtime.simulation.slides import Part, Slides
-from deadtime.steps import TOLERANCE, Cuts, Window, modes_at, snap
-from deadtime.switching import SwitchingSignal
-from deadtime.switching.motion import Beside, Chatter, Leg
-from deadtime.switching.rules import Rule
+from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching.rules.motion import Beside, Chatter, Leg
 
 _SAME = 1e-10  # of a step: switches that close are one
 _FAR = 1e200  # a diverged run is only moved on, whatever the rule says
@@ -85,7 +84,7 @@ class KnownTruth(Truth):
         return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[k, phase]
 
     def within(self, k: int, offset: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        from deadtime.exponential import between
+        from deadtime.numerics.exponential import between
 
         A, B, cuts, phase = self._plant.A, self._plant.B, self._cuts, self._window.phase
         if self.forces is not None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from deadtime.checks import index, instance
-from deadtime.errors import ArgumentError
-from deadtime.laws.base import Law, require_match
-from deadtime.laws.exact import ExactPredictor
-from deadtime.laws.low_pass import LowPassPredictor
+from deadtime.base.checks import index, instance
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
+from deadtime.feedback.law import require_match
+from deadtime.laws import ExactPredictor, LowPassPredictor
 from deadtime.plant import SwitchedSystem
 
 

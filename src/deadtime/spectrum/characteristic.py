@@ -43,9 +43,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.checks import count as checked_count
-from deadtime.frozen import Frozen
-from deadtime.laws.base import Law
+from deadtime.base.checks import count as checked_count
+from deadtime.base.frozen import Frozen
+from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import checked_mode
 from deadtime.spectrum.ideal import IdealLoop

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.exponential import ROUND_OFF, balance, held, multiply, norm
+from deadtime.numerics.exponential import ROUND_OFF, balance, held, multiply, norm
 
 _SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
-from deadtime.sampled import held_pair
+from deadtime.plant.discretisation import held_pair
 from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.response import Response

@@ -13,7 +13,7 @@ p(t) p(−t) = q(t²), squares all eigenvalues. After k steps, e_i those of λ^(
 the first because no product is larger than ρ^i, the second is Fujiwara's bound. So the two close
 like 2^−k, whatever the eigenvectors: multiple eigenvalues lose nothing. Everything is computed in
 ball arithmetic (Arb) from the numbers as stored, binary64, exponentials included; the delay is
-(N − 1) h + φ with the stored h and φ of `deadtime.steps.Window`.
+(N − 1) h + φ with the stored h and φ of `deadtime.plant.steps.Window`.
 
 References: M. Fujiwara, Tohoku Math. J. 10 (1916) 167–171; V. Pan, SIAM Review 39 (1997) 187–220
 (Graeffe's iteration).
@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.feedback import Feedback
-from deadtime.plant import SwitchedSystem
-from deadtime.sampled_plant import SampledPlant
+from deadtime.plant import SampledPlant, SwitchedSystem
 
 BITS = (256, 512, 1024, 2048)
 NARROW = 1e-11  # 1/s, relative above a rate of 1: bounds closer than this are close enough
@@ -73,7 +72,7 @@ def exact_held(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, Any]:
 
 
 def _period(plant: SwitchedSystem, step: float, mode: int) -> tuple[Any, dict[int, Any]]:
-    """Balls of Φ, and of Γ by lag, over a period of one mode; see `deadtime.sampled_plant`."""
+    """Balls of Φ, and of Γ by lag, over a period of one mode; see `deadtime.plant.sampled_plant`."""
     from flint import arb, arb_mat
 
     n, m = plant.B.shape[1:]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from deadtime.checks import instance, positive
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.laws.base import Law, TableLaw
-from deadtime.output_feedback import OutputFeedback
+from deadtime.base.checks import instance, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Feedback, Law
+from deadtime.feedback.law import TableLaw
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import checked_mode
 from deadtime.spectrum.lifted import LiftedLoop, aged_row

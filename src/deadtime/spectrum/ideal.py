@@ -1,6 +1,6 @@
 """The ideal loop of one mode for ever, as a characteristic matrix.
 
-A law updated continuously is a sum over branches (`deadtime.forecast`). While one mode lasts for
+A law updated continuously is a sum over branches (`deadtime.feedback.forecast`). While one mode lasts for
 ever each branch stays in one system, and all together are one frozen system (S, R), the
 branches' A and B stacked, that starts from L x(t) and is read by K, the branches' gains side by
 side:
@@ -22,9 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.errors import ArgumentError
-from deadtime.forecast import Forecast
-from deadtime.laws.base import Law
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Forecast, Law
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -76,7 +75,7 @@ class IdealLoop:
 
         Raises `ArgumentError` if the law has no closed form in continuous time.
         """
-        from deadtime.exponential import balance, held
+        from deadtime.numerics.exponential import balance, held
 
         A, B = plant.A[mode], plant.B[mode]
         forecast = law.ideal(SwitchingSignal.constant(mode), 0.0)
@@ -199,7 +198,7 @@ def weights(
     K: np.ndarray, S: np.ndarray, R: np.ndarray, lead: float, rate: float
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node m m"]]:
     """τ_j and the taps that integrate w(τ) = K e^{Sτ} R against functions of a rate in 1/s."""
-    from deadtime.exponential import held
+    from deadtime.numerics.exponential import held
 
     if lead == 0.0:
         return np.empty(0), np.empty((0, R.shape[1], R.shape[1]))

@@ -8,7 +8,7 @@ W the longer of the plant's longest lag N and the law's taps:
 
     u_k = F x_k + Σ_j G_j u_{k−j},    x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},
 
-l over the lags of the plant's period (`deadtime.sampled_plant`). The rest of z is shifted. The
+l over the lags of the plant's period (`deadtime.plant.sampled_plant`). The rest of z is shifted. The
 law's row comes from its own model, which need not be the plant.
 """
 
@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.checks import index
+from deadtime.base.checks import index
 from deadtime.feedback import Feedback
-from deadtime.plant import SwitchedSystem
-from deadtime.sampled_plant import Period, SampledPlant
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.sampled_plant import Period
 from deadtime.spectrum.input_units import in_units, units_of
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
+from deadtime.numerics.small_matrices import inverses
 from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.small_matrices import inverses
 
 _STEPS, _CIRCLE = 40, 8
 _CONVERGED = 1e-6  # relative: of a multiple root half of the digits are lost

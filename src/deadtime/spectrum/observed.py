@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback
-from deadtime.output_feedback import OutputFeedback
-from deadtime.plant import SwitchedSystem
-from deadtime.sampled_plant import Period, SampledPlant
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.sampled_plant import Period
 from deadtime.spectrum.lifted import LiftedLoop
 
 

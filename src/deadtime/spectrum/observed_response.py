@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.feedback import Feedback
-from deadtime.laws.base import Law
-from deadtime.output_feedback import OutputFeedback
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Feedback, Law
 from deadtime.plant import SwitchedSystem
-from deadtime.sampled_plant import Period
+from deadtime.plant.sampled_plant import Period
 from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.spectrum.small_matrices import inverses, traces
+from deadtime.numerics.small_matrices import inverses, traces
 
 
 class Samples(NamedTuple):

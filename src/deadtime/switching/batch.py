@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.checks import read_only, shaped, unmasked
-from deadtime.errors import ArgumentError
-from deadtime.frozen import Frozen
+from deadtime.base.checks import read_only, shaped, unmasked
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 from deadtime.switching.signal import SwitchingSignal
 
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.errors import ArgumentError
+from deadtime.base.errors import ArgumentError
+from deadtime.base.text_files import read_text
 from deadtime.switching.signal import SwitchingSignal
-from deadtime.text_files import read_text
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.checks import count, positive
-from deadtime.errors import ArgumentError
+from deadtime.base.checks import count, positive
+from deadtime.base.errors import ArgumentError
 from deadtime.switching.signal import MOST_SWITCHES, SwitchingSignal
 
 BLOCK = 64

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.checks import as_floats, brief, number, positive, real_array
-from deadtime.errors import ArgumentError
-from deadtime.frozen import Frozen
+from deadtime.base.checks import as_floats, brief, number, positive, real_array
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 
 MOST_SWITCHES = 1e7
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.lmi import library
+from deadtime.numerics.lmi import library
 
 
 def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

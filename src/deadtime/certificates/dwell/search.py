@@ -10,12 +10,7 @@ import numpy as np
 from deadtime.certificates.dwell.centre import Model
 from deadtime.certificates.dwell.extension import extended
 from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
-from deadtime.certificates.dwell.response import (
-    Response,
-    fine_frequencies,
-    frequencies,
-    response,
-)
+from deadtime.certificates.dwell.response import Response, fine_frequencies, frequencies, response
 from deadtime.certificates.dwell.riccati import solve_riccati
 from deadtime.certificates.proof import Check, Evidence, check
 from deadtime.certificates.proof.evidence import Setting

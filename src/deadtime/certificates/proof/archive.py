@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.base.errors import CertificateFileError
+from deadtime.base.text_files import read_text
+from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
-from deadtime.errors import CertificateFileError
-from deadtime.text_files import read_text
-from deadtime.version import __version__
 
 FORMAT = "deadtime certificate 2"
 HINTS = ("E", "row", "R", "T", "F")  # of the centre

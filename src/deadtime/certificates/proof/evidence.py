@@ -30,13 +30,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.frozen import Frozen
 from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transitions, interpolation
-from deadtime.frozen import Frozen
 
 if TYPE_CHECKING:
-    from deadtime.feedback import Context
+    from deadtime.feedback.table import Context
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.frozen import Frozen
-from deadtime.steps import Window
+from deadtime.base.frozen import Frozen
+from deadtime.plant import Window
 
 ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
 

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.covering import Covering, Form
 from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Stretch
-from deadtime.errors import ArgumentError
-from deadtime.frozen import Frozen
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from deadtime.feedback import Context, row_of
+from deadtime.feedback.table import Context, row_of
 
 READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
 

@@ -15,13 +15,13 @@ from itertools import chain, islice
 import numpy as np
 from jaxtyping import Int
 
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.products import Sojourns, compressed
 from deadtime.certificates.worst_case.search import LETTERS, branch_and_bound
 from deadtime.certificates.worst_case.words import Word, climbed
-from deadtime.errors import ArgumentError
 
 LENGTHS = 200  # of sojourns that the compressed loop knows
 DELAYS = 8  # the longest of them, at least

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.steps import snap
+from deadtime.plant.steps import snap
 from deadtime.switching import SwitchingSignal
 
 INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off

@@ -6,17 +6,17 @@ import math
 
 import numpy as np
 
+from deadtime.base.checks import count, instance, positive
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.selection import Rated, improved, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
-from deadtime.checks import count, instance, positive
-from deadtime.errors import ArgumentError
-from deadtime.feedback import Feedback
-from deadtime.laws import ExactPredictor, Law
-from deadtime.laws.base import TableLaw, require_match
+from deadtime.feedback import Feedback, Law
+from deadtime.feedback.law import TableLaw, require_match
+from deadtime.laws import ExactPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import aged_row, constant_growth
 from deadtime.switching import SwitchingSignal

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.instants import COARSE, polished, refined
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
-from deadtime.errors import ArgumentError
 
 TRIED = 12  # cycles evaluated on the loop itself
 POLISHED = 3  # of them, cycles whose switches leave the grid

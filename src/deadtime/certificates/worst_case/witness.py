@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.checks import count
+from deadtime.base.frozen import Frozen
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
-from deadtime.checks import count
-from deadtime.frozen import Frozen
-from deadtime.laws.base import Law
+from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal

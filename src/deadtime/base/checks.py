@@ -1,0 +1,207 @@
+"""Validation at the edge: each function returns a clean value or raises ArgumentError."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+_FILL = "fill them (.filled) or leave them out (.compressed)"
+_WHAT = {
+    "c": " Pass its .real if the imaginary part is round-off.",
+    "U": " Convert text with float.",
+}
+_LONG = 200  # letters of a value in a message
+
+
+def number(name: str, value: object) -> float:
+    """A finite real number."""
+    if isinstance(value, (str, bytes)):  # float would read some of them, and comparisons none
+        raise ArgumentError(
+            f"{name} must be a number, got {brief(value)}, a {type(value).__name__}: pass it "
+            "without quotes, or convert it with float."
+        )
+    if isinstance(value, np.ndarray):  # float would read arrays of one entry, and masked ones
+        if np.ma.is_masked(value):
+            raise ArgumentError(f"{name} must be a number, got a masked one: {_FILL}.")
+        if value.ndim:
+            raise ArgumentError(f"{name} must be one number, got an array of shape {value.shape}.")
+    if isinstance(value, (complex, np.complexfloating)):
+        raise ArgumentError(f"{name} must be a real number, got {brief(value)}.{_WHAT['c']}")
+    try:
+        result = float(value)  # pyright: ignore[reportArgumentType]
+    except OverflowError:
+        raise ArgumentError(f"{name} must be below 1.8e308 in size, got {brief(value)}.") from None
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            f"{name} must be a number, got {brief(value)}, a {type(value).__name__}."
+        ) from None
+    if not math.isfinite(result):
+        raise ArgumentError(f"{name} must be finite, got {_as_given(value, result)}.")
+    return result
+
+
+def positive(name: str, value: object, unit: str = "s") -> float:
+    """A finite number above zero."""
+    result = number(name, value)
+    if result <= 0.0:
+        raise ArgumentError(f"{name} must be positive, in {unit}, got {result:g}.")
+    return result
+
+
+def index(name: str, value: object, count: int) -> int:
+    """An integer in 0, …, count − 1."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise ArgumentError(f"{name} must be an integer in 0..{count - 1}, got {brief(value)}.")
+    if not 0 <= value < count:
+        raise ArgumentError(
+            f"{name} must be in 0..{count - 1}, got {brief(value)}: modes count from 0."
+        )
+    return int(value)
+
+
+def instance(name: str, value: object, kind: type) -> None:
+    """Refuse a value that is not of a kind."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} must be a {kind.__name__}, got {type(value).__name__}.")
+
+
+def count(name: str, value: object, least: int = 1) -> int:
+    """An integer of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ArgumentError(f"{name} must be an integer of at least {least}, got {brief(value)}.")
+    return int(value)
+
+
+def real_array(name: str, value: ArrayLike, form: str, ndim: int) -> np.ndarray:
+    """A read-only, C-contiguous float64 array with `ndim` axes and finite entries.
+
+    `form` is how the message writes the expected shape, such as ``(modes, n, n)``.
+    """
+    raw = _raw_array(name, value, "hold real numbers", f"have shape {form}")
+    if raw.ndim != ndim:
+        raise ArgumentError(
+            f"{name} must have shape {form}, got {raw.shape}{_hint(raw, ndim, form)}."
+        )
+    if raw.size == 0:
+        raise ArgumentError(f"{name} must have shape {form}, got the empty shape {raw.shape}.")
+    result = _floats(raw)
+    bad = np.argwhere(~np.isfinite(result))
+    if bad.size:
+        where, place = ", ".join(map(str, bad[0])), tuple(bad[0])
+        given = _as_given(raw[place], float(result[place]))
+        raise ArgumentError(f"{name}[{where}] must be finite, got {given}.")
+    result.flags.writeable = False
+    return result
+
+
+def as_floats(name: str, value: ArrayLike, form: str) -> np.ndarray:
+    """An array of floats of any shape; NaN and infinity pass."""
+    wanted = f"hold real numbers, {form}"
+    return _floats(_raw_array(name, value, wanted, wanted))
+
+
+def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
+    """`value` as an array of real numbers; messages say that it must `reals` and `shape`."""
+    unmasked(name, value)
+    try:
+        raw = np.asarray(value)
+        if raw.dtype.kind == "O" and raw.size and all(isinstance(x, Real) for x in raw.flat):
+            raw = raw.astype(np.float64)  # such as integers beyond 64 bits
+    except OverflowError:
+        raise ArgumentError(
+            f"{name} must {reals}, got an entry of 1.8e308 or more, which floats do not hold."
+        ) from None
+    except ValueError:
+        raise ArgumentError(
+            f"{name} must {shape}, got rows of different lengths: "
+            "give every mode the same number of states and inputs."
+        ) from None
+    if raw.dtype.kind not in "biuf":
+        what = _WHAT.get(raw.dtype.kind, "")
+        raise ArgumentError(f"{name} must {reals}, got an array of {raw.dtype}.{what}")
+    return raw
+
+
+def unmasked(name: str, value: Any) -> Any:
+    """A value without masked entries, which `numpy.asarray` would take as if they were there."""
+    if _masked(value):
+        raise ArgumentError(f"{name} must be whole, got masked entries: {_FILL}.")
+    return value
+
+
+def _floats(raw: np.ndarray) -> np.ndarray:
+    """A C-contiguous copy in double precision; infinite where that does not hold a number."""
+    with np.errstate(over="ignore"):
+        return np.array(raw, dtype=np.float64, order="C")
+
+
+def _masked(value: object) -> bool:
+    """Whether entries are masked, those of lists of arrays included."""
+    if isinstance(value, (list, tuple)):
+        return any(map(_masked, value))
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
+
+
+def _as_given(value: object, result: float) -> str:
+    """How a number that is not finite was written: a longdouble may be beyond floats."""
+    beyond = isinstance(value, np.floating) and np.isfinite(value) and not math.isfinite(result)
+    return f"{value!s}, which is beyond 1.8e308" if beyond else str(result)
+
+
+def brief(value: object) -> str:
+    """A value as messages print it, on one line and never long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print integers of more than some 4300 digits
+        return "an integer of thousands of digits"
+    text = " ".join(text.split())
+    return text if len(text) <= _LONG else f"{text[:_LONG]}…"
+
+
+def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    """A limit for each of m = `size` inputs, a number for all; infinite for none."""
+    array = as_floats(name, value, f"one or (m,) = ({size},)")
+    whole = np.full(size, array) if array.ndim == 0 else array
+    return shaped(name, not_nan(name, whole), (size,), "(m,)")
+
+
+def not_nan(name: str, array: np.ndarray) -> np.ndarray:
+    """The same array, without NaN."""
+    if np.isnan(array).any():
+        raise ArgumentError(f"{name} must not be NaN, got {array.tolist()}.")
+    return array
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A contiguous view that cannot be written through: one type for the compiled functions."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
+def _hint(raw: np.ndarray, ndim: int, form: str) -> str:
+    """What to do about an array that lacks axes, or has one too many."""
+    if raw.ndim in (1, 2) and ndim == 3:
+        example = "[[[1, 2]], …] for rows" if "m, n" in form else "[[[0], [1]], …] for columns"
+        return f": stack one matrix per mode ([M] for a single mode, {example})"
+    if raw.ndim == 3 and ndim == 2:
+        return ": give one matrix, not one per mode"
+    return ""
+
+
+def shaped(name: str, array: np.ndarray, shape: tuple[int, ...], form: str) -> np.ndarray:
+    """The same array, when its shape is the expected one."""
+    if array.shape != shape:
+        hint = ""
+        if array.ndim >= 2 and array.shape[:-2] + array.shape[:-3:-1] == shape:
+            hint = ": pass the transpose"
+        raise ArgumentError(f"{name} must have shape {form} = {shape}, got {array.shape}{hint}.")
+    return array

@@ -1,0 +1,1 @@
+"""The paper's sufficient condition, corrected and sharpened."""

@@ -1,0 +1,191 @@
+"""The paper's backstepping transformation, target system and Lyapunov functional, along runs.
+
+With P(θ) = x(θ + D) the transformation W(θ) = U(θ) − K_σ(θ+D) P(θ) turns the loop into the target
+system dX/dt = (A_σ + B_σ K_σ) X + B_σ W(t − D): W is the law's mismatch with the exact predictor
+feedback. Everything here uses the plant's true signal, the future included.
+
+References
+----------
+arXiv 2503.08446, Lemmas 2.4 and 2.5, equations (14) to (19), (64), (65).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.feedback.law import checked_gains
+from deadtime.numerics.collocation import gauss
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation import Trajectory
+from deadtime.simulation.ideal.breakpoints import merged, subdivided
+from deadtime.simulation.ideal.piecewise import Piecewise
+from deadtime.simulation.ideal.run import NODES, IdealRecord
+from deadtime.simulation.initial_input import InputHistory
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False)
+class Backstepping(Frozen):
+    """The transformation at one time t: between U and W on [t − D, t], given X(t).
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant.
+    gains : (modes, m, n) array
+        K_i of u = +K_i x.
+    signal : SwitchingSignal
+        The plant's signal, known up to t + D.
+    time : float
+        t, in seconds.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> run = dt.simulate(problem.plant, problem.laws["oracle"], problem.signal, [-1, 1], 4, None)
+    >>> change = Backstepping(problem.plant, problem.gains, problem.signal, run.end)
+    >>> W = change.direct(run.states[:, -1], run.history)
+    >>> bool(abs(W(np.linspace(-0.9, 0, 50))).max() < 1e-10)      # the oracle has no mismatch
+    True
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"]
+    signal: SwitchingSignal
+    time: float
+
+    def __post_init__(self) -> None:
+        checked_gains(self.plant, self.gains, allow_unstable=True)
+        self.signal.require_modes(self.plant.modes)
+        super().__post_init__()
+
+    def direct(self, x: Float[np.ndarray, " n"], u: InputHistory) -> Piecewise:
+        """W on [−D, 0] (times relative to t) from X(t) and U: equations (10), (14)."""
+        values, edges, K, P = self._flow(x, u, closed=False)
+        return Piecewise(edges, values - np.einsum("sij,skj->ski", K, P))
+
+    def inverse(self, x: Float[np.ndarray, " n"], w: InputHistory) -> Piecewise:
+        """U on [−D, 0] (times relative to t) from X(t) and W: equations (18), (19)."""
+        values, edges, K, P = self._flow(x, w, closed=True)
+        return Piecewise(edges, values + np.einsum("sij,skj->ski", K, P))
+
+    def _flow(
+        self, x: np.ndarray, drive: InputHistory, closed: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The drive, segments, K and x(θ + D) at the support nodes.
+
+        The state obeys dP/dθ = A P + B drive, or (A + B K) P + B drive when `closed`.
+        """
+        from deadtime.simulation.ideal.kernel import solve_state
+
+        plant, delay = self.plant, self.plant.delay
+        shaped("x", x, (plant.states,), "(n,)")
+        nodes = gauss(NODES)
+        switches = self.signal.times - self.time - delay
+        closed_loop = plant.A + plant.B @ self.gains
+        rate = float(max(np.linalg.norm(M, 2) for M in (*plant.A, *closed_loop)))
+        edges = merged(np.concatenate((switches, drive.jumps)), -delay, 0.0)
+        edges = subdivided(edges, min(1.5 / rate, delay))
+        middles = (edges[:-1] + edges[1:]) / 2.0
+        modes = self.signal(middles + self.time + delay)
+        values = drive.on(edges, nodes)
+        flow = closed_loop if closed else plant.A
+        states, start = np.empty((modes.size, NODES + 2, plant.states)), x
+        for g, mode in enumerate(modes):
+            states[g] = solve_state(
+                flow[mode],
+                plant.B[mode],
+                np.ascontiguousarray(start),
+                np.ascontiguousarray(values[g, 1:-1]),
+                edges[g + 1] - edges[g],
+                nodes.integral,
+                nodes.weights,
+            )
+            start = states[g, -1]
+        return values, edges, self.gains[modes], states
+
+
+def mismatch_at(
+    run: Trajectory, gains: Float[np.ndarray, "mode m n"], times: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T m"]:
+    """W(θ) = U(θ) − K_σ(θ+D) x(θ + D) along an ideal run, at times from −D to its end."""
+    ahead = times + run.plant.delay
+    x, K = run.record.states_at(ahead), gains[_modes(run, ahead)]
+    return run.record.inputs_at(times) - np.einsum("kij,kj->ki", K, x)
+
+
+def target_rate(
+    run: Trajectory, gains: Float[np.ndarray, "mode m n"], times: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T n"]:
+    """dX/dt by the target system (15), (A_σ + B_σ K_σ) X + B_σ W(t − D)."""
+    plant, mode, x = run.plant, _modes(run, times), run.record.states_at(times)
+    closed = plant.A[mode] + plant.B[mode] @ gains[mode]
+    # W(t − D) with the mode at t itself: (t − D) + D may round to the other side of a switch.
+    w = run.record.inputs_at(times - plant.delay) - np.einsum("kij,kj->ki", gains[mode], x)
+    return np.einsum("kij,kj->ki", closed, x) + np.einsum("kij,kj->ki", plant.B[mode], w)
+
+
+def _modes(run: Trajectory, times: np.ndarray) -> np.ndarray:
+    """σ, a time within round-off before a switch counting as at it, as in the run's record."""
+    return run.signal(times + _record(run).states.slack)
+
+
+def _record(run: Trajectory) -> IdealRecord:
+    """The run's record, refused when the run is a digital one."""
+    if not isinstance(run.record, IdealRecord):
+        raise ArgumentError("run must be an ideal one: simulate with step=None.")
+    return run.record
+
+
+def lyapunov_functional(
+    run: Trajectory,
+    gains: Float[np.ndarray, "mode m n"],
+    P: Float[np.ndarray, "n n"],
+    b: float,
+    times: Float[np.ndarray, " T"],
+) -> Float[np.ndarray, " T"]:
+    """V(t) = XᵀPX + b ∫_{t−D}^{t} e^{θ+D−t} |W(θ)|² dθ along an ideal run: equation (64)."""
+    x = run.record.states_at(times)
+    return np.einsum("ki,ij,kj->k", x, P, x) + b * _weighted_integrals(run, gains, times)
+
+
+def lyapunov_derivative(
+    run: Trajectory,
+    gains: Float[np.ndarray, "mode m n"],
+    P: Float[np.ndarray, "n n"],
+    b: float,
+    times: Float[np.ndarray, " T"],
+) -> Float[np.ndarray, " T"]:
+    """dV/dt along an ideal run, exact: (65) before any inequality is applied to it.
+
+        Xᵀ(HᵀP + PH)X + 2 XᵀPB W(t−D) + b e^D |W(t)|² − b |W(t−D)|² − b ∫ e^{θ+D−t} |W|² dθ
+
+    with H = A_σ + B_σ K_σ; a right derivative where W jumps.
+    """
+    delay = run.plant.delay
+    x, slope = run.record.states_at(times), target_rate(run, gains, times)
+    now, then = (np.sum(mismatch_at(run, gains, t) ** 2, axis=1) for t in (times, times - delay))
+    inside = _weighted_integrals(run, gains, times)
+    return 2.0 * np.einsum("ki,ij,kj->k", x, P, slope) + b * (np.exp(delay) * now - then - inside)
+
+
+def _weighted_integrals(run: Trajectory, gains: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """∫ e^{θ+D−t} |W(θ)|² dθ over [t − D, t] at each time, by Gauss quadrature on segments."""
+    record = _record(run)
+    delay, nodes = run.plant.delay, gauss(NODES)
+    breaks = np.concatenate((record.inputs.edges, record.states.edges - delay))
+    result = np.empty(times.size)
+    for k, t in enumerate(times):
+        edges = merged(breaks, t - delay, t)
+        lengths = np.diff(edges)
+        theta = (edges[:-1, None] + lengths[:, None] * nodes.points).ravel()
+        square = np.sum(mismatch_at(run, gains, theta) ** 2, axis=1) * np.exp(theta + delay - t)
+        result[k] = np.sum((lengths[:, None] * nodes.weights).ravel() * square)
+    return result

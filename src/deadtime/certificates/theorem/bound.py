@@ -1,0 +1,216 @@
+"""The stability theorem of the averaged predictor feedback, as numbers.
+
+Theorem 2.1 of arXiv 2503.08446: if the modes and the gains differ by less than ε*, the loop of
+the plant with the averaged law, updated continuously, satisfies, for every switching signal
+with the dwell time,
+
+    |X(t)| + √∫|U|² ≤ ρ e^{−ξt} (|X(0)| + √∫|U₀|²)        (integrals over the last D seconds)
+
+Norms are Euclidean and spectral. ε ≥ ε* says nothing: the condition is sufficient only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import number, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.certificates.theorem.constants import Constants, distance
+from deadtime.certificates.theorem.paper import paper_constants
+from deadtime.certificates.theorem.sharp import sharp_constants
+from deadtime.gains import CommonLyapunov, common_lyapunov
+from deadtime.gains.lyapunov import checked_lyapunov, hurwitz_gains
+from deadtime.numerics.logs import exp, log
+from deadtime.plant import SwitchedSystem
+
+FORMS = ("printed", "corrected", "sharp")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TheoremBound:
+    """The constants of the theorem for one plant (immutable).
+
+    A number that overflows is inf, one that underflows 0.0; `log10_…` is right all the same.
+
+    Attributes
+    ----------
+    form : str
+        "printed", "corrected" or "sharp". Only the last two are theorems.
+    epsilon, epsilon_star : float
+        The distance ε of modes and gains, (5), and what it must stay below, (62).
+    nu1, nu2 : float
+        ∫|U|² ≤ ν₁(|X|² + ∫|W|²) and the reverse, (56) and (57).
+    kappa : float
+        |X|² + ∫|W|² ≤ κ e^{−μt}(…)(0), (63).
+    b, weight : float
+        V = XᵀPX + b∫e^{c(θ+D−t)}|W|², (64); the weight c is 1 in the paper, 1/s.
+    mu, rho, xi : float or None
+        (73) and (75); None when they do not exist, and `message` says why.
+    holds : bool
+        ε < ε*.
+    lyapunov : CommonLyapunov
+        The P and Q that the constants use.
+    message : str
+        The result in a sentence.
+    """
+
+    form: str
+    epsilon: float
+    epsilon_star: float
+    nu1: float
+    nu2: float
+    kappa: float
+    b: float
+    weight: float
+    mu: float | None
+    rho: float | None
+    xi: float | None
+    holds: bool
+    log10_epsilon_star: float
+    log10_nu1: float
+    log10_nu2: float
+    log10_kappa: float
+    log10_rho: float | None
+    lyapunov: CommonLyapunov
+    message: str
+    constants: Constants = field(repr=False)
+
+    def delta1(self, eps: float) -> float:
+        """δ₁(ε) of |W(t)| ≤ δ₁|X(t)| + δ₂∫|U|, equation (47)."""
+        return exp(self.constants.log_delta1(_log_distance(eps)))
+
+    def delta2(self, eps: float) -> float:
+        """δ₂(ε), equation (54)."""
+        return exp(self.constants.log_delta2(_log_distance(eps)))
+
+    def lam(self, eps: float) -> float:
+        """λ(ε) = max(δ₁, δ₂), equation (55): |W(t)| ≤ λ(|X(t)| + ∫|U|)."""
+        return exp(self.constants.log_lambda(_log_distance(eps)))
+
+    def __repr__(self) -> str:
+        return f"TheoremBound({self.form}: {self.message})"
+
+
+def theorem_bound(
+    plant: SwitchedSystem,
+    gains: ArrayLike,
+    dwell_time: float,
+    lyapunov: CommonLyapunov | tuple[ArrayLike, ArrayLike] | None = None,
+    form: str = "corrected",
+) -> TheoremBound:
+    """The constants of the stability theorem of the averaged predictor feedback.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant, its delay included.
+    gains : array_like, shape (modes, m, n)
+        K_i of u = +K_i x, every A_i + B_i K_i Hurwitz.
+    dwell_time : float
+        τ_d > 0, in seconds. The sharp constants do not depend on it.
+    lyapunov : CommonLyapunov or (P, Q), optional
+        P and Q of inequality (4). Default: `common_lyapunov`; for "sharp" the best of a range
+        of common P.
+    form : {"corrected", "printed", "sharp"}
+        "printed": as the text has them, slips included, for comparison only. "corrected": the
+        slips mended. "sharp": better constants for the same statement, docs/theory/constants.md.
+
+    Returns
+    -------
+    TheoremBound
+        A proof of stability of the ideal loop if `holds`, rounding errors of the constants
+        aside; no statement otherwise.
+
+    Raises
+    ------
+    ArgumentError
+        If the gains do not stabilise each mode, the dwell time is not positive, the form is
+        unknown, no input acts, or the given P and Q are not definite or violate (4).
+    InfeasibleError
+        If no common P exists.
+
+    References
+    ----------
+    A. Katsanikakis and N. Bekiaris-Liberis, arXiv 2503.08446, Theorem 2.1 and Lemmas 2.6 to 2.8.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from deadtime.certificates import theorem_bound
+    >>> problem = dt.problems.paper()
+    >>> bound = theorem_bound(problem.plant, problem.gains, dwell_time=0.2)
+    >>> f"{bound.epsilon:.4f} {bound.epsilon_star:.2e} {bound.nu1:.2e} {bound.holds}"
+    '0.7895 1.74e-14 1.73e+15 False'
+    """
+    K = hurwitz_gains(plant, gains)
+    dwell_time = positive("dwell_time", dwell_time)
+    if form not in FORMS:
+        raise ArgumentError(f"form must be one of {', '.join(map(repr, FORMS))}, got {form!r}.")
+    if not plant.B.any():
+        raise ArgumentError("plant.B is zero in every mode: no input acts on the plant.")
+    pair = None if lyapunov is None else checked_lyapunov(plant, K, lyapunov)
+    if form == "sharp":
+        constants: Constants = sharp_constants(plant, K, pair)
+    else:
+        pair = common_lyapunov(plant, K) if pair is None else pair
+        constants = paper_constants(plant, K, dwell_time, pair, form == "corrected")
+    return _bound(form, distance(plant, K), constants)
+
+
+def _bound(form: str, epsilon: float, constants: Constants) -> TheoremBound:
+    x, star = log(epsilon), constants.log_epsilon_star
+    holds = x < star
+    mu = constants.decay(x) if holds else None
+    if mu is not None and mu <= 0.0:
+        # The printed ε* does not suffice for (71); in the other forms only rounding leads here.
+        mu, holds = None, form == "printed"
+    log_rho = None if mu is None else constants.log_rho()
+    per_decade = 1.0 / math.log(10.0)
+    return TheoremBound(
+        form=form,
+        epsilon=epsilon,
+        epsilon_star=exp(star),
+        nu1=exp(constants.log_nu1),
+        nu2=exp(constants.log_nu2),
+        kappa=exp(constants.log_kappa),
+        b=exp(constants.log_b),
+        weight=constants.weight,
+        mu=mu,
+        rho=None if log_rho is None else exp(log_rho),
+        xi=None if mu is None else 0.5 * mu,
+        holds=holds,
+        log10_epsilon_star=star * per_decade,
+        log10_nu1=constants.log_nu1 * per_decade,
+        log10_nu2=constants.log_nu2 * per_decade,
+        log10_kappa=constants.log_kappa * per_decade,
+        log10_rho=None if log_rho is None else log_rho * per_decade,
+        lyapunov=constants.lyapunov,
+        message=_message(epsilon, star * per_decade, holds, mu),
+        constants=constants,
+    )
+
+
+def _message(epsilon: float, log10_star: float, holds: bool, mu: float | None) -> str:
+    star = f"ε* = 10^{log10_star:.4g}" if math.isfinite(log10_star) else "ε* = ∞"
+    if not holds:
+        return (
+            f"ε = {epsilon:.4g} ≥ {star}: the theorem does not apply, so μ, ρ and ξ do not "
+            "exist; it does not say that the loop is unstable."
+        )
+    if mu is None:
+        return (
+            f"ε = {epsilon:.4g} < {star}, but (71) fails, so μ, ρ and ξ do not exist: "
+            "this ε* lacks the + 1 of D ν₁ + 1."
+        )
+    return f"ε = {epsilon:.4g} < {star}: the loop decays, with ξ = {0.5 * mu:.4g} 1/s."
+
+
+def _log_distance(eps: float) -> float:
+    value = number("eps", eps)
+    if value < 0.0:
+        raise ArgumentError(f"eps must be at least 0, got {value:g}.")
+    return log(float(np.abs(value)))

@@ -1,0 +1,16 @@
+"""A law for the target: C99 of a controller, FMUs of controller and plant."""
+
+from deadtime.controller.export.c_code import Exported, export_c
+from deadtime.controller.export.fmu import ExportedFmu, export_fmu, export_plant_fmu
+from deadtime.controller.export.names import Names
+from deadtime.controller.export.staging import Staging
+
+__all__ = [
+    "Exported",
+    "ExportedFmu",
+    "Names",
+    "Staging",
+    "export_c",
+    "export_fmu",
+    "export_plant_fmu",
+]

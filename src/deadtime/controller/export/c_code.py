@@ -1,0 +1,265 @@
+"""`export_c`: a controller as self-contained C99."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deadtime.base.checks import count, number
+from deadtime.base.errors import ArgumentError
+from deadtime.base.version import __version__
+from deadtime.controller.export.bounds import bounds, largest
+from deadtime.controller.export.compiler import Check, self_check
+from deadtime.controller.export.files import require_own
+from deadtime.controller.export.forms import (
+    Form,
+    Precision,
+    form_of,
+    ram_bytes,
+    require_budget,
+    rom_bytes,
+)
+from deadtime.controller.export.literals import brackets, hexadecimal, initializer, literal
+from deadtime.controller.export.names import Names, in_comment
+from deadtime.controller.export.refusals import require_exportable, require_limits
+from deadtime.controller.export.staging import Staging, unwritable
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jinja2 import Environment
+
+    from deadtime.controller.controller import Controller
+
+_ACCURACY = {"double": 1e-13, "float": 1e-7}
+_TOLERANCE = {"double": 1e-12, "float": 2e-5}
+_FILES = {
+    "controller.h": "{}.h",
+    "controller.c": "{}.c",
+    "tables.h": "{}_tables.h",
+    "main.c": "main.c",
+    "check.c": "{}_check.c",
+    "eva.c": "{}_eva.c",
+    "Makefile": "Makefile",
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What `export_c` wrote (immutable).
+
+    Attributes
+    ----------
+    folder : Path
+    files : names in it
+    form : "dense", "low rank" or "factorised", with its size
+    rom, ram : bytes of constants, and of one controller (about)
+    error : of a table of low rank, relative to the sum of the moduli of a row's taps
+    check : what came of compiling it and running its vectors
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    form: str
+    rom: int
+    ram: int
+    error: float
+    check: Check
+
+    def __str__(self) -> str:
+        return (
+            f"{self.folder}: {', '.join(self.files)}; {self.form}; ROM {self.rom} bytes, "
+            f"RAM {self.ram} bytes; {self.check.message}"
+        )
+
+
+def export_c(
+    controller: Controller,
+    folder: str | Path,
+    *,
+    precision: Precision = "double",
+    accuracy: float | None = None,
+    rom_budget: int | None = None,
+    name: str = "controller",
+    names: Names | None = None,
+    staging: Staging | None = None,
+) -> Exported:
+    """See `Controller.export_c`; with `staging` the files appear together with its others."""
+    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names or Names())
+    folder = Path(folder)
+    require_own(folder, texts)
+    with Staging() if staging is None else nullcontext(staging) as staged:
+        place = staged.folder(folder)
+        try:
+            for file, text in texts.items():
+                (place / file).write_text(text, encoding="utf-8", newline="\n")
+        except OSError as error:
+            raise unwritable("folder", folder, error) from None
+        check = self_check(place, name)
+    check = check._replace(message=check.message.replace(str(place), str(folder)))
+    table = controller.table
+    return Exported(
+        folder,
+        tuple(texts),
+        description(form),
+        rom_bytes(table, form, precision),
+        ram_bytes(table, form, precision),
+        form.error,
+        check,
+    )
+
+
+def c_sources(
+    controller: Controller,
+    precision: Precision,
+    accuracy: float | None,
+    rom_budget: int | None,
+    name: str,
+    names: Names,
+) -> tuple[dict[str, str], Form]:
+    """The text of every file, and the form that the table took."""
+    from deadtime.controller.export.vectors import vectors
+
+    require_exportable(controller, precision, name)
+    names.require(controller.law.plant)
+    accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
+    if not 0.0 <= accuracy < 1.0:
+        raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
+    budget = None if rom_budget is None else count("rom_budget", rom_budget)
+    form = form_of(controller.table, accuracy, precision, budget)
+    require_budget(controller.table, form, precision, budget)
+    made = vectors(controller)
+    values = (
+        _values(controller, form, precision, name)
+        | _words(controller, names)
+        | {
+            "scale": literal(made.scale, "double"),
+            "tolerance": literal(_TOLERANCE[precision] + form.error, "double"),
+            "line": made.line + 80,
+            "amplitude": literal(made.amplitude, "double"),
+            "mode_age": made.mode_age,
+            "visited": made.rows,
+        }
+    )
+    pages = environment("c")
+    texts = {
+        file.format(name): pages.get_template(f"{template}.j2").render(values)
+        for template, file in _FILES.items()
+    }
+    return texts | {f"{name}_vectors.csv": made.csv}, form
+
+
+def environment(folder: str) -> Environment:
+    """The templates of a folder, for C: whitespace as it stands, nothing escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("deadtime.controller.export", f"templates/{folder}"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+
+
+def description(form: Form) -> str:
+    """A form in a few words."""
+    if form.kind == "factorised":
+        return (
+            f"factorised, order {form.sizes['order']}: a period costs the same whatever the delay"
+        )
+    if form.kind == "low rank":
+        return f"low rank {form.sizes['rank']}: off by {form.error:.0e} of the sum of |taps|"
+    return "dense: a period costs one product a past input"
+
+
+def _values(controller: Controller, form: Form, precision: Precision, name: str) -> dict[str, Any]:
+    """What the templates are filled with."""
+    import numpy as np
+
+    table, plant = controller.table, controller.law.plant
+    limits = bounds(table, form, precision)
+    require_limits(controller, limits["bound"])
+    low = np.clip(controller.low, -limits["bound"], limits["bound"])
+    high = np.clip(controller.high, -limits["bound"], limits["bound"])
+    arrays = {
+        "F": (table.state_gain, "gains of the state"),
+        **form.arrays,
+        "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
+        "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
+    }
+    tables = [
+        {
+            "name": key,
+            "comment": comment,
+            "shape": brackets(array),
+            "text": initializer(array, precision),
+        }
+        for key, (array, comment) in arrays.items()
+    ]
+    return {
+        **{key: hexadecimal(value, precision) for key, value in limits.items()},
+        **form.sizes,
+        "decimal": f"{limits['bound']:.0e}",
+        "version": __version__,
+        "p": name,
+        "P": name.upper(),
+        "kind": form.kind,
+        "form": description(form)[:1].upper() + description(form)[1:] + ".",
+        "real": precision,
+        "largest": literal(largest(precision), precision),
+        "step": literal(controller.step, "double"),
+        "delay": literal(plant.delay, "double"),
+        "n": plant.states,
+        "m": plant.inputs,
+        "modes": plant.modes,
+        "reads": int(table.context != "none"),
+        "ages": table.ages,
+        "rows": len(table.state_gain),
+        "taps": table.taps,
+        "rom": rom_bytes(table, form, precision),
+        "ram": ram_bytes(table, form, precision),
+        "unroll": 2 * form.state + 10,
+        "tables": tables,
+        "magic": _magic(repr((tables, controller.step, table.ages, __version__))),
+    }
+
+
+def _magic(told: str) -> str:
+    """32 bits that tell a law's state from that of another, and from memory that is cleared."""
+    return hashlib.sha256(told.encode()).hexdigest()[:7] + "d"
+
+
+def _words(controller: Controller, names: Names) -> dict[str, Any]:
+    """What the header's comment says."""
+    import numpy as np
+
+    law, limits = names.title or controller.law.label, "none"
+    if np.isfinite(controller.low).any() or np.isfinite(controller.high).any():
+        limits = f"{controller.low.tolist()} to {controller.high.tolist()}"
+    return {
+        "title": in_comment(f'Controller of the law "{law}"'),
+        "limits": limits,
+        "state_names": in_comment(_numbered("x", names.states)),
+        "input_names": in_comment(_numbered("u", names.inputs)),
+        "mode_names": in_comment(names.all_modes()),
+    }
+
+
+def _numbered(letter: str, names: Sequence[str]) -> str:
+    """The elements of an array with their names, or nothing."""
+    return ", ".join(f"{letter}[{i}]: {one}" for i, one in enumerate(names))
+
+
+def _inside(limit: np.ndarray, precision: Precision, towards: float) -> np.ndarray:
+    """The limit as the C holds it, rounded inwards."""
+    import numpy as np
+
+    if precision == "double":
+        return limit
+    single = limit.astype(np.float32)
+    outside = single < limit if towards > 0 else single > limit
+    return np.where(outside, np.nextafter(single, np.float32(towards)), single)

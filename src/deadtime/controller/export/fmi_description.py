@@ -1,0 +1,151 @@
+"""modelDescription.xml of FMI 2.0 and 3.0, from one list of variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+from xml.etree import ElementTree as xml
+
+from deadtime.base.version import __version__
+from deadtime.base.wording import one_line
+
+Version = Literal["2.0", "3.0"]
+
+
+class Variable(NamedTuple):
+    """A scalar variable; its value reference is its place in the list: reals first, then integers,
+    then Booleans."""
+
+    name: str
+    kind: Literal["Real", "Integer", "Boolean"]
+    causality: Literal["independent", "input", "output", "parameter"]
+    description: str
+    start: float | int | bool | None = None
+    follows: str | None = None  # the parameter that gives an output's initial value
+
+
+class Model(NamedTuple):
+    """What a description says of an FMU as a whole."""
+
+    identifier: str
+    title: str
+    token: str
+    step: float | None
+    sources: Sequence[str]
+
+
+_KINDS = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}
+
+
+def description(model: Model, variables: Sequence[Variable], version: Version) -> str:
+    """The text of modelDescription.xml."""
+    token = {"2.0": "guid", "3.0": "instantiationToken"}[version]
+    attributes = {
+        "fmiVersion": version,
+        "modelName": one_line(model.title),
+        token: model.token,
+        "generationTool": f"deadtime {__version__}",
+        "variableNamingConvention": "structured",
+    }
+    root = xml.Element("fmiModelDescription", attributes)
+    state = "FMUstate" if version == "2.0" else "FMUState"
+    abilities = {
+        "modelIdentifier": model.identifier,
+        "canHandleVariableCommunicationStepSize": "true",
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+    }
+    if version == "2.0":
+        abilities["canNotUseMemoryManagementFunctions"] = "true"
+    elif model.step is not None:
+        abilities["fixedInternalStepSize"] = repr(model.step)
+    simulation = xml.SubElement(root, "CoSimulation", abilities)
+    if version == "2.0":
+        files = xml.SubElement(simulation, "SourceFiles")
+        for name in model.sources:
+            xml.SubElement(files, "File", {"name": name})
+    units = xml.SubElement(root, "UnitDefinitions")
+    xml.SubElement(xml.SubElement(units, "Unit", {"name": "s"}), "BaseUnit", {"s": "1"})
+    experiment = {"startTime": "0"} | ({} if model.step is None else {"stepSize": repr(model.step)})
+    xml.SubElement(root, "DefaultExperiment", experiment)
+    listed = xml.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        (_variable2 if version == "2.0" else _variable3)(listed, variable, reference)
+    _structure(root, variables, version)
+    return _text(root)
+
+
+def build_description(model: Model) -> str:
+    """The text of sources/buildDescription.xml, of FMI 3.0."""
+    root = xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    build = xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": model.identifier})
+    files = xml.SubElement(build, "SourceFileSet", {"language": "C99"})
+    for name in model.sources:
+        xml.SubElement(files, "SourceFile", {"name": name})
+    return _text(root)
+
+
+def _text(root: xml.Element) -> str:
+    xml.indent(root)
+    heading = '<?xml version="1.0" encoding="UTF-8"?>'
+    return f"{heading}\n{xml.tostring(root, encoding='unicode')}\n"
+
+
+def _common(variable: Variable, reference: int) -> dict[str, str]:
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": one_line(variable.description),
+        "causality": variable.causality,
+        "variability": _variability(variable),
+    }
+    if variable.causality == "output":
+        attributes["initial"] = "calculated"
+    elif variable.causality == "parameter":
+        attributes["initial"] = "exact"
+    return attributes
+
+
+def _variability(variable: Variable) -> str:
+    """Continuous for reals but parameters; what a controller gives changes at its samples."""
+    if variable.causality == "parameter":
+        return "fixed"
+    return "continuous" if variable.kind == "Real" else "discrete"
+
+
+def _start(variable: Variable) -> dict[str, str]:
+    if variable.start is None:
+        return {}
+    start = variable.start
+    return {"start": str(start).lower() if isinstance(start, bool) else repr(start)}
+
+
+def _unit(variable: Variable) -> dict[str, str]:
+    """Of time alone: of states and inputs the descriptions say what the problem says."""
+    return {"unit": "s"} if variable.causality == "independent" else {}
+
+
+def _variable2(listed: xml.Element, variable: Variable, reference: int) -> None:
+    scalar = xml.SubElement(listed, "ScalarVariable", _common(variable, reference))
+    xml.SubElement(scalar, variable.kind, _start(variable) | _unit(variable))
+
+
+def _variable3(listed: xml.Element, variable: Variable, reference: int) -> None:
+    attributes = _common(variable, reference) | _start(variable) | _unit(variable)
+    xml.SubElement(listed, _KINDS[variable.kind], attributes)
+
+
+def _structure(root: xml.Element, variables: Sequence[Variable], version: Version) -> None:
+    """Outputs depend on no input directly: what is set works in the step that follows."""
+    structure = xml.SubElement(root, "ModelStructure")
+    outputs = [i for i, variable in enumerate(variables) if variable.causality == "output"]
+    names = [variable.name for variable in variables]
+    first = 1 if version == "2.0" else 0  # an index, or a value reference
+    key = "index" if version == "2.0" else "valueReference"
+    for group in ("Output", "InitialUnknown"):
+        parent = structure if version == "3.0" else xml.SubElement(structure, f"{group}s")
+        for i in outputs:
+            of = variables[i].follows if group == "InitialUnknown" else None
+            depends = "" if of is None else str(names.index(of) + first)
+            attributes = {key: str(i + first), "dependencies": depends}
+            xml.SubElement(parent, group if version == "3.0" else "Unknown", attributes)

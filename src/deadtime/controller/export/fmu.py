@@ -1,0 +1,204 @@
+"""`export_fmu`: a controller, and a plant with its delay, as FMUs for co-simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import bound, count, instance, real_array, shaped
+from deadtime.controller.export.c_code import c_sources
+from deadtime.controller.export.fmi_description import Variable, Version
+from deadtime.controller.export.fmu_file import ExportedFmu, rendered, write_fmu
+from deadtime.controller.export.forms import Precision
+from deadtime.controller.export.literals import brackets, initializer, literal
+from deadtime.controller.export.names import Names
+from deadtime.controller.export.staging import Staging
+from deadtime.plant import SwitchedSystem
+
+if TYPE_CHECKING:
+    from deadtime.controller.controller import Controller
+
+
+def export_fmu(
+    controller: Controller,
+    path: str | Path,
+    *,
+    version: Version = "3.0",
+    precision: Precision = "double",
+    accuracy: float | None = None,
+    u0: ArrayLike = 0.0,
+    names: Names | None = None,
+    staging: Staging | None = None,
+) -> ExportedFmu:
+    """See `Controller.export_fmu`; with `staging` the file appears together with its others."""
+    name, plant = "controller", controller.law.plant
+    past, names = _finite(u0, plant.inputs), names or Names()
+    texts, _ = c_sources(controller, precision, accuracy, None, name, names)
+    kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
+    n, m = plant.states, plant.inputs
+    variables = [
+        Variable("time", "Real", "independent", "time, s"),
+        *(
+            Variable(
+                f"x[{i}]", "Real", "input", _called("state at the sample", names.state(i - 1)), 0.0
+            )
+            for i in _from1(n)
+        ),
+        *(
+            Variable(
+                f"applied[{i}]",
+                "Real",
+                "input",
+                _called("what the actuator had", names.input(i - 1)),
+                0.0,
+            )
+            for i in _from1(m)
+        ),
+        *(
+            Variable(
+                f"u[{i}]",
+                "Real",
+                "output",
+                _called("input, held", names.input(i - 1)),
+                follows=f"u0[{i}]",
+            )
+            for i in _from1(m)
+        ),
+        *(
+            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", float(past[i - 1]))
+            for i in _from1(m)
+        ),
+        Variable(
+            "mode", "Integer", "input", _called("mode at the sample, from 0", names.all_modes()), 0
+        ),
+        Variable("status", "Integer", "output", "what became of the last sample, 0: all is well"),
+        Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
+        Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
+    ]
+    values = {
+        "p": name,
+        "begun": initializer(past, "double"),
+        "slack": literal(1e-3 * controller.step, "double"),
+        "include": (
+            f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
+            "    double start, next; /* of the samples */\n"
+            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} memory;"
+        ),
+    }
+    sources = kept | {"model.c": rendered("controller_model.c.j2", values)}
+    title = f"Controller: {names.title or controller.law.label}"
+    return write_fmu(
+        Path(path), version, name, title, controller.step, variables, sources, values, staging
+    )
+
+
+def export_plant_fmu(
+    plant: SwitchedSystem,
+    path: str | Path,
+    *,
+    x0: ArrayLike | None = None,
+    u0: ArrayLike = 0.0,
+    version: Version = "3.0",
+    changes: int = 4096,
+    names: Names | None = None,
+    staging: Staging | None = None,
+) -> ExportedFmu:
+    """Write a plant with its input delay as an FMU for co-simulation.
+
+    Its inputs are u and the mode, held over a step of any length; its outputs the state. Inputs
+    arrive exactly D later, on the grid of the steps or off it: the state is exact to round-off.
+    Parameters set the state at the start, and the constant input before it.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+    path : path of the FMU, in .fmu
+    x0 : (n,), optional
+        The state at the start, 0 by default; a parameter of the FMU, too.
+    u0 : number or (m,)
+        The constant input before the start; parameters, too.
+    version : "3.0" or "2.0"
+        Of FMI.
+    changes : int
+        How often the input may change within the delay: more than D / h.
+    names : Names, optional
+        Of states, inputs and modes, for the descriptions.
+    staging : Staging, optional
+        What the file is to appear together with.
+
+    Raises
+    ------
+    ArgumentError
+        If the file cannot be written.
+    """
+    instance("plant", plant, SwitchedSystem)
+    n, m, name, names = plant.states, plant.inputs, "plant", names or Names()
+    names.require(plant)
+    past = _finite(u0, m)
+    start = (
+        np.zeros(n) if x0 is None else shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
+    )
+    variables = [
+        Variable("time", "Real", "independent", "time, s"),
+        *(
+            Variable(
+                f"u[{i}]",
+                "Real",
+                "input",
+                _called("input, held over a step", names.input(i - 1)),
+                0.0,
+            )
+            for i in _from1(m)
+        ),
+        *(
+            Variable(
+                f"x[{i}]", "Real", "output", _called("state", names.state(i - 1)), None, f"x0[{i}]"
+            )
+            for i in _from1(n)
+        ),
+        *(
+            Variable(f"x0[{i}]", "Real", "parameter", "state at the start", float(start[i - 1]))
+            for i in _from1(n)
+        ),
+        *(
+            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", float(past[i - 1]))
+            for i in _from1(m)
+        ),
+        Variable(
+            "mode", "Integer", "input", _called("mode over a step, from 0", names.all_modes()), 0
+        ),
+    ]
+    size = count("changes", changes, 2)
+    values = {
+        "delay": literal(plant.delay, "double"),
+        "slack": literal(1e-6 * plant.delay, "double"),
+        "include": (
+            f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
+            "typedef struct {\n    int first, count; /* of the inputs that have not passed */\n"
+            "    double began[CHANGES];\n    double u[CHANGES][M];\n} memory;"
+        ),
+        "tables": [
+            {"name": key, "shape": brackets(array), "text": initializer(array, "double")}
+            for key, array in (("A", plant.A), ("B", plant.B), ("START", start), ("PAST", past))
+        ],
+    }
+    sources = {"model.c": rendered("plant_model.c.j2", values)}
+    title = names.title or f"Plant with a delay of {plant.delay:g} s"
+    return write_fmu(Path(path), version, name, title, None, variables, sources, values, staging)
+
+
+def _from1(size: int) -> range:
+    return range(1, size + 1)
+
+
+def _called(what: str, name: str) -> str:
+    return f"{what}: {name}" if name else what
+
+
+def _finite(u0: ArrayLike, m: int) -> np.ndarray:
+    """A constant input for each of m."""
+    past = bound("u0", u0, m)
+    return real_array("u0", past, "(m,)", 1)

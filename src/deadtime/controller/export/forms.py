@@ -1,0 +1,184 @@
+"""The forms in which a table goes into ROM: as it is, of low rank, or factorised.
+
+A dense table is one matrix, rows (context, output), columns (tap, input), G = L R of rank r where
+its rows resemble each other. The error of a form is
+
+    max over rows of Σ|G − L R| / Σ|G|,
+
+so it bounds |Δu| by so much of Σ|G| max|u|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.controller.past_inputs import FEW
+from deadtime.feedback import Feedback
+
+Precision = Literal["double", "float"]
+BYTES = {"double": 8, "float": 4}
+DTYPE = {"double": np.float64, "float": np.float32}
+_MOST_ERROR = 1e-2  # that is offered
+_COUNTERS = 80  # bytes of integers and clock in a controller's state
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """What goes into ROM for the inputs: named arrays with a comment each (immutable)."""
+
+    kind: Literal["dense", "low rank", "factorised"]
+    arrays: dict[str, tuple[np.ndarray, str]]
+    state: int  # numbers that the past inputs take in RAM
+    error: float = 0.0
+    sizes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers the arrays hold."""
+        return sum(array.size for array, _ in self.arrays.values())
+
+
+def matrix_of(table: Feedback) -> Float[np.ndarray, "row past"]:
+    """The taps of all rows as one matrix, the oldest input first."""
+    return table.oldest_first.reshape(-1, table.taps * table.input_gain.shape[-1])
+
+
+def dense(table: Feedback) -> Form:
+    """The taps as they are."""
+    G = table.oldest_first
+    return Form("dense", {"G": (G, "taps, the oldest input first")}, 2 * G.shape[-1])
+
+
+def low_ranks(table: Feedback) -> Iterator[Form]:
+    """The taps as a product of rank 1, 2, …, while that takes less room than `dense`."""
+    contexts, taps, m, _ = table.input_gain.shape
+    G = matrix_of(table)
+    rows, columns = G.shape
+    sums = np.abs(G).sum(axis=1)
+    scale = np.where(sums > 0.0, sums, 1.0)
+    # A row counts relative to its own sum.
+    left, values, right = np.linalg.svd(G / scale[:, None], full_matrices=False)
+    missing = G / scale[:, None]
+    for rank in range(1, len(values) + 1):
+        if rank * (rows + columns) >= G.size:
+            return
+        root = np.sqrt(values[:rank])
+        missing = missing - np.outer(left[:, rank - 1] * values[rank - 1], right[rank - 1])
+        L, R = scale[:, None] * left[:, :rank] * root, root[:, None] * right[:rank]
+        arrays = {
+            "LEFT": (L.reshape(contexts, m, rank), "the taps of a row are LEFT RIGHT"),
+            "RIGHT": (R, "the oldest input first"),
+        }
+        error = float(np.abs(missing).sum(axis=1).max())
+        yield Form("low rank", arrays, 2 * taps * m, error, {"rank": rank})
+
+
+def factorised(table: Feedback) -> Form:
+    """The taps as H S^{j−1} Γ and the last one."""
+    assert table.factor is not None
+    H, S, gamma, last = table.factor
+    taps, m, order = table.taps, gamma.shape[1], len(S)
+    block = -(-(taps - 1) // 2)
+    arrays = {
+        "S": (S, "one period of the factorisation"),
+        "GAMMA": (gamma, "an input, in the factorisation"),
+        "WHOLE": (np.linalg.matrix_power(S, block), "S to the power of a block's length"),
+        "H": (H, "rows of the factorisation"),
+        "LAST": (last, "taps of the oldest input"),
+    }
+    state = taps * m + order * (3 + block + m) + H.size
+    return Form("factorised", arrays, state, 0.0, {"order": order, "block": block})
+
+
+def form_of(
+    table: Feedback, accuracy: float, precision: Precision, budget: int | None = None
+) -> Form:
+    """The form that the C takes: as the controller does, or of low rank.
+
+    A product of rank r costs r sums over the past inputs a period where a dense row costs m, so it
+    is taken where it halves the room, or where the budget needs it.
+    """
+    if table.factor is not None and table.taps > FEW:
+        return factorised(table)
+    whole = dense(table)
+    within = budget is None or rom_bytes(table, whole, precision) <= budget
+    for form in low_ranks(table):
+        if within and 2 * form.numbers > whole.numbers:
+            return whole
+        if form.error <= accuracy:
+            return form
+    return whole
+
+
+def rom_bytes(table: Feedback, form: Form, precision: Precision) -> int:
+    """Of all constants: taps, state gains and limits."""
+    m = table.input_gain.shape[2]
+    return BYTES[precision] * (form.numbers + table.state_gain.size + 2 * m)
+
+
+def ram_bytes(table: Feedback, form: Form, precision: Precision) -> int:
+    """Of one controller, about: padding is the compiler's."""
+    return BYTES[precision] * (form.state + table.input_gain.shape[2]) + _COUNTERS
+
+
+def require_budget(table: Feedback, form: Form, precision: Precision, budget: int | None) -> None:
+    """Refuse tables beyond the budget, and say what would fit it."""
+    needed = rom_bytes(table, form, precision)
+    if budget is None or needed <= budget:
+        return
+    fits = []
+    if precision == "double" and rom_bytes(table, form, "float") <= budget:
+        fits.append(f'precision="float" ({rom_bytes(table, form, "float")} bytes)')
+    if form.kind != "factorised":
+        kept = [
+            one
+            for one in low_ranks(table)
+            if rom_bytes(table, one, precision) <= budget and one.error <= _MOST_ERROR
+        ]
+        if kept:
+            best = min(kept, key=lambda one: one.error)
+            fits.append(
+                f"accuracy={_rounded_up(best.error):.0e} (rank {best.sizes['rank']}, "
+                f"{rom_bytes(table, best, precision)} bytes)"
+            )
+        taps = _fewer_taps(table, precision, budget)
+        if taps:
+            fits.append(f"{taps} past inputs, a period of {_period(table, taps)} s")
+    raise ArgumentError(
+        f"rom_budget = {budget} bytes is too small: the tables take {needed} ({form.kind}, "
+        f"{table.taps} past inputs, {len(table.state_gain)} rows); "
+        + (f"what fits: {', or '.join(fits)}." if fits else "nothing of this law fits.")
+    )
+
+
+def _rounded_up(error: float) -> float:
+    """To one digit, never below."""
+    if error == 0.0:
+        return 0.0
+    unit = 10.0 ** np.floor(np.log10(error))
+    return float(np.ceil(error / unit * (1.0 + 1e-9)) * unit)
+
+
+def _fewer_taps(table: Feedback, precision: Precision, budget: int) -> int:
+    """The most past inputs whose dense table fits; ages of a mode shrink with the window."""
+    contexts, taps, m, _ = table.input_gain.shape
+    n = table.state_gain.shape[2]
+    for fewer in range(taps - 1, 0, -1):
+        ages = min(table.ages, table.ages * fewer // taps + 2)
+        rows = contexts // table.ages * ages
+        if BYTES[precision] * (rows * m * (fewer * m + n) + 2 * m) <= budget:
+            return fewer
+    return 0
+
+
+def _period(table: Feedback, taps: int) -> str:
+    """The period of so many past inputs, to four digits, never below."""
+    period = table.step * table.taps / taps
+    unit = 10.0 ** (np.floor(np.log10(period)) - 3)
+    return f"{np.ceil(period / unit) * unit:.4g}"

@@ -1,0 +1,64 @@
+"""What a user calls a law, its states, inputs and modes, for headers and descriptions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import one_line
+from deadtime.plant import SwitchedSystem
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names for what is exported (immutable); what is empty is numbered.
+
+    Attributes
+    ----------
+    title : of the law, or of the plant
+    states, modes, inputs : with their units, if they have some
+
+    Examples
+    --------
+    >>> Names("my law", ("position (m)", "speed (m/s)")).state(1)
+    'speed (m/s)'
+    """
+
+    title: str = ""
+    states: Sequence[str] = ()
+    modes: Sequence[str] = ()
+    inputs: Sequence[str] = ()
+
+    def require(self, plant: SwitchedSystem) -> None:
+        """Refuse another number of names than the plant has states, modes or inputs."""
+        for name, given, wanted in (
+            ("names.states", self.states, plant.states),
+            ("names.modes", self.modes, plant.modes),
+            ("names.inputs", self.inputs, plant.inputs),
+        ):
+            if given and len(given) != wanted:
+                raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
+
+    def state(self, i: int) -> str:
+        """Of a state, or nothing."""
+        return self.states[i] if self.states else ""
+
+    def input(self, i: int) -> str:
+        """Of an input, or nothing."""
+        return self.inputs[i] if self.inputs else ""
+
+    def all_modes(self) -> str:
+        """The numbers of the modes with their names, or nothing."""
+        return ", ".join(f"{i}: {name}" for i, name in enumerate(self.modes))
+
+
+def in_comment(text: str) -> str:
+    """On one line, and nothing that could end a comment in C, begin one or splice its lines.
+
+    Examples
+    --------
+    >>> in_comment("ends */ begins /* what ??/")
+    'ends * / begins / * what ? ?/'
+    """
+    return one_line(text).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")

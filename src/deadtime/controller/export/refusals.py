@@ -1,0 +1,49 @@
+"""What has no C, or a name that cannot be, is refused."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from deadtime.base.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from deadtime.controller.controller import Controller
+
+_PRECISIONS = ("double", "float")
+# `name.h` must hide no header of the standard library, and `name.c` not be main.c.
+_TAKEN = frozenset(
+    (
+        "main",
+        *("assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646"),
+        *("limits", "locale", "math", "setjmp", "signal", "stdalign", "stdarg", "stdatomic"),
+        *("stdbool", "stddef", "stdint", "stdio", "stdlib", "stdnoreturn", "string", "tgmath"),
+        *("threads", "time", "uchar", "wchar", "wctype"),
+    )
+)
+
+
+def require_exportable(controller: Controller, precision: str, name: str) -> None:
+    """Refuse what has no C."""
+    if precision not in _PRECISIONS:
+        raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
+    if not re.fullmatch("[a-z][a-z0-9_]{0,30}", name):
+        raise ArgumentError(
+            f"name must be a C name of lower-case letters, digits and _, got {name!r}."
+        )
+    if name in _TAKEN:
+        raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
+    if controller.law.outputs is not None:
+        raise ArgumentError(
+            f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
+            "which has no C: export its law, and run the observer before it."
+        )
+
+
+def require_limits(controller: Controller, most: float) -> None:
+    """Refuse limits that leave nothing of what the C can count."""
+    if (controller.low > most).any() or (controller.high < -most).any():
+        raise ArgumentError(
+            f"limits must leave inputs within {most:.0e}, the bound of the C, got "
+            f"{controller.low.tolist()} and {controller.high.tolist()}."
+        )

@@ -1,0 +1,198 @@
+"""Observer gains: by pole placement, and the steady state of the Kalman filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import instance, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.estimation.observer import Observer, output_matrices
+from deadtime.gains.pole_placement import place_pair, pole_lists, reachable
+from deadtime.gains.state_feedback import weight_matrix
+from deadtime.numerics.covariance import noise_covariance
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.discretisation import held_pair, quotient, quotient_poles
+
+
+def luenberger(
+    plant: SwitchedSystem, C: ArrayLike, poles: ArrayLike | Sequence[ArrayLike], step: float
+) -> Observer:
+    """An observer whose error decays as poles say, in every mode.
+
+    The gain L_i gives the error matrix Φ_i (I − L_i C_i) the eigenvalues e^{ph}: with M = Φ_i L_i
+    it is Φ_i − M C_i, the transpose of a state feedback.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The model; every mode must be observable.
+    C : array_like, shape (p, n) or (modes, p, n)
+        What is measured, y = C_σ x.
+    poles : array_like, shape (n,) or (modes, n)
+        Poles of the error for all modes, or one list per mode, in 1/s.
+    step : float
+        Sampling period h, in seconds.
+
+    Raises
+    ------
+    ArgumentError
+        If a mode is not observable, or not at this period; or the poles cannot be placed or do
+        not decay.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.3)
+    >>> observer = dt.luenberger(plant, [[1.0]], poles=[-2.0], step=0.1)
+    >>> observer.gain.round(4)      # e^{0.1} (1 − L) = e^{−0.2}
+    array([[[0.2592]]])
+    """
+    instance("plant", plant, SwitchedSystem)
+    C, step = output_matrices(C, plant), positive("step", step)
+    wanted = pole_lists(poles, plant.modes, plant.states)
+    slowest = float(np.real(wanted).max())
+    if slowest >= 0.0:
+        raise ArgumentError(f"poles must have negative real parts, got {slowest:g}.")
+    gain = []
+    for i, (A, B) in enumerate(zip(plant.A, plant.B, strict=True)):
+        _require_observable(A, C[i], i)
+        asked = quotient_poles(wanted[i], step, i)
+        slope = quotient(A, B, step)[0]
+        if reachable(slope.T, C[i].T) < len(A):
+            raise ArgumentError(
+                f"mode {i} is not observable when sampled every {step:g} s: eigenvalues whose "
+                f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s "
+                "look alike; change the step a little."
+            )
+        M = -step * place_pair(slope.T, C[i].T, asked, i, "C", wanted[i]).T
+        gain.append(np.linalg.solve(held_pair(A, B, step)[0], M))
+    return Observer(plant, C, np.stack(gain), step)
+
+
+def kalman(
+    plant: SwitchedSystem, C: ArrayLike, process: ArrayLike, measurement: ArrayLike, step: float
+) -> Observer:
+    """The steady-state Kalman filter of every mode.
+
+        dx/dt = A_σ x + B_σ u(t − D) + w,    y_k = C_σ x(t_k) + v_k,
+
+    w continuous white noise of intensity W, E w(t) w(s)ᵀ = W δ(t − s), and v_k white with
+    covariance R. Over a period w leaves the covariance Q_d = ∫₀^h e^{As} W e^{Aᵀs} ds, and with
+    the steady state P of
+
+        P = Φ (I − L C) P Φᵀ + Q_d,    L = P Cᵀ (C P Cᵀ + R)⁻¹,
+
+    `observer.prior` is P, the covariance of x − x̄ before a correction, and
+    `observer.covariance` (I − L C) P, that of x − x̂ after it. In a mode that lasts no other
+    observer has a smaller one. Just after a switch it is not optimal: the filter that is would
+    carry its covariance along.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The model; what a mode hides from C must decay.
+    C : array_like, shape (p, n) or (modes, p, n)
+        What is measured.
+    process : array_like, shape (n, n)
+        W, symmetric, positive semidefinite; it must reach every state that does not decay.
+    measurement : array_like, shape (p, p)
+        R, symmetric, positive definite.
+    step : float
+        Sampling period h, in seconds.
+
+    Raises
+    ------
+    ArgumentError
+        If a shape is wrong, a covariance is not definite, or a mode has no stabilising gain.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.3)
+    >>> observer = dt.kalman(plant, [[1.0]], process=[[1.0]], measurement=[[1.0]], step=1.0)
+    >>> observer.gain.round(4).item()      # 1 over the golden ratio
+    0.618
+    """
+    instance("plant", plant, SwitchedSystem)
+    C, step = output_matrices(C, plant), positive("step", step)
+    W = weight_matrix("process", process, plant.states, "n", strict=False)
+    R = weight_matrix("measurement", measurement, C.shape[1], "p", strict=True)
+    found = [_filter(plant.A[i], C[i], W, R, step, i) for i in range(plant.modes)]
+    gain, prior, covariance = (np.stack(arrays) for arrays in zip(*found, strict=True))
+    observer = Observer(plant, C, gain, step)
+    prior.flags.writeable = covariance.flags.writeable = False
+    vars(observer).update(prior=prior, covariance=covariance)
+    return observer
+
+
+def _filter(
+    A: Float[np.ndarray, "n n"],
+    C: Float[np.ndarray, "p n"],
+    W: Float[np.ndarray, "n n"],
+    R: Float[np.ndarray, "p p"],
+    step: float,
+    i: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """L, the covariance before a correction and after it; the Riccati equation put back."""
+    from scipy.linalg import solve_discrete_are
+
+    _require_detectable(A, C, i)
+    identity = np.eye(len(A))
+    Phi, noise = held_pair(A, identity, step)[0], noise_covariance(A, W, step)
+    try:
+        P = solve_discrete_are(Phi.T, C.T, noise, R)
+    except ValueError:  # LinAlgError among them
+        P = np.full_like(A, np.nan)
+    if not np.isfinite(P).all():
+        raise _no_filter(i)
+    L = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+    rest = identity - L @ C
+    after = rest @ P @ rest.T + L @ R @ L.T
+    residual = np.linalg.norm(Phi @ after @ Phi.T + noise - P)
+    stable = np.abs(np.linalg.eigvals(Phi @ rest)).max() < 1.0 - 1e-9
+    if not stable or residual > 1e-8 * np.linalg.norm(P):
+        raise _no_filter(i)
+    return L, P, (after + after.T) / 2.0
+
+
+def _no_filter(i: int) -> ArgumentError:
+    return ArgumentError(
+        f"mode {i} has no stabilising Kalman gain: `process` must reach every state that does "
+        "not decay by itself (a constant disturbance needs some noise to drift)."
+    )
+
+
+def _rank_of(n: int, rank: int) -> str:
+    powers = "; ".join(["C", "CA", *(f"CA^{k}" for k in range(2, n))][:n])
+    return f"rank [{powers}] = {rank} < {n}"
+
+
+def _require_observable(A: np.ndarray, C: np.ndarray, i: int) -> None:
+    """Refuse a mode whose observability matrix lacks rank."""
+    rank = reachable(A.T, C.T)
+    if rank < len(A):
+        raise ArgumentError(
+            f"mode {i} is not observable: {_rank_of(len(A), rank)}: no gain can move all poles of "
+            "its error; measure more, or use `kalman` if what is hidden decays."
+        )
+
+
+def _require_detectable(A: np.ndarray, C: np.ndarray, i: int) -> None:
+    """Refuse a mode that hides from C what does not decay (test of Popov, Belevitch, Hautus)."""
+    n, rank = len(A), reachable(A.T, C.T)
+    if rank == n:
+        return
+    size = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    rows = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), np.finfo(float).tiny)
+    for value in np.linalg.eigvals(A):
+        pencil = np.vstack(((A - value * np.eye(n)) / size, rows))
+        hidden = np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-9
+        if hidden and value.real >= -1e-12 * size:
+            raise ArgumentError(
+                f"mode {i} is not observable: {_rank_of(n, rank)}, and what C does not see "
+                f"(eigenvalue {value:.4g} 1/s) does not decay: measure more."
+            )

@@ -1,0 +1,194 @@
+"""A predictor law on the state that an observer estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import instance, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.estimation.estimator import Estimator, Tracked
+from deadtime.estimation.observer import Observer
+from deadtime.estimation.reference import Reference
+from deadtime.estimation.servo import Servo
+from deadtime.feedback import Feedback, Forecast, Law
+from deadtime.feedback.law import Remembering, TableLaw, Update
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class OutputFeedback(Law):
+    """A law that measures y = C_σ x and is run on what an observer makes of it.
+
+    Every law may be used: it is given x̂ instead of x. Its model and the observer's are the same
+    where nothing is known to the contrary, but need not be. With the right model, a right first
+    estimate and switches on samples the loop is the one of state feedback. A lost sample is
+    predicted over: the input goes on, it is not held.
+
+    With a `servo` the law is one of the servo's extended plant (`deadtime.Servo`): outputs follow
+    a reference, and constant disturbances leave no offset.
+
+    Parameters
+    ----------
+    law : Law
+        The law, of the observed plant; with a servo, a law with a table, of `servo.plant`.
+    observer : Observer
+        Of the same plant; with a servo, of `servo.model`. It fixes the period.
+    servo : Servo, optional
+        What is tracked.
+    reference : optional
+        r: a number, shape (tracked,), a pair (times, values) with values of shape (T,) or
+        (T, tracked), each held until the next time, or a function of time. 0 by default.
+    estimate : array_like, shape (n,), optional
+        First estimate, of the observer's states; 0 by default.
+
+    Raises
+    ------
+    ArgumentError
+        If law, observer and servo do not belong together; by `digital` and `ideal`, always.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
+    >>> observer = dt.luenberger(problem.plant, [[1.0, 0.0]], poles=[-4, -5], step=0.02)
+    >>> loop = dt.OutputFeedback(law, observer)
+    >>> run = dt.simulate(problem.plant, loop, problem.signal, problem.x0, 10.0, step=0.02)
+    >>> run.measured.shape, run.estimates.shape, run.diverged
+    ((1, 501), (2, 501), False)
+    """
+
+    law: Law
+    observer: Observer
+    servo: Servo | None
+    reference: Reference | None
+    estimate: Float[np.ndarray, " n"]
+
+    def __init__(
+        self,
+        law: Law,
+        observer: Observer,
+        *,
+        servo: Servo | None = None,
+        reference: ArrayLike | tuple[ArrayLike, ArrayLike] | Callable[[float], ArrayLike] = 0.0,
+        estimate: ArrayLike | None = None,
+    ) -> None:
+        instance("law", law, Law)
+        instance("observer", observer, Observer)
+        if law.outputs is not None:
+            raise ArgumentError("law must take the state: this one measures outputs already.")
+        model, n = observer.plant, observer.plant.states
+        if servo is None:
+            _same("law", law.plant, "the observer's plant", model)
+            followed = None
+            if not (np.isscalar(reference) and reference == 0.0):
+                raise ArgumentError("reference needs a servo: `Servo` says what tracks it.")
+        else:
+            instance("servo", servo, Servo)
+            instance("law, with a servo,", law, TableLaw)
+            _same("law", law.plant, "servo.plant", servo.plant)
+            _same("observer", model, "servo.model", servo.model)
+            followed = Reference.of(reference, servo.tracked.shape[0])
+        first = np.zeros(n) if estimate is None else estimate
+        first = shaped("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
+        states = n if servo is None else servo.base.states
+        vars(self).update(
+            plant=model if servo is None else servo.base,
+            gains=law.gains if servo is None else None,
+            outputs=observer.C[:, :, :states],
+            law=law,
+            observer=observer,
+            servo=servo,
+            reference=followed,
+            estimate=first,
+        )
+
+    @property
+    def label(self) -> str:
+        return f"{self.law.label}, observed"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        raise ArgumentError(
+            "OutputFeedback has no table: it remembers an estimate. `growth_rate` and the margins "
+            "take it; for the rest ask about its .law, which is given the state, and its .observer "
+            "(.rates, .switched_rate)."
+        )
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        raise ArgumentError(
+            "step must be given for OutputFeedback: its observer runs at samples, every "
+            f"{self.observer.step:g} s."
+        )
+
+    def require_step(self, step: float) -> None:
+        """Refuse a period that is not the observer's."""
+        if step != self.observer.step:
+            raise ArgumentError(
+                f"step must be the observer's, {self.observer.step:g} s, got {step:g}: design the "
+                "observer for the period of the loop."
+            )
+
+    def estimator(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Estimator:
+        """Its observer, to be run at its period; `signal` and `steps` as in `Law.digital`."""
+        self.require_step(step)
+        if self.servo is None:
+            return Estimator(self.observer, self.estimate)
+        push = self._push(self.law.digital(step, signal, steps))
+        tracked = Tracked(self.servo.tracked, push, self.servo.integral)
+        return Estimator(self.observer, self.estimate, tracked)
+
+    def _push(self, table: Feedback) -> np.ndarray:
+        """How the law's input answers the sum of errors, on average over a mode's rows."""
+        n, modes = self.observer.plant.states, self.plant.modes
+        F = table.state_gain[:, :, n : n + (self.servo.sums if self.servo else 0)]
+        if table.context in ("mode", "mode_age"):
+            return F.reshape(modes, table.ages, *F.shape[1:]).mean(axis=1)
+        return np.tile(F.mean(axis=0), (modes, 1, 1))
+
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> OutputUpdate:
+        inner = self.law.online(step, signal, steps)
+        return OutputUpdate(inner, self.estimator(step, signal, steps), self.reference, step)
+
+
+class OutputUpdate(Remembering):
+    """An `OutputFeedback` that runs: from y_k, the past inputs, mode and age to u_k."""
+
+    def __init__(
+        self, inner: Update, estimator: Estimator, reference: Reference | None, step: float
+    ) -> None:
+        self._inner, self._estimator = inner, estimator
+        self._reference, self._step = reference, step
+        self.estimates: list[np.ndarray] = []
+
+    def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        estimator, k = self._estimator, len(self.estimates)
+        if k == 0:
+            estimator.begin(past)
+        r = None if self._reference is None else self._reference(k * self._step)
+        z = estimator.update(past[-1], y, mode, r)
+        self.estimates.append(z.copy())
+        u = self._inner(self.estimates[-1], past, max(mode, 0), age)
+        estimator.asked[:] = u
+        return u
+
+
+def _same(name: str, mine: SwitchedSystem, whose: str, other: SwitchedSystem) -> None:
+    """Refuse models that do not fit each other."""
+    for size in ("modes", "states", "inputs", "delay"):
+        a, b = getattr(mine, size), getattr(other, size)
+        if a != b:
+            raise ArgumentError(
+                f"{name} must be made for {whose}, with {size} = {b:g}, got {size} = {a:g}."
+            )

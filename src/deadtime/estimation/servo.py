@@ -1,0 +1,279 @@
+"""Tracking as state feedback of a larger plant, so that every law's forecast applies to it.
+
+To the states x a servo adds what a law must know to leave no offset,
+
+    z = (x, d, q, r):    dx/dt = A_σ x + E_σ d + B_σ u(t − D),    dd/dt = 0,
+                         dq/dt = H C_σ x − r,                     dr/dt = 0,
+
+a constant disturbance d that an observer estimates, the integral q of the tracking error, and the
+reference r. In mode i the outputs stay at r where x = X_d d + X_r r and u = U_d d + U_r r with
+
+    A X_d + B U_d + E = 0,  H C X_d = 0;        A X_r + B U_r = 0,  H C X_r = I,
+
+and the gain on z is what drives the mode there,
+
+    u = K_x (x − X_d d − X_r r) + K_q (q − Θ r) + U_d d + U_r r,
+
+[K_x, K_q] being a gain of (x, q) alone. A law takes z to t + D as it takes x, so u is its
+expectation over modes of exactly this.
+
+Θ moves the value at which q settles, nothing else: with Θ = 0 the integral of the error would
+have to come back to 0 after a step of r, so that what is missing while the input is on its way (D)
+and while the loop settles returns as overshoot. Θ minimises ∫ |H C x − r|² after a step, over all
+modes together: with the loops F_i = A_z + B_z [K_x, K_q] and X_i = ∫ e^{F_iᵀs} (HC)ᵀHC e^{F_i s} ds
+in blocks of (x, q),
+
+    Θ = −D I − (Σ_i X_qq)⁻¹ Σ_i X_qx X_r,i.
+
+One Θ serves all modes: then a switch between modes that hold r at the same x and u moves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import instance, positive, real_array
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.estimation.observer import output_matrices, per_mode
+from deadtime.gains import state_feedback as design
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.discretisation import held_pair
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Servo(Frozen):
+    """A plant extended by what tracking needs (immutable); see the module for the equations.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant.
+    C : array_like, shape (p, n) or (modes, p, n)
+        What is measured, y = C_σ x.
+    tracked : array_like, shape (tracked, p), optional
+        H: the combinations of y that follow the reference; all of y by default.
+    integral : bool
+        Sum the tracking error: no offset for any law and any constant error of the model, as
+        long as the loop is stable.
+    disturbance : array_like, shape (n, k) or (modes, n, k), optional
+        E: where a constant disturbance acts, for an observer to estimate. It acts faster than the
+        sum; alone it leaves no offset only where the law's forecast is right at rest.
+
+    Attributes
+    ----------
+    base : SwitchedSystem
+        The plant that was given.
+    model : SwitchedSystem
+        With the states (x, d): for the observer, with its outputs `C` (modes, p, n + k).
+    plant : SwitchedSystem
+        With the states z = (x, d, q, r): for the law. d and r being constant, laws of it need
+        allow_unstable=True.
+    tracked : (tracked, p)
+        H.
+    sums : int
+        Size of q: the number of tracked outputs with `integral`, 0 without.
+    driven : SwitchedSystem
+        With the states (x, q), all that moves: for certificates.
+    moving : (x and q,) int
+        Where these are in z.
+
+    Raises
+    ------
+    ArgumentError
+        If a shape is wrong, or a mode cannot hold the outputs at every reference.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.0]], [[0.5]]], [[[1.0]], [[1.0]]], delay=0.3)
+    >>> servo = dt.Servo(plant, C=[[1.0]])
+    >>> servo.plant
+    SwitchedSystem(modes=2, states=3, inputs=1, delay=0.3)
+    >>> servo.place([-1.0, -2.0], step=0.1).round(3)      # on x, q and r
+    array([[[-2.678, -1.725,  2.147]],
+    <BLANKLINE>
+           [[-3.112, -1.682,  2.095]]])
+    """
+
+    base: SwitchedSystem
+    model: SwitchedSystem
+    plant: SwitchedSystem
+    C: Float[np.ndarray, "mode p nd"]
+    tracked: Float[np.ndarray, "r p"]
+    integral: bool
+    disturbance: Float[np.ndarray, "mode n k"]
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        C: ArrayLike,
+        tracked: ArrayLike | None = None,
+        *,
+        integral: bool = True,
+        disturbance: ArrayLike | None = None,
+    ) -> None:
+        instance("plant", plant, SwitchedSystem)
+        C, modes, n = output_matrices(C, plant), plant.modes, plant.states
+        H = np.eye(C.shape[1]) if tracked is None else real_array("tracked", tracked, "(r, p)", 2)
+        if H.shape[1] != C.shape[1]:
+            raise ArgumentError(
+                f"tracked must have one column per output, {C.shape[1]}, got {H.shape}."
+            )
+        E = np.zeros((modes, n, 0))
+        if disturbance is not None:
+            columns = np.shape(disturbance)[-1] if np.ndim(disturbance) else 0
+            E = per_mode("disturbance", disturbance, modes, (n, columns), "(n, k)")
+        model = _extended(plant, E)
+        seen = np.concatenate((C, np.zeros((modes, C.shape[1], E.shape[2]))), axis=2)
+        vars(self).update(
+            base=plant, model=model, C=seen, tracked=H, integral=bool(integral), disturbance=E
+        )
+        vars(self).update(plant=_with_errors(model, H @ seen, self.sums))
+        for i in range(modes):
+            self._require_regular(i)
+
+    @property
+    def sums(self) -> int:
+        """Size of q."""
+        return len(self.tracked) if self.integral else 0
+
+    def place(
+        self, poles: ArrayLike | Sequence[ArrayLike], step: float | None = None
+    ) -> Float[np.ndarray, "mode m z"]:
+        """Gains on z with the poles of (x, q), n plus the size of q, given as for `place`."""
+        return self._completed(design.place(self.driven, poles, step), step)
+
+    def lqr(
+        self, Q: ArrayLike, R: ArrayLike, step: float | None = None
+    ) -> Float[np.ndarray, "mode m z"]:
+        """Gains on z whose part on (x, q) is that of `lqr`, with Q of the size of (x, q)."""
+        return self._completed(design.lqr(self.driven, Q, R, step), step)
+
+    @property
+    def moving(self) -> Int[np.ndarray, " xq"]:
+        """Where (x, q) are in z; the rest, d and r, are constant."""
+        n, k = self.base.states, self.disturbance.shape[2]
+        return np.r_[0:n, n + k : n + k + self.sums]
+
+    @property
+    def driven(self) -> SwitchedSystem:
+        """The plant with the states (x, q): what a certificate can be about.
+
+        A law of it whose gains are K[:, :, servo.moving] is the servo's at d = 0 and r = 0.
+        """
+        keep = self.moving
+        A, B = self.plant.A[:, keep][:, :, keep], self.plant.B[:, keep]
+        return SwitchedSystem(A, B, self.plant.delay)
+
+    def _completed(
+        self, K: Float[np.ndarray, "mode m xq"], step: float | None
+    ) -> Float[np.ndarray, "mode m z"]:
+        """Gains on z from gains on (x, q)."""
+        n, k = self.base.states, self.disturbance.shape[2]
+        step = None if step is None else positive("step", step)
+        rest = [self._rest(i) for i in range(self.base.modes)]
+        shift = self._shift(K, [X[:, k:] for X, _ in rest], step)
+        result = []
+        for gain, (X, U) in zip(K, rest, strict=True):
+            onward = U - gain[:, :n] @ X
+            onward[:, k:] -= gain[:, n:] @ shift
+            result.append(np.hstack((gain[:, :n], onward[:, :k], gain[:, n:], onward[:, k:])))
+        return np.stack(result)
+
+    def _rest(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """X = [X_d, X_r] and U = [U_d, U_r], the smallest where there are several."""
+        n, k, r = self.base.states, self.disturbance.shape[2], len(self.tracked)
+        right = np.zeros((n + r, k + r))
+        right[:n, :k], right[n:, k:] = -self.disturbance[i], np.eye(r)
+        both = np.linalg.lstsq(self._regulator(i), right, rcond=None)[0]
+        return both[:n], both[n:]
+
+    def _regulator(self, i: int) -> np.ndarray:
+        """[[A, B], [HC, 0]]."""
+        HC = self.tracked @ self.C[i, :, : self.base.states]
+        zero = np.zeros((len(HC), self.base.inputs))
+        return np.block([[self.base.A[i], self.base.B[i]], [HC, zero]])
+
+    def _require_regular(self, i: int) -> None:
+        matrix = self._regulator(i)
+        rank = int(np.linalg.matrix_rank(matrix))
+        if rank < len(matrix):
+            raise ArgumentError(
+                f"mode {i} cannot hold the tracked outputs at every reference: "
+                f"rank [A B; HC 0] = {rank} < {len(matrix)}: track fewer outputs than there are "
+                "inputs, and none that a constant input does not move."
+            )
+
+    def _shift(
+        self, K: np.ndarray, X_r: list[np.ndarray], step: float | None
+    ) -> Float[np.ndarray, "q r"]:
+        """Θ of the module."""
+        from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+        n, r = self.base.states, len(self.tracked)
+        if not self.integral:
+            return np.zeros((0, r))
+        driven, weight = self.driven, np.zeros((n + r, n + r))
+        qq, qx = np.zeros((r, r)), np.zeros((r, r))
+        _require_decay(driven, K, step)
+        for i, X in enumerate(X_r):
+            HC = self.tracked @ self.C[i, :, :n]
+            weight[:n, :n] = HC.T @ HC
+            if step is None:
+                F = driven.A[i] + driven.B[i] @ K[i]
+                G = solve_continuous_lyapunov(F.T, -weight)
+            else:
+                Phi, Gamma = held_pair(driven.A[i], driven.B[i], step)
+                G = solve_discrete_lyapunov((Phi + Gamma @ K[i]).T, weight * step)
+            qq += G[n:, n:]
+            qx += G[n:, :n] @ X
+        return -self.base.delay * np.eye(r) - np.linalg.solve(qq, qx)
+
+    def __repr__(self) -> str:
+        d = self.disturbance.shape[2]
+        return f"Servo(tracked={len(self.tracked)}, sums={self.sums}, disturbances={d})"
+
+
+def _require_decay(
+    driven: SwitchedSystem, K: Float[np.ndarray, "mode m xq"], step: float | None
+) -> None:
+    """Refuse gains under which (x, q) does not decay in some mode: nothing would settle."""
+    for i, (A, B) in enumerate(zip(driven.A, driven.B, strict=True)):
+        if step is None:
+            rate = np.linalg.eigvals(A + B @ K[i]).real.max()
+        else:
+            Phi, Gamma = held_pair(A, B, step)
+            rate = np.log(np.abs(np.linalg.eigvals(Phi + Gamma @ K[i])).max()) / step
+        if rate >= 0.0:
+            raise ArgumentError(
+                f"gains must make (x, q) decay in every mode; mode {i} has the rate {rate:+.3g} "
+                "1/s: poles must lie left of the imaginary axis."
+            )
+
+
+def _extended(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> SwitchedSystem:
+    """The plant with the states (x, d)."""
+    modes, n, k = E.shape
+    A, B = np.zeros((modes, n + k, n + k)), np.zeros((modes, n + k, plant.inputs))
+    A[:, :n, :n], A[:, :n, n:], B[:, :n] = plant.A, E, plant.B
+    return SwitchedSystem(A, B, plant.delay)
+
+
+def _with_errors(
+    model: SwitchedSystem, HC: Float[np.ndarray, "mode r nd"], sums: int
+) -> SwitchedSystem:
+    """The plant with the states (x, d, q, r)."""
+    modes, r, n = HC.shape
+    size = n + sums + r
+    A, B = np.zeros((modes, size, size)), np.zeros((modes, size, model.inputs))
+    A[:, :n, :n], B[:, :n] = model.A, model.B
+    if sums:
+        A[:, n : n + sums, :n] = HC
+        A[:, n : n + sums, n + sums :] = -np.eye(r)
+    return SwitchedSystem(A, B, model.delay)

@@ -1,0 +1,217 @@
+"""What every law has: a model of the plant and gains; and, all but one, a table at any period."""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import wraps
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import positive, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.feedback.forecast import Forecast
+from deadtime.feedback.table import Feedback
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.switching import SwitchingSignal
+
+MOST_BYTES = 1e9  # of a table
+
+# From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k. It is
+# called at every sample: with x = NaN where nothing was measured, to which it may answer NaN.
+Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
+
+
+class Remembering(ABC):
+    """An `Update` with a memory: it takes what is measured, NaN included, and estimates the rest.
+
+    Attributes
+    ----------
+    estimates : list of arrays
+        What it took the state of its law's model to be, once a call.
+    """
+
+    estimates: list[np.ndarray]
+
+    @abstractmethod
+    def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        """u_k; a mode below 0 is not known."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Law(Frozen, ABC):
+    """A predictor-feedback law.
+
+    Attributes
+    ----------
+    plant : SwitchedSystem
+        The law's *model* of the plant, delay included.
+    gains : (modes, m, n) array or None
+        K_i of u = +K_i x, used for the mismatch; None where the law has no gain per mode.
+    outputs : (modes, p, n) array or None
+        C_i, of a law that measures y = C_σ x; None for the whole state.
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"] | None
+    outputs: Float[np.ndarray, "mode p n"] | None = field(default=None, kw_only=True)
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """A few words for legends and tables."""
+
+    @abstractmethod
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        """The law's table at a sampling period.
+
+        Parameters
+        ----------
+        step : float
+            Sampling period h > 0, in seconds.
+        signal, steps
+            Read only by laws whose rows are indexed by the step: the future signal, and how
+            many samples to make rows for.
+        """
+
+    @abstractmethod
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        """The law in continuous time, for a run on [0, horizon] along a signal.
+
+        Raises `ArgumentError` for a law that has no such form.
+        """
+
+    @abstractmethod
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Update | Remembering:
+        """The law as a function to be called once a period, for loops that must go step by step.
+
+        Of a law that measures outputs it is a `Remembering`, to be called with y in place of x.
+        `signal` and `steps` as in `digital`. Raises `ArgumentError` for a law that must know the
+        future and is not told it.
+        """
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.label}; model {self.plant!r})"
+
+    def window(self, step: float) -> Window:
+        """The window of the model's delay at a sampling period."""
+        return Window.of_plant(self.plant, step)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TableLaw(Law):
+    """A law that is a table of linear functionals: every one but the state-dependent."""
+
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Update:
+        feedback = self.digital(step, signal, steps)
+        taps, G = feedback.taps, feedback.oldest_first
+        sample = itertools.count()
+
+        def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+            row = feedback.row(mode, age, next(sample))
+            return feedback.state_gain[row] @ x + G[row] @ past[-taps:].ravel()
+
+        return control
+
+
+Digital = Callable[..., Feedback]
+
+
+def remembered(digital: Digital) -> Digital:
+    """Keep the last table of a law whose table depends on the step only and takes long to fill."""
+
+    @wraps(digital)
+    def remembering(
+        self: Law, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        table = vars(self).get("_table")
+        if table is None or table.step != step:
+            table = digital(self, step, signal, steps)
+            vars(self)["_table"] = table
+        return table
+
+    return remembering
+
+
+def checked_gains(
+    plant: SwitchedSystem, gains: object, allow_unstable: bool
+) -> Float[np.ndarray, "mode m n"]:
+    """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz, unless that is waived."""
+    K = real_array("gains", gains, "(modes, m, n)", 3)  # pyright: ignore[reportArgumentType]
+    if K.shape[0] != plant.modes:
+        raise ArgumentError(
+            f"gains must hold one (m, n) matrix per mode, {plant.modes}, got {K.shape[0]}: "
+            "they may be the gains of another plant."
+        )
+    for i in range(plant.modes):
+        shaped(f"gains[{i}]", K[i], (plant.inputs, plant.states), "(m, n)")
+        require_hurwitz(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i], allow_unstable)
+    return K
+
+
+def room(bytes_per_age: float, most_bytes: float = MOST_BYTES) -> int:
+    """How many ages a table has room for."""
+    return int(most_bytes // bytes_per_age)
+
+
+def require_room(name: str, ages: float, step: float, most: int) -> None:
+    """Refuse a table of more ages than there is room for."""
+    if ages > most:
+        raise ArgumentError(
+            f"{name} asks for a table of {ages:.3g} ages of {step:g} s, and there is room for "
+            f"{most:,}: lengthen the step."
+        )
+
+
+def require_match(plant: SwitchedSystem, law: Law) -> None:
+    """Refuse a law whose model has other sizes than the plant."""
+    for name in ("modes", "states", "inputs"):
+        mine, its = getattr(plant, name), getattr(law.plant, name)
+        if mine != its:
+            raise ArgumentError(
+                f"law must be made for a plant with {mine} {name}, got a law for {its}: "
+                "delay and matrices of the law's model may differ from the plant's, sizes not."
+            )
+
+
+def checked_dwell_time(dwell_time: float | None) -> float | None:
+    """A dwell time in seconds, or None for a law that knows of none."""
+    return None if dwell_time is None else positive("dwell_time", dwell_time)
+
+
+def require_hurwitz(
+    name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray, allow_unstable: bool
+) -> None:
+    """Refuse a gain that leaves A + B K unstable, unless the caller says it is meant."""
+    rightmost = rightmost_eigenvalue(name, place, A, B, K)
+    if rightmost >= 0.0 and not allow_unstable:
+        raise ArgumentError(
+            f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
+            f"{rightmost:+.4g} 1/s): the sign is u = +K x, and gains belong to one plant; "
+            "allow_unstable = True accepts it, as gains designed for a long step may need, and so "
+            "may loops that are stable only with their delay."
+        )
+
+
+def rightmost_eigenvalue(
+    name: str, place: str, A: np.ndarray, B: np.ndarray, K: np.ndarray
+) -> float:
+    """The largest real part of an eigenvalue of A + B K, 1/s; an error where floats hold none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        loop = A + B @ K
+    if not np.isfinite(loop).all():
+        raise ArgumentError(
+            f"{name} must keep A + B K of {place} below 1.8e308, got entries up to "
+            f"{np.abs(K).max():.3g}: measure states or inputs in other units."
+        )
+    return float(np.linalg.eigvals(loop).real.max())

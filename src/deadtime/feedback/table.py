@@ -1,0 +1,183 @@
+"""Feedback: the table that a predictor law becomes at a sampling period.
+
+Row c of the table gives the input from the sampled state and the past inputs,
+
+    u_k = F_c x_k + Σ_{j=1..N} G_{c,j} u_{k−j}.
+
+Laws fill the table; simulators, engines, certificates and exports read it and never ask which
+law it came from. Which row applies is a function of the *sampled* modes σ(t_0), …, σ(t_k)
+alone, the `context`:
+
+    none        one row
+    mode        row = mode
+    mode_age    row = mode·ages + min(age, ages − 1); age counts samples since the sampled mode
+                last changed, 0 when a new mode is first seen and, unless told, at the start
+    step        row = k (laws that know the signal in advance)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+
+Context = Literal["none", "mode", "mode_age", "step"]
+
+
+class Factor(NamedTuple):
+    """The taps as powers of one small matrix: G_{c,j} = H_c S^{j−1} Γ_s for j < N, then `last`.
+
+    H : (contexts, m, q),  S : (q, q),  input : Γ_s (q, m),  last : G_{c,N} (contexts, m, m)
+    """
+
+    H: Float[np.ndarray, "context m q"]
+    S: Float[np.ndarray, "q q"]
+    input: Float[np.ndarray, "q m"]
+    last: Float[np.ndarray, "context m m"]
+
+    def taps(self, count: int) -> Float[np.ndarray, "context N m m"]:
+        """The N = `count` taps that the factorisation stands for."""
+        contexts, m, _ = self.H.shape
+        result = np.empty((contexts, count, m, m))
+        column = self.input
+        for j in range(count - 1):
+            result[:, j] = self.H @ column
+            column = self.S @ column
+        result[:, -1] = self.last
+        return result
+
+
+def side_by_side(taps: Float[np.ndarray, "context N m m"]) -> Float[np.ndarray, "context m past"]:
+    """Taps as one matrix a row, (contexts, m, N·m), in the order given."""
+    contexts, count, m, _ = taps.shape
+    return taps.transpose(0, 2, 1, 3).reshape(contexts, m, count * m)
+
+
+def row_of(context: Context, ages: int, mode: int, age: int) -> int:
+    """The row of a table that does not depend on the sample's number."""
+    return 0 if context == "none" else mode * ages + min(age, ages - 1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Feedback(Frozen):
+    """A digital feedback law as a table (immutable).
+
+    Attributes
+    ----------
+    state_gain : (contexts, m, n)
+        F_c.
+    input_gain : (contexts, N, m, m)
+        G_{c,j}, j = 1 (the latest input) first.
+    context : "none", "mode", "mode_age" or "step"
+        What selects the row; see the module.
+    step : float
+        Sampling period h the table is made for, in seconds.
+    ages : int
+        Rows per mode of a (mode, age) table, 1 otherwise.
+    factor : Factor or None
+        The taps as H_c S^{j−1} Γ_s, where that form exists: O(1) cost in N for who uses it.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> dt.AveragedPredictor(problem.plant, problem.gains).digital(0.01)
+    Feedback(context='none', rows=1, taps=100, inputs=1, step=0.01, factored)
+    """
+
+    state_gain: Float[np.ndarray, "context m n"]
+    input_gain: Float[np.ndarray, "context N m m"]
+    context: Context
+    step: float
+    ages: int = 1
+    factor: Factor | None = None
+
+    def __post_init__(self) -> None:
+        rows, m = self.state_gain.shape[:2]
+        taps = self.input_gain.shape
+        if self.input_gain.ndim != 4 or taps != (rows, taps[1], m, m):
+            raise ArgumentError(
+                f"input_gain must have shape (contexts, N, m, m) = ({rows}, N, {m}, {m}), "
+                f"got {taps}."
+            )
+        if not (np.isfinite(self.state_gain).all() and np.isfinite(self.input_gain).all()):
+            raise ArgumentError(
+                "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
+                "is too long for this plant."
+            )
+        # Where they are: a table may take as much memory as there is for one.
+        for array in (self.state_gain, self.input_gain, *(self.factor or ())):
+            array.flags.writeable = False
+
+    @property
+    def taps(self) -> int:
+        """N, the number of past inputs that a row reads."""
+        return self.input_gain.shape[1]
+
+    @property
+    def latest_first(self) -> Float[np.ndarray, "context m past"]:
+        """The taps of each row side by side, (contexts, m, N·m), as inputs lie in u_{k−1}, …."""
+        return side_by_side(self.input_gain)
+
+    @property
+    def oldest_first(self) -> Float[np.ndarray, "context m past"]:
+        """The taps of each row side by side, (contexts, m, N·m), as inputs lie in u_{k−N}, ….
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Feedback(np.zeros((1, 1, 1)), np.array([[[[1.0]], [[2.0]]]]), "none", 0.1).oldest_first
+        array([[[2., 1.]]])
+        """
+        return side_by_side(self.input_gain[:, ::-1])
+
+    def row(self, mode: int, age: int = 0, sample: int = 0) -> int:
+        """The row that applies at a sample: of a mode, its age in samples, the sample's number.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> table = Feedback(np.zeros((6, 1, 1)), np.zeros((6, 1, 1, 1)), "mode_age", 0.1, ages=3)
+        >>> table.row(1, age=7)
+        5
+        """
+        return sample if self.context == "step" else row_of(self.context, self.ages, mode, age)
+
+    def rows(self, modes: np.ndarray, initial_age: int = 0) -> np.ndarray:
+        """The row that applies at each sample of a run, from the sampled modes σ(t_0), σ(t_1), ….
+
+        `initial_age` is the age of σ(t_0) in samples.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> table = Feedback(np.zeros((6, 1, 1)), np.zeros((6, 1, 1, 1)), "mode_age", 0.1, ages=3)
+        >>> table.rows(np.array([0, 0, 0, 0, 1, 1]))
+        array([0, 1, 2, 2, 3, 4])
+        """
+        count = modes.size
+        if self.context == "none":
+            return np.zeros(count, np.int64)
+        if self.context == "mode":
+            return modes.astype(np.int64)
+        samples = np.arange(count)
+        if self.context == "step":
+            return samples
+        changed = np.concatenate(([True], np.diff(modes) != 0))
+        initial_age = min(initial_age, self.ages)
+        began = np.where(changed, samples, -initial_age)
+        began[0] = -initial_age
+        age = samples - np.maximum.accumulate(began)
+        return modes * self.ages + np.minimum(age, self.ages - 1)
+
+    def __repr__(self) -> str:
+        rows, m = self.state_gain.shape[:2]
+        return (
+            f"Feedback(context={self.context!r}, rows={rows}, taps={self.taps}, inputs={m}, "
+            f"step={self.step:g}, {'factored' if self.factor else 'dense'})"
+        )

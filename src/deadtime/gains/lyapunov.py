@@ -1,0 +1,291 @@
+"""Common Lyapunov functions xᵀPx of the delay-free loops A_i + B_i K_i.
+
+    (A_i + B_i K_i)ᵀ P + P (A_i + B_i K_i) ≤ −Q  for every mode i,   P = Pᵀ > 0, Q = Qᵀ > 0
+
+Every P that leaves this module was put back into its inequality: Q is recomputed from the
+eigenvalues and lowered by a bound on their rounding errors, so the inequality holds for the
+matrices as they are stored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import real_array
+from deadtime.base.errors import ArgumentError, InfeasibleError
+from deadtime.base.frozen import Frozen
+from deadtime.feedback.law import checked_gains, rightmost_eigenvalue
+from deadtime.numerics.lmi import (
+    Verdict,
+    attempts,
+    balanced_units,
+    library,
+    require_answer,
+    symmetric_value,
+    told,
+)
+from deadtime.plant import SwitchedSystem
+
+# A P of norm 1 with an eigenvalue below this is not known to be definite.
+SMALLEST = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class CommonLyapunov(Frozen):
+    """One quadratic Lyapunov function for all modes (immutable).
+
+    Attributes
+    ----------
+    P : (n, n) array
+        Symmetric, positive definite.
+    Q : (n, n) array
+        Symmetric, positive definite, 1/s times the unit of P.
+
+    References
+    ----------
+    arXiv 2503.08446, inequality (4).
+    """
+
+    P: Float[np.ndarray, "n n"]
+    Q: Float[np.ndarray, "n n"]
+
+
+def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
+    """The common P of norm 1 with the largest λ_min(Q).
+
+    Solves: maximise q subject to (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −q I, 0 ≤ P ≤ I. Among
+    all pairs of (4) it has the largest λ_min(Q)/|P|, the ratio on which the paper's ε* depends.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant; its delay plays no part.
+    gains : array_like, shape (modes, m, n)
+        K_i of u = +K_i x, every A_i + B_i K_i Hurwitz.
+
+    Returns
+    -------
+    CommonLyapunov
+        `.P` with spectral norm 1 and `.Q` = q I, put back into the inequality. Where the units of
+        the states differ so much that no solver finds the largest q, any common P.
+
+    Raises
+    ------
+    ArgumentError
+        If the gains do not fit the plant or leave a mode unstable.
+    InfeasibleError
+        If no common P exists, with the solver's verdict.
+    SolverError
+        If no solver works: then nothing is known.
+
+    References
+    ----------
+    arXiv 2503.08446, inequality (4). S. Boyd et al., Linear Matrix Inequalities in System and
+    Control Theory, SIAM 1994, section 5.1.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from deadtime.gains.lyapunov import common_lyapunov
+    >>> problem = dt.problems.paper()
+    >>> lyapunov = common_lyapunov(problem.plant, problem.gains)
+    >>> lyapunov.Q.round(4).tolist()
+    [[0.0582, 0.0], [0.0, 0.0582]]
+    """
+    K = hurwitz_gains(plant, gains)
+    H = closed_loops(plant, K)
+    verdicts: list[Verdict] = []
+    t = balanced_units(H)
+    as_given = np.ones_like(t)
+    # The last problem gives the verdict: it has no solution when no common P exists.
+    for (problem, P), units in ((_largest(H), as_given), (_any(H / t[:, None] * t), t)):
+        verdicts.clear()
+        for verdict in attempts(problem):
+            answer = symmetric_value(P)
+            if answer is not None:
+                answer = answer / np.outer(units, units)
+            found = put_back(plant, K, answer)
+            if found is not None:
+                return found
+            missed = "" if answer is None else ", but it fails when put back"
+            verdicts.append(verdict._replace(said=verdict.said + missed))
+            if problem.status == "infeasible":
+                break
+    require_answer(verdicts)
+    raise InfeasibleError(
+        "no common P: no P > 0, Q > 0 found with (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −Q for "
+        f"all {plant.modes} modes at once ({told(verdicts)}): choose gains and P together "
+        "(stabilize), or rescale states whose units differ by many powers of ten."
+    )
+
+
+def hurwitz_gains(plant: SwitchedSystem, gains: ArrayLike) -> Float[np.ndarray, "mode m n"]:
+    """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz."""
+    K = checked_gains(plant, gains, allow_unstable=True)
+    rightmost = [
+        rightmost_eigenvalue(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i])
+        for i in range(plant.modes)
+    ]
+    worst = int(np.argmax(rightmost))
+    if rightmost[worst] >= 0.0:
+        raise ArgumentError(
+            f"gains[{worst}] leaves A + B K of mode {worst} unstable (rightmost eigenvalue at "
+            f"{rightmost[worst]:+.4g} 1/s), so no P exists: the sign is u = +K x; `place`, `lqr` "
+            "or `stabilize` give gains that fit the plant."
+        )
+    return K
+
+
+def decaying_lyapunov(
+    plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], decay_rate: float
+) -> CommonLyapunov | None:
+    """The best conditioned common P with (…)ᵀP + P(…) ≤ −2·decay_rate·P; None if there is none."""
+    cp = library("cvxpy")
+    H = closed_loops(plant, gains)
+    scale = np.linalg.norm(H, 2, axis=(1, 2)).max()
+    n = plant.states
+    P, bound, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
+    limits: list[Any] = [identity << P, P << bound * identity]
+    rate = 2.0 * decay_rate / scale
+    problem = cp.Problem(
+        cp.Minimize(bound), limits + [(h.T @ P + P @ h) / scale << -rate * P for h in H]
+    )
+    # One try: whoever asks has other P to fall back on.
+    next(attempts(problem))
+    return put_back(plant, gains, symmetric_value(P))
+
+
+def checked_lyapunov(
+    plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], lyapunov: object
+) -> CommonLyapunov:
+    """A user's P and Q, put into the inequality; Q is lowered by what rounding takes.
+
+    `lyapunov` is a CommonLyapunov or a pair (P, Q).
+    """
+    if isinstance(lyapunov, CommonLyapunov):
+        lyapunov = (lyapunov.P, lyapunov.Q)
+    if not isinstance(lyapunov, (tuple, list)) or len(lyapunov) != 2:
+        raise ArgumentError(
+            "lyapunov must be what common_lyapunov returns, or a pair (P, Q), "
+            f"got {type(lyapunov).__name__}."
+        )
+    P = _definite("lyapunov: P", lyapunov[0], plant.states)
+    Q = _definite("lyapunov: Q", lyapunov[1], plant.states)
+    H = closed_loops(plant, gains)
+    floor = _rounding(plant, gains, P)
+    rest = [float(np.linalg.eigvalsh(-(h.T @ P + P @ h) - Q)[0]) - floor for h in H]
+    worst = int(np.argmin(rest))
+    # A Q from a Lyapunov equation meets the inequality up to rounding: that is no mistake.
+    excess = max(0.0, -rest[worst])
+    if excess > 1e-8 * np.linalg.norm(Q, 2) + 2.0 * floor:
+        raise ArgumentError(
+            f"lyapunov: P and Q do not satisfy (A + B K)ᵀP + P(A + B K) ≤ −Q in mode {worst}: "
+            f"the left side plus Q has an eigenvalue {excess:.4g} > 0: lower Q, or leave "
+            "`lyapunov` out and let common_lyapunov find the pair."
+        )
+    Q = Q - excess * np.eye(plant.states)
+    if np.linalg.eigvalsh(Q)[0] <= 0.0:
+        raise ArgumentError(
+            "lyapunov: Q is positive definite only up to rounding errors of the inequality "
+            f"({excess:.1e}): give a better conditioned pair."
+        )
+    return _frozen(P, Q)
+
+
+def closed_loops(
+    plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"]
+) -> Float[np.ndarray, "mode n n"]:
+    """A_i + B_i K_i."""
+    return plant.A + plant.B @ gains
+
+
+def put_back(
+    plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], P: np.ndarray | None
+) -> CommonLyapunov | None:
+    """P scaled to norm 1 and its Q = q I, or None if P is no common Lyapunov matrix."""
+    if P is None:
+        return None
+    largest = float(np.abs(np.linalg.eigvalsh(P)).max())
+    if not 0.0 < largest < np.inf:
+        return None
+    P = P / largest
+    floor = _rounding(plant, gains, P)
+    if np.linalg.eigvalsh(P)[0] <= SMALLEST:
+        return None
+    q = min(np.linalg.eigvalsh(-(h.T @ P + P @ h))[0] for h in closed_loops(plant, gains)) - floor
+    return _frozen(P, q * np.eye(plant.states)) if q > 0.0 else None
+
+
+def growth_in_norm(
+    plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], P: Float[np.ndarray, "n n"]
+) -> float:
+    """h with d/dt |x|_P ≤ h |x|_P along every delay-free loop, |x|_P² = xᵀPx, in 1/s.
+
+    −h is the largest ω with (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −2ωP for all i, less a
+    bound on rounding errors.
+    """
+    L = np.linalg.cholesky(P)
+    inverse = np.linalg.inv(L)
+    worst = -np.inf
+    for A, B, K in zip(plant.A, plant.B, gains, strict=True):
+        G = L.T @ (A + B @ K) @ inverse.T
+        worst = max(worst, float(np.linalg.eigvalsh((G + G.T) / 2.0)[-1]))
+    condition = float(np.linalg.norm(L, 2) * np.linalg.norm(inverse, 2))
+    return worst + _unit(plant) * condition * _size(plant, gains)
+
+
+def _largest(H: np.ndarray) -> tuple[Any, Any]:
+    """Maximise q: Hᵀ P + P H ≤ −q I, 0 ≤ P ≤ I. Always solvable, with q = 0 if there is no P."""
+    cp = library("cvxpy")
+    n = H.shape[-1]
+    P, q, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
+    H = H / np.linalg.norm(H, 2, axis=(1, 2)).max()
+    decay = [h.T @ P + P @ h << -q * identity for h in H]
+    return cp.Problem(cp.Maximize(q), [P << identity, P >> 0, *decay]), P
+
+
+def _any(H: np.ndarray) -> tuple[Any, Any]:
+    """Minimise |P|: Hᵀ P + P H ≤ −I. Infeasible if and only if there is no common P."""
+    cp = library("cvxpy")
+    n = H.shape[-1]
+    P, bound, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
+    H = H / np.linalg.norm(H, 2, axis=(1, 2)).max()
+    decay = [h.T @ P + P @ h << -identity for h in H]
+    return cp.Problem(cp.Minimize(bound), [P << bound * identity, P >> 0, *decay]), P
+
+
+def _unit(plant: SwitchedSystem) -> float:
+    """Relative rounding error of a product of three matrices and its eigenvalues, generously."""
+    return 16.0 * (plant.states + plant.inputs) ** 2 * float(np.finfo(float).eps)
+
+
+def _size(plant: SwitchedSystem, gains: np.ndarray) -> float:
+    """Bound of |A| + |B||K|, the size of what is rounded in A + B K."""
+    spectral = [np.linalg.norm(M, 2, axis=(1, 2)) for M in (plant.A, plant.B, gains)]
+    return float((spectral[0] + spectral[1] * spectral[2]).max())
+
+
+def _rounding(plant: SwitchedSystem, gains: np.ndarray, P: np.ndarray) -> float:
+    return 2.0 * _unit(plant) * _size(plant, gains) * float(np.linalg.norm(P, 2))
+
+
+def _definite(name: str, value: ArrayLike, n: int) -> np.ndarray:
+    matrix = real_array(name, value, "(n, n)", 2)
+    if matrix.shape != (n, n):
+        raise ArgumentError(f"{name} must have shape (n, n) = ({n}, {n}), got {matrix.shape}.")
+    if not np.allclose(matrix, matrix.T, rtol=1e-12, atol=1e-12 * np.abs(matrix).max()):
+        raise ArgumentError(f"{name} must be symmetric: pass (M + M.T) / 2.")
+    smallest = float(np.linalg.eigvalsh((matrix + matrix.T) / 2.0)[0])
+    if smallest <= 0.0:
+        raise ArgumentError(f"{name} must be positive definite, got an eigenvalue {smallest:.4g}.")
+    return (matrix + matrix.T) / 2.0
+
+
+def _frozen(P: np.ndarray, Q: np.ndarray) -> CommonLyapunov:
+    P.flags.writeable = Q.flags.writeable = False
+    return CommonLyapunov(P, Q)

@@ -1,0 +1,165 @@
+"""Pole placement for one pair (A, B), with every refusal by name: gains and observers use it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import brief, unmasked
+from deadtime.base.errors import ArgumentError
+
+
+def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
+    """One list of n poles per mode, (modes, n) complex, each closed under conjugation."""
+    unmasked("poles", poles)
+    wanted = f"poles must be {n} numbers, or one list of {n} per mode, got {brief(poles)}."
+    try:
+        if np.asarray(poles).dtype.kind in "US":  # NumPy would read some of them
+            wanted += " Write a complex pole as -4+2j and its conjugate as -4-2j, without quotes."
+            raise TypeError
+        given = np.asarray(poles, dtype=np.complex128)
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(wanted) from None
+    if given.shape == (n,):
+        given = np.tile(given, (modes, 1))
+    if given.shape != (modes, n):
+        raise ArgumentError(
+            f"poles must have shape (n,) = ({n},) or (modes, n) = ({modes}, {n}), "
+            f"got {given.shape}."
+        )
+    if not np.isfinite(given).all():
+        raise ArgumentError("poles must be finite, got NaN or infinity.")
+    for i, row in enumerate(given):
+        for pole in row[row.imag != 0.0]:
+            if np.sum(row == pole) != np.sum(row == pole.conjugate()):
+                raise ArgumentError(
+                    f"poles of mode {i} must come in conjugate pairs, but {pole:g} lacks "
+                    f"{pole.conjugate():g}."
+                )
+    return given
+
+
+def place_pair(
+    A: Float[np.ndarray, "n n"],
+    B: Float[np.ndarray, "n m"],
+    poles: np.ndarray,
+    i: int,
+    letter: str = "B",
+    given: np.ndarray | None = None,
+) -> Float[np.ndarray, "m n"]:
+    """K with the poles of A + B K, for a controllable pair; put back before it is returned.
+
+    `i` and `letter` are how messages call the mode and B, and `given` what they print for the
+    poles, where those asked for are others.
+    """
+    from scipy.signal import place_poles
+
+    rank = int(np.linalg.matrix_rank(B))
+    for pole, name in zip(poles, poles if given is None else given, strict=True):
+        times = int(np.sum(poles == pole))
+        if times > rank:
+            raise ArgumentError(
+                f"poles of mode {i}: {name:g} is repeated {times} times, but only rank {letter} = "
+                f"{rank} equal poles can be placed: move them apart a little."
+            )
+    try:
+        with warnings.catch_warnings():
+            # It warns when its search for robust gains stops early; the answer is checked below.
+            warnings.simplefilter("ignore", UserWarning)
+            balanced, inputs, t, c = _balanced(A, B)
+            wanted = poles if np.iscomplex(poles).any() else np.real(poles)
+            result: Any = place_poles(balanced, inputs, wanted)
+    except ValueError as error:
+        raise ArgumentError(
+            f"poles of mode {i} could not be placed ({error}): move them apart or closer to "
+            "those of the plant."
+        ) from None
+    K = -np.real(result.gain_matrix)
+    if K.shape[0] == 1:
+        K = _refined(balanced, inputs, K, poles)
+    _require_poles(balanced + inputs @ K, poles, i)
+    return c[:, None] * K / t
+
+
+def _refined(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """K corrected for one input, where the characteristic polynomial is affine in K."""
+    unit = float(np.abs(poles).max()) or 1.0
+
+    def coefficients(gain: np.ndarray) -> np.ndarray:
+        return np.poly(np.linalg.eigvals(A + B @ gain) / unit)[1:].real
+
+    asked, here = np.poly(poles / unit)[1:].real, coefficients(K)
+    size = max(1.0, float(np.abs(K).max()))
+    slopes = [coefficients(K + size * row) - here for row in np.eye(A.shape[0])[:, None, :]]
+    try:
+        change = np.linalg.solve(np.stack(slopes, axis=1), asked - here) * size
+    except np.linalg.LinAlgError:
+        return K
+    better = K + change
+    return better if np.abs(coefficients(better) - asked).max() < np.abs(here - asked).max() else K
+
+
+def _require_poles(closed: np.ndarray, poles: np.ndarray, i: int) -> None:
+    """Put the answer back: the closed loop has the characteristic polynomial that was asked for.
+
+    Its coefficients are compared, in units in which the largest pole is 1: unlike the
+    eigenvalues themselves they are well conditioned when poles nearly coincide.
+    """
+    unit = max(float(np.abs(poles).max()), np.finfo(float).tiny)
+    asked = np.poly(poles / unit)
+    error = np.abs(np.poly(np.linalg.eigvals(closed) / unit) - asked).max() / np.abs(asked).max()
+    if not error <= 1e-6:
+        raise ArgumentError(
+            f"poles of mode {i} could not be placed accurately (error {error:.1e} in the "
+            "characteristic polynomial): move them apart or closer to those of the plant."
+        )
+
+
+def reachable(A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"]) -> int:
+    """The rank of the controllability matrix [B, AB, …].
+
+    It is that of a staircase: an orthonormal basis of range B, extended by A times its newest
+    directions until nothing new comes. States are balanced and inputs normalised first, so that
+    the answer does not depend on units.
+    """
+    n = A.shape[0]
+    balanced, fresh, _, _ = _balanced(A, B)
+    size = max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
+    basis = np.zeros((n, 0))
+    while fresh.size and basis.shape[1] < n:
+        for _ in range(2):
+            fresh = fresh - basis @ (basis.T @ fresh)
+        U, values, _ = np.linalg.svd(fresh, full_matrices=False)
+        new = U[:, values > 1e-12]
+        basis = np.hstack((basis, new))
+        fresh = balanced @ new / size
+    return basis.shape[1]
+
+
+def require_controllable(A: np.ndarray, B: np.ndarray, i: int) -> None:
+    """Refuse a mode whose controllability matrix [B, AB, …] lacks rank."""
+    n, rank = A.shape[0], reachable(A, B)
+    if rank < n:
+        powers = " ".join(["B", "AB", *(f"A^{k}B" for k in range(2, n))][:n])
+        raise ArgumentError(
+            f"mode {i} is not controllable: rank [{powers}] = {rank} < {n}: "
+            "no gain can move all its poles."
+        )
+
+
+def _balanced(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A and B in units in which A is balanced and B's columns have length 1, and those units.
+
+    With units t of the states and c of the inputs, A/t·t and B·c/t are returned.
+    """
+    from scipy.linalg import matrix_balance
+
+    balanced, (t, _) = matrix_balance(A, permute=False, separate=True)
+    fresh = B / t[:, None]
+    c = 1.0 / np.maximum(np.linalg.norm(fresh, axis=0), np.finfo(float).tiny)
+    return balanced, fresh * c, t, c

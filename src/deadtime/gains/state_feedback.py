@@ -1,0 +1,230 @@
+"""Gains for every mode, in the paper's sign: u = +K x.
+
+python-control's and SciPy's own functions give u = −K x; here A_i + B_i K_i has the poles.
+
+With a step the gains are designed for the loop that runs at that period. A predictor law holds
+u_k = K P_k, P_k = x(t_k + D); over [t_k + D, t_{k+1} + D) the plant sees that u_k and no other,
+whatever the delay, so
+
+    P_{k+1} = (Φ + Γ K) P_k,    Φ = e^{Ah},  Γ = ∫₀^h e^{As} ds B:
+
+no delay is left in it. Its poles are e^{ph}, and its cost from time D on is a sum over periods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import positive, real_array
+from deadtime.base.errors import ArgumentError
+from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, require_controllable
+from deadtime.numerics.covariance import noise_covariance
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.discretisation import held_pair, quotient, quotient_poles
+
+
+def place(
+    plant: SwitchedSystem,
+    poles: ArrayLike | Sequence[ArrayLike],
+    step: float | None = None,
+    allow_unstable: bool = False,
+) -> Float[np.ndarray, "mode m n"]:
+    """Gains that place the poles of A_i + B_i K_i, or of the loop run at a period.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant; every mode must be controllable.
+    poles : array_like, shape (n,) or (modes, n)
+        Poles for all modes, or one list per mode, in 1/s; complex ones with their conjugates.
+    step : float, optional
+        Sampling period h, in seconds: Φ_i + Γ_i K_i then has the poles e^{ph} (see the module),
+        and the exact predictor of a mode, run at this period, decays as the poles say. Such
+        gains need not make A_i + B_i K_i Hurwitz where h is long.
+    allow_unstable : bool
+        Accept poles that do not decay.
+
+    Returns
+    -------
+    (modes, m, n) array
+        K of u = +K x. With several inputs the gains are chosen for robustness (SciPy's
+        `place_poles`).
+
+    Raises
+    ------
+    ArgumentError
+        If a mode is not controllable, or not when sampled; a pole does not decay, is repeated
+        more often than the rank of B, lacks its conjugate or oscillates faster than the samples;
+        or the placement fails its own check.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> dt.place(dt.problems.paper().plant, [-1, -2]).round(4)
+    array([[[-12.    ,  -6.    ]],
+    <BLANKLINE>
+           [[-12.6961,  -6.3725]]])
+    >>> plant = dt.problems.paper().plant
+    >>> law = dt.SingleModePredictor(plant, dt.place(plant, [-1, -2], step=0.2), mode=0)
+    >>> round(dt.growth_rate(plant, law, mode=0, step=0.2), 6)
+    -1.0
+    """
+    wanted = pole_lists(poles, plant.modes, plant.states)
+    for i, row in enumerate(wanted):
+        if (fastest := row[np.argmax(row.real)]).real >= 0.0 and not allow_unstable:
+            hint = f"; write {_written(-fastest)} for one that does" if fastest.real else ""
+            raise ArgumentError(
+                f"poles of mode {i} must have negative real parts, got {_written(fastest)}: a loop "
+                f"with this pole does not decay{hint}."
+            )
+    step = None if step is None else positive("step", step)
+    return np.stack([_place_mode(plant, i, wanted[i], step) for i in range(plant.modes)])
+
+
+def _written(pole: complex) -> str:
+    """A pole as it is written, a real one without its imaginary part."""
+    return f"{pole.real:g}" if pole.imag == 0.0 else f"{pole:g}"
+
+
+def _place_mode(plant: SwitchedSystem, i: int, poles: np.ndarray, step: float | None) -> np.ndarray:
+    A, B = plant.A[i], plant.B[i]
+    require_controllable(A, B, i)
+    if step is None:
+        return place_pair(A, B, poles, i)
+    asked = quotient_poles(poles, step, i)
+    A, B = quotient(A, B, step)
+    if reachable(A, B) < len(A):
+        raise ArgumentError(
+            f"mode {i} is not controllable when sampled every {step:g} s: eigenvalues whose "
+            f"imaginary parts differ by a multiple of 2π/h = {2.0 * np.pi / step:.4g} 1/s look "
+            "alike; change the step a little."
+        )
+    return place_pair(A, B, asked, i, given=poles)
+
+
+def lqr(
+    plant: SwitchedSystem, Q: ArrayLike, R: ArrayLike, step: float | None = None
+) -> Float[np.ndarray, "mode m n"]:
+    """Gains that minimise ∫ xᵀQx + uᵀRu in each mode, its delay and switching aside.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant.
+    Q : array_like, shape (n, n)
+        State weight, symmetric, positive semidefinite.
+    R : array_like, shape (m, m)
+        Input weight, symmetric, positive definite.
+    step : float, optional
+        Sampling period h, in seconds: the same integral is minimised over inputs that are held,
+        exactly, between samples too (C. Van Loan 1978). Of an exact predictor it is the cost from
+        time D on. Such gains need not make A_i + B_i K_i Hurwitz where h is long.
+
+    Returns
+    -------
+    (modes, m, n) array
+        K of u = +K x.
+
+    Raises
+    ------
+    ArgumentError
+        If a weight is not symmetric or not definite, or a mode has no stabilising solution.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.0]], [[1.0]]], [[[1.0]], [[1.0]]], delay=1.0)
+    >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]]).ravel().round(4)      # −1 and −(1 + √2)
+    array([-1.    , -2.4142])
+    >>> dt.lqr(plant, Q=[[1.0]], R=[[1.0]], step=0.1).ravel().round(4)
+    array([-0.952 , -2.2544])
+    """
+    Q = weight_matrix("Q", Q, plant.states, "n", strict=False)
+    R = weight_matrix("R", R, plant.inputs, "m", strict=True)
+    if step is None:
+        return np.stack([_lqr_mode(plant, i, Q, R) for i in range(plant.modes)])
+    step = positive("step", step)
+    return np.stack([_sampled_lqr_mode(plant, i, Q, R, step) for i in range(plant.modes)])
+
+
+def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
+    """A symmetric weight of a quadratic cost, positive semidefinite or (`strict`) definite."""
+    form = f"({letter}, {letter})"
+    weight = real_array(name, value, form, 2)
+    if weight.shape != (size, size):
+        raise ArgumentError(f"{name} must have shape {form} = {(size, size)}, got {weight.shape}.")
+    if not np.allclose(weight, weight.T, rtol=1e-12, atol=0.0):
+        raise ArgumentError(f"{name} must be symmetric: pass ({name} + {name}.T) / 2.")
+    eigenvalues = np.linalg.eigvalsh(weight)
+    floor = 0.0 if strict else -1e-12 * max(1.0, abs(eigenvalues).max())
+    if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
+        kind = "positive definite" if strict else "positive semidefinite"
+        raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {eigenvalues[0]:.4g}.")
+    return (weight + weight.T) / 2.0
+
+
+def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
+    from scipy.linalg import solve_continuous_are
+
+    A, B = plant.A[i], plant.B[i]
+    try:
+        X = solve_continuous_are(A, B, Q, R)
+    except ValueError:  # LinAlgError among them
+        X = np.full_like(A, np.nan)
+    with np.errstate(over="ignore", invalid="ignore"):
+        K = -np.linalg.solve(R, B.T @ X)
+        loop = A + B @ K
+        residual = np.linalg.norm(A.T @ X + X @ A + X @ B @ K + Q)
+        size = np.linalg.norm(Q) + 2.0 * np.linalg.norm(A) * np.linalg.norm(X)
+    stable = np.isfinite(loop).all() and np.linalg.eigvals(loop).real.max() < 0.0
+    if not stable or not residual <= 1e-8 * size < np.inf:
+        raise _no_gain(i)
+    return K
+
+
+def held_cost(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, step: float
+) -> Float[np.ndarray, "z z"]:
+    """M with ∫₀^h xᵀQx + uᵀRu dt = zᵀ M z, z = (x(0), u), the input held: dz/dt = Z z."""
+    n, m = B.shape
+    Z, weight = np.zeros((2, n + m, n + m))
+    Z[:n, :n], Z[:n, n:] = A, B
+    weight[:n, :n], weight[n:, n:] = Q, R
+    return noise_covariance(Z.T, weight, step)
+
+
+def _sampled_lqr_mode(
+    plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray, step: float
+) -> np.ndarray:
+    """The discrete Riccati equation with a cross term, put back."""
+    from scipy.linalg import solve_discrete_are
+
+    A, B = plant.A[i], plant.B[i]
+    n = A.shape[0]
+    Phi, Gamma = held_pair(A, B, step)
+    M = held_cost(A, B, Q, R, step)
+    try:
+        X = solve_discrete_are(Phi, Gamma, M[:n, :n], M[n:, n:], s=M[:n, n:])
+    except ValueError:  # LinAlgError among them
+        X = np.full_like(A, np.nan)
+    L = np.hstack((Phi, Gamma))
+    W = M + L.T @ X @ L
+    if not np.isfinite(W).all():
+        raise _no_gain(i)
+    K = -np.linalg.solve(W[n:, n:], W[n:, :n])
+    residual = np.linalg.norm(W[:n, :n] + W[:n, n:] @ K - X)
+    stable = np.abs(np.linalg.eigvals(Phi + Gamma @ K)).max() < 1.0
+    if not stable or residual > 1e-8 * np.linalg.norm(W[:n, :n]):
+        raise _no_gain(i)
+    return K
+
+
+def _no_gain(i: int) -> ArgumentError:
+    return ArgumentError(
+        f"mode {i} has no stabilising LQR gain: it must be stabilisable, and Q must weigh "
+        "its unstable and undamped states."
+    )

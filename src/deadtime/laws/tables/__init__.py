@@ -1,0 +1,1 @@
+"""Rows of digital laws, one file for each kind of forecast."""

@@ -1,0 +1,132 @@
+"""The table of the expected law under a semi-Markov forecast, exact on the sampling grid.
+
+Switches are seen at samples, so a mode lasts whole periods and (mode, age) is a Markov chain:
+from (i, a) the next sample finds (i, a + 1) with probability 1 − haz_i(a), or (j, 0) with
+haz_i(a) T_ij, where haz_i(a) = P(S_i ≤ (a + 1) h | S_i > a h). Let R_p(i, a) be the expected
+functional K_σ(t_k+D) x(t_k + D) of the state at t_{k+p}, and ⟨R⟩(i, a) its mean one sample later,
+
+    ⟨R⟩(i, a) = (1 − haz_i(a)) R(i, a + 1) + haz_i(a) Σ_j T_ij R(j, 0).
+
+The model is in mode i all through period p, so, with φ = h,
+
+    R_N(i, a) = K_i,    R_p = ⟨R_{p+1}⟩ Φ_i(h),
+    weight of u_{k+p−N} seen from t_{k+p}: ⟨R_{p+1}⟩ Γ_i(h),
+
+and p times ⟨·⟩ brings that weight back to t_k. With φ < h the last period is a part, R_{N−1} =
+K_i Φ_i(φ), and each earlier one has two inputs: u_{k+p−N} for φ and then u_{k+p−N+1} for h − φ.
+
+Averaging a weight back costs (modes)(ages + N) m² products a period, the table (N²/2) of these.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+
+from deadtime.feedback import Feedback
+from deadtime.numerics.exponential import held_modes, multiply
+from deadtime.plant import Window
+
+
+@njit(cache=True, fastmath={"contract"})
+def _one_sample_back(R, hazard, transition, ages, fresh):
+    """R ← ⟨R⟩ in place for the ages below `ages`; R (modes, entries, ages), `fresh` is scratch."""
+    modes, entries = R.shape[:2]
+    for i in range(modes):
+        for e in range(entries):
+            fresh[i, e] = 0.0
+            for j in range(modes):
+                fresh[i, e] += transition[i, j] * R[j, e, 0]
+    for i in range(modes):
+        for e in range(entries):
+            row, new = R[i, e], fresh[i, e]
+            for a in range(ages):
+                row[a] = row[a + 1] + hazard[i, a] * (new - row[a + 1])
+
+
+@njit(cache=True)
+def _applied(R, M, ages, result):
+    """result(i, a) = R(i, a) M_i, the matrices of R and result flattened into entries."""
+    modes, inner, columns = M.shape
+    rows = R.shape[1] // inner
+    for i in range(modes):
+        for r in range(rows):
+            for c in range(columns):
+                entry = result[i, r * columns + c]
+                entry[:ages] = 0.0
+                for k in range(inner):
+                    factor, source = M[i, k, c], R[i, r * inner + k]
+                    for a in range(ages):
+                        entry[a] += factor * source[a]
+
+
+@njit(cache=True)
+def _constant(matrices, ages):
+    """The functional that is matrices[i] at every age, as (modes, entries, ages)."""
+    modes, rows, columns = matrices.shape
+    result = np.empty((modes, rows * columns, ages))
+    for i in range(modes):
+        for r in range(rows):
+            for c in range(columns):
+                result[i, r * columns + c] = matrices[i, r, c]
+    return result
+
+
+@njit(cache=True)
+def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
+    """F (modes, m·n, ages) and G (modes, N, m·m, ages); `hazard` (modes, ages + N)."""
+    modes, m, n = K.shape
+    total = ages + count
+    partial = phase < step
+    Phi, Gamma = held_modes(A, B, step)
+    Phi_first, Gamma_first = held_modes(A, B, phase)
+    Phi_rest, Gamma_rest = held_modes(A, B, step - phase)
+    through = np.empty_like(Gamma)
+    for i in range(modes):
+        through[i] = multiply(Phi_rest[i], Gamma_first[i])
+    G = np.zeros((modes, count, m * m, ages))
+    R, moved = _constant(K, total), np.empty((modes, m * n, total))
+    fresh, fresh_weight = np.empty((modes, m * n)), np.empty((modes, m * m))
+    early, late = np.zeros((modes, m * m, total)), np.zeros((modes, m * m, total))
+    for p in range(count - 1, -1, -1):
+        reach = ages + p
+        last = partial and p == count - 1
+        if not last:
+            _one_sample_back(R, hazard, transition, reach, fresh)
+            # u_{k+p−N+1} in the rest of period p joins the same input's part in period p + 1.
+            if partial:
+                _applied(R, Gamma_rest, reach, late)
+                _one_sample_back(early, hazard, transition, reach, fresh_weight)
+                for i in range(modes):
+                    late[i, :, :reach] += early[i, :, :reach]
+                for back in range(p, 0, -1):
+                    _one_sample_back(late, hazard, transition, ages + back - 1, fresh_weight)
+                G[:, count - p - 2] = late[:, :, :ages]
+        _applied(R, Gamma_first if last else through if partial else Gamma, reach, early)
+        if not partial or p == 0:
+            for back in range(p, 0, -1):
+                _one_sample_back(early, hazard, transition, ages + back - 1, fresh_weight)
+            G[:, count - p - 1] = early[:, :, :ages]
+        _applied(R, Phi_first if last else Phi, reach, moved)
+        R, moved = moved, R
+    return R[:, :, :ages], G
+
+
+def semi_markov_table(
+    A: Float[np.ndarray, "mode n n"],
+    B: Float[np.ndarray, "mode n m"],
+    K: Float[np.ndarray, "mode m n"],
+    hazard: Float[np.ndarray, "mode total"],
+    transition: Float[np.ndarray, "mode mode"],
+    ages: int,
+    window: Window,
+) -> Feedback:
+    """The (mode, age) table; `hazard` reaches N ages past the table's."""
+    modes, m, n = K.shape
+    F, G = semi_markov_rows(
+        A, B, K, hazard, transition, ages, window.step, window.phase, window.count
+    )
+    F = F.transpose(0, 2, 1).reshape(modes * ages, m, n)
+    G = G.transpose(0, 3, 1, 2).reshape(modes * ages, window.count, m, m)
+    return Feedback(np.ascontiguousarray(F), np.ascontiguousarray(G), "mode_age", window.step, ages)

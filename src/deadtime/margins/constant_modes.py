@@ -1,0 +1,224 @@
+"""The delay margin while one mode lasts: true delays for which the law was not made.
+
+The law keeps the table that it was given, made for its own model's delay; only the delay of the
+plant changes. Where the loop of a constant mode is stable at the plant's nominal delay, it stays so
+until, on the way to another delay, a root first stands on the limit of stability
+(`deadtime.margins.crossing`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.base.wording import error_percent, inwards
+from deadtime.feedback import Law
+from deadtime.margins.crossing import first_crossing, reaching
+from deadtime.margins.loop_gain import Band, bands
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum import growth_rate
+from deadtime.spectrum.affordable import require_affordable
+from deadtime.spectrum.arguments import require_constant
+from deadtime.spectrum.growth import not_decaying
+from deadtime.spectrum.ideal import IdealLoop
+from deadtime.spectrum.ideal_response import IdealResponse
+from deadtime.spectrum.observed_response import digital_response
+from deadtime.spectrum.response import Response
+
+FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
+
+
+class _Limit(NamedTuple):
+    """An end of the interval, seconds; the mode lost there and the frequency, if one is."""
+
+    delay: float
+    mode: int | None
+    frequency: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class DelayMargin(Frozen):
+    """True delays that leave a loop stable (immutable).
+
+    Attributes
+    ----------
+    lower, upper : float or None
+        The open interval of true delays around the nominal one with every constant mode stable,
+        seconds. 0: stable down to no delay. ∞: whatever the delay. None: a mode is unstable at
+        the nominal delay.
+    lower_mode, upper_mode : int or None
+        The mode that is lost there; None where none is. Without an interval, the mode that grows
+        fastest.
+    lower_frequency, upper_frequency : float or None
+        The frequency of the root that crosses there, rad/s.
+    growth : (modes,)
+        The growth rate in each mode at the nominal delay, 1/s.
+    nominal : float
+        The plant's delay, seconds.
+    message : str
+        The same in a sentence. It says where an `upper` without a mode is the end of the search.
+    certified : bool
+        Whether this is proved for all admissible switching; False for constant modes.
+    """
+
+    lower: float | None
+    upper: float | None
+    lower_mode: int | None
+    upper_mode: int | None
+    lower_frequency: float | None
+    upper_frequency: float | None
+    growth: Float[np.ndarray, " mode"]
+    nominal: float
+    message: str
+    certified: bool = False
+
+    @property
+    def relative(self) -> float | None:
+        """The smallest error of the delay, relative to it, that loses a mode; None without one.
+
+        Where none does, as far as longer delays were tried.
+        """
+        if self.lower is None or self.upper is None:
+            return None
+        longer = self.upper / self.nominal - 1.0
+        return longer if self.lower_mode is None else min(1.0 - self.lower / self.nominal, longer)
+
+
+def constant_delay_margin(
+    plant: SwitchedSystem, law: Law, step: float | None = 0.01, upto: float | None = None
+) -> DelayMargin:
+    """How wrong the delay may be, if any one mode lasts for ever.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth, at its nominal delay. The law has a model of its own, `law.plant`.
+    law : Law
+        A law that is a table, or an `OutputFeedback` of one; without a step, one that has a closed
+        form in continuous time.
+    step : float or None
+        Sampling period h, in seconds; None for the ideal loop, updated continuously.
+    upto : float, optional
+        The longest true delay that is tried, in seconds, above the nominal one. By default ten
+        times the nominal one; or ten times 1/ω, ω the highest frequency at which the loop's gain
+        may be 1, where that is longer.
+
+    Returns
+    -------
+    DelayMargin
+        To about 1e-10 relative; to 1e-6 where the loop's gain only touches 1.
+
+    Raises
+    ------
+    ArgumentError
+        As by `growth_rate`; if `upto` is no longer than the nominal delay, or the delay holds so
+        many periods that the answer would take long.
+
+    Notes
+    -----
+    A root that touches the limit of stability and goes back ends the interval, too: at that delay
+    the loop is not asymptotically stable. With several modes the loop may be lost earlier, by
+    switching: that needs a certificate.
+
+    References
+    ----------
+    Mondié and Michiels, IEEE Trans. Automatic Control 48 (2003); Michiels and Niculescu, Stability,
+    Control, and Computation for Time-Delay Systems, SIAM 2014, section 7.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> A, B = [[[2, 1], [0, 1]]], [[[0], [1]]]
+    >>> plant = dt.SwitchedSystem(A, B, delay=1.0)
+    >>> law = dt.SingleModePredictor(plant, dt.place(plant, [-1, -2]), 0)
+    >>> margin = constant_delay_margin(plant, law)
+    >>> round(margin.lower, 5), round(margin.upper, 5)
+    (0.98644, 1.01351)
+    """
+    require_constant(plant, law)
+    step = None if step is None else positive("step", step)
+    if upto is not None and positive("upto", upto) <= plant.delay:
+        raise ArgumentError(
+            f"upto must be longer than the nominal delay, {plant.delay:g} s, got {upto:g}: it is "
+            "the longest true delay that is tried."
+        )
+    require_affordable("delay margin", plant, law, step)
+    growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
+    nominal = plant.delay
+    if growth.max() >= 0.0:
+        worst = int(growth.argmax())
+        text = _unstable(worst, float(growth[worst]))
+        return DelayMargin(None, None, worst, worst, None, None, growth, nominal, text)
+    lower, upper = _limits(plant, law, step, upto)
+    return DelayMargin(
+        lower.delay,
+        upper.delay,
+        lower.mode,
+        upper.mode,
+        lower.frequency,
+        upper.frequency,
+        growth,
+        nominal,
+        _stable(lower, upper, nominal),
+    )
+
+
+def _limits(
+    plant: SwitchedSystem, law: Law, step: float | None, upto: float | None
+) -> tuple[_Limit, _Limit]:
+    """The nearest limits of any mode, below and above."""
+    nominal = plant.delay
+    responses = [_response(plant, law, mode, step) for mode in range(plant.modes)]
+    parts = [_bands(response, nominal) for response in responses]
+    if upto is None:
+        # In a delay shorter than one radian of every motion that matters, ten times is nothing.
+        radians = [1.0 / part[-1].samples.omega[-1] for part in parts if part]
+        upto = FARTHEST * float(max([nominal, *radians]))
+    lower, upper = _Limit(0.0, None, None), _Limit(upto, None, None)
+    for mode, (response, part) in enumerate(zip(responses, parts, strict=True)):
+        found = first_crossing(response, part, nominal, lower.delay)
+        lower = lower if found is None else _Limit(found.delay, mode, found.frequency)
+        found = first_crossing(response, part, nominal, upper.delay)
+        upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
+    return lower, upper if any(parts) else upper._replace(delay=math.inf)
+
+
+def _bands(response: Response, delay: float) -> list[Band]:
+    """Where some delay may have a root; none if no delay has any."""
+    found = bands(response, delay)
+    # In the ideal loop the gain is what it is, whatever the delay.
+    return reaching(response, found, delay) if response.period is None else found
+
+
+def _response(plant: SwitchedSystem, law: Law, mode: int, step: float | None) -> Response:
+    """The loop in one mode, as a function of frequency and true delay."""
+
+    if step is None:
+        return IdealResponse.of(IdealLoop.of(plant, law, mode))
+    return digital_response(plant, law, mode, step)
+
+
+def _unstable(mode: int, growth: float) -> str:
+    """Why there is no margin."""
+    return f"there is no delay margin, since held in mode {mode} the loop {not_decaying(growth)}"
+
+
+def _stable(lower: _Limit, upper: _Limit, nominal: float) -> str:
+    """The interval in a sentence, rounded inwards."""
+    text = "the loop stays stable in every constant mode"
+    if math.isinf(upper.delay):
+        return f"{text} whatever the true delay"
+    low, high = inwards(lower.delay, nominal), inwards(upper.delay, nominal)
+    longer = error_percent(upper.delay, nominal)
+    longer = "longer ones were not tried" if upper.mode is None else longer
+    if lower.mode is None:
+        return f"{text} while the true delay is below {high} s ({longer})"
+    shorter = error_percent(lower.delay, nominal)
+    return f"{text} while the true delay is between {low} s and {high} s ({shorter}, {longer})"

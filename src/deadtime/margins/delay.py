@@ -1,0 +1,145 @@
+"""The delay margin: how wrong the delay may be, for constant modes or for every signal.
+
+For every admissible signal the true delays around the nominal one are covered by pieces, each
+certified at once for all delays in it (`certify` with `delays`), since the loop's order changes
+where the delay passes a multiple of the period. What fails is halved, down to a small part of the
+interval that constant modes allow, the most that any certificate can reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import error_percent, inwards
+from deadtime.certificates import Certificate, certify
+from deadtime.feedback import Law
+from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.steps import snap
+
+FINEST = 0.04  # of the interval of constant modes
+MOST_PIECES = 16  # certificates tried on each side
+LEAST_DELAY = 1e-3  # of a period: the shortest delay that is asked about
+
+
+def delay_margin(
+    plant: SwitchedSystem,
+    law: Law,
+    step: float | None = 0.01,
+    dwell_time: float | None = None,
+    upto: float | None = None,
+) -> DelayMargin:
+    """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth at its nominal delay; the law has a model of its own.
+    law : Law
+        A law that is a table.
+    step : float or None
+        Sampling period h, in seconds; None for the ideal loop (constant modes only).
+    dwell_time : float, optional
+        Without it, the mode is constant: exact, from the spectrum. With it, proved for every
+        switching signal with this dwell time and every constant delay between `lower` and
+        `upper`, in seconds.
+    upto : float, optional
+        The longest true delay that is tried, in seconds. By default ten times the nominal one; or
+        ten times 1/ω, ω the highest frequency at which the loop's gain may be 1, where that is
+        longer.
+
+    Returns
+    -------
+    DelayMargin
+        `lower` and `upper` in seconds; None where there is no margin, and `message` says which
+        mode grows, or what could not be certified.
+
+    Raises
+    ------
+    ArgumentError
+        As by `growth_rate` and `certify`; if `upto` is no longer than the nominal delay, or the
+        delay holds so many periods that the answer would take long.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.5]], [[0.6]]], [[[1.0]], [[1.0]]], delay=0.5)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
+    >>> alone = delay_margin(plant, law, step=0.5)
+    >>> certified = delay_margin(plant, law, step=0.5, dwell_time=0.6)
+    >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
+    True
+    """
+    constant = constant_delay_margin(plant, law, step, upto)
+    if dwell_time is None:
+        return constant
+    if step is None:
+        raise ArgumentError(
+            "step must be given with dwell_time: certificates are of the digital loop."
+        )
+    dwell_time = positive("dwell_time", dwell_time)
+    if constant.lower is None or constant.upper is None:
+        return constant
+    nominal = certify(plant, law, dwell_time, step, decay_rate=0.0)
+    if not nominal.stable:
+        return replace(
+            constant,
+            lower=None,
+            upper=None,
+            message=f"There is no certified margin: {nominal.message}",
+        )
+
+    def holds(low: float, high: float) -> bool:
+        return _certified(plant, law, dwell_time, step, (low, high))
+
+    lower = _reach(plant.delay, constant.lower, step, holds)
+    upper = _reach(plant.delay, constant.upper, step, holds)
+    message = (
+        f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for every constant "
+        f"true delay between {inwards(lower, plant.delay)} s and {inwards(upper, plant.delay)} s "
+        f"({error_percent(lower, plant.delay)}, {error_percent(upper, plant.delay)}). Without "
+        f"switches: {constant.message}"
+    )
+    return replace(constant, lower=lower, upper=upper, certified=True, message=message)
+
+
+def _certified(
+    plant: SwitchedSystem, law: Law, dwell_time: float, step: float, delays: tuple[float, float]
+) -> bool:
+    certificate: Certificate = certify(
+        plant, law, dwell_time, step, delays=delays, decay_rate=0.0, search_signals=False
+    )
+    return bool(certificate.stable)
+
+
+def _reach(nominal: float, limit: float, step: float, holds: Callable[..., bool]) -> float:
+    """The delay up to which, from the nominal one towards a limit, all pieces hold, in seconds."""
+    sign = 1.0 if limit > nominal else -1.0
+    farthest = min(abs(limit - nominal), MOST_PIECES * step)
+    end = max(nominal + sign * farthest, LEAST_DELAY * step)
+    finest, length = FINEST * farthest, 0.25 * farthest
+    here = nominal
+    for _ in range(MOST_PIECES):
+        multiple = _next_multiple(here, step, sign)
+        nearest = min(end, multiple, key=lambda delay: abs(delay - here))
+        piece = min(length, abs(nearest - here))
+        if piece <= max(0.5 * finest, 1e-9 * step):
+            break
+        there = nearest if piece < length else here + sign * piece
+        if holds(min(here, there), max(here, there)):
+            here = there
+        elif piece <= finest:
+            break
+        else:
+            length = 0.5 * piece
+    return here
+
+
+def _next_multiple(delay: float, step: float, sign: float) -> float:
+    """The next multiple of the period in a direction."""
+    ratio = snap(delay / step)
+    return step * (math.floor(ratio) + 1 if sign > 0.0 else math.ceil(ratio) - 1)

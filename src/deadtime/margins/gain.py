@@ -1,0 +1,248 @@
+"""The gain margin while one mode lasts: inputs that act more or less than the law believes.
+
+With every input's effect k times the plant's, the loop of one mode has a root at the frequency ω if
+I − k L(ω) is singular, L = M⁻¹ r p being the loop's gain at the plant's input
+(`deadtime.spectrum.response`). So a root can only cross the limit of stability at a k = 1/λ with
+a positive real eigenvalue λ of L(ω). These are where the curve of an eigenvalue crosses the
+positive real axis, or ends on it at the highest and the lowest frequency.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import positive
+from deadtime.base.frozen import Frozen
+from deadtime.base.wording import inwards
+from deadtime.feedback import Law
+from deadtime.numerics.small_matrices import inverses
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum import growth_rate
+from deadtime.spectrum.affordable import require_affordable
+from deadtime.spectrum.arguments import require_constant
+from deadtime.spectrum.growth import not_decaying
+from deadtime.spectrum.ideal import IdealLoop
+from deadtime.spectrum.ideal_response import IdealResponse
+from deadtime.spectrum.observed_response import digital_response
+from deadtime.spectrum.response import Response
+
+_TURN, _FINEST = 0.25, 1e-10  # of an eigenvalue between neighbours; of the highest frequency
+_LARGEST = 1e6  # factors beyond are as good as infinite
+_GROWTH = 1e-8  # 1/s: what round-off may make of a loop that only just decays
+
+
+@dataclass(frozen=True, eq=False)
+class GainMargin(Frozen):
+    """Factors of the inputs' effect that leave a loop stable (immutable).
+
+    Attributes
+    ----------
+    lower, upper : float or None
+        The open interval of factors around 1 with every constant mode stable. 0: stable down to
+        no effect at all. ∞: however much more. None: a mode is unstable already.
+    lower_mode, upper_mode : int or None
+        The mode that is lost there; None where none is. Without an interval, the mode that grows
+        fastest.
+    growth : (modes,)
+        The growth rate in each mode at the factor 1, 1/s.
+    message : str
+        The same in a sentence.
+    """
+
+    lower: float | None
+    upper: float | None
+    lower_mode: int | None
+    upper_mode: int | None
+    growth: Float[np.ndarray, " mode"]
+    message: str
+
+
+def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> GainMargin:
+    """How wrong the inputs' effect B may be, by one factor, if any one mode lasts for ever.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth at the factor 1. The law has a model of its own, `law.plant`.
+    law : Law
+        A law that is a table, or an `OutputFeedback` of one; without a step, one that has a closed
+        form in continuous time.
+    step : float or None
+        Sampling period h, in seconds; None for the ideal loop, updated continuously.
+
+    Returns
+    -------
+    GainMargin
+        To about 1e-9 relative.
+
+    Raises
+    ------
+    ArgumentError
+        As by `growth_rate`, and if the delay holds so many periods that the answer would take
+        long.
+
+    Notes
+    -----
+    With several modes the loop may be lost earlier, by switching: that needs a certificate
+    (`stability_margin`).
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.2)
+    >>> law = dt.SingleModePredictor(plant, dt.place(plant, [-1.0]), 0)
+    >>> margin = dt.gain_margin(plant, law)
+    >>> round(margin.lower, 4), round(margin.upper, 4)
+    (0.5906, 4.3699)
+    """
+    require_constant(plant, law)
+    step = None if step is None else positive("step", step)
+    require_affordable("gain margin", plant, law, step)
+    growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
+    if growth.max() >= 0.0:
+        worst = int(growth.argmax())
+        what = not_decaying(growth[worst])
+        text = f"there is no gain margin: held in mode {worst} the loop {what}"
+        return GainMargin(None, None, worst, worst, growth, text)
+    lower, upper = (0.0, None), (math.inf, None)
+    for mode in range(plant.modes):
+        low, high = _interval(plant, law, mode, step)
+        lower = (low, mode) if low > lower[0] else lower
+        upper = (high, mode) if high < upper[0] else upper
+    return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
+
+
+def _interval(
+    plant: SwitchedSystem, law: Law, mode: int, step: float | None
+) -> tuple[float, float]:
+    """The factors next to 1 at which this mode is lost."""
+
+    def changed(factor: float) -> SwitchedSystem:
+        return SwitchedSystem(plant.A, factor * plant.B, plant.delay)
+
+    def limit(outwards: list[float]) -> float | None:
+        """The first factor beyond which the mode is lost; the last is as far as any matters."""
+
+        def lost(factor: float) -> bool:
+            return growth_rate(changed(factor), law, mode, step) >= _GROWTH
+
+        for a, b in itertools.pairwise(outwards):
+            if lost(math.sqrt(a * b)):
+                return a
+        good, bad = 1.0, outwards[-1]
+        if not lost(bad):
+            return None
+        # A crossing between two frequencies was missed.
+        while abs(math.log(bad / good)) > 1e-12:
+            middle = math.sqrt(good * bad)
+            good, bad = (good, middle) if lost(middle) else (middle, bad)
+        return good
+
+    def candidates(most: float) -> np.ndarray:
+        if step is not None:
+            return _candidates(digital_response(plant, law, mode, step), plant.delay)
+        # Stronger inputs have roots at higher frequencies.
+        response = IdealResponse.of(IdealLoop.of(plant, law, mode))
+        highest = IdealResponse.of(IdealLoop.of(changed(most), law, mode)).highest
+        return _candidates(replace(response, radius=highest), plant.delay)
+
+    factors, high = candidates(1.0), None
+    low = limit([*factors[factors < 1.0][::-1].tolist(), 1.0 / _LARGEST])
+    for most in (_LARGEST,) if step is not None else _LARGEST ** np.linspace(0.2, 1.0, 5):
+        factors = factors if step is not None else candidates(most)
+        near = factors[(factors > 1.0) & (factors < most)]
+        high = limit([*near.tolist(), float(most)])
+        if high is not None:
+            break
+    return 0.0 if low is None else low, math.inf if high is None else high
+
+
+def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"]:
+    """Every factor at which a root stands at the limit of stability, increasing."""
+    highest = response.highest
+    count = int(8.0 * highest * (response.memory + delay)) + 256
+    omega = np.linspace(1e-9, 1.0 - 1e-9, count) * highest
+    gains = _gains(response, omega, delay)
+    while True:
+        gains = _matched(gains)
+        apart = np.abs(np.diff(gains, axis=0))
+        size = np.minimum(np.abs(gains[1:]), np.abs(gains[:-1])) + 1e-3
+        coarse = (apart > _TURN * size).any(axis=1) & (np.diff(omega) > _FINEST * highest)
+        if not coarse.any() or omega.size > 64 * count:
+            break
+        middle = 0.5 * (omega[:-1] + omega[1:])[coarse]
+        order = np.argsort(np.concatenate((omega, middle)))
+        gains = np.concatenate((gains, _gains(response, middle, delay)))[order]
+        omega = np.concatenate((omega, middle))[order]
+    real, imag = np.real(gains), np.imag(gains)
+    crossing = (imag[1:] * imag[:-1] < 0.0) & (real[1:] + real[:-1] > 0.0)
+    found: list[Any] = []
+    for end in (0.0, highest):
+        # A plant that integrates has an infinite gain at frequency 0: no factor ends there.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values: Any = _gains(response, np.array([end]), delay).ravel().tolist()
+        found += [z.real for z in values if abs(z.imag) <= 1e-9 * abs(z) < math.inf]
+    found += _refined(response, delay, omega, gains, np.argwhere(crossing)).tolist()
+    real = np.array([value for value in found if value > 1.0 / _LARGEST])
+    return np.unique(1.0 / real)
+
+
+def _gains(response: Response, omega: np.ndarray, delay: float) -> np.ndarray:
+    """The eigenvalues of L, (points, m)."""
+    samples = response.samples(omega)
+    p, _, _ = response.pipe(omega, np.full(omega.size, delay))
+    L = inverses(samples.M) @ samples.r @ p
+    L = np.where(np.isfinite(L), L, 1e300)
+    return L[:, :, 0] if L.shape[1] == 1 else np.linalg.eigvals(L)
+
+
+def _matched(gains: np.ndarray) -> np.ndarray:
+    """The eigenvalues at each frequency in the order of their neighbours' nearest."""
+    from scipy.optimize import linear_sum_assignment
+
+    if gains.shape[1] > 1:
+        gains = gains.copy()
+        for i in range(1, gains.shape[0]):
+            distance = np.abs(gains[i - 1][:, None] - gains[i])
+            gains[i] = gains[i][linear_sum_assignment(distance)[1]]
+    return gains
+
+
+def _refined(
+    response: Response, delay: float, omega: np.ndarray, gains: np.ndarray, crossing: np.ndarray
+) -> Float[np.ndarray, " crossing"]:
+    """The real eigenvalues in cells (i, j) of the samples, by bisection and then a secant."""
+    if len(crossing) == 0:
+        return np.empty(0)
+    i, j = crossing.T
+    a, b, low, high = omega[i], omega[i + 1], gains[i, j], gains[i + 1, j]
+    for _ in range(50):
+        middle = 0.5 * (a + b)
+        values = _gains(response, middle, delay)
+        nearest = np.abs(values - 0.5 * (low + high)[:, None]).argmin(axis=1)
+        value = values[np.arange(len(values)), nearest]
+        same = np.imag(value) * np.imag(low) > 0.0
+        a, low = np.where(same, middle, a), np.where(same, value, low)
+        b, high = np.where(same, b, middle), np.where(same, high, value)
+    one, other = np.imag(low), np.imag(high)
+    part = np.where(one == other, 0.5, one / np.where(one == other, 1.0, one - other))
+    return np.real(low + part * (high - low))
+
+
+def _sentence(lower: tuple[float, int | None], upper: tuple[float, int | None]) -> str:
+    text = "the loop stays stable in every constant mode while the inputs act"
+    (low, low_mode), (high, high_mode) = lower, upper
+    low_text, high_text = inwards(low, 1.0), inwards(high, 1.0)
+    if low_mode is None and high_mode is None:
+        return f"{text} at all, however much"
+    if high_mode is None:
+        return f"{text} more than {low_text} times as much as believed"
+    if low_mode is None:
+        return f"{text} less than {high_text} times as much as believed"
+    return f"{text} between {low_text} and {high_text} times as much as believed"

@@ -1,0 +1,228 @@
+"""`robustness`: what one loop stands, each answer with a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import count, instance, positive, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import sentence_of
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay, streams
+from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
+from deadtime.margins.gain import GainMargin, gain_margin
+from deadtime.margins.robustness.setting import Setting
+from deadtime.margins.robustness.tolerance import NoisePrice, Tolerance, noise_price
+from deadtime.margins.robustness.tolerance import sweep as _sweep
+from deadtime.margins.robustness.tolerance import tolerance_of as _tolerance_of
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.initial_input import InitialInput
+from deadtime.spectrum.affordable import left_out
+from deadtime.switching import Rule, SwitchingSignal
+
+_DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_FINE = 0.1  # of a probability, relative
+_LOSES = ("none", "loses the plant", "")
+_MARGINS = ("delay margin", "gain margin")
+STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "noise")
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """What one loop stands (immutable).
+
+    Attributes
+    ----------
+    plant, law, step
+        The loop.
+    delay : DelayMargin or None
+        True delays that keep every constant mode stable, from the spectrum; None for a law that is
+        no table, and where `sentences` say that it was left out.
+    gain : GainMargin or None
+        Factors of the inputs' effect that do; None likewise.
+    drops : Tolerance
+        Probability of losing a sample.
+    late : Tolerance
+        Periods by which every sample is late, the law not knowing.
+    lag : Tolerance or None
+        Periods by which the mode is told late; None for a law that does not read the mode.
+    noise : NoisePrice
+        What measurement noise costs.
+    sentences : tuple of str
+        All of it, in words.
+    """
+
+    plant: SwitchedSystem
+    law: Law
+    step: float
+    delay: DelayMargin | None
+    gain: GainMargin | None
+    drops: Tolerance
+    late: Tolerance
+    lag: Tolerance | None
+    noise: NoisePrice
+    sentences: tuple[str, ...]
+
+
+def robustness(
+    plant: SwitchedSystem,
+    law: Law,
+    signal: SwitchingSignal | Rule,
+    x0: ArrayLike,
+    horizon: float,
+    step: float = 0.01,
+    *,
+    scenarios: int = 20,
+    seed: int = 0,
+    imperfections: Sequence[Imperfection] = (),
+    u0: InitialInput = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Robustness:
+    """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
+
+    Errors of delay and gain are those that leave every constant mode stable, exact from the
+    spectrum; where a delay of very many periods would make them take long they are left out, and a
+    sentence says so. The rest is simulated on the given signal: a run counts as lost when it
+    diverges, its loop grows, or |x| ends above where it started. Where that says nothing, because
+    x is pushed, starts at 0, or inputs are limited, a run must come to rest where the perfect loop
+    does, which is pushed alike and has no other imperfection; `docs/robustness.md` has the details.
+
+    Parameters
+    ----------
+    plant, law, signal, x0, horizon, step
+        As `simulate` takes them; a step is needed.
+    scenarios : int
+        Runs with different random numbers for each value of what is random.
+    seed : int
+        Of the first scenario; the others count on.
+    imperfections : sequence of Imperfection
+        What every run has beside what is tried.
+    u0 : optional
+        Inputs before time 0, as `simulate` takes them.
+    progress : callable
+        Called with a few words before each of `len(STEPS)` pieces of work.
+
+    Returns
+    -------
+    Robustness
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, or the law cannot be run with imperfections.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.5]], [[0.2]]], [[[1.0]], [[1.1]]], delay=0.3)
+    >>> law = dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
+    >>> signal = dt.SwitchingSignal.periodic([0.4, 0.6], [0, 1], 6.0)
+    >>> result = robustness(plant, law, signal, [1.0], 5.0, 0.05, scenarios=3)
+    >>> result.late.tolerated, result.lag
+    (12.0, None)
+    """
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
+    step, horizon = positive("step", step), positive("horizon", horizon)
+    streams(imperfections, seed)
+    if horizon <= plant.delay:
+        raise ArgumentError(
+            f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
+            "then no input arrives."
+        )
+    setting = Setting(
+        plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0
+    )
+    if not setting.moves:
+        raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
+    inner = law.law if isinstance(law, OutputFeedback) else law
+    table = isinstance(inner, TableLaw)
+    progress("delay margin")
+    dear = {asked: left_out(asked, plant, law, step) for asked in _MARGINS if table}
+    delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
+    progress("gain margin")
+    gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None
+    progress("lost samples")
+    drops = _drops(setting)
+    progress("late samples")
+    most = max(1, int(horizon / step) // 4)
+    late = _whole(setting, LateSamples, most, "every sample may be", "late")
+    progress("detection lag")
+    lag = None
+    observed = inner is not law and plant.modes > 1
+    reads = not table or inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
+    if reads or observed:
+        lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
+    progress("noise")
+    if drops.tolerated is None:
+        noise = NoisePrice.unknown("what noise costs cannot be told: the runs fail without it")
+    else:
+        noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
+    margins = "but for the imperfections of every run, " if setting.imperfections else ""
+    sentences = [sentence_of(margins + part.message) for part in (delay, gain) if part is not None]
+    sentences += [sentence_of(why) for why in dear.values() if why]
+    sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
+    if lag is None:
+        sentences.append("The law does not read the mode, so that it may be told late.")
+    sentences.append(sentence_of(noise.message))
+    once = tuple(dict.fromkeys(sentences))
+    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once)
+
+
+def _future(signal: SwitchingSignal | Rule) -> tuple:
+    return (signal, 1) if isinstance(signal, SwitchingSignal) else ()
+
+
+def _drops(setting: Setting) -> Tolerance:
+    """Lost samples, to a tenth of the probability."""
+
+    def between(good: float, bad: float) -> float | None:
+        return 0.5 * (good + bad) if bad - good > max(_FINE * bad, 1e-3) else None
+
+    def say(tolerated: float, failed: float | None, _: bool) -> str:
+        upto = "" if failed is None else "up to "
+        which, what, some = ("each", setting.works, " not") if setting.compared else _LOSES
+        runs = "1 run" if setting.scenarios == 1 else f"{setting.scenarios} runs"
+        text = (
+            f"with {upto}{100 * tolerated:.3g} % of the samples lost {which} of {runs} "
+            f"{setting.where} {what}"
+        )
+        return text if failed is None else f"{text}; with {100 * failed:.3g} % some do{some}"
+
+    swept = _sweep(setting, Dropout, _DROPS, between, setting.scenarios)
+    return _tolerance_of(swept, setting, say)
+
+
+def _whole(
+    setting: Setting, kind: Callable[[int], Imperfection], most: int, what: str, how: str
+) -> Tolerance:
+    """Whole periods: doubled until runs are lost, then bisected."""
+    values = [0.0]
+    while values[-1] < most:
+        values.append(min(float(most), max(1.0, 2.0 * values[-1])))
+    scenarios = setting.scenarios if setting.imperfections else 1
+
+    def between(good: float, bad: float) -> float | None:
+        return float((good + bad) // 2) if bad - good > 1.0 else None
+
+    def say(tolerated: float, failed: float | None, bounded: bool) -> str:
+        periods = "1 period" if tolerated == 1.0 else f"{tolerated:g} periods"
+        seconds = f"{periods} ({tolerated * setting.step:.3g} s) {how} {setting.where}"
+        fate = f"no longer {setting.works}" if bounded else "is lost"
+        if failed is None:
+            return f"{what} {seconds}, and more was not tried"
+        if tolerated == 0.0:
+            one = f"with one, {setting.step:g} s,"
+            return f"{what} no whole period {how} {setting.where}: {one} the loop {fate}"
+        return f"{what} up to {seconds}; with {failed:g} the loop {fate}"
+
+    swept = _sweep(setting, lambda value: kind(int(value)), values, between, scenarios)
+    return _tolerance_of(swept, setting, say)

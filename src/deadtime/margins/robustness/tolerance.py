@@ -1,0 +1,166 @@
+"""Tolerances by simulation: how far an imperfection may go before a loop fails to do its work.
+
+An imperfection is tolerated up to a value if every run with it does its work there
+(`robustness.setting`), and at every smaller value that was tried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.base.frozen import Frozen
+from deadtime.imperfections import Imperfection, Noise
+from deadtime.margins.robustness.setting import BOUNDED, KEPT, LOST, Cost, Setting
+
+_TRIALS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance(Frozen):
+    """How the runs fare as one imperfection grows (immutable).
+
+    Attributes
+    ----------
+    values : (k,)
+        What was tried, increasing from 0.
+    cost : (k, scenarios)
+        ∫|x|² + ∫|u|² of each run.
+    lost : (k, scenarios) bool
+        Whether a run is lost, or no longer settles.
+    bounded : (k, scenarios) bool
+        Which of these stay bounded.
+    tolerated : float or None
+        The largest value tried at and below which no run was `lost`; None where one is at 0.
+    failed : float or None
+        The smallest value at which one was; None where none was.
+    message : str
+        The same in a sentence.
+    """
+
+    values: Float[np.ndarray, " k"]
+    cost: Float[np.ndarray, "k scenarios"]
+    lost: Bool[np.ndarray, "k scenarios"]
+    bounded: Bool[np.ndarray, "k scenarios"]
+    tolerated: float | None
+    failed: float | None
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class NoisePrice(Frozen):
+    """What measurement noise costs: E cost = `base` + `slope`·std² in a loop that is linear.
+
+    Attributes
+    ----------
+    std : (k,)
+        Standard deviations of the noise that were run, the first 0, in the states' units.
+    cost : (k, scenarios)
+    base, slope : float
+    doubling : float
+        The standard deviation that doubles the cost.
+    message : str
+    """
+
+    std: Float[np.ndarray, " k"]
+    cost: Float[np.ndarray, "k scenarios"]
+    base: float
+    slope: float
+    doubling: float
+    message: str
+
+    @classmethod
+    def unknown(cls, message: str) -> NoisePrice:
+        """No price, and why."""
+        return cls(np.zeros(1), np.zeros((1, 1)), math.nan, math.nan, math.nan, message)
+
+
+def sweep(
+    setting: Setting,
+    make: Callable[[float], Imperfection],
+    values: Sequence[float],
+    refine: Callable[[float, float], float | None],
+    scenarios: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values until one fails, then between it and the one before while `refine` names one."""
+    tried: dict[float, tuple[Cost, np.ndarray]] = {}
+
+    def ask(value: float) -> bool:
+        more = [make(value)] if value > 0.0 else []
+        tried[value] = setting.runs(more, scenarios)
+        return bool((tried[value][1] != KEPT).any())
+
+    good, bad = None, None
+    for value in values:
+        if ask(value):
+            bad = value
+            break
+        good = value
+    while good is not None and bad is not None:
+        middle = refine(good, bad)
+        if middle is None:
+            break
+        good, bad = (good, middle) if ask(middle) else (middle, bad)
+    order = sorted(tried)
+    return (
+        np.array(order),
+        np.array([tried[value][0] for value in order]),
+        np.array([tried[value][1] for value in order]),
+    )
+
+
+def tolerance_of(
+    swept: tuple[np.ndarray, np.ndarray, np.ndarray],
+    setting: Setting,
+    say: Callable[[float, float | None, bool], str],
+) -> Tolerance:
+    """What a sweep shows; `say(tolerated, failed, bounded)` is its sentence.
+
+    `bounded` says that the runs that fail stay bounded.
+    """
+    values, cost, ends = swept
+    lost, bounded = ends != KEPT, ends == BOUNDED
+    bad = np.flatnonzero(lost.any(axis=1))
+    failed = float(values[bad[0]]) if bad.size else None
+    stays = bool(bad.size) and not (ends[bad[0]] == LOST).any()
+    if failed == values[0]:
+        text = "the runs are lost as they are, with nothing added"
+        if stays:
+            text = f"not every run {setting.works} as it is, with nothing added"
+        return Tolerance(values, cost, lost, bounded, None, failed, text)
+    tolerated = float(values[bad[0] - 1] if bad.size else values[-1])
+    text = say(tolerated, failed, stays)
+    return Tolerance(values, cost, lost, bounded, tolerated, failed, text)
+
+
+def noise_price(setting: Setting, unit: float) -> NoisePrice:
+    """The price of measurement noise, `unit` being the size of a state."""
+    base_cost = setting.costs([])
+    base = float(base_cost.mean())
+    trial, slope = 1e-3 * unit, 0.0
+    # Large enough that what the noise adds stands out of what it happens to do to these runs.
+    for _ in range(_TRIALS):
+        more = float(setting.costs([Noise(trial)]).mean() - base)
+        slope = more / trial**2
+        if more > 0.3 * base:
+            break
+        trial *= 4.0
+    doubling = math.sqrt(base / slope) if 0.0 < slope < math.inf else math.nan
+    if not 0.0 < doubling < math.inf:
+        text = "the price of measurement noise could not be told: no noise tried costs more"
+        return NoisePrice(np.zeros(1), base_cost[None], base, slope, math.nan, text)
+    std = doubling * np.array([0.0, 0.25, 0.5, 1.0, 2.0])
+    cost = np.array([base_cost, *(setting.costs([Noise(s)]) for s in std[1:])])
+    slope = float((cost[1:].mean(axis=1) - base) @ std[1:] ** 2 / np.sum(std[1:] ** 4))
+    doubling = math.sqrt(base / slope) if slope > 0.0 else math.nan
+    share = f", {100.0 * doubling / unit:.2g} % of |x(0)|" if setting.x0.any() else ""
+    signal = "state" if setting.law.outputs is None else "output"
+    text = (
+        f"measurement noise with a standard deviation of {doubling:.2g} in every {signal}{share}, "
+        "doubles the cost"
+    )
+    return NoisePrice(std, cost, base, slope, doubling, text)

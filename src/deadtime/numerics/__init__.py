@@ -1,0 +1,1 @@
+"""Matrices, random numbers and polynomials; nothing of control."""

@@ -1,0 +1,57 @@
+"""Vectors of eight for compiled code: tuples of them are small vectors and matrices.
+
+A tuple of k vectors holds k numbers of each of eight scenarios, or samples, side by side in one
+register each. Sizes are types, so that every sum below is unrolled when it is compiled: `like`
+arguments are tuples whose length alone is read. Arrays are flat; eight consecutive entries are one
+vector.
+
+The compiler vectorises such loops by itself only where it can prove that no two arrays overlap,
+and then keeps no vector in a register from one period to the next.
+"""
+
+from deadtime.numerics.lanes.choices import (
+    chosen,
+    exponent,
+    larger,
+    mantissa,
+    smaller,
+    where_larger,
+)
+from deadtime.numerics.lanes.code import LANES
+from deadtime.numerics.lanes.moves import first_of, gather, load, same, spread, store
+from deadtime.numerics.lanes.sums import (
+    block_product,
+    matrix_product,
+    own_form,
+    own_product,
+    product,
+    squares,
+    table_product,
+    times,
+    total,
+)
+
+__all__ = [
+    "LANES",
+    "block_product",
+    "chosen",
+    "exponent",
+    "first_of",
+    "gather",
+    "larger",
+    "load",
+    "mantissa",
+    "matrix_product",
+    "own_form",
+    "own_product",
+    "product",
+    "same",
+    "smaller",
+    "spread",
+    "squares",
+    "store",
+    "table_product",
+    "times",
+    "total",
+    "where_larger",
+]

@@ -1,0 +1,97 @@
+"""The larger, the smaller, one of several; mantissas and exponents."""
+
+# Types of Numba are called to make signatures.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from deadtime.numerics.lanes.code import LANES, VECTOR, WORDS, Code, made, vectors
+
+_MANTISSA, _ONE = (1 << 52) - 1, 0x3FF0000000000000
+_TWO_52 = 0x4330000000000000  # the bits of 2^52: an integer below 2^52 put there is 2^52 + it
+
+
+@intrinsic
+def larger(_, a, b):
+    """The larger one, entry by entry; b where a is not a number."""
+
+    def work(code: Code, *parts: Any) -> list[Any]:
+        return [code.larger(*entries) for entries in zip(*parts, strict=True)]
+
+    return made(a(a, b), work)
+
+
+@intrinsic
+def smaller(_, a, b):
+    """The smaller one, entry by entry; b where a is not a number."""
+
+    def work(code: Code, *parts: Any) -> list[Any]:
+        return [code.smaller(*entries) for entries in zip(*parts, strict=True)]
+
+    return made(a(a, b), work)
+
+
+@intrinsic
+def where_larger(_, a, b, value, other):
+    """`value`, one number, where a > b, and `other` elsewhere."""
+
+    def work(code: Code, left: Any, right: Any, number: Any, rest: Any) -> list[Any]:
+        new = code.same(number)
+        return [
+            code.builder.select(code.builder.fcmp_ordered(">", x, y), new, z)
+            for x, y, z in zip(left, right, rest, strict=True)
+        ]
+
+    return made(other(a, b, types.float64, other), work)
+
+
+@intrinsic
+def chosen(_, values, row, like):
+    """Of rows of len(like) vectors, one after another, the row that each scenario has."""
+    width = len(like)
+
+    def work(code: Code, given: Any, rows: Any, _: Any) -> list[Any]:
+        result = list(given[:width])
+        for r in range(1, len(given) // width):
+            number = ir.Constant(VECTOR, [float(r)] * LANES)
+            here = code.builder.fcmp_ordered("==", rows[0], number)
+            for j in range(width):
+                result[j] = code.builder.select(here, given[r * width + j], result[j])
+        return result
+
+    return made(vectors(len(like))(values, row, like), work)
+
+
+@intrinsic
+def mantissa(_, a):
+    """a / 2^e in [1, 2) for positive a."""
+
+    def work(code: Code, given: Any) -> list[Any]:
+        build = code.builder
+        bits = [build.bitcast(v, WORDS) for v in given]
+        bits = [build.or_(build.and_(v, code.words(_MANTISSA)), code.words(_ONE)) for v in bits]
+        return [build.bitcast(v, VECTOR) for v in bits]
+
+    return made(a(a), work)
+
+
+@intrinsic
+def exponent(_, a):
+    """The e of `mantissa`, as a floating number."""
+
+    def work(code: Code, given: Any) -> list[Any]:
+        build, result = code.builder, []
+        for vector in given:
+            bits = build.lshr(build.bitcast(vector, WORDS), code.words(52))
+            shifted = build.bitcast(build.or_(bits, code.words(_TWO_52)), VECTOR)
+            offset = ir.Constant(VECTOR, [2.0**52 + 1023.0] * LANES)
+            result.append(build.fsub(shifted, offset))
+        return result
+
+    return made(a(a), work)

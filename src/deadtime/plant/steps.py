@@ -1,0 +1,138 @@
+"""How the digital loop cuts time: samples, the delay's fraction, and switches off the grid.
+
+Sampling instants are t_k = k h. An input u_k, held on [t_k, t_{k+1}), reaches the plant D
+later, so with
+
+    N = ⌈D/h⌉,    φ = D − (N − 1) h ∈ (0, h],
+
+the plant sees u_{k−N} during the first φ of step k (phase 0) and u_{k−N+1} during the
+remaining h − φ (phase 1). A ratio such as D/h within 1e-9 of an integer *is* that integer.
+Switches cut a phase further. Signals are right-continuous: a switch at t_k is seen at t_k.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.plant.discretisation import held_pair
+from deadtime.plant.switched_system import SwitchedSystem, require_exponential
+from deadtime.switching import SwitchingSignal
+
+TOLERANCE = 1e-9
+_SURE = 600.0  # of |A|·step: e^(A·step) is within floats
+MOST_PERIODS = 1_000_000  # of delay: more is a slip of units
+
+
+def snap(ratio: float) -> float:
+    """The ratio itself, or the integer that it is within 1e-9 of."""
+    if math.isinf(ratio):
+        return ratio
+    nearest = math.floor(ratio + 0.5)
+    return float(nearest) if abs(ratio - nearest) <= TOLERANCE else ratio
+
+
+def snap_all(ratio: np.ndarray) -> np.ndarray:
+    """`snap`, entry by entry."""
+    nearest = np.rint(ratio)
+    return np.where(np.abs(ratio - nearest) <= TOLERANCE, nearest, ratio)
+
+
+@dataclass(frozen=True)
+class Window:
+    """The held inputs that a delay keeps in flight.
+
+    Attributes
+    ----------
+    step : float
+        Sampling period h, seconds.
+    count : int
+        N = ⌈D/h⌉, the number of past inputs that still act after t_k.
+    phase : float
+        φ = D − (N − 1) h ∈ (0, h], seconds.
+
+    Examples
+    --------
+    >>> Window.of(delay=0.07, step=0.01)       # naive floats give ⌈7.000000000000001⌉ = 8
+    Window(step=0.01, count=7, phase=0.01)
+    """
+
+    step: float
+    count: int
+    phase: float
+
+    @classmethod
+    def of(cls, delay: float, step: float) -> Window:
+        """The window of an input delay at a sampling period, both in seconds."""
+        ratio = snap(delay / step)
+        if ratio > MOST_PERIODS:
+            raise ArgumentError(
+                f"delay / step = {ratio:.3g} periods, at most {MOST_PERIODS:.0e} are possible: are "
+                "both in seconds? Lengthen the step."
+            )
+        count = max(1, math.ceil(ratio))
+        phase = step if ratio == count else delay - (count - 1) * step
+        return cls(step, count, phase)
+
+    @classmethod
+    def of_plant(cls, plant: SwitchedSystem, step: float) -> Window:
+        """The window of a plant's delay at a period, over which it has an exponential."""
+        step = positive("step", step)
+        if require_exponential("step", plant.A, step) > _SURE:
+            for A, B in zip(plant.A, plant.B, strict=True):
+                held_pair(A, B, step)
+        return cls.of(plant.delay, step)
+
+    @property
+    def delay(self) -> float:
+        """The delay (N − 1) h + φ, in seconds."""
+        return (self.count - 1) * self.step + self.phase
+
+
+@dataclass(frozen=True, eq=False)
+class Cuts(Frozen):
+    """The switches of a signal, laid on the steps of a window.
+
+    Attributes
+    ----------
+    step : (switches,) int
+        Index k of the step that the switch falls in.
+    offset : (switches,) float
+        Time since t_k, in [0, h); exactly 0 or φ when the switch falls there.
+    mode : (switches + 1,) int
+        The initial mode, then the mode after each switch.
+    """
+
+    step: Int[np.ndarray, " switch"]
+    offset: Float[np.ndarray, " switch"]
+    mode: Int[np.ndarray, " switch+1"]
+
+    @classmethod
+    def of(cls, signal: SwitchingSignal, window: Window) -> Cuts:
+        """Lay the switches of `signal` on the steps of `window`."""
+        h, phase = window.step, window.phase
+        times = signal.times[1:]
+        ratio = snap_all(times / h)
+        step = np.floor(ratio)
+        offset = np.where(ratio == step, 0.0, times - step * h)
+        if phase < h:
+            late = snap_all((times - window.delay) / h)
+            on_phase = (late == np.rint(late)) & (ratio != step)
+            step = np.where(on_phase, late + (window.count - 1), step)
+            offset = np.where(on_phase, phase, offset)
+        return cls(step.astype(np.int64), offset, signal.modes)
+
+
+def modes_at(signal: SwitchingSignal, times: np.ndarray, step: float) -> np.ndarray:
+    """σ at the given times; a switch within 1e-9 h after one of them counts as at it.
+
+    At the samples t_k these are the modes that a controller sees; at t_k + D, the modes that
+    the inputs computed at t_k will meet.
+    """
+    return signal(times + TOLERANCE * step)

@@ -1,0 +1,118 @@
+"""One problem under every law of its list, and under its first law when switching stops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from deadtime.base.errors import ArgumentError
+from deadtime.problems.problem import Problem
+from deadtime.simulation import Trajectory
+from deadtime.simulation.outcome import Outcome, elsewhere, outcome_of, pushed
+from deadtime.spectrum import growth_rate
+from deadtime.spectrum.affordable import left_out
+from deadtime.switching import SwitchingSignal
+
+Progress = Callable[[str], None]
+_MOST_PERIODS = 200_000  # of a run in one mode
+_MOST_WORK = 2e9  # of these, times those that a delay holds
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` measured.
+
+    Attributes
+    ----------
+    problem : Problem
+    runs : mapping
+        One run per law, on the problem's signal.
+    metrics : mapping
+        `Trajectory.metrics()` of each run.
+    held : tuple of Trajectory
+        The problem's first law with mode 0, 1, … for ever.
+    growth : tuple of float
+        Growth rate of each of these, 1/s: positive means unstable. That of the loop's spectrum;
+        where it has none, or it would take long, as `measured`.
+    measured : tuple of float
+        The slope of log|x| over the second half of each of these runs, 1/s.
+    outcomes : mapping
+        How each run ends.
+    """
+
+    problem: Problem
+    runs: Mapping[str, Trajectory]
+    metrics: Mapping[str, Mapping[str, float]]
+    held: tuple[Trajectory, ...]
+    growth: tuple[float, ...]
+    measured: tuple[float, ...]
+    outcomes: Mapping[str, Outcome]
+
+    @property
+    def signal(self) -> SwitchingSignal:
+        """The switching signal of the problem; what the first law's run made of it for a rule."""
+        return self.runs[self.lead].signal
+
+    @property
+    def lead(self) -> str:
+        """Name of the law that the problem is about, its first."""
+        return next(iter(self.runs))
+
+
+def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison:
+    """Run every law of a problem, then its first law without any switching.
+
+    Parameters
+    ----------
+    problem : Problem
+        The setting.
+    progress : callable
+        Called with a few words before each piece of work.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from deadtime.problems.comparison import compare
+    >>> result = compare(dt.problems.paper())
+    >>> [round(rate, 2) for rate in result.growth]      # unstable if it stops switching
+    [0.13, 0.28]
+    """
+    runs = {}
+    for name in problem.laws:
+        progress(f"simulating: {name}")
+        runs[name] = problem.simulate(name)
+    # Long enough for the slowest root to stand out.
+    horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.delay)
+    if problem.step is not None:
+        held_inputs = max(1.0, problem.plant.delay / problem.step)
+        most = min(_MOST_PERIODS, _MOST_WORK / held_inputs)
+        horizon = max(problem.horizon, min(horizon, most * problem.step))
+    held = []
+    for mode in range(problem.plant.modes):
+        progress(f"simulating: {problem.modes[mode]} for ever")
+        held.append(problem.hold(mode, horizon))
+    metrics = {name: run.metrics() for name, run in runs.items()}
+    measured = tuple(-run.metrics()["decay_rate"] for run in held)
+    outcomes = {name: ended(problem, name, run) for name, run in runs.items()}
+    growth = _growth(problem) or measured
+    return Comparison(problem, runs, metrics, tuple(held), growth, measured, outcomes)
+
+
+def ended(problem: Problem, name: str, run: Trajectory) -> Outcome:
+    """How the run of a law ends, with a second one beside it where something pushes it."""
+    law = problem.laws[name]
+    if not pushed(law, problem.imperfections):
+        return outcome_of(run, problem.horizon)
+    other = replace(problem, x0=elsewhere(problem.x0))
+    return outcome_of(run, problem.horizon, lambda: other.run(law))
+
+
+def _growth(problem: Problem) -> tuple[float, ...]:
+    """Growth rates of the first law in every mode, from the spectrum; none where not asked."""
+    law, modes = next(iter(problem.laws.values())), range(problem.plant.modes)
+    if left_out("growth rate", problem.plant, law, problem.step):
+        return ()
+    try:
+        return tuple(growth_rate(problem.plant, law, mode, problem.step) for mode in modes)
+    except ArgumentError:
+        return ()

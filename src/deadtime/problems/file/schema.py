@@ -1,0 +1,293 @@
+"""What a problem file may say: the pydantic models behind it, and their JSON Schema.
+
+Only names and types are checked here; what the numbers mean is checked by the package itself.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+
+from pydantic import ConfigDict, Field, model_validator
+
+from deadtime.problems.file.imperfections import ImperfectionEntry
+from deadtime.problems.file.observer import ObserverSection
+from deadtime.problems.law_registry import ENTRIES, LawSection
+from deadtime.problems.law_registry.entry import (
+    SQUARE,
+    UNIT,
+    InputMatrices,
+    InputWeight,
+    ModelSection,
+    Plants,
+    Square,
+)
+from deadtime.problems.toml import Shape
+from deadtime.problems.toml.table import (
+    Integers,
+    Matrices,
+    Matrix,
+    Poles,
+    PolesPerMode,
+    Section,
+    Texts,
+    Vector,
+)
+
+_RATES = [[0.0, 0.5], [0.5, 0.0]]
+
+# What keys are called that are lists of numbers: their shape, and a value that fits.
+Gains = Annotated[Matrices | None, Shape("(modes, m, n)", [[[-1.0, -2.0]], [[-1.0, -2.0]]])]
+PerMode = Annotated[Matrix, Shape("(modes, modes)", _RATES)]
+State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
+Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
+Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
+Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
+
+
+class PlantSection(Section):
+    """The plant dx/dt = A_σ x + B_σ u(t − delay)."""
+
+    delay: float = Field(description="Input delay D, seconds.")
+    A: Plants = Field(description="One n × n matrix per mode.")
+    B: InputMatrices = Field(description="One n × m matrix per mode.")
+    states: Names = Field([], description="Names of the states, for figures.")
+    inputs: Names = Field([], description="Names of the inputs, for figures.")
+    modes: Names = Field([], description="Names of the modes, for figures.")
+
+
+class LqrSection(Section):
+    """Weights of ∫ xᵀQx + uᵀRu."""
+
+    Q: Square
+    R: InputWeight
+
+
+class GainsSection(Section):
+    """Gains of u = +K x: given, or how to design them. Exactly one of K, poles, lqr."""
+
+    K: Gains = Field(None, description="One m × n matrix per mode.")
+    poles: Annotated[
+        Poles | PolesPerMode | None,
+        Shape("a list of poles, or one for each mode", [-1.0, "-1+2j", "-1-2j"]),
+    ] = Field(
+        None,
+        description='Closed-loop poles for all modes, or a list per mode, 1/s; "-1+2j" is complex.',
+    )
+    lqr: LqrSection | None = None
+    allow_unstable: bool = Field(False, description="Accept gains that leave a mode unstable.")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> GainsSection:
+        if sum(value is not None for value in (self.K, self.poles, self.lqr)) != 1:
+            raise ValueError("give exactly one of K, poles and lqr")
+        return self
+
+
+class SojournSection(Section):
+    """A distribution of scipy.stats by its name there, with its parameters."""
+
+    model_config = ConfigDict(extra="allow", strict=False, title=None)
+
+    __pydantic_extra__: dict[str, float]  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    distribution: str = Field(description='Name in scipy.stats, such as "expon" or "gamma".')
+
+
+Sojourn = float | SojournSection
+
+
+class MarkovSwitching(Section):
+    """A Markov process of the mode."""
+
+    kind: Literal["markov"]
+    rates: PerMode = Field(description="Rates from mode (row) to mode (column), 1/s.")
+
+
+class SemiMarkovSwitching(Section):
+    """Random sojourns, then a random next mode."""
+
+    kind: Literal["semi-markov"]
+    sojourn: Sojourn | list[Sojourn] = Field(
+        description="Seconds in a mode: a number, or { distribution = …, … }; or one per mode."
+    )
+    transition: Annotated[Matrix | None, Shape("(modes, modes)", [[0.0, 1.0], [1.0, 0.0]])] = Field(
+        None, description="Probabilities of the next mode; uniform by default."
+    )
+
+
+class FittedSwitching(Section):
+    """A semi-Markov model fitted from logs."""
+
+    kind: Literal["fitted"]
+    logs: Annotated[Texts, Shape("a list of texts", ["log.csv"])] = Field(
+        description="CSV logs, paths relative to the problem file."
+    )
+    family: str | Texts = Field("auto", description="Family of the sojourns, or one per mode.")
+    first: Literal["whole", "drop"] = Field(
+        "whole", description='"drop" if the logs begin in mid-sojourn.'
+    )
+    labels: dict[str, int] | None = Field(None, description="Mode of each text in the logs.")
+    unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None, description="Of the logs' column time; seconds by default."
+    )
+
+
+class ConstantSignal(Section):
+    """One mode for ever."""
+
+    kind: Literal["constant"]
+    mode: int
+
+
+class PeriodicSignal(Section):
+    """The modes in turn, over and over."""
+
+    kind: Literal["periodic"]
+    sojourns: Seconds = Field(description="Seconds in each mode.")
+    modes: Modes
+    dwell_time: float | None = Field(None, description="Checked, seconds.")
+
+
+class RandomSignal(Section):
+    """Random sojourns with a minimum or an average dwell time."""
+
+    kind: Literal["random"]
+    dwell_time: float | None = Field(None, description="Sojourns are this plus exponential, s.")
+    average_dwell_time: float | None = Field(None, description="Instead of dwell_time, s.")
+    mean_sojourn: float | None = Field(None, description="Mean sojourn, s.")
+    chatter: int = Field(2, description="Switches that an average dwell time allows at once.")
+    seed: int = 0
+
+
+class SwitchesSignal(Section):
+    """Switching instants and the mode from each on."""
+
+    kind: Literal["switches"]
+    times: Seconds = Field(description="Starts of the sojourns, the first 0, seconds.")
+    modes: Modes
+    end: float | None = Field(None, description="Up to when the signal is known, seconds.")
+    dwell_time: float | None = Field(None, description="Checked, seconds.")
+
+
+class LogSignal(Section):
+    """A CSV log with columns time and mode."""
+
+    kind: Literal["log"]
+    file: str = Field(description="Path, relative to the problem file.")
+    labels: dict[str, int] | None = Field(None, description="Mode of each text in the log.")
+    unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        None, description="Of the log's column time; seconds by default."
+    )
+    end: float | None = Field(None, description="Up to when the log is known, on its own clock.")
+    dwell_time: float | None = Field(None, description="Checked, seconds.")
+
+
+class ModelSignal(Section):
+    """A signal drawn from the file's [switching] model."""
+
+    kind: Literal["model"]
+    seed: int = 0
+
+
+class HalfSpaceSignal(Section):
+    """Switching by the state: mode 1 where normal·x ≥ offset, mode 0 elsewhere."""
+
+    kind: Literal["half-space"]
+    normal: State
+    offset: float = 0.0
+
+
+class Region(Section):
+    """Where H x ≤ h."""
+
+    H: Annotated[Matrix, Shape("(rows, n)", [[1.0, 0.0]])]
+    h: Annotated[Vector, Shape("(rows,)", [0.0])]
+    mode: int
+
+
+class PolyhedraSignal(Section):
+    """Switching by the state: the mode of the region that holds it."""
+
+    kind: Literal["polyhedra"]
+    regions: list[Region] = Field(description="Together they must fill the space.")
+
+
+class QuadraticSignal(Section):
+    """Switching by the state: the mode whose form xᵀ S[i] x is the largest."""
+
+    kind: Literal["quadratic"]
+    S: Annotated[list[Matrix], Shape("(modes, n, n)", [UNIT, SQUARE])] = Field(
+        description="A symmetric matrix per mode; −S for the smallest form."
+    )
+
+
+RULES = ("half-space", "polyhedra", "quadratic")  # kinds of signal that the state decides
+
+
+class RunSection(Section):
+    """The simulation."""
+
+    x0: State = Field(description="State at time 0.")
+    horizon: float = Field(description="Length of the run, seconds.")
+    step: float | Literal["ideal"] = Field(
+        0.01, description='Sampling period, seconds; "ideal" updates the law continuously.'
+    )
+    u0: Annotated[float | Vector, Shape("a number or (m,)", [0.0])] = Field(
+        0.0, description="Constant input before time 0."
+    )
+    seed: int = Field(0, description="Of all that is random in the imperfections.")
+    predict: Literal["applied", "commanded"] = Field(
+        "applied", description="Which past inputs laws are told of where the actuator changes them."
+    )
+
+
+if TYPE_CHECKING:
+    LawEntry = LawSection
+else:
+    LawEntry = Annotated[Union[ENTRIES], Field(discriminator="kind")]  # noqa: UP007
+Switching = Annotated[
+    MarkovSwitching | SemiMarkovSwitching | FittedSwitching, Field(discriminator="kind")
+]
+Signal = Annotated[
+    ConstantSignal
+    | PeriodicSignal
+    | RandomSignal
+    | SwitchesSignal
+    | LogSignal
+    | ModelSignal
+    | HalfSpaceSignal
+    | PolyhedraSignal
+    | QuadraticSignal,
+    Field(discriminator="kind"),
+]
+
+
+class ProblemFile(Section):
+    """A deadtime problem."""
+
+    title: str = ""
+    source: str = Field("", description="Where the numbers come from.")
+    plant: PlantSection
+    gains: GainsSection
+    law: list[LawEntry] = Field(
+        [], description="Laws to run, in order; all of the paper's by default."
+    )
+    switching: Switching | None = Field(
+        None, description="A stochastic model of the switching, for laws and signals that use one."
+    )
+    observer: ObserverSection | None = Field(
+        None, description="Run every law on what an observer makes of measured outputs."
+    )
+    signal: Signal
+    run: RunSection
+    truth: ModelSection | None = Field(
+        None, description="The plant that is simulated, where it differs from [plant]."
+    )
+    imperfection: list[ImperfectionEntry] = Field(
+        [], description="Disturbances, sensors and actuators, in order."
+    )
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of problem files, for editors."""
+    return ProblemFile.model_json_schema()

@@ -1,0 +1,127 @@
+"""From the sections of a problem file that say how the mode switches: models, rules, signals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
+from deadtime.problems.file import schema
+from deadtime.problems.law_registry import Model
+from deadtime.switching import (
+    HalfSpace,
+    Markov,
+    Polyhedra,
+    QuadraticRegions,
+    Rule,
+    SemiMarkov,
+    SwitchingSignal,
+)
+
+
+def build_model(section: schema.Switching | None, modes: int, folder: Path) -> Model | None:
+    """The stochastic model that [switching] describes; relative paths start at `folder`."""
+    match section:
+        case None:
+            return None
+        case schema.MarkovSwitching():
+            model = Markov(section.rates)
+        case schema.SemiMarkovSwitching():
+            given = section.sojourn
+            sojourn = (
+                [_sojourn(f"sojourn[{i}]", item) for i, item in enumerate(given)]
+                if isinstance(given, list)
+                else _sojourn("sojourn", given)
+            )
+            one = not isinstance(given, list) and section.transition is None
+            model = SemiMarkov(sojourn, section.transition, modes=modes if one else None)
+        case schema.FittedSwitching():
+            signals = [
+                SwitchingSignal.from_csv(
+                    folder / log, modes=modes, labels=section.labels, unit=section.unit
+                )
+                for log in section.logs
+            ]
+            model = SemiMarkov.fit(signals, family=section.family, modes=modes, first=section.first)
+    if model.modes != modes:
+        raise ArgumentError(
+            f"kind = {section.kind!r} describes {model.modes} modes, the plant has {modes}."
+        )
+    return model
+
+
+def _sojourn(name: str, given: schema.Sojourn) -> Any:
+    """A number, or the frozen scipy.stats distribution that a section names."""
+    if not isinstance(given, schema.SojournSection):
+        return given
+    from scipy import stats
+
+    kind = getattr(stats, given.distribution, None)
+    if not isinstance(kind, stats.rv_continuous | stats.rv_discrete):
+        raise ArgumentError(
+            f"{name}: distribution must be the name of one in scipy.stats, such as expon, "
+            f"gamma, weibull_min, uniform, got {given.distribution!r}."
+        )
+    try:
+        return kind(**(given.model_extra or {}))
+    except TypeError:
+        shapes = kind.shapes.split(", ") if kind.shapes else []
+        known = ", ".join([*shapes, "loc", "scale"])
+        raise ArgumentError(
+            f"{name}: {given.distribution} takes the parameters {known}, got "
+            f"{sorted(given.model_extra or {})}."
+        ) from None
+
+
+def build_rule(section: schema.Signal) -> Rule | None:
+    """The rule by which the state switches the mode, or None where a signal does."""
+    match section:
+        case schema.HalfSpaceSignal():
+            return HalfSpace(section.normal, section.offset)
+        case schema.PolyhedraSignal():
+            regions = [(region.H, region.h) for region in section.regions]
+            return Polyhedra(regions, [region.mode for region in section.regions])
+        case schema.QuadraticSignal():
+            return QuadraticRegions(section.S)
+        case _:
+            return None
+
+
+def build_signal(
+    section: schema.Signal,
+    plant: SwitchedSystem,
+    end: float,
+    folder: Path,
+    model: Model | None,
+) -> SwitchingSignal:
+    """The switching signal; made ones are long enough for the oracle's last prediction."""
+    match section:
+        case schema.ConstantSignal():
+            return SwitchingSignal.constant(section.mode)
+        case schema.RandomSignal():
+            return SwitchingSignal.random(plant.modes, end, **section.model_dump(exclude={"kind"}))
+        case schema.ModelSignal():
+            if model is None:
+                raise ArgumentError('kind = "model" needs a [switching] section to draw from.')
+            return model.sample(end, section.seed)
+        case schema.PeriodicSignal():
+            signal = SwitchingSignal.periodic(section.sojourns, section.modes, end)
+        case schema.SwitchesSignal():
+            known = np.inf if section.end is None else section.end
+            signal = SwitchingSignal(section.times, section.modes, known)
+        case schema.LogSignal():
+            signal = SwitchingSignal.from_csv(
+                folder / section.file,
+                modes=plant.modes,
+                labels=section.labels,
+                end=section.end,
+                unit=section.unit,
+            )
+        case _:
+            raise TypeError(section)  # a rule: see build_rule
+    if section.dwell_time is not None:
+        signal.require_dwell_time(section.dwell_time)
+    return signal

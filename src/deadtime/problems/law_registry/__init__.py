@@ -1,0 +1,34 @@
+"""The registry of laws: what problem files, studies, the page, figures and sentences know of each.
+
+A law is known everywhere once it has an entry: a file in `deadtime.problems.law_registry.entries`.
+"""
+
+from deadtime.problems.law_registry.entry import LEVELS, LawSection, Named
+from deadtime.problems.law_registry.registry import (
+    ENTRIES,
+    LAWS,
+    MODEL_KINDS,
+    QUICK,
+    Known,
+    build_law,
+    collect,
+    the_law,
+)
+from deadtime.problems.law_registry.setting import NEEDS, Model, Setting
+
+__all__ = [
+    "ENTRIES",
+    "LAWS",
+    "LEVELS",
+    "MODEL_KINDS",
+    "NEEDS",
+    "QUICK",
+    "Known",
+    "LawSection",
+    "Model",
+    "Named",
+    "Setting",
+    "build_law",
+    "collect",
+    "the_law",
+]

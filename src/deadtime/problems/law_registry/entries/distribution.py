@@ -1,0 +1,63 @@
+"""Laws that rely on a model of the switching."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from deadtime.base.palette import GREEN, OLIVE
+from deadtime.feedback import Law
+from deadtime.laws import ExpectedPredictor, OptimalPredictor
+from deadtime.problems.law_registry.entry import InputWeight, LawSection, Named, Square
+from deadtime.problems.law_registry.setting import Setting
+
+
+class ExpectedLaw(LawSection):
+    """Expected predictor feedback under the file's [switching] model."""
+
+    names: ClassVar = (
+        Named(
+            name="expected",
+            knows="the distribution",
+            colour=GREEN,
+            noun="expected law",
+            in_files=True,
+            in_studies=True,
+        ),
+    )
+    needs: ClassVar = ("model",)
+
+    kind: Literal["expected"]
+    ages: int | None = Field(None, description="Most ages (samples) that the table tells apart.")
+
+    def law(self, setting: Setting) -> Law:
+        assert setting.model is not None
+        return ExpectedPredictor(
+            setting.plant,
+            setting.gains,
+            setting.model,
+            ages=self.ages,
+            allow_unstable=setting.allow_unstable,
+        )
+
+
+class OptimalLaw(LawSection):
+    """The best causal law under the file's [switching] model, for ∫ xᵀQx + uᵀRu."""
+
+    names: ClassVar = (
+        Named(name="optimal", knows="the distribution", colour=OLIVE, noun="optimal law"),
+    )
+    needs: ClassVar = ("model",)
+    quick: ClassVar = 100
+
+    kind: Literal["optimal"]
+    Q: Square | None = Field(None, description="n × n; that of [gains.lqr], or I, by default.")
+    R: InputWeight | None = Field(None, description="m × m; that of [gains.lqr], or I, by default.")
+
+    def law(self, setting: Setting) -> Law:
+        assert setting.model is not None
+        plant = setting.plant
+        Q, R = setting.weights or (np.eye(plant.states), np.eye(plant.inputs))
+        return OptimalPredictor(plant, setting.model, self.Q or Q, self.R or R)

@@ -1,0 +1,104 @@
+"""What an entry of the registry is: the section of a problem file that asks for a law.
+
+class CurrentModeLaw(LawSection):
+    "What editors show beside the kind."
+
+    names = (Named("current mode", knows="nothing"),)
+    kind: Literal["current-mode"]
+
+    def law(self, setting: Setting) -> Law:
+        return CurrentModePredictor(setting.plant, setting.gains)
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
+
+from deadtime.feedback import Law
+from deadtime.problems.law_registry.setting import Need, Setting
+from deadtime.problems.toml import Shape
+from deadtime.problems.toml.table import Matrices, Matrix, Section
+
+SQUARE = [[0.0, 1.0], [-1.0, -0.5]]
+COLUMN = [[0.0], [1.0]]
+UNIT = [[1.0, 0.0], [0.0, 1.0]]
+
+# Lists of numbers: their shape, and a value that fits.
+Plants = Annotated[Matrices, Shape("(modes, n, n)", [SQUARE, SQUARE])]
+InputMatrices = Annotated[Matrices, Shape("(modes, n, m)", [COLUMN, COLUMN])]
+Square = Annotated[Matrix, Shape("(n, n)", UNIT)]
+InputWeight = Annotated[Matrix, Shape("(m, m)", [[1.0]])]
+
+# What a law may know of the switching, each level including those before it.
+LEVELS = ("nothing", "the dwell time", "the distribution", "the future")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named:
+    """A law by the name that studies, the page, figures and sentences know (immutable).
+
+    Attributes
+    ----------
+    name : str
+        Unique; with ``{mode}`` in it there is one law for each mode. The first of an entry is the
+        `label` of the law that its kind alone makes.
+    keys : mapping
+        Keys of the section that make it, beside the kind, the mode and the dwell time.
+    knows : str
+        What it knows of the switching, one of `LEVELS`; one that knows the dwell time is told it
+        by the key `dwell_time`.
+    colour : str
+        As "#rrggbb", the same everywhere; empty: one that is left over.
+    noun : str
+        What it is called after "the" in a sentence; empty: by its name in quotation marks.
+    several : bool
+        Whether it is of use for several modes only.
+    in_files, in_studies : bool
+        Whether it runs where a file, or a study, names no laws.
+    on_page : bool
+        Whether the page offers it for every problem.
+    """
+
+    name: str
+    keys: Mapping[str, Any] = field(default_factory=dict)
+    knows: str
+    colour: str = ""
+    noun: str = ""
+    several: bool = False
+    in_files: bool = False
+    in_studies: bool = False
+    on_page: bool = True
+
+
+class ModelSection(Section):
+    """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
+
+    delay: float | None = None
+    A: Plants | None = None
+    B: InputMatrices | None = None
+
+
+class LawSection(Section):
+    """What all laws share. An entry adds its `kind`, its keys, its `names` and `law`."""
+
+    names: ClassVar[tuple[Named, ...]] = ()
+    needs: ClassVar[tuple[Need, ...]] = ()
+    # Periods of the delay up to which the law is tabulated in a moment; None: always.
+    quick: ClassVar[int | None] = None
+
+    name: str | None = Field(None, description="Name in tables and figures.")
+    low_pass: Annotated[float | Matrix | None, Shape("a number or (m, m)", [[0.1]])] = Field(
+        None,
+        description="Time constant of a low-pass filter on the law's input, seconds; a number, or "
+        "m × m.",
+    )
+    model: ModelSection = Field(default_factory=ModelSection)
+
+    @abstractmethod
+    def law(self, setting: Setting) -> Law:
+        """The law that the section asks for; what the entry `needs` is there."""

@@ -1,0 +1,74 @@
+"""What a law is made from, whether a problem file asks for it or a study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import Markov, Rule, SemiMarkov
+
+Model = Markov | SemiMarkov
+Need = Literal["model", "rule", "signal"]
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The plant that a law believes in, gains, and what there is to know of the switching.
+
+    Attributes
+    ----------
+    plant : SwitchedSystem
+    gains : ndarray, shape (modes, m, n)
+    mean_gain : callable
+        The gain (m, n) of a plant of one mode, designed as the others were.
+    period : float
+        At which laws that are tuned are tuned, seconds.
+    model : Markov, SemiMarkov or None
+        A model of the switching, for laws that need one.
+    rule : Rule or None
+        By which the state decides the mode; None where a signal does.
+    weights : pair of ndarray, or None
+        Q and R of ∫ xᵀQx + uᵀRu, for laws that minimise it; None: the identity.
+    allow_unstable : bool
+        Whether gains may leave a mode unstable.
+    """
+
+    plant: SwitchedSystem
+    gains: Float[np.ndarray, "mode m n"]
+    mean_gain: Callable[[SwitchedSystem], Float[np.ndarray, "m n"]]
+    period: float
+    model: Model | None = None
+    rule: Rule | None = None
+    weights: tuple[np.ndarray, np.ndarray] | None = None
+    allow_unstable: bool = False
+
+    def has(self, need: Need) -> bool:
+        """Whether something that a law may need is there."""
+        if need == "signal":
+            return self.rule is None
+        return (self.model if need == "model" else self.rule) is not None
+
+    def require(self, need: Need, kind: str) -> None:
+        """Refuse a law of some kind that needs what is not there."""
+        if not self.has(need):
+            raise ArgumentError(NEEDS[need].format(kind=kind))
+
+
+# What a law may need, and what a file is told that lacks it.
+NEEDS: Mapping[Need, str] = {
+    "model": "kind = '{kind}' needs a [switching] section: a model to rely on.",
+    "rule": (
+        'kind = "{kind}" needs a [signal] of kind "half-space", "polyhedra" or "quadratic": that '
+        "is the rule it runs forward."
+    ),
+    "signal": (
+        'kind = "{kind}" needs a signal that is known in advance, but the state decides the '
+        'mode: use kind = "state-dependent", which is exact there.'
+    ),
+}

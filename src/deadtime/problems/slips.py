@@ -1,0 +1,87 @@
+"""Numbers of a problem that do not fit each other, as where a unit was mistaken.
+
+Nothing here is wrong by itself, so nothing is refused: a sentence says what to look at.
+"""
+
+from __future__ import annotations
+
+import math
+
+from deadtime.base.wording import signed
+from deadtime.problems.comparison import Comparison
+from deadtime.problems.problem import Problem
+from deadtime.spectrum import GROWS
+from deadtime.switching import SwitchingSignal
+
+_APART = 0.1  # relative: growth rates further apart do not agree
+
+
+def slips_of(problem: Problem, step: float | None = None) -> list[str]:
+    """What does not fit: a delay beyond the horizon, a step beyond the horizon or the dwell time.
+
+    Parameters
+    ----------
+    problem : Problem
+        The setting.
+    step : float, optional
+        A sampling period to ask about instead of the problem's own, seconds.
+
+    Examples
+    --------
+    >>> import dataclasses, deadtime as dt
+    >>> problem = dataclasses.replace(dt.problems.paper(), step=1.5)
+    >>> print(slips_of(problem)[0])
+    The step, 1.5 s, is longer than the dwell time, 0.2 s: modes come and go between two samples, \
+and the law does not see them. Is it in seconds? Shorten it.
+    """
+    step = problem.step if step is None else step
+    delay, horizon, found = problem.plant.delay, problem.horizon, []
+    if delay >= horizon:
+        found.append(
+            f"The delay, {delay:g} s, is not shorter than the horizon, {horizon:g} s: nothing that "
+            "a law does reaches the plant in this run. Are both in seconds? Lengthen the horizon."
+        )
+    if step is not None and step >= horizon:
+        found.append(
+            f"The step, {step:g} s, is not shorter than the horizon, {horizon:g} s: the law acts "
+            "once. Are both in seconds? Shorten the step."
+        )
+    dwell = _dwell_time(problem)
+    if step is not None and step > dwell:
+        found.append(
+            f"The step, {step:g} s, is longer than the dwell time, {dwell:g} s: modes come and go "
+            "between two samples, and the law does not see them. Is it in seconds? Shorten it."
+        )
+    return found
+
+
+def disagreement_of(result: Comparison) -> list[str]:
+    """That the spectrum and the runs in one mode tell growth rates that do not agree.
+
+    Only where one of them says that the loop grows: a run that decays ends in round-off. A rate of
+    0 is no figure to be near to.
+    """
+    names = result.problem.modes
+    for name, exact, seen in zip(names, result.growth, result.measured, strict=True):
+        size = max(abs(exact), abs(seen))
+        both = math.isfinite(exact) and math.isfinite(seen)
+        if (
+            both
+            and abs(exact) > GROWS
+            and max(exact, seen) > 0.0
+            and abs(exact - seen) > _APART * size
+        ):
+            return [
+                f"Held in {name} the run grows at {signed(seen)} /s, the loop at {signed(exact)} "
+                "/s in the long run: the run is too short, or has too few samples, to show it. "
+                "Lengthen the horizon, or shorten the step."
+            ]
+    return []
+
+
+def _dwell_time(problem: Problem) -> float:
+    """The dwell time stated, else that of the signal; infinite where there is none."""
+    if problem.dwell_time is not None:
+        return problem.dwell_time
+    signal = problem.signal
+    return signal.dwell_time if isinstance(signal, SwitchingSignal) else math.inf

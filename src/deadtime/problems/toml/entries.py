@@ -1,0 +1,102 @@
+"""Registries whose entries are sections with a kind: found in the files of a package, checked."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
+from types import ModuleType
+from typing import NoReturn, TypeVar, get_args
+
+from deadtime.base.errors import ArgumentError
+from deadtime.problems.toml.table import Section
+
+S = TypeVar("S", bound=Section)
+
+
+def modules_of(package: ModuleType) -> Iterator[ModuleType]:
+    """The files of a package, in the order of their names."""
+    for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
+        yield import_module(f"{package.__name__}.{name}")
+
+
+def kinds_of(entry: type[Section]) -> tuple[str, ...]:
+    """The texts that an entry's `kind` may be: one, if it is whole."""
+    kind = entry.model_fields.get("kind")
+    return () if kind is None else get_args(kind.annotation)
+
+
+def refuse(what: str, entry: type[Section], why: str) -> NoReturn:
+    """An error that names the entry."""
+    raise ArgumentError(f"{what} entry {entry.__name__} in {entry.__module__} {why}")
+
+
+def collect(
+    what: str,
+    base: type[S],
+    modules: Iterable[ModuleType],
+    require_whole: Callable[[type[S]], None],
+    names_of: Callable[[type[S]], Iterable[str]],
+) -> tuple[type[S], ...]:
+    """The subclasses of `base` that some modules define, in their order there.
+
+    Parameters
+    ----------
+    what : str
+        What they are entries of, for messages.
+    base : type
+        A section; `kind` and a docstring are asked of all its entries.
+    modules : iterable of modules
+    require_whole : callable
+        Refuses an entry that lacks something else.
+    names_of : callable
+        The names that no two entries may share.
+
+    Raises
+    ------
+    ArgumentError
+        If a module holds no entry, or an entry lacks something or takes what another one has.
+    """
+    found: list[type[S]] = []
+    for module in modules:
+        own = [one for one in vars(module).values() if _is_entry(one, base, module)]
+        if not own:
+            raise ArgumentError(
+                f"{module.__name__} holds no entry of {what}s: write a subclass of {base.__name__}."
+            )
+        for entry in own:
+            _require_kind(what, entry)
+            require_whole(entry)
+            for other in found:
+                _require_apart(what, entry, other, names_of)
+            found.append(entry)
+    return tuple(found)
+
+
+def _is_entry(one: object, base: type[Section], module: ModuleType) -> bool:
+    own = isinstance(one, type) and issubclass(one, base)
+    return own and one.__module__ == module.__name__
+
+
+def _require_kind(what: str, entry: type[Section]) -> None:
+    """Refuse an entry that problem files could not name, or editors not explain."""
+    kinds = kinds_of(entry)
+    if len(kinds) != 1 or not isinstance(kinds[0], str):
+        refuse(what, entry, 'lacks its kind: write kind: Literal["…"], what problem files call it.')
+    if not vars(entry).get("__doc__"):
+        refuse(what, entry, "lacks a docstring: write a line, which editors show beside the kind.")
+
+
+def _require_apart(
+    what: str, entry: type[S], other: type[S], names_of: Callable[[type[S]], Iterable[str]]
+) -> None:
+    """Refuse an entry that takes what another one has."""
+    kind, taken = kinds_of(entry)[0], set(names_of(other))
+    theirs = f"which {other.__name__} has: choose another."
+    if kind == kinds_of(other)[0]:
+        refuse(what, entry, f"takes the kind {kind!r}, {theirs}")
+    if entry.__name__ == other.__name__:
+        refuse(what, entry, f"takes the class name of that in {other.__module__}: choose another.")
+    for name in names_of(entry):
+        if name in taken:
+            refuse(what, entry, f"takes the name {name!r}, {theirs}")

@@ -1,0 +1,1 @@
+"""What readers look at: figures, tables, verdicts, reports, studies, the audit."""

@@ -1,0 +1,194 @@
+"""Charts of designs for margin: what a wider delay margin costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
+from deadtime.synthesis.floors import DECAY
+
+if TYPE_CHECKING:
+    from deadtime.synthesis import Design, TradeOff
+
+REACHED, BEYOND = "#e4f2e4", "#f3c3a3"
+_RING: dict[str, Any] = {
+    "ls": "",
+    "marker": "o",
+    "mfc": "none",
+    "mec": COLOURS[3],
+    "mew": 1.4,
+    "markersize": 10.0,
+}
+
+
+def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
+    """Cost over delay margin, a panel per design: the trade-off, the answer, and the limits.
+
+    The cost is relative to the cheapest design that was found, on a logarithmic axis. The chosen
+    design is ringed; hollow marks decay slower than was asked. Green is what some linear controller
+    of each mode alone reaches; what none reaches is shaded red. The legend lists what is drawn.
+
+    Parameters
+    ----------
+    designs : mapping
+        From a panel's title to a `Design`.
+    columns : int
+        Panels beside each other.
+    """
+    columns = min(columns, len(designs))
+    rows = -(-len(designs) // columns)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(1.5 * WIDTH if columns > 1 else WIDTH, 0.8 + 2.3 * rows))
+        panels = figure.subplots(rows, columns, squeeze=False)
+        for panel, (title, design) in zip(panels.flat, designs.items(), strict=False):
+            _panel(panel, design)
+            panel.set_title(plain(title))
+        for spare in panels.flat[len(designs) :]:
+            spare.set_axis_off()
+        for panel in panels[:, 0]:
+            panel.set_ylabel("cost / cheapest found")
+        figure.legend(
+            handles=_keys(designs),
+            loc="outside lower center",
+            ncols=3 if columns > 1 else 2,
+            handlelength=1.6,
+        )
+    return figure
+
+
+def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
+    """The legend: every kind of mark that some panel has."""
+    drawn = [(one, point) for one in designs.values() for point in _drawn(one)]
+    points = [point for one, point in drawn if point.law is not one.plain.law]
+    line = {"ls": "", "markersize": 5.0}
+    limits = [(one, min(limit.most for limit in one.limits)) for one in designs.values()]
+    keys: list[tuple[bool, Line2D | Patch]] = [
+        (
+            any(len(_front(one)) > 1 for one in designs.values()),
+            Line2D([], [], color=COLOURS[0], lw=1.0, label="least cost found for a margin"),
+        ),
+        (
+            any(point.time_constant is None for point in points),
+            Line2D([], [], color=COLOURS[0], marker="o", label="gains alone", **line),
+        ),
+        (
+            any(point.time_constant is not None for point in points),
+            Line2D([], [], color=COLOURS[2], marker="s", label="gains and a filter", **line),
+        ),
+        (
+            any(math.isfinite(one.plain.cost) for one in designs.values()),
+            Line2D([], [], color=COLOURS[6], marker="X", label="plain design", **line),
+        ),
+        (any(_chosen(one) for one in designs.values()), Line2D([], [], label="chosen", **_RING)),
+        (
+            any(DECAY in one.missed(point) for one, point in drawn),
+            Line2D(
+                [],
+                [],
+                color="grey",
+                mfc="none",
+                marker="o",
+                label="hollow: slower than asked",
+                **line,
+            ),
+        ),
+        (
+            any(math.isinf(point.margin) for _, point in drawn),
+            Line2D([], [], color="grey", marker=">", label="stable whatever the delay", **line),
+        ),
+        (True, Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label="margin asked for")),
+        (True, Patch(facecolor=REACHED, label="linear controllers reach it, per mode")),
+        (
+            any(100.0 * most < _right(one) for one, most in limits),
+            Patch(facecolor=BEYOND, label="none reaches it, in some mode"),
+        ),
+    ]
+    return [key for there, key in keys if there]
+
+
+def _panel(panel: Axes, design: Design) -> None:
+    drawn = _drawn(design)
+    cheapest = min((point.cost for point in drawn), default=math.nan)
+    reached = min(limit.reached for limit in design.limits)
+    most, right = min(limit.most for limit in design.limits), _right(design)
+    panel.axvspan(0.0, min(100.0 * reached, right), color=REACHED, linewidth=0.0, zorder=0)
+    if 100.0 * most < right:
+        panel.axvspan(100.0 * most, right, color=BEYOND, linewidth=0.0, zorder=0)
+    panel.axvline(100.0 * design.asked, color=COLOURS[1], linestyle="--", linewidth=1.0)
+    front = [point for point in _front(design) if math.isfinite(point.margin)]
+    x, y = _coordinates(front, cheapest, right)
+    panel.plot(x, y, color=COLOURS[0], linewidth=1.0)
+    for point in drawn:
+        _mark(panel, design, point, *_coordinates([point], cheapest, right))
+    panel.set_yscale("log")
+    top = max([2.0, *_coordinates(drawn, cheapest, right)[1].tolist()])
+    panel.set_ylim(0.85, 1.4 * top)
+    panel.set_xlim(0.0, right)
+    panel.set_xlabel("delay margin (% of D)")
+    ticks = [tick for tick in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if tick <= 1.4 * top]
+    panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.minorticks_off()
+
+
+def _mark(panel: Axes, design: Design, point: TradeOff, x: np.ndarray, y: np.ndarray) -> None:
+    """One design: what it is by its shape, hollow where it is too slow, ringed where chosen."""
+    if point.law is design.plain.law:
+        shape, colour, size = "X", COLOURS[6], 6.0
+    elif point.time_constant is None:
+        shape, colour, size = "o", COLOURS[0], 4.0
+    else:
+        shape, colour, size = "s", COLOURS[2], 4.0
+    inside = "none" if DECAY in design.missed(point) else colour
+    panel.plot(x, y, shape, color=colour, mfc=inside, markersize=size, clip_on=False, zorder=3)
+    if point.law is design.law:
+        panel.plot(x, y, clip_on=False, zorder=4, **_RING)
+    if math.isinf(point.margin):
+        edge = panel.get_yaxis_transform()
+        panel.plot([1.03], y, ">", color="grey", markersize=5.0, clip_on=False, transform=edge)
+
+
+def _drawn(design: Design) -> list[TradeOff]:
+    """The plain design, where it is stable, and the others; the plain one once."""
+    plain = [design.plain] if math.isfinite(design.plain.cost) else []
+    return [*plain, *(point for point in design.points if point.law is not design.plain.law)]
+
+
+def _chosen(design: Design) -> bool:
+    return any(point.law is design.law for point in _drawn(design))
+
+
+def _front(design: Design) -> list[TradeOff]:
+    """The points of which no other is both wider and cheaper, by growing margin."""
+    points = design.points
+    return [
+        one
+        for one in points
+        if not any(
+            other.margin >= one.margin and other.cost < one.cost and other is not one
+            for other in points
+        )
+    ]
+
+
+def _right(design: Design) -> float:
+    """Where the axis of margins ends, percent."""
+    margins = [point.margin for point in _drawn(design) if math.isfinite(point.margin)]
+    widest, most = max([design.asked, *margins]), min(limit.most for limit in design.limits)
+    return 100.0 * (1.08 * most if widest < most < 3.0 * widest else 1.15 * widest)
+
+
+def _coordinates(
+    points: list[TradeOff], cheapest: float, right: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Margins in percent, at the edge where they have no end, and relative costs."""
+    margins = np.array([min(100.0 * point.margin, right) for point in points])
+    return margins, np.array([point.cost / cheapest for point in points])

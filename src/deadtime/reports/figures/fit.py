@@ -1,0 +1,101 @@
+"""Figure of a fit: how long modes lasted in the logs, and how long the model says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deadtime.base.errors import ArgumentError
+from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
+from deadtime.switching import SemiMarkov, SwitchingSignal
+from deadtime.switching.models.families import Observed
+from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
+from deadtime.switching.models.sojourns import Distribution, describe, log_survival
+
+if TYPE_CHECKING:
+    Signals = SwitchingSignal | Sequence[SwitchingSignal]
+else:
+    Signals = object  # `sojourns_of` checks them, with better messages
+
+
+def plot_fit(
+    model: SemiMarkov,
+    signals: Signals,
+    modes: Sequence[str] | None = None,
+    *,
+    first: str = "whole",
+) -> Figure:
+    """Survival of the sojourns in each mode: Kaplan and Meier's estimate, and the model's.
+
+    Parameters
+    ----------
+    model : SemiMarkov
+        Fitted to these signals, or any other that is to be held against them.
+    signals : SwitchingSignal, or list of them
+        The logs.
+    modes : sequence of str, optional
+        Names of the modes.
+    first : {"whole", "drop"}
+        As in `SemiMarkov.fit`.
+
+    Raises
+    ------
+    ArgumentError
+        If the signals hold no complete sojourn of a mode, or `modes` has the wrong length.
+    """
+    observed = sojourns_of(signals, first, model.modes)
+    names = [f"mode {i}" for i in range(model.modes)] if modes is None else list(modes)
+    if len(names) != model.modes:
+        raise ArgumentError(f"modes must name {model.modes} modes, got {len(names)} names.")
+    for mode, seen in enumerate(observed):
+        if not seen.complete.size:
+            raise ArgumentError(f"signals hold no complete sojourn of mode {mode}: log longer.")
+    rows, columns = (model.modes, 1) if model.modes <= 3 else (-(-model.modes // 2), 2)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH * (1.0 if columns == 1 else 1.5), 0.7 + 1.75 * rows))
+        panels = figure.subplots(rows, columns, squeeze=False)
+        for panel in panels.flat[model.modes :]:
+            panel.remove()
+        for mode, panel in enumerate(panels.flat[: model.modes]):
+            _survival(panel, model.sojourn[mode], observed[mode])
+            family = model.goodness[mode].family if model.goodness else ""
+            gap = distance(model.sojourn[mode], observed[mode])
+            text = f"{names[mode]}: {family or describe(model.sojourn[mode])}"
+            stop = ", " if len(text) * columns <= 44 else "\n"
+            panel.set_title(plain(f"{text}{stop}KS distance {gap:.2f}"))
+        for row in panels:
+            row[0].set_ylabel("still in the mode (%)")
+        for panel in panels.flat[max(0, model.modes - columns) : model.modes]:
+            panel.set_xlabel("time since the mode began (s)")
+        drawn = {str(line.get_label()): line for panel in figure.axes for line in panel.lines}
+        figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _survival(axes: Axes, dist: Distribution, observed: Observed) -> None:
+    """One mode: estimate in steps with its censored sojourns marked, model as a curve."""
+    times, survival = kaplan_meier(observed)
+    end = 1.06 * times[-1]
+    corners, levels = np.append(0.0, times), 100.0 * np.append(1.0, survival)
+    grid = np.linspace(0.0, end, 1001)
+    model = 100.0 * np.exp(log_survival(dist, grid))
+    axes.step(corners, levels, where="post", color=COLOURS[0], label="logs (Kaplan–Meier)")
+    if observed.censored.size:
+        level = levels[np.searchsorted(corners, observed.censored, side="right") - 1]
+        axes.plot(
+            observed.censored,
+            level,
+            "|",
+            color=COLOURS[0],
+            markersize=5.0,
+            label="cut off by the log's end",
+        )
+    axes.plot(grid, model, "--", color=COLOURS[1], label="model")
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(-3.0, 103.0)
+    axes.set_yticks([0, 50, 100])

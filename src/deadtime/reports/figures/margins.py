@@ -1,0 +1,150 @@
+"""Figures of certificates: charts of margins, and how far each certificate reaches."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from deadtime.base.wording import amount
+from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
+from deadtime.reports.tightness import Reach, Tightness
+
+if TYPE_CHECKING:
+    from deadtime.margins import StabilityChart
+
+GOOD, BAD, GAP = "#9ccbe8", "#f3c3a3", "#ffffff"
+CHART_STYLE = {**STYLE, "hatch.linewidth": 0.6, "axes.grid": False}
+
+
+def plot_chart(chart: StabilityChart, label: str, columns: int = 2) -> Figure:
+    """A stability chart: a panel per law, a column per dwell time.
+
+    From below: certified for every admissible signal (filled), no answer (white), and above the
+    value at which some admissible signal grows (hatched). The number is the certified value.
+
+    Parameters
+    ----------
+    chart : StabilityChart
+    label : str
+        What the value is, with its unit, for the axis.
+    columns : int
+        Panels beside each other.
+    """
+    names = list(chart.margins)
+    columns = min(columns, len(names))
+    rows = -(-len(names) // columns)
+    low, high = chart.bounds
+    with rc_context(CHART_STYLE):
+        figure = Figure(figsize=(1.35 * WIDTH if columns > 1 else WIDTH, 0.9 + 2.0 * rows))
+        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        for panel, name in zip(panels.flat, names, strict=False):
+            _chart_panel(panel, chart, name)
+            panel.set_title(plain(name))
+        for spare in panels.flat[len(names) :]:
+            spare.set_axis_off()
+        panels[0, 0].set_ylim(low, high)
+        for panel in panels[:, 0]:
+            panel.set_ylabel(plain(label))
+        times = [f"{time:g}" for time in chart.dwell_times]
+        for i, panel in enumerate(panels.flat[: len(names)]):
+            panel.set_xticks(range(len(times)), times)
+            if i + columns >= len(names):
+                panel.set_xlabel("dwell time (s)")
+                panel.xaxis.set_tick_params(labelbottom=True)
+        keys = [
+            Patch(facecolor=GOOD, label="stable for every signal"),
+            Patch(facecolor=GAP, edgecolor="#888888", lw=0.5, label="no answer"),
+            Patch(
+                facecolor=BAD, edgecolor=COLOURS[1], hatch="////", lw=0.0, label="a signal grows"
+            ),
+        ]
+        figure.legend(handles=keys, loc="outside lower center", ncols=3, handlelength=1.6)
+    return figure
+
+
+def _chart_panel(panel: Axes, chart: StabilityChart, name: str) -> None:
+    low, high = chart.bounds
+    sides = zip(chart.certified(name), chart.refuted(name), strict=True)
+    for i, (certified, refuted) in enumerate(sides):
+        if np.isnan(certified):
+            panel.text(
+                i, 0.5 * (low + high), "no answer", rotation=90, ha="center", va="center",
+                fontsize=7.5, color="#666666",
+            )  # fmt: skip
+            continue
+        panel.bar(i, certified - low, 0.94, bottom=low, color=GOOD, linewidth=0.0)
+        if not np.isnan(refuted):
+            panel.bar(
+                i, high - refuted, 0.94, bottom=refuted, color=BAD, edgecolor=COLOURS[1],
+                hatch="////", linewidth=0.0,
+            )  # fmt: skip
+        inside = certified - low > 0.09 * (high - low)
+        panel.annotate(
+            f"{certified:.3g}", (i, certified), (0.0, -2.0 if inside else 2.0),
+            textcoords="offset points", ha="center", va="top" if inside else "bottom",
+            fontsize=7.5, color="#1b1f24",
+        )  # fmt: skip
+
+
+def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
+    """How far each certificate reaches, on one logarithmic axis of the distance ε.
+
+    Between two steps stands how many times farther the second one reaches.
+    """
+    rows = [*found.reaches]
+    count = len(rows)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 1.15 + 0.38 * count))
+        axes = figure.subplots()
+        logs = [reach.log10_distance for reach in rows]
+        left, right = min(logs), max(*logs, np.log10(found.own))
+        room = max(right - left, 0.5)
+        left, right = left - 0.06 * room, right + 0.3 * room
+        axes.axvline(np.log10(found.own), color="#888888", linewidth=0.9, linestyle="--")
+        for row, reach in enumerate(rows):
+            _reach_bar(axes, row, reach, left)
+        for row, (before, after) in enumerate(pairwise(rows)):
+            gain = after.log10_distance - before.log10_distance
+            if gain >= 0.05 and after.stable:
+                axes.text(
+                    0.5 * (before.log10_distance + after.log10_distance), row + 0.5,
+                    f"× {amount(10.0**gain)}" if gain < 300.0 else f"× 10^{gain:.0f}",
+                    ha="center", va="center", fontsize=8.0, color="#555555",
+                )  # fmt: skip
+        axes.set_yticks(range(count), [reach.name for reach in rows])
+        axes.set_ylim(count - 0.4, -0.9)
+        axes.set_xlim(left, right)
+        every = max(1, int(np.ceil((right - left) / 6.0)))
+        ticks = np.arange(np.ceil(left / every) * every, right, every)
+        axes.set_xticks(ticks, [f"$10^{{{tick:.0f}}}$" for tick in ticks])
+        axes.set_xlabel("distance ε between modes and gains")
+        axes.grid(False, axis="y")
+        axes.text(
+            np.log10(found.own), -0.62, "this plant ", ha="right", va="center", fontsize=8.0,
+            color="#555555",
+        )  # fmt: skip
+        if title:
+            axes.set_title(plain(title))
+    return figure
+
+
+def _reach_bar(axes: Axes, row: int, reach: Reach, left: float) -> None:
+    colour = COLOURS[0] if reach.stable else COLOURS[1]
+    end = reach.log10_distance
+    if reach.stable:
+        axes.plot([left, end], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
+    axes.plot([end], [row], "o" if reach.stable else "X", color=colour, markersize=6.0)
+    text = f"10^{end:.0f}"
+    if end > -300.0:
+        value = 10.0**end
+        text = f"{value:#.4g}".rstrip(".") if 1e-3 <= value < 1e5 else amount(value)
+    axes.annotate(
+        text, (end, row), (6.0, 0.0), textcoords="offset points", va="center", fontsize=8.5,
+        bbox={"facecolor": "white", "linewidth": 0.0, "pad": 1.0},
+    )  # fmt: skip

@@ -1,0 +1,142 @@
+"""Heat maps of one law: the median of a metric, and its regret. Dark is bad."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from deadtime.reports.figures.sweeps.maps import Scale, coloured
+from deadtime.reports.figures.sweeps.panels import Grid, grid_of
+from deadtime.reports.figures.sweeps.reduction import reduced
+from deadtime.reports.figures.sweeps.scales import scale_of
+from deadtime.reports.figures.sweeps.selection import (
+    NOT_RUN,
+    RATES,
+    Where,
+    laws_of,
+    long_axes,
+    oracle_or_refuse,
+    quotients_of,
+    selected,
+    sides,
+)
+from deadtime.reports.figures.sweeps.titles import headed, measure_of, symbol_of
+from deadtime.reports.figures.sweeps.words import figure_of, one_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_LOST = 100.0  # regret at which the colours end
+
+
+def plot_heat(
+    data: xr.Dataset,
+    law: str,
+    metric: str = "ise",
+    x: str | None = None,
+    y: str | None = None,
+    where: Where | None = None,
+) -> Figure:
+    """The median of a metric over the scenarios under one law, in every cell of a sweep.
+
+    A run that diverged counts as ∞. Two axes span a panel, the others tell panels apart; axes
+    with one value stand in the title.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From `deadtime.open_sweep`; reduced chunk by chunk where it is lazy.
+    law : str
+    metric : str
+        A metric of the sweep: ise, energy, cost, peak, settling_time, decay_rate, final_norm.
+    x, y : str, optional
+        The axes across and up; the last two with more than one value by default.
+    where : mapping, optional
+        From axes to the value that each is held at.
+
+    Raises
+    ------
+    ArgumentError
+        If a name or value is not in the sweep, no cell is done, or there are too many panels.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> dims, values = ("delay", "law", "scenario"), [[[1.0, 2.0, 9.0]], [[3.0, 4.0, 9.0]]]
+    >>> variables = {"ise": (dims, values), "diverged": (dims, np.zeros((2, 1, 3), dtype=bool))}
+    >>> data = xr.Dataset(variables, {"delay": [0.5, 1.0], "law": ["mean"]})
+    >>> panel = plot_heat(data, "mean").axes[0]
+    >>> [cell.get_text() for cell in panel.texts]
+    ['2.00', '4.00']
+    """
+    kept = selected(data, metric, where)
+    law = one_of("law", law, laws_of(kept))
+    sides(kept, x, y)  # names are checked before the store is read
+    return heat(reduced(kept, metric), law, metric, x, y)
+
+
+def plot_regret(
+    data: xr.Dataset,
+    law: str,
+    metric: str = "ise",
+    x: str | None = None,
+    y: str | None = None,
+    where: Where | None = None,
+) -> Figure:
+    """A metric of one law over the oracle's on the same signal, in every cell of a sweep.
+
+    The geometric mean over the scenarios. The oracle is the law that knows the future.
+
+    Parameters
+    ----------
+    data, law, metric, x, y, where
+        As `plot_heat` takes them; the metric must not be decay_rate.
+
+    Raises
+    ------
+    ArgumentError
+        As `plot_heat`, and if the sweep has no oracle or quotients of the metric say nothing.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> dims, values = ("delay", "law", "scenario"), [[[2.0, 8.0], [1.0, 1.0]]]
+    >>> variables = {"ise": (dims, values), "diverged": (dims, np.zeros((1, 2, 2), dtype=bool))}
+    >>> names = {"delay": [0.5], "law": ["mean", "oracle"]}
+    >>> panel = plot_regret(xr.Dataset(variables, names, {"oracle": "oracle"}), "mean").axes[0]
+    >>> panel.texts[0].get_text()
+    '4.00'
+    """
+    kept = selected(data, quotients_of(metric), where)
+    law = one_of("law", law, laws_of(kept))
+    sides(kept, x, y)
+    oracle = oracle_or_refuse(kept)
+    return regret(reduced(kept, metric, oracle=oracle), law, metric, x, y)
+
+
+def heat(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
+    """`plot_heat` of what `reduced` gives."""
+    middle = found["quantile"].sel(law=law, level=0.5, drop=True)
+    label = f"median {measure_of(found, metric)}"
+    scale = scale_of(middle.values, label, "YlOrRd_r" if metric in RATES else "YlOrRd")
+    grid = grid_for(found, x, y)
+    figure = coloured(found, grid, middle, scale, figure_of, waiting=found[NOT_RUN])
+    return headed(figure, found, grid, f"Law “{law}”")
+
+
+def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
+    """`plot_regret` of what `reduced` gives."""
+    ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", _LOST: "100"}
+    label = f"{symbol_of(metric)} over the oracle's"
+    scale = Scale(LogNorm(1.0, _LOST), "YlOrRd", "max", label, ticks)
+    grid, values = grid_for(found, x, y), found["regret"].sel(law=law, drop=True)
+    figure = coloured(found, grid, values, scale, waiting=found[NOT_RUN])
+    return headed(figure, found, grid, f"Law “{law}”")
+
+
+def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> Grid:
+    """The panels of a map."""
+    across, up = sides(found, x, y)
+    return grid_of(found, (across, up), [a for a in long_axes(found) if a not in (across, up)])

@@ -1,0 +1,175 @@
+"""Two kinds of maps: figures coloured along a scale, and which of some laws is best.
+
+A cell carries its figure; a hatched cell is a tie.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from deadtime.reports.figures.plotting import STYLE, plain
+from deadtime.reports.figures.sweeps.panels import (
+    HATCH,
+    NOT_BUILT,
+    NOT_RUN,
+    Grid,
+    draw_cells,
+    panels_of,
+)
+from deadtime.reports.figures.sweeps.words import short
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MAP_STYLE = {**STYLE, "hatch.linewidth": 0.6}
+EMPTY, WAITING = "–", "…"  # in a cell where no law could be built, and in one not run yet
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a figure becomes a colour, and what stands beside the colour bar."""
+
+    norm: Normalize
+    colours: str
+    extend: str
+    label: str
+    ticks: Mapping[float, str]
+
+    @property
+    def mappable(self) -> ScalarMappable:
+        return ScalarMappable(self.norm, colormaps[self.colours])
+
+
+def coloured(
+    data: xr.Dataset,
+    grid: Grid,
+    values: xr.DataArray,
+    scale: Scale,
+    write: Callable[[float], str] = short,
+    tied: xr.DataArray | None = None,
+    waiting: xr.DataArray | None = None,
+) -> Figure:
+    """Values in every cell, coloured along a scale, with a colour bar.
+
+    NaN is a law that could not be built; `waiting` says which cells have not been run.
+    """
+    colour = scale.mappable
+    with rc_context(MAP_STYLE):
+        figure, panels = panels_of(data, grid)
+        for panel, place in panels:
+            cells = grid.table(values, place)
+            shades = colour.to_rgba(np.clip(cells, scale.norm.vmin, scale.norm.vmax))  # pyright: ignore
+            texts = [[write(value) for value in row] for row in cells.tolist()]
+            same = np.zeros(cells.shape, bool) if tied is None else grid.table(tied, place)
+            holes = None if waiting is None else grid.table(waiting, place)
+            _draw(panel, np.asarray(shades)[..., :3], texts, same, (np.isnan(cells), holes))
+        axes = [panel for panel, _ in panels]
+        bar = figure.colorbar(colour, ax=axes, extend=scale.extend, aspect=30, pad=0.015)
+        bar.set_ticks(list(scale.ticks), labels=list(scale.ticks.values()))
+        bar.ax.minorticks_off()
+        room = int(17.0 * figure.get_figheight())
+        bar.set_label(textwrap.fill(plain(scale.label), room), fontsize=8.0)
+        bar.outline.set_visible(False)
+        keys = [] if waiting is None else keys_of(values.isnull(), waiting)
+        if keys:
+            figure.legend(handles=keys, loc="outside lower center", ncols=2, handlelength=1.6)
+    return figure
+
+
+def winners(
+    data: xr.Dataset,
+    grid: Grid,
+    found: xr.Dataset,
+    colours: Mapping[str, str],
+    waiting: xr.DataArray | None = None,
+) -> Figure:
+    """Which law is best in every cell, and the runner-up's figure over the winner's.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Where the axes are looked up.
+    grid : Grid
+    found : xarray.Dataset
+        winner, an index into `colours`, −1 where there is none; ratio, the winner's figure over
+        the runner-up's; verdict, 0 where they are tied.
+    colours : mapping
+        From laws to colours.
+    waiting : xarray.DataArray, optional
+        Which cells have not been run.
+    """
+    palette = np.array([to_rgb(colour) for colour in colours.values()])
+    with rc_context(MAP_STYLE):
+        figure, panels = panels_of(data, grid)
+        for panel, place in panels:
+            best, ratio, verdict = (
+                grid.table(found[name], place) for name in ("winner", "ratio", "verdict")
+            )
+            holes = None if waiting is None else grid.table(waiting, place)
+            texts = [[_distance(value) for value in row] for row in ratio.tolist()]
+            _draw(panel, palette[best], texts, verdict == 0.0, (best < 0, holes))
+        present = np.unique(found["winner"].values)
+        keys = [
+            Patch(facecolor=colour, label=plain(law))
+            for i, (law, colour) in enumerate(colours.items())
+            if i in present
+        ]
+        keys.append(Patch(facecolor="white", edgecolor=HATCH, hatch="////", lw=0.0, label="tied"))
+        if waiting is not None:
+            keys += keys_of(found["winner"] < 0, waiting)
+        longest = max(len(str(key.get_label())) for key in keys)
+        columns = 5 if waiting is None else _columns(float(figure.get_figwidth()), longest)
+        figure.legend(handles=keys, loc="outside lower center", ncols=columns, handlelength=1.6)
+    return figure
+
+
+def _columns(width: float, longest: int) -> int:
+    """How many legend columns fit a figure's width, in inches."""
+    return max(1, min(5, int(13.5 * width) // (longest + 6)))
+
+
+def keys_of(empty: xr.DataArray, waiting: xr.DataArray) -> list[Patch]:
+    """What the cells without a figure are, as far as there are any."""
+    keys = []
+    if bool((empty & ~waiting).any()):
+        keys.append(Patch(facecolor=NOT_BUILT, label=f"{EMPTY}  could not be built"))
+    if bool(waiting.any()):
+        line = {"edgecolor": HATCH, "lw": 0.5}
+        keys.append(Patch(facecolor=NOT_RUN, label=f"{WAITING}  not run yet", **line))
+    return keys
+
+
+def _distance(ratio: float) -> str:
+    """The runner-up's figure over the winner's."""
+    return "" if np.isnan(ratio) else short(1.0 / ratio if ratio else np.inf)
+
+
+def _draw(
+    panel: Axes,
+    shades: np.ndarray,
+    texts: Sequence[list[str]],
+    tied: np.ndarray,
+    without: tuple[np.ndarray, np.ndarray | None],
+) -> None:
+    """Cells, those without a figure grey."""
+    empty, waiting = without
+    marks = [(empty, NOT_BUILT, EMPTY)]
+    if waiting is not None:
+        marks.append((waiting, NOT_RUN, WAITING))
+    shades = np.array(shades, dtype=float)
+    for cells, shade, text in marks:
+        shades[cells] = shade
+        for row, column in np.argwhere(cells):
+            texts[row][column] = text
+    draw_cells(panel, shades, texts, tied & ~empty)

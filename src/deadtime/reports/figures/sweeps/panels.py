@@ -1,0 +1,209 @@
+"""The panels that maps are drawn on: rows and columns of small grids, with a figure per cell."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from deadtime.base.errors import ArgumentError
+from deadtime.reports.figures.plotting import WIDTH, plain
+from deadtime.reports.figures.sweeps.words import label_of, name_of, say, text_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Colour = tuple[float, float, float]
+HATCH = "#a0a0a0"
+NOT_BUILT, NOT_RUN = (0.93, 0.93, 0.93), (0.985, 0.985, 0.985)
+FIGURES = 24  # cells along a side of a panel up to which each has its figure
+_CELL = {"x": 0.32, "y": 0.26}  # inches
+_MANY = {"x": 4.2, "y": 3.2}  # inches of a side with more cells
+_LEAST = 1.5  # inches across of a panel
+_WIDEST = 11.0  # inches of a figure with columns
+_LETTER = 0.062  # inches, in the size of titles
+_MOST = 40  # panels
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Which axes lie where: across and up in every panel, across and down over the panels."""
+
+    x: str | None
+    y: str | None
+    columns: str | None = None
+    rows: tuple[str, ...] = ()
+
+    @property
+    def inner(self) -> dict[str, str | None]:
+        return {"x": self.x, "y": self.y}
+
+    def has_figures(self, data: xr.Dataset) -> bool:
+        """Whether cells are few enough for a figure in each."""
+        return all(name is None or data.sizes[name] <= FIGURES for name in (self.x, self.y))
+
+    def table(self, values: xr.DataArray, place: Place) -> np.ndarray:
+        """The values of one panel, (y, x); axes that are nowhere have one value."""
+        dims = [name for name in (self.y, self.x) if name is not None]
+        held = {str(name): 0 for name in values.dims if name not in dims}
+        cells = values.isel(held | place).transpose(*dims).values
+        return cells.reshape(
+            [1 if name is None else values.sizes[name] for name in (self.y, self.x)]
+        )
+
+
+Place = dict[str, int]
+
+
+def grid_of(data: xr.Dataset, sides: tuple[str | None, str | None], rest: Sequence[str]) -> Grid:
+    """Panels for a sweep: the last of the other axes that fits goes across, the others down."""
+    x, y = sides
+    count = math.prod(data.sizes[name] for name in rest)
+    if count > _MOST:
+        raise too_many(data, rest, count, _MOST)
+    width = max(_LEAST, _length(data, "x", x))
+    fitting = [name for name in rest if 0.8 + width * data.sizes[name] <= _WIDEST]
+    columns = fitting[-1] if fitting else None
+    return Grid(x, y, columns, tuple(name for name in rest if name != columns))
+
+
+def too_many(data: xr.Dataset, axes: Sequence[str], count: int, most: int) -> ArgumentError:
+    """What to do about more panels than a figure takes."""
+    sizes = " × ".join(f"{data.sizes[name]} of {name}" for name in axes)
+    largest = max(axes, key=lambda name: data.sizes[name])
+    return ArgumentError(
+        f"a figure takes {most} panels at most, got {count} ({sizes}): hold axes at one value "
+        f"with where, such as {largest} at {text_of(data[largest].values[0])}."
+    )
+
+
+def places_of(data: xr.Dataset, axes: Sequence[str]) -> Iterator[Place]:
+    """Every combination of indices on some axes, the last axis fastest."""
+    for index in itertools.product(*(range(data.sizes[name]) for name in axes)):
+        yield dict(zip(axes, index, strict=True))
+
+
+def words_of(data: xr.Dataset, place: Place) -> list[str]:
+    """A place in words, one for each of its axes."""
+    return [plain(say(data[name], data[name].values[i])) for name, i in place.items()]
+
+
+def panels_of(data: xr.Dataset, grid: Grid) -> tuple[Figure, list[tuple[Axes, Place]]]:
+    """A panel for every combination of the outer axes.
+
+    Returns the figure, and every panel with its place on these axes.
+    """
+    heads = list(places_of(data, [grid.columns] if grid.columns else []))
+    rows = list(places_of(data, grid.rows))
+    width = max(_LEAST, _length(data, "x", grid.x))
+    span = width if len(heads) > 1 else max(width, WIDTH - 0.8)
+    names = [", ".join(words_of(data, row)) for row in rows]
+    wrapped = [textwrap.wrap(name, int(span / _LETTER)) for name in names]
+    lines = max(1, *map(len, wrapped))
+    height = (0.24 + 0.14 * lines + _length(data, "y", grid.y)) * len(rows)
+    figure = Figure(figsize=(max(0.8 + width * len(heads), WIDTH), 0.95 + height))
+    panes = figure.subplots(len(rows), len(heads), sharex=True, sharey=True, squeeze=False)
+    panels = []
+    for (row, place), (column, head) in itertools.product(enumerate(rows), enumerate(heads)):
+        panel = panes[row, column]
+        _frame(panel, data, grid, (column == 0, row == len(rows) - 1))
+        above = [textwrap.fill(word, int(width / _LETTER)) for word in words_of(data, head)]
+        above = above if row == 0 else []
+        beside = "\n".join(wrapped[row]) if column == 0 else ""
+        panel.set_title("\n".join([*above, beside] if grid.rows else above), fontsize=8.5)
+        panels.append((panel, head | place))
+    return figure, panels
+
+
+def _length(data: xr.Dataset, side: str, name: str | None) -> float:
+    """Inches of a side of a panel."""
+    count = 1 if name is None else data.sizes[name]
+    return _CELL[side] * count if count <= FIGURES else _MANY[side]
+
+
+def _frame(panel: Axes, data: xr.Dataset, grid: Grid, labelled: tuple[bool, bool]) -> None:
+    """Ticks for the values of the inner axes, and nothing else."""
+    for side, name in grid.inner.items():
+        axis = panel.xaxis if side == "x" else panel.yaxis
+        values = [] if name is None else data[name].values.tolist()
+        texts = [plain(text_of(value)) for value in values]
+        chosen = range(0, len(values), math.ceil(len(values) / FIGURES) if values else 1)
+        axis.set_ticks(chosen, [texts[i] for i in chosen], fontsize=7.5)
+        limit = panel.set_xlim if side == "x" else panel.set_ylim
+        limit(-0.5, max(len(values), 1) - 0.5)
+        length = _length(data, side, name)
+        room = max(length, _LEAST) / max(len(chosen), 1) / 0.06
+        if side == "x" and max(map(len, texts), default=0) > room:
+            panel.tick_params("x", rotation=90)
+        if name is not None and labelled[side == "x"]:
+            axis.set_label_text(_fitting(data[name], side, length), fontsize=8.5)
+    panel.tick_params(length=0)
+    panel.grid(False)
+    panel.spines[:].set_visible(False)
+
+
+def _fitting(axis: xr.DataArray, side: str, length: float) -> str:
+    """The label of an axis: only the symbol at its end, or on several lines, where it is short."""
+    label, symbol = label_of(axis), name_of(axis).split()[-1]
+    if side == "x" or len(label) * _LETTER <= 1.1 * length:
+        return plain(label)
+    if len(symbol) == 1:
+        return plain(symbol)
+    return plain(textwrap.fill(label, max(int(length / _LETTER), 8)))
+
+
+def draw_cells(
+    panel: Axes,
+    shades: Float[np.ndarray, "y x rgb"],
+    texts: Sequence[Sequence[str]],
+    tied: Bool[np.ndarray, "y x"],
+) -> None:
+    """All cells of a panel; figures and borders only where they are few enough to be read."""
+    if max(tied.shape) <= FIGURES:
+        for at in itertools.product(*map(range, tied.shape)):
+            red, green, blue = map(float, shades[at])
+            row, column = at
+            draw_cell(panel, at, (red, green, blue), texts[row][column], bool(tied[at]))
+        return
+    pale = np.where(tied[..., None], 0.6 + 0.4 * shades, shades)
+    ends = (-0.5, tied.shape[1] - 0.5, -0.5, tied.shape[0] - 0.5)
+    panel.imshow(pale, origin="lower", aspect="auto", interpolation="nearest", extent=ends)
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    cells = [corners + at[::-1] for at in np.argwhere(tied)]
+    if cells:
+        panel.add_collection(
+            PolyCollection(cells, facecolors="none", edgecolors=HATCH, hatch="////", linewidths=0.0)
+        )
+
+
+def draw_cell(panel: Axes, at: tuple[int, ...], colour: Colour, text: str, tied: bool) -> None:
+    """One cell: its colour, paler and hatched where tied, and its figure in black or white."""
+    row, column = at
+    corner = (column - 0.5, row - 0.5)
+    red, green, blue = (0.6 + 0.4 * part if tied else part for part in colour)
+    shade = (red, green, blue)
+    panel.add_patch(Rectangle(corner, 1, 1, facecolor=shade, edgecolor="white", linewidth=0.8))
+    if tied:
+        panel.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=HATCH, hatch="////", lw=0.0))
+    dark = float(np.dot(shade, (0.299, 0.587, 0.114))) < 0.5
+    box = {"boxstyle": "square,pad=0.1", "facecolor": shade, "linewidth": 0.0}
+    panel.text(
+        column,
+        row,
+        text,
+        ha="center",
+        va="center",
+        fontsize=6.2,
+        color="white" if dark else "black",
+        bbox=box if tied else None,
+    )

@@ -1,0 +1,132 @@
+"""A sweep's scenarios reduced to what is drawn, cell by cell, in one pass over the store.
+
+Arrays that are lazy are read chunk by chunk: what is held at a time is a chunk for each thread,
+however large the store is. A run that diverged counts as the worst there can be; a law with a NaN
+in a cell has no figure there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.reports.figures.sweeps.selection import NOT_RUN, RATES, RUNS, axes_of, laws_of
+from deadtime.scenarios.paired.ranking import winners_of
+from deadtime.scenarios.paired.statistics import mean_interval, quotient
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+Runs = Float[np.ndarray, "*cell law scenario"]
+
+
+def score_of(data: xr.Dataset, metric: str) -> xr.DataArray:
+    """A metric over (axes…, law, scenario): ±∞ where the run diverged, NaN where there is none."""
+    worst = -np.inf if metric in RATES else np.inf
+    score = data[metric].where(data["diverged"] != 1, worst)
+    if "done" in data:
+        score = score.where(data["done"] == 1)
+    score = score.transpose(..., *RUNS)
+    return score if score.chunks is None else score.chunk(dict.fromkeys(RUNS, -1))
+
+
+def reduced(
+    data: xr.Dataset,
+    metric: str,
+    rivals: Sequence[str] = (),
+    oracle: str = "",
+) -> xr.Dataset:
+    """Quantiles of a metric, and where asked for the best of some laws, and regret.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From `selected`.
+    metric : str
+    rivals : sequence of str
+        The laws to choose the best of.
+    oracle : str
+        The law that regret is held against.
+
+    Returns
+    -------
+    xarray.Dataset
+        In memory, over the axes: quantile (law, level); regret (law), the geometric mean of the
+        metric over the oracle's; winner, an index into `rivals`, with ratio and verdict as in
+        `winners_of`; not_run, where the cell is not done.
+    """
+    import xarray as xr
+
+    score, laws = score_of(data, metric), laws_of(data)
+    parts = xr.apply_ufunc(
+        partial(
+            _of_cells,
+            rivals=[laws.index(law) for law in rivals],
+            oracle=laws.index(oracle) if oracle else -1,
+        ),
+        score,
+        input_core_dims=[RUNS],
+        output_core_dims=[("law", "level"), ("law",), ("part",)],
+        dask="parallelized",
+        output_dtypes=[float] * 3,
+        dask_gufunc_kwargs={"output_sizes": {"level": len(LEVELS), "part": 3}},
+    )
+    found = xr.Dataset(dict(zip(("quantile", "regret", "best"), parts, strict=True))).compute()
+    found = found.assign_coords(level=list(LEVELS), law=laws)
+    winner, ratio, verdict = (found["best"].isel(part=part, drop=True) for part in range(3))
+    found = found.drop_vars("best").assign(
+        winner=winner.fillna(-1.0).astype(int), ratio=ratio, verdict=verdict
+    )
+    found[NOT_RUN] = _not_run(data, winner).transpose(*axes_of(data))
+    found.attrs = dict(data.attrs)
+    found["quantile"].attrs = dict(data[metric].attrs)
+    for name in axes_of(data):
+        found[name].attrs = dict(data[name].attrs)
+    return found
+
+
+def _not_run(data: xr.Dataset, like: xr.DataArray) -> xr.DataArray:
+    import xarray as xr
+
+    return ~(data["done"] == 1).compute() if "done" in data else xr.zeros_like(like, dtype=bool)
+
+
+def _of_cells(
+    runs: Runs, rivals: Sequence[int], oracle: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quantiles (…, law, level), regret (…, law), and winner, ratio, verdict (…, 3)."""
+    runs = np.asarray(runs, dtype=float)
+    regret = np.full(runs.shape[:-1], np.nan)
+    best = np.full((*runs.shape[:-2], 3), np.nan)
+    if oracle >= 0:
+        regret = mean_interval(quotient(runs, runs[..., [oracle], :]))[0]
+    if rivals:
+        found = winners_of(runs[..., list(rivals), :])
+        best = np.stack([np.where(found.winner < 0, np.nan, found.winner), *found[1:]], axis=-1)
+    return quantiles(runs), regret, best
+
+
+def quantiles(values: Float[np.ndarray, "*cell scenario"]) -> Float[np.ndarray, "*cell level"]:
+    """The linear quantiles at `LEVELS` that numpy has, also where some values are infinite.
+
+    Examples
+    --------
+    >>> quantiles(np.array([1.0, 3.0, 5.0, 7.0, np.inf]))
+    array([1.4, 3. , 5. , 7. , inf])
+    """
+    ordered = np.sort(values, axis=-1)  # NaN last
+    place = np.array(LEVELS) * (values.shape[-1] - 1)
+    below, above = np.floor(place).astype(int), np.ceil(place).astype(int)
+    low, high = ordered[..., below], ordered[..., above]
+    # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
+    with np.errstate(invalid="ignore"):
+        between = low + (place - below) * (high - low)
+    found = np.where(np.isinf(low), low, np.where(np.isinf(high), high, between))
+    found = np.where(above == below, low, found)
+    return np.where(np.isnan(ordered[..., -1:]), np.nan, found)

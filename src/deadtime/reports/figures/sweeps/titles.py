@@ -1,0 +1,57 @@
+"""What stands above and beside a figure: the metric with its unit, and the axes held at a value."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from matplotlib.figure import Figure
+
+from deadtime.reports.figures.plotting import plain
+from deadtime.reports.figures.sweeps.panels import Grid
+from deadtime.reports.figures.sweeps.selection import axes_of
+from deadtime.reports.figures.sweeps.words import say, unbroken
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SYMBOLS = {
+    "ise": "∫|x|²",
+    "energy": "∫|u|²",
+    "cost": "∫|x|² + |u|²",
+    "peak": "peak of |x|",
+    "final_norm": "|x| at the end",
+}
+
+
+def symbol_of(metric: str) -> str:
+    """What readers call a metric.
+
+    Examples
+    --------
+    >>> symbol_of("ise"), symbol_of("settling_time")
+    ('∫|x|²', 'settling time')
+    """
+    return SYMBOLS.get(metric, metric.replace("_", " "))
+
+
+def measure_of(found: xr.Dataset, metric: str) -> str:
+    """A metric with its unit."""
+    attributes = found["quantile"].attrs
+    name = symbol_of(metric)
+    unit = str(attributes.get("units", "")).replace("^2", "²")
+    return f"{name} ({unit})" if unit else name
+
+
+def headed(figure: Figure, found: xr.Dataset, grid: Grid | None, lead: str = "") -> Figure:
+    """A title: what is shown, and the axes that have one value."""
+    shown = () if grid is None else (grid.x, grid.y)
+    held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]
+    words = ", ".join(unbroken(say(found[axis], found[axis].values[0])) for axis in held)
+    title = ": ".join(part for part in (lead, words) if part)
+    if title:
+        width, height = figure.get_size_inches()
+        lines = textwrap.wrap(plain(title), int(width / 0.068))
+        figure.set_size_inches(width, height + 0.18 * len(lines))
+        figure.suptitle("\n".join(lines), fontsize=9.0, x=0.02, ha="left")
+    return figure

@@ -1,0 +1,299 @@
+"""The report of a comparison: figures, data, and one HTML page that opens with its verdict."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
+from deadtime.base.version import __version__
+from deadtime.base.wording import file_name, finite_or_none
+from deadtime.laws import DelayedStateFeedback
+from deadtime.problems import Problem
+from deadtime.problems.asked import dwell_time_of
+from deadtime.problems.comparison import Comparison, Progress, compare
+from deadtime.reports.audit import STEPS, audit
+from deadtime.reports.certificates_section import certificates_section, steps_of_section
+from deadtime.reports.figures import plotting
+from deadtime.reports.tables.certificates import delay_sentence
+from deadtime.reports.tables.constants import bound_rows, bound_sentence, bounds_of
+from deadtime.reports.verdict import HEADINGS, table, verdict
+from deadtime.simulation.outcome import Outcome
+from deadtime.switching import SwitchingSignal
+
+SCENARIOS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What was written, and what it says."""
+
+    path: Path
+    sentences: list[str]
+    comparison: Comparison
+
+
+def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
+    """The numbered figures in order: (file name, caption, figure).
+
+    On the paper's example the first six are Figures 1 to 6 of the paper.
+    """
+    problem = result.problem
+    signal, delay, end = result.signal, problem.plant.delay, problem.horizon
+    yield (
+        "window",
+        "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",
+        plotting.plot_window(signal, delay, end, problem.modes),
+    )
+    yield (
+        "signal",
+        f"The switching signal of {_whose(result)}: active mode in blue, switching instants in "
+        "black.",
+        plotting.plot_signal(signal, end, problem.modes),
+    )
+    for name, run in result.runs.items():
+        if not _is_shown(problem, name):
+            continue
+        figure = plotting.plot_run(run, None, problem.states, problem.modes, problem.inputs)
+        yield file_name(name), f"States, input and mode under the law “{name}”.", figure
+    yield (
+        "all-laws",
+        "Every law on one axis; a law far above the others leaves the frame.",
+        plotting.plot_norms(result.runs),
+    )
+
+
+def write_report(
+    problem: Problem,
+    folder: str | Path,
+    progress: Progress = lambda _: None,
+    command: str = "",
+    certificates: bool = True,
+) -> Report:
+    """Run every law of a problem and write the report into a folder.
+
+    Writes index.html (self-contained), figures/ (PNG and SVG), data/ (a CSV file per run) and
+    metrics.json; files of the same names are replaced, others are left alone.
+
+    Parameters
+    ----------
+    problem : Problem
+        The setting.
+    folder : path
+        Made if it does not exist.
+    progress : callable
+        Called with a few words before each piece of work, `steps_of(problem, certificates)` times.
+    command : str
+        How to make the report again, for its last line.
+    certificates : bool
+        Whether to ask, for every law, if it stabilises every signal: the slowest part.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    try:
+        for part in ("figures", "data"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        return _write(problem, folder, progress, command, certificates)
+    except OSError as error:
+        raise ArgumentError(
+            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
+        ) from None
+
+
+def _whose(result: Comparison) -> str:
+    """Which runs have the signal that is shown."""
+    given = isinstance(result.problem.signal, SwitchingSignal)
+    return "every run" if given else f"the run under the law “{result.lead}”"
+
+
+def _is_shown(problem: Problem, law: str) -> bool:
+    """Whether a law has a figure of its own: all but a baseline that others are held against."""
+    return len(problem.laws) == 1 or not isinstance(problem.laws[law], DelayedStateFeedback)
+
+
+def steps_of(problem: Problem, certificates: bool = True) -> int:
+    """How often `write_report` reports progress."""
+    shown = sum(_is_shown(problem, name) for name in problem.laws)
+    audited = STEPS + 3 if problem.constants else 0
+    drawn = len(problem.laws) + problem.plant.modes + shown
+    return drawn + 7 + audited + (steps_of_section(problem) if certificates else 0)
+
+
+def _write(
+    problem: Problem, folder: Path, progress: Progress, command: str, certificates: bool
+) -> Report:
+    result = compare(problem, progress)
+    sentences = [*verdict(result), *delay_sentence(problem)]
+    progress("drawing: verdict")
+    caption = "The same law with and without switching."
+    picture = save_figure(plotting.plot_verdict(result), folder, "verdict", caption)
+    images = []
+    for number, (name, caption, figure) in enumerate(figures_of(result), 1):
+        progress(f"drawing: {name}")
+        images.append(save_figure(figure, folder, f"figure-{number}-{name}", caption))
+    audited = _audit(problem, folder, progress)
+    progress("computing: constants")
+    constants = _constants(result)
+    certified = _certified(result, folder, progress) if certificates else None
+    progress("writing: data")
+    _write_data(result, folder)
+    progress("writing: report")
+    path = folder / "index.html"
+    page = _page(result, sentences, picture, images, command, audited, constants, certified)
+    path.write_text(page, encoding="utf-8")
+    return Report(path, sentences, result)
+
+
+def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any] | None:
+    """Claims and figures of the audit, for the problem that a paper makes claims about."""
+    if not problem.constants:
+        return None
+    from deadtime.reports.figures import audit as audit_plots
+
+    claims = audit(problem, SCENARIOS, progress=progress)
+    figures = {
+        "audit-claims": (audit_plots.plot_claims, "On how many random signals each claim holds."),
+        "audit-dwell-times": (
+            audit_plots.plot_dwell_times,
+            "Law (2) against law (80) as the dwell time changes.",
+        ),
+        "audit-distances": (
+            audit_plots.plot_distances,
+            "Signals stabilised by laws (2) and (80) as the modes move apart.",
+        ),
+    }
+    images = []
+    for name, (draw, caption) in figures.items():
+        progress(f"drawing: {name}")
+        images.append(save_figure(draw(claims), folder, name, caption))
+    return {"claims": claims, "figures": images, "scenarios": SCENARIOS}
+
+
+def _constants(result: Comparison) -> dict[str, Any]:
+    """The theorem's constants in three forms, or why there are none."""
+    problem = result.problem
+    dwell_time, source = dwell_time_of(problem, result.signal)
+    try:
+        bounds = bounds_of(problem, dwell_time)
+    except (ArgumentError, InfeasibleError) as error:
+        return {"rows": [], "sentence": f"The theorem does not apply: {error}", "published": False}
+    except SolverError as error:
+        sentence = f"The theorem's constants were not computed: {error}"
+        return {"rows": [], "sentence": sentence, "published": False}
+    return {
+        "rows": bound_rows(bounds, problem.constants),
+        "sentence": bound_sentence(bounds),
+        "published": bool(problem.constants),
+        "dwell_time": dwell_time,
+        "source": source,
+    }
+
+
+def _certified(result: Comparison, folder: Path, progress: Progress) -> dict[str, Any]:
+    """The section on certificates, its figures saved."""
+    section = certificates_section(result, progress)
+    figures = [
+        save_figure(figure, folder, name, caption) for name, caption, figure in section.figures
+    ]
+    return {**vars(section), "figures": figures}
+
+
+def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
+    """Save as SVG and PNG; return the PNG inlined for the page."""
+    figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")
+    (folder / "figures" / f"{name}.png").write_bytes(buffer.getvalue())
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return {"name": name, "caption": caption, "image": f"data:image/png;base64,{data}"}
+
+
+def _write_data(result: Comparison, folder: Path) -> None:
+    for number, (name, run) in enumerate(result.runs.items(), 1):
+        run.to_csv(folder / "data" / f"{number}-{file_name(name)}.csv")
+    text = json.dumps(metrics_of(result), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+
+
+def metrics_of(result: Comparison) -> dict[str, Any]:
+    """The figures of a comparison for JSON."""
+    return {
+        "problem": result.problem.name,
+        "version": __version__,
+        "laws": {
+            name: {key: finite_or_none(value) for key, value in row.items()}
+            | _ended(result.outcomes[name])
+            | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
+            for name, row in result.metrics.items()
+        },
+        "growth_without_switching": {
+            name: finite_or_none(rate)
+            for name, rate in zip(result.problem.modes, result.growth, strict=True)
+        },
+    }
+
+
+def _ended(outcome: Outcome) -> dict[str, Any]:
+    """How a run ends; it settles where it comes to rest, which need not be 0."""
+    rest = None if outcome.rest is None else outcome.rest.tolist()
+    settles = finite_or_none(outcome.settling)
+    return {"outcome": outcome.kind, "settling_time": settles, "rest": rest}
+
+
+def _matrix(array: np.ndarray) -> str:
+    rows = ["[" + ", ".join(f"{v:.6g}" for v in row) + "]" for row in np.atleast_2d(array)]
+    return (rows[0] if len(rows) == 1 else "[" + ", ".join(rows) + "]").replace("-", "−")
+
+
+def _page(
+    result: Comparison,
+    sentences: list[str],
+    picture: dict[str, str],
+    images: list[dict[str, str]],
+    command: str,
+    audited: dict[str, Any] | None,
+    constants: dict[str, Any],
+    certified: dict[str, Any] | None,
+) -> str:
+    from jinja2 import Environment, PackageLoader
+
+    problem, plant = result.problem, result.problem.plant
+    template = Environment(
+        loader=PackageLoader("deadtime"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    ).get_template("report.html.j2")
+    return template.render(
+        problem=problem,
+        one_signal=isinstance(problem.signal, SwitchingSignal),
+        plant=plant,
+        sentences=sentences,
+        picture=picture,
+        headings=HEADINGS,
+        rows=table(result),
+        figures=images,
+        audited=audited,
+        constants=constants,
+        certified=certified,
+        published=[
+            (row.name, _matrix(row.printed), _matrix(row.computed)) for row in problem.published
+        ],
+        x0=_matrix(problem.x0),
+        u0=_matrix(np.atleast_1d(problem.u0)) if np.any(problem.u0) else "",
+        matrices=[
+            (name, _matrix(plant.A[i]), _matrix(plant.B[i]), _matrix(problem.gains[i]))
+            for i, name in enumerate(problem.modes)
+        ],
+        version=__version__,
+        command=f" with “{command}”" if command else "",
+    )

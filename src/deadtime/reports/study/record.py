@@ -1,0 +1,96 @@
+"""A study's findings as files: one JSON object, and a table with a row per cell and law."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deadtime.base.wording import finite_or_none
+from deadtime.problems.law_registry import LEVELS
+from deadtime.reports.study.findings import best, summary
+from deadtime.reports.study.phrases import Answer
+from deadtime.reports.study.run import failures
+from deadtime.scenarios.sweeps.laws import ORACLE, knowledge_of, within
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ENDS = ("", "_low", "_high")
+FIGURES = (
+    "ise",
+    *(name + end for name in ("regret", "median_regret", "stabilised") for end in ENDS),
+)
+DUEL = tuple(name + end for name in ("ratio", "median_ratio", "share") for end in ENDS)
+
+
+def write_cells(data: xr.Dataset, path: Path) -> None:
+    """One row per cell and law: median ∫|x|², regret, signals stabilised, with intervals."""
+    found = summary(data)
+    axes = [str(name) for name in found.ise.dims]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*axes, *FIGURES])
+        for index in np.ndindex(found.ise.shape):
+            place = [found[name].values[i] for name, i in zip(axes, index, strict=True)]
+            writer.writerow([*place, *(f"{found[name].values[index]:.6g}" for name in FIGURES)])
+
+
+def record_of(data: xr.Dataset, answers: Sequence[Answer]) -> dict[str, Any]:
+    """The findings for JSON, which knows no infinity: null where there is one, or no figure."""
+    return {
+        "title": data.attrs["title"],
+        "version": data.attrs["version"],
+        "seed": int(data.attrs["seed"]),
+        "scenarios": int(data.attrs["scenarios"]),
+        "answers": [
+            {
+                "question": answer.question,
+                "sentences": list(answer.sentences),
+                "tables": [vars(table) for table in answer.tables],
+            }
+            for answer in answers
+        ],
+        "cells": list(_cells(data)),
+        "failures": failures(data),
+    }
+
+
+def _cells(data: xr.Dataset) -> Iterator[dict[str, Any]]:
+    """Every cell: where it is, what each law did there, and which was best for what is known."""
+    found = summary(data)
+    laws = [str(law) for law in data.law.values]
+    causal = [law for law in laws if law != ORACLE]
+    ranked = {
+        level: best(data, within(causal, level))
+        for level in LEVELS[:-1]
+        if any(knowledge_of(law) == level for law in causal)
+    }
+    axes = [str(name) for name in found.ise.dims[:-1]]
+    for index in np.ndindex(found.ise.shape[:-1]):
+        place = {name: _plain(found[name].values[i]) for name, i in zip(axes, index, strict=True)}
+        cell: dict[str, Any] = dict(place)
+        cell["laws"] = {
+            law: {name: _plain(found[name].values[(*index, row)]) for name in FIGURES}
+            for row, law in enumerate(laws)
+        }
+        cell["best"] = {
+            level: {
+                "winner": str(table.winner.values[index]),
+                "runner_up": str(table.runner_up.values[index]),
+                "tied": bool(table.verdict.values[index] != 1.0),
+                **{name: _plain(table[name].values[index]) for name in DUEL},
+            }
+            for level, table in ranked.items()
+        }
+        yield cell
+
+
+def _plain(value: Any) -> float | str | None:
+    """A number of numpy's as one of Python's, or a text."""
+    if isinstance(value, str):
+        return str(value)
+    return finite_or_none(value)

@@ -1,0 +1,187 @@
+"""The report of a study: answers, maps, data, and one HTML page that opens with the answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.version import __version__
+from deadtime.base.wording import file_name
+from deadtime.problems.law_registry import LEVELS, the_law
+from deadtime.reports.report import save_figure
+from deadtime.reports.study import maps
+from deadtime.reports.study.answers import answers
+from deadtime.reports.study.phrases import Answer
+from deadtime.reports.study.record import record_of, write_cells
+from deadtime.reports.study.run import failures, run_study
+from deadtime.scenarios.sweeps.axes import AXES
+from deadtime.scenarios.sweeps.file_study import FileStudy
+from deadtime.scenarios.sweeps.laws import ORACLE, knowledge_of, within
+from deadtime.scenarios.sweeps.run import Report
+from deadtime.scenarios.sweeps.sojourns import FAMILIES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+FEWER_KNOWN = {
+    "nothing": "laws that know nothing of the switching",
+    "the dwell time": "laws that know the dwell time at most",
+    "the distribution": "all laws but the oracle",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class StudyReport:
+    """What was written, what it says, and what it is made from."""
+
+    path: Path
+    answers: list[Answer]
+    data: xr.Dataset
+
+
+def write_study(
+    study: FileStudy,
+    folder: str | Path,
+    workers: int | None = None,
+    progress: Report | None = None,
+    command: str = "",
+    scheduler: str | None = None,
+) -> StudyReport:
+    """Run a study and write its report into a folder.
+
+    Writes index.html (self-contained), figures/ (PNG and SVG), data/study.zarr (every run; what is
+    there already is not computed again), data/cells.csv (a row per cell and law) and metrics.json;
+    files of the same names are replaced, others are left alone.
+
+    Parameters
+    ----------
+    study : Study
+        From `load_study`.
+    folder : path
+        Made if it does not exist, before anything is run.
+    workers, progress, scheduler
+        As in `sweep`.
+    command : str
+        How to make the report again, for its last line.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder cannot be written, its store holds another study, or the grid is not that of
+        the report's maps.
+    DeadtimeError
+        What `sweep` raises.
+    """
+    folder = Path(folder)
+    with _writing(folder):
+        for part in ("figures", "data"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+    data = run_study(study, folder / "data" / "study.zarr", workers, progress, scheduler)
+    with _writing(folder):
+        return write_findings(study, data, folder, command)
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ArgumentError(
+            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
+        ) from None
+
+
+def write_findings(
+    study: FileStudy, data: xr.Dataset, folder: Path, command: str = ""
+) -> StudyReport:
+    """Everything but the runs themselves, from the dataset of `run_study`."""
+    found = answers(data)
+    write_cells(data, folder / "data" / "cells.csv")
+    record = record_of(data, found)
+    text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    causal = [law for law in study.laws if law != ORACLE]
+    caption = "∫|x|² over the oracle’s, geometric mean and 95 % interval, on one line of the grid."
+    picture = save_figure(maps.plot_lines(data, causal), folder, "lines", caption)
+    page = _page(
+        study,
+        command=command,
+        answers=[(answer, list(_duels(data, answer, folder))) for answer in found],
+        picture=picture,
+        winners=list(_winners(data, causal, folder)),
+        laws=[(law, the_law(law), list(_alone(data, law, folder))) for law in study.laws],
+        failures=failures(data),
+    )
+    path = folder / "index.html"
+    path.write_text(page, encoding="utf-8")
+    return StudyReport(path, found, data)
+
+
+def _duels(data: xr.Dataset, answer: Answer, folder: Path) -> Iterator[dict[str, str]]:
+    for first, second in answer.duels:
+        caption = (
+            f"∫|x|² under {the_law(first)} over that under {the_law(second)}: blue where the "
+            "former is better. Hatched: the signals do not decide."
+        )
+        name = f"{file_name(first)}-over-{file_name(second)}"
+        yield save_figure(maps.plot_duel(data, first, second), folder, name, caption)
+
+
+def _winners(data: xr.Dataset, causal: Sequence[str], folder: Path) -> Iterator[dict[str, str]]:
+    """A map for every level of knowledge that some law has."""
+    for level, who in FEWER_KNOWN.items():
+        if any(knowledge_of(law) == level for law in causal):
+            laws = within(causal, level)
+            caption = (
+                f"The best of {who}. In the cell: ∫|x|² of the second best over that of the best. "
+                "Pale and hatched: tied with it."
+            )
+            name = f"winners-{LEVELS.index(level)}"
+            yield save_figure(maps.plot_winners(data, laws), folder, name, caption)
+
+
+def _alone(data: xr.Dataset, law: str, folder: Path) -> Iterator[dict[str, str]]:
+    """The maps of one law."""
+    if law != ORACLE:
+        caption = f"∫|x|² under {the_law(law)} over the oracle’s, geometric mean over signals."
+        figure = maps.plot_regret(data, law)
+        yield save_figure(figure, folder, f"regret-{file_name(law)}", caption)
+    caption = f"Signals that {the_law(law)} stabilises, %."
+    figure = maps.plot_stabilised(data, law)
+    yield save_figure(figure, folder, f"stabilised-{file_name(law)}", caption)
+
+
+def _page(study: FileStudy, **parts: Any) -> str:
+    from jinja2 import Environment, PackageLoader
+
+    template = Environment(
+        loader=PackageLoader("deadtime"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    ).get_template("study.html.j2")
+    return template.render(
+        study=study,
+        plant=study.base.plant,
+        step=study.base.step,
+        horizon=study.base.horizon,
+        grid=[
+            (AXES[name].label, ", ".join(map(_value, values)), AXES[name].unit)
+            for name, values in study.grid.items()
+        ],
+        families=[
+            (name, FAMILIES[name][0]) for name in study.grid.get("sojourn", ("exponential",))
+        ],
+        poles=", ".join(_value(pole) for pole in study.poles or ()),
+        x0=", ".join(f"{value:g}" for value in study.base.x0).replace("-", "−"),
+        version=__version__,
+        **parts,
+    )
+
+
+def _value(value: object) -> str:
+    if isinstance(value, complex) and value.imag == 0.0:
+        value = value.real
+    return value if isinstance(value, str) else f"{value:g}".replace("-", "−")

@@ -1,0 +1,1 @@
+"""Tables, as the command line and reports print them."""

@@ -1,0 +1,246 @@
+"""Certificates of a problem's laws, as rows and sentences for reports and terminals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from typing import TYPE_CHECKING, Any
+
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import finite_or_none, sentence_of, signed
+from deadtime.problems import Problem
+
+if TYPE_CHECKING:
+    from deadtime.certificates import Certificate, WorstCase
+    from deadtime.margins.constant_modes import DelayMargin
+
+HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
+LEGEND = (
+    "Stable: for every such signal. Decay: the rate at which every run falls at least. Proved: "
+    "verified in ball arithmetic, also where a witness refutes. Growth: of the worst signal found. "
+    "Delay margin: true delays, between which the law as it is keeps every constant mode stable."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is known about one law.
+
+    Attributes
+    ----------
+    law : str
+    certificate : Certificate or None
+        None where the question could not be put; `reason` says why.
+    worst : WorstCase or None
+        The worst signal found; None where none could be searched for.
+    margin : DelayMargin or None
+        The true delays with which every constant mode is stable.
+    reason : str
+        Why something is missing; empty otherwise.
+    """
+
+    law: str
+    certificate: Certificate | None
+    worst: WorstCase | None
+    margin: DelayMargin | None
+    reason: str = ""
+
+    @property
+    def stable(self) -> bool | None:
+        """The certificate's answer; None where there is none."""
+        return None if self.certificate is None else self.certificate.stable
+
+
+def judge(
+    problem: Problem,
+    dwell_time: float,
+    step: float,
+    laws: Sequence[str] | None = None,
+    decay_rate: float | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Judged]:
+    """Certificate, worst signal and delay margin of each law of a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its signal is not read.
+    dwell_time, step : float
+        As `certify` takes them, seconds.
+    laws : sequence of str, optional
+        Names of laws; all by default.
+    decay_rate : float, optional
+        The rate to certify, 1/s; as `certify` chooses by default.
+    progress : callable
+        Called with a few words before each law.
+
+    Raises
+    ------
+    ArgumentError
+        If a law is not there, or a time is not positive. A law that cannot be certified is a
+        result with a reason.
+    """
+    dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
+    names = list(problem.laws) if laws is None else list(laws)
+    for name in names:
+        problem.law(name)
+    judged = []
+    for name in names:
+        progress(f"certifying: {name}")
+        judged.append(_judge(problem, name, (dwell_time, step, decay_rate)))
+    return judged
+
+
+def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]) -> Judged:
+    from deadtime.certificates import certify, falsify
+    from deadtime.margins.constant_modes import constant_delay_margin
+    from deadtime.spectrum.affordable import left_out
+
+    plant, law = problem.plant, problem.laws[name]
+    dwell_time, step, rate = asked
+    try:
+        certificate = certify(plant, law, dwell_time, step, decay_rate=rate)
+    except ArgumentError as error:
+        return Judged(name, None, None, None, str(error))
+    worst, margin, reason = certificate.witness, None, ""
+    try:
+        if worst is None and certificate.stable:
+            worst = falsify(plant, law, dwell_time, step)
+        too_long = left_out("delay margin", plant, law, step)
+        if too_long:
+            return Judged(name, certificate, worst, None, sentence_of(too_long))
+        margin = constant_delay_margin(plant, law, step)
+    except ArgumentError as error:
+        reason = "" if certificate.stable is None else str(error)
+    return Judged(name, certificate, worst, margin, reason)
+
+
+def judged_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
+    """Rows of the table of certificates, columns as in `HEADINGS`."""
+    return [
+        (
+            one.law,
+            {True: "yes", False: "no", None: "no answer"}[one.stable],
+            _decay(one.certificate),
+            _proved(one.certificate),
+            _growth(one.worst),
+            margin_text(one.margin),
+        )
+        for one in judged
+    ]
+
+
+def judged_sentences(judged: Sequence[Judged]) -> list[str]:
+    """A sentence or two per law: the certificate's own words, or why there is none."""
+    texts = []
+    for one in judged:
+        said = one.reason if one.certificate is None else one.certificate.message
+        if one.certificate is not None and one.reason:
+            said += " " + one.reason
+        texts.append(f"{one.law}: {said}")
+    return texts
+
+
+def judged_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
+    """The same for JSON, which knows no infinity: null where there is one."""
+    return {
+        one.law: {
+            "stable": one.stable,
+            "decay_rate": None if one.certificate is None else one.certificate.decay_rate,
+            "proven": one.certificate is not None and one.certificate.proven,
+            "message": one.reason if one.certificate is None else one.certificate.message,
+            "statement": [] if one.certificate is None else list(one.certificate.statement),
+            "worst_signal": _worst_record(one.worst),
+            "delay_margin": None
+            if one.margin is None
+            else {
+                "lower": finite_or_none(one.margin.lower),
+                "upper": finite_or_none(one.margin.upper),
+                "message": one.margin.message,
+            },
+        }
+        for one in judged
+    }
+
+
+def margin_text(margin: DelayMargin | None) -> str:
+    """The true delays that are allowed, for a table.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349))
+    '0.9866 to 1.013'
+    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf")))
+    'any'
+    """
+    if margin is None:
+        return "–"
+    if margin.lower is None or margin.upper is None:
+        return "none"
+    low, high = _shortened(margin.lower, ROUND_CEILING), _shortened(margin.upper, ROUND_FLOOR)
+    if margin.lower == 0.0:
+        return f"up to {high}" if math.isfinite(margin.upper) else "any"
+    return f"{low} to {high}" if math.isfinite(margin.upper) else f"from {low}"
+
+
+def _shortened(value: float, rounding: str) -> str:
+    """To four digits, rounded up or down."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    exact = Decimal(str(float(value)))
+    return f"{float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - 3), rounding)):.4g}"
+
+
+def delay_sentence(problem: Problem) -> list[str]:
+    """What a wrong delay does to the problem's first law; nothing where that cannot be asked.
+
+    Where it would take long, that it was left out.
+    """
+    from deadtime.margins.constant_modes import constant_delay_margin
+    from deadtime.spectrum.affordable import left_out
+
+    name, law = next(iter(problem.laws.items()))
+    too_long = left_out("delay margin", problem.plant, law, problem.step)
+    if too_long:
+        return [sentence_of(too_long)]
+    try:
+        margin = constant_delay_margin(problem.plant, law, problem.step)
+    except ArgumentError:
+        return []
+    but = ", but for the imperfections," if problem.imperfections else ""
+    return [f"Under the law “{name}”{but} {margin.message}."]
+
+
+def _decay(certificate: Certificate | None) -> str:
+    rate = None if certificate is None else certificate.decay_rate
+    return "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
+
+
+def _proved(certificate: Certificate | None) -> str:
+    if certificate is None or certificate.stable is None:
+        return "–"
+    if certificate.stable:
+        return "yes" if certificate.proven else "numerical"
+    return "witness"
+
+
+def _growth(worst: WorstCase | None) -> str:
+    rate = None if worst is None else worst.growth_rate
+    return "–" if rate is None or not math.isfinite(rate) else signed(rate)
+
+
+def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:
+    if worst is None:
+        return None
+    return {
+        "growth_rate": finite_or_none(worst.growth_rate),
+        "proven": worst.proven,
+        "modes": list(worst.modes),
+        "sojourns": [finite_or_none(sojourn) for sojourn in worst.sojourns],
+        "phase": worst.phase,
+        "message": worst.message,
+    }

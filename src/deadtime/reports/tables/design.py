@@ -1,0 +1,126 @@
+"""A design for margin as tables, as JSON, and as sections of a problem file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.wording import compact, finite_or_none, signed
+from deadtime.plant import SwitchedSystem
+from deadtime.synthesis import Design, TradeOff
+from deadtime.synthesis.message import percent
+
+HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s", "misses")
+LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
+
+
+def design_rows(design: Design) -> list[tuple[str, ...]]:
+    """The plain design, the trade-off, and the one chosen; what each misses of the request."""
+    others = [point for point in design.points if point.law is not design.plain.law]
+    rows = []
+    for point in (design.plain, *others):
+        names = ["plain"] if point is design.plain else []
+        names += ["chosen"] if point.law is design.law and design.points else []
+        rows.append(_row(", ".join(names), point, ", ".join(design.missed(point)) or "–"))
+    return rows
+
+
+def _row(name: str, point: TradeOff, missed: str) -> tuple[str, ...]:
+    T = point.time_constant
+    slowest = "–" if T is None else f"{np.abs(np.linalg.eigvals(T)).max():.3g}"
+    decay = f"{point.decay_rate:.3g}" if point.decay_rate > 0.0 else "–"
+    step = f"{point.step:g}"
+    return name, percent(point.margin), compact(point.cost), decay, slowest, step, missed
+
+
+def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
+    """What any linear controller can tolerate, mode by mode."""
+    return [
+        (
+            name,
+            percent(limit.reached),
+            percent(limit.most, up=True),
+            ", ".join(_pole(pole) for pole in limit.poles) or "none",
+        )
+        for name, limit in zip(modes, design.limits, strict=True)
+    ]
+
+
+def _pole(pole: complex) -> str:
+    text = signed(pole.real)
+    return text if pole.imag == 0.0 else f"{text}{signed(pole.imag)}j"
+
+
+def problem_sections(
+    design: Design,
+    kind: str,
+    plant: SwitchedSystem,
+    gains: np.ndarray,
+    mode: int | None = None,
+) -> str:
+    """The design as sections [gains], [[law]] and a step, for the problem file of a plant.
+
+    With a mode the design is that mode's alone: the other modes keep their gains.
+    """
+    lines = [f"# {sentence}." for sentence in design.message.rstrip(".").split(". ")]
+    lines.append("# Put these in place of [gains] and of the [[law]] sections of the problem file.")
+    K = np.array(gains)
+    K[slice(None) if mode is None else [mode]] = design.gains
+    lines += ["", "[gains]", f"K = {_nested(K)}"]
+    if np.linalg.eigvals(plant.A + plant.B @ K).real.max() >= 0.0:
+        lines.append("allow_unstable = true    # the filter is part of what stabilises")
+    lines += ["", "[[law]]", f'kind = "{kind}"' if mode is None else 'kind = "single"']
+    lines += [] if mode is None else [f"mode = {mode}"]
+    T = design.time_constant
+    if T is not None:
+        lines.append(f"low_pass = {repr(float(T[0, 0])) if T.shape[0] == 1 else _nested(T)}")
+    return "\n".join([*lines, "", f"# In [run]: step = {design.step!r}", ""])
+
+
+def _nested(array: np.ndarray) -> str:
+    return str(array.tolist())
+
+
+def design_record(design: Design) -> dict[str, Any]:
+    """The design for JSON; null for what is infinite."""
+    margin = design.margin
+    return {
+        "asked": design.asked,
+        "decay_asked": design.decay_asked,
+        "reached": design.reached,
+        "delay_margin": {
+            "relative": finite_or_none(margin.relative),
+            "lower": finite_or_none(margin.lower),
+            "upper": finite_or_none(margin.upper),
+        },
+        "growth_at_both_ends": design.growth.tolist(),
+        "gains": design.gains.tolist(),
+        "time_constant": None if design.time_constant is None else design.time_constant.tolist(),
+        "step": design.step,
+        "cost": finite_or_none(design.cost),
+        "decay_rate": finite_or_none(design.decay_rate),
+        "plain": {
+            "margin": finite_or_none(design.plain.margin),
+            "cost": finite_or_none(design.plain.cost),
+            "decay_rate": finite_or_none(design.plain.decay_rate),
+        },
+        "limits": [
+            {"reached": finite_or_none(limit.reached), "most": finite_or_none(limit.most)}
+            for limit in design.limits
+        ],
+        "points": [
+            {
+                "margin": finite_or_none(point.margin),
+                "cost": point.cost,
+                "decay_rate": finite_or_none(point.decay_rate),
+                "step": point.step,
+                "chosen": point.law is design.law,
+                "missed": list(design.missed(point)),
+            }
+            for point in design.points
+        ],
+        "evaluated": design.evaluated,
+        "message": design.message,
+    }

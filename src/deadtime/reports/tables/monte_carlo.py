@@ -1,0 +1,201 @@
+"""What many scenarios say about each law: quantiles, wins, and the price against a reference law.
+
+A scenario on which a law diverges counts as infinitely dear for it: the figures of such a run
+are only those up to its end, and would flatter the law.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import compact, finite_or_none
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ORACLE = "oracle"
+LEVELS = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True)
+class LawSummary:
+    """One law over all scenarios.
+
+    Attributes
+    ----------
+    law : str
+    cost, ise : tuple of float
+        5 % quantile, median and 95 % quantile of ∫|x|² + |u|² and of ∫|x|²; ∞ where diverged
+        scenarios reach into them.
+    best : float
+        Share of scenarios on which no law has a smaller cost, 0 to 1; ties count for each.
+    relative : float
+        Median of the cost over that of the reference law.
+    diverged : int
+        Number of scenarios on which the law diverged.
+    """
+
+    law: str
+    cost: tuple[float, float, float]
+    ise: tuple[float, float, float]
+    best: float
+    relative: float
+    diverged: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All laws over the same scenarios.
+
+    Attributes
+    ----------
+    scenarios : int
+    reference : str
+        Law that costs are relative to: the one named "oracle", or else the first.
+    laws : tuple of LawSummary
+    """
+
+    scenarios: int
+    reference: str
+    laws: tuple[LawSummary, ...]
+
+    @property
+    def headings(self) -> list[str]:
+        """Of the columns of `rows`."""
+        return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "diverged"]
+
+    def rows(self) -> list[list[str]]:
+        """Costs for a terminal, a row for each law."""
+        return [
+            [
+                one.law,
+                *map(compact, one.cost),
+                _share(one.best),
+                compact(one.relative),
+                f"{one.diverged:,}",
+            ]
+            for one in self.laws
+        ]
+
+    def rows_of_ise(self) -> list[list[str]]:
+        """∫|x|² for a terminal: law and quantiles, under the first of the headings."""
+        return [[one.law, *map(compact, one.ise)] for one in self.laws]
+
+    def records(self) -> list[dict[str, Any]]:
+        """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
+        names = ("low", "median", "high")
+        records = []
+        for one in self.laws:
+            record = asdict(one)
+            for metric in ("cost", "ise"):
+                record[metric] = dict(zip(names, map(finite_or_none, record[metric]), strict=True))
+            records.append(record | {"relative": finite_or_none(one.relative)})
+        return records
+
+
+def summary(data: xr.Dataset) -> Summary:
+    """Quantiles, wins and relative costs of the laws of a `monte_carlo` dataset.
+
+    With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the
+    scenarios with J_ℓi = min_k J_ki < ∞, and its relative cost is the median of J_ℓi / J_ri
+    over i, r being the reference law.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        With `cost`, `ise` and `diverged` over (law, scenario).
+
+    Raises
+    ------
+    ArgumentError
+        If there is no scenario in it.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> cost = [[2.0, 4.0, 8.0], [1.0, 4.0, 9.0]]
+    >>> lost = [[False, False, True], [False, False, False]]
+    >>> dims = ("law", "scenario")
+    >>> names = {"law": ["averaged", "oracle"]}
+    >>> metrics = {"cost": (dims, cost), "ise": (dims, cost), "diverged": (dims, lost)}
+    >>> first, second = summary(xr.Dataset(metrics, names)).laws
+    >>> first.relative, first.diverged, first.cost[2], round(second.best, 2)
+    (2.0, 1, inf, 1.0)
+    """
+    if data.sizes["scenario"] == 0:
+        raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
+    cost, ise = losses(data, "cost"), losses(data, "ise")
+    least = cost.min(axis=0)
+    best = ((cost == least) & np.isfinite(least)).mean(axis=1)
+    ratios, diverged = relative_costs(data), data["diverged"].values.sum(axis=1)
+    laws = tuple(
+        LawSummary(
+            name,
+            _quantiles(cost[i]),
+            _quantiles(ise[i]),
+            float(best[i]),
+            float(_quantiles(ratios[i])[1]),
+            int(diverged[i]),
+        )
+        for i, name in enumerate(names_of(data))
+    )
+    return Summary(data.sizes["scenario"], reference_of(data), laws)
+
+
+def names_of(data: xr.Dataset) -> list[str]:
+    """The laws, in order."""
+    return [str(name) for name in data["law"].values]
+
+
+def reference_of(data: xr.Dataset) -> str:
+    """The law that others are held against: the oracle, or the first where there is none."""
+    names = names_of(data)
+    return ORACLE if ORACLE in names else names[0]
+
+
+def losses(data: xr.Dataset, metric: str) -> Float[np.ndarray, "law scenario"]:
+    """A metric, infinite on diverged scenarios."""
+    values = data[metric].transpose("law", "scenario").values.astype(float)
+    lost = data["diverged"].transpose("law", "scenario").values.astype(bool)
+    return np.where(lost, np.inf, values)
+
+
+def relative_costs(data: xr.Dataset) -> Float[np.ndarray, "law scenario"]:
+    """Costs over those of the reference law: 1 where both are 0, infinite where a law diverged."""
+    cost = losses(data, "cost")
+    base = cost[names_of(data).index(reference_of(data))]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(cost == base, 1.0, cost / base)
+    return np.where(np.isinf(cost), np.inf, ratios)
+
+
+def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
+    """The linear quantile that numpy has, also where some values are infinite.
+
+    Examples
+    --------
+    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.25)
+    2.5
+    >>> quantile(np.array([1.0, 3.0, np.inf, np.inf]), 0.5)
+    inf
+    """
+    # Between a finite value and ∞, interpolation has ∞ − ∞ in it.
+    if np.isinf(np.quantile(values, level, method="higher")):
+        return math.inf
+    highest = values[np.isfinite(values)].max()
+    return float(np.quantile(np.minimum(values, highest), level))
+
+
+def _quantiles(values: np.ndarray) -> tuple[float, float, float]:
+    low, middle, high = (quantile(values, level) for level in LEVELS)
+    return low, middle, high
+
+
+def _share(share: float) -> str:
+    return f"{100.0 * share:.1f} %"

@@ -1,0 +1,234 @@
+"""The verdict: what a comparison measured, in plain sentences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deadtime.base.wording import amount, compact, signed
+from deadtime.feedback import Law
+from deadtime.laws import (
+    DelayedStateFeedback,
+    ExactPredictor,
+    ExpectedPredictor,
+    MeanPredictor,
+    SingleModePredictor,
+)
+from deadtime.problems import Problem
+from deadtime.problems.comparison import Comparison
+from deadtime.problems.law_registry import LAWS, LEVELS, the_law
+from deadtime.problems.slips import disagreement_of, slips_of
+from deadtime.simulation import Trajectory
+from deadtime.simulation.outcome import untested
+from deadtime.spectrum import GROWS
+
+
+def verdict(result: Comparison) -> list[str]:
+    """Plain sentences, each made from measured figures; numbers that do not fit each other lead.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from deadtime.problems.comparison import compare
+    >>> print(verdict(compare(dt.problems.paper()))[2])
+    Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
+    """
+    lead = untested(result.runs[result.lead], result.outcomes[result.lead])
+    sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
+    sentences += _imperfections(result)
+    early = [name for name, run in result.runs.items() if _ended_early(result, run)]
+    if early:
+        # Figures of runs of different length do not compare.
+        chatter = f"Runs that chatter end early: {', '.join(early)}; see their messages."
+        return [*sentences, chatter]
+    settled = not any(run.message and not run.diverged for run in result.held)
+    sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
+    sentences += [_baseline(result, name) for name in _named(result, DelayedStateFeedback)[:1]]
+    singles = _named(result, SingleModePredictor)
+    sentences += [_believing_one_mode(result, singles)] if singles else []
+    sentences += [_against_the_oracle(result, name) for name in _named(result, ExactPredictor)[:1]]
+    return [*sentences, *disagreement_of(result)]
+
+
+def _ended_early(result: Comparison, run: Trajectory) -> bool:
+    """Whether a run could not go on, though it did not diverge."""
+    return not run.diverged and run.end < result.problem.horizon
+
+
+def _named(result: Comparison, kind: type[Law]) -> list[str]:
+    """Names of the laws of one kind, the lead aside."""
+    return [
+        name
+        for name, law in result.problem.laws.items()
+        if isinstance(law, kind) and name != result.lead
+    ]
+
+
+def _law(name: str) -> str:
+    """As `the_law` says it where files run it unasked and it could run on a plant."""
+    known = LAWS.get(name)
+    causal = known is not None and known.named.in_files and known.named.knows != LEVELS[-1]
+    return the_law(name) if causal else f"the law “{name}”"
+
+
+def _grows(result: Comparison, name: str) -> bool:
+    return result.outcomes[name].lost
+
+
+def _headline(result: Comparison) -> str:
+    problem, run = result.problem, result.runs[result.lead]
+    signal = result.signal
+    switches = int(np.sum(signal.times[1:] < run.end))
+    setting = f"in {problem.horizon:g} s without a switch"
+    if switches:
+        count = f"{switches} switches" if switches > 1 else "one switch"
+        setting = (
+            f"on a signal with {count} in {problem.horizon:g} s "
+            f"(dwell time {signal.dwell_time:.2g} s)"
+        )
+    law = _law(result.lead)
+    law = law[0].upper() + law[1:]
+    if run.diverged:
+        return f"{law} loses the plant {setting}: {run.message}"
+    if _ended_early(result, run):
+        return f"The run of {_law(result.lead)} ends early: {run.message}"
+    outcome = result.outcomes[result.lead]
+    if outcome.kind == "grows":
+        verb = "fails" if outcome.start else "has not settled"
+    else:
+        verb = "keeps the loop stable" if outcome.kind == "bounded" else "works"
+    return f"{law} {verb} {setting}: {outcome.sentence}."
+
+
+def _imperfections(result: Comparison) -> list[str]:
+    """What the runs have that laws do not know of."""
+    problem, parts = result.problem, []
+    if problem.model is not None:
+        differ = [name for name in ("A", "B") if _differ(problem, name)]
+        parts += [f"{' and '.join(differ)} of the plant differ from the laws' model"] * bool(differ)
+        true, believed = problem.plant.delay, problem.model.delay
+        if true != believed:
+            parts.append(f"the true delay is {true:g} s, the model's {believed:g} s")
+    parts += [repr(one) for one in problem.imperfections]
+    return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
+
+
+def _differ(problem: Problem, name: str) -> bool:
+    mine, its = getattr(problem.plant, name), getattr(problem.model, name)
+    return not np.array_equal(mine, its)
+
+
+def _without_switching(result: Comparison) -> str:
+    names, growth = result.problem.modes, result.growth
+    same = (
+        "Without its imperfections the same loop"
+        if result.problem.imperfections
+        else "The same loop"
+    )
+    unstable = [i for i, rate in enumerate(growth) if rate > GROWS]
+    still = [i for i, rate in enumerate(growth) if abs(rate) <= GROWS]
+    if still and not unstable:
+        where = " and in ".join(names[i] for i in still)
+        return (
+            f"Yet {same[0].lower()}{same[1:]} does not come to 0 if it stops switching: held in "
+            f"{where} it neither grows nor decays."
+        )
+    if not unstable:
+        slowest = int(np.argmax(growth))
+        rate = f" at {signed(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
+        return (
+            f"{same} is stable without switching, too: held in any one mode it decays, "
+            f"slowest in {names[slowest]}{rate}."
+        )
+    rates = [f"held in {names[i]} it grows at {_rate(growth[i])}" for i in unstable]
+    rates[1:] = [text.replace("it grows ", "") for text in rates[1:]]
+    calm = "does not grow" if still else "decays"
+    others = "" if len(unstable) == len(growth) else f" (in the other modes it {calm})"
+    begin = (
+        f"{same} is unstable without switching, too: "
+        if _grows(result, result.lead)
+        else f"Yet {same[0].lower()}{same[1:]} is unstable if it stops switching: "
+    )
+    return begin + ", ".join(rates) + others + "."
+
+
+def _rate(growth: float) -> str:
+    return f"{signed(growth)} /s" if math.isfinite(growth) else "more than can be told"
+
+
+def _baseline(result: Comparison, name: str) -> str:
+    outcome = result.outcomes[name]
+    if outcome.kind == "diverged":
+        return "Ignoring the delay fails: " + result.runs[name].message
+    if outcome.kind == "grows":
+        return f"Ignoring the delay fails: |x| reaches {amount(outcome.final)} by the end."
+    ends = outcome.sentence
+    if outcome.kind == "falls":
+        ends = f"|x| falls to {amount(outcome.final)} here"
+    return (
+        f"Even ignoring the delay, {ends}, at "
+        f"{_times(result, name, result.lead)} the cost (∫|x|² + ∫|u|²) of {_law(result.lead)}."
+    )
+
+
+def _times(result: Comparison, name: str, other: str) -> str:
+    """How many times the cost of another law a law costs."""
+    cost, base = (result.metrics[law]["cost"] for law in (name, other))
+    return f"{amount(cost / base)} times" if base > 0.0 else "many times"
+
+
+def _believing_one_mode(result: Comparison, singles: list[str]) -> str:
+    modes = result.problem.modes
+    ratios = []
+    for name in singles:
+        law = result.problem.laws[name]
+        assert isinstance(law, SingleModePredictor)
+        grows = " (and |x| grows)" if _grows(result, name) else ""
+        ratios.append(f"{_times(result, name, result.lead)}{grows} for {modes[law.mode]}")
+    return (
+        f"Predicting as if the plant stayed in one mode costs, compared with {_law(result.lead)}, "
+        + ", ".join(ratios)
+        + "."
+    )
+
+
+def _against_the_oracle(result: Comparison, oracle: str) -> str:
+    text = (
+        f"Compared with an oracle that knows the future, {_law(result.lead)} costs "
+        f"{_times(result, result.lead, oracle)} as much"
+    )
+    others = [*_named(result, MeanPredictor)[:1], *_named(result, ExpectedPredictor)[:1]]
+    text += "".join(f", {_law(name)} {_times(result, name, oracle)}" for name in others)
+    if others:
+        best = min((result.lead, *others), key=lambda name: result.metrics[name]["cost"])
+        word = "cheaper" if len(others) == 1 else "cheapest"
+        text += f": on this signal {_law(best)} is the {word}"
+    return text + "."
+
+
+def table(result: Comparison) -> list[tuple[str, ...]]:
+    """Rows of the table of metrics, columns as in `HEADINGS`.
+
+    A run settles where it comes to rest, which need not be 0.
+    """
+    return [
+        (
+            name,
+            compact(row["ise"]),
+            compact(row["energy"]),
+            compact(row["cost"]),
+            compact(row["peak"]),
+            _settles(result.outcomes[name].settling),
+            signed(row["decay_rate"]),
+            compact(row["final_norm"]),
+        )
+        for name, row in result.metrics.items()
+    ]
+
+
+def _settles(seconds: float) -> str:
+    return f"{seconds:.2f}" if math.isfinite(seconds) else "–"
+
+
+HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", "settles, s", "decay, 1/s", "|x(T)|")

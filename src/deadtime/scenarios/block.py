@@ -1,0 +1,146 @@
+"""One block of scenarios under every law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.imperfections import Imperfection
+from deadtime.plant.steps import modes_at
+from deadtime.scenarios.dataset import Results
+from deadtime.scenarios.engine import LANES, Engine
+from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.loop import Laid, Loop
+from deadtime.scenarios.source import Source, scenario_seed
+from deadtime.simulation import simulate
+from deadtime.switching import SignalBatch, SwitchingSignal
+
+_ROWS_BYTES = 5e7  # of rows per sample that are held at a time
+
+Stopped = Callable[[], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """How to run any block of scenarios, and where its results go.
+
+    Attributes
+    ----------
+    tables : mapping
+        From the name of a law to its table for the engine; None for rows per sample, which each
+        scenario has of its own. Laws without an entry are run one by one by `simulate`.
+    """
+
+    loop: Loop
+    source: Source
+    laws: Mapping[str, Law]
+    tables: Mapping[str, Any]
+    engine: Engine
+    imperfections: Sequence[Imperfection]
+    seed: int
+    results: Results
+
+    def run(self, first: int, count: int, stopped: Stopped) -> int:
+        """Run scenarios first, …, first + count − 1; how many of their signals end early.
+
+        Where `stopped` says so in between, the block is left and counts as not done.
+        """
+        signals = self.source.batch(first, count)
+        laid = self.loop.lay(signals) if self.tables else None
+        for row, (name, law) in enumerate(self.laws.items()):
+            left: Sequence[int] = range(count)
+            if laid is not None and isinstance(law, TableLaw) and name in self.tables:
+                left = self._at_once(row, law, self.tables[name], signals, laid, first, stopped)
+            for i in left:
+                if stopped():
+                    return 0
+                self._alone(row, law, signals[i], first + i)
+        if self.results.mode is not None:
+            step = self.loop.window.step
+            times = step * np.arange(self.loop.whole + 1)
+            for i, signal in enumerate(signals):
+                self.results.mode[first + i] = modes_at(signal, times, step)
+        if stopped():
+            return 0
+        self.results.done[first : first + count] = True
+        return int((signals.end < self.loop.horizon).sum())
+
+    def _at_once(
+        self,
+        row: int,
+        law: TableLaw,
+        table: Any,
+        signals: SignalBatch,
+        laid: Laid,
+        first: int,
+        stopped: Stopped,
+    ) -> Sequence[int]:
+        """Run a law by the engine; which scenarios are left to `simulate`."""
+        results, loop, count = self.results, self.loop, len(signals)
+        size = self._size(law) if table is None else count
+        size = size if results.x is None else min(size, LANES)
+        left: list[int] = []
+        for start in range(0, count, size):
+            if stopped():
+                return []
+            these = slice(first + start, first + min(start + size, count))
+            figures = self._figures(row, law, table, signals, laid, start, these)
+            for metric, values in metrics_of(loop, figures).items():
+                results.metrics[metric][row, these] = values
+            left += (start + np.flatnonzero(needs_own_run(loop, figures))).tolist()
+        return left
+
+    def _figures(
+        self,
+        row: int,
+        law: TableLaw,
+        table: Any,
+        signals: SignalBatch,
+        laid: Laid,
+        start: int,
+        these: slice,
+    ) -> Figures:
+        """Figures of a few scenarios; trajectories go where they are asked for."""
+        count, results, loop = these.stop - these.start, self.results, self.loop
+        if table is None:
+            step, samples = loop.window.step, loop.whole + 1
+            futures = (signals[start + i] for i in range(count))
+            table = self.engine.tables([law.digital(step, one, samples) for one in futures])
+        if results.x is None or results.u is None:
+            return self.engine.run(table, laid, start, count)
+        figures, path = self.engine.path(table, laid, start, count)
+        results.x[row, these], results.u[row, these] = path
+        return figures
+
+    def _size(self, law: TableLaw) -> int:
+        """For how many scenarios rows per sample fit into memory at a time."""
+        taps, inputs = law.window(self.loop.window.step).count, self.loop.plant.inputs
+        rows = 8.0 * (self.loop.whole + 1) * taps * inputs**2
+        return int(np.clip(_ROWS_BYTES / rows, 1, LANES))
+
+    def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
+        """Run one scenario by `simulate`."""
+        loop, results = self.loop, self.results
+        run = simulate(
+            loop.plant,
+            law,
+            signal,
+            loop.x0,
+            loop.horizon,
+            loop.window.step,
+            imperfections=self.imperfections,
+            seed=scenario_seed(self.seed, scenario),
+        )
+        results.diverged[row, scenario] = run.diverged
+        for metric, value in run.metrics().items():
+            results.metrics[metric][row, scenario] = value
+        if results.x is not None and results.u is not None:
+            for target, found in ((results.x, run.states), (results.u, run.inputs)):
+                kept = min(found.shape[1], target.shape[3])
+                target[row, scenario, :, :kept] = found[:, :kept]
+                target[row, scenario, :, kept:] = np.nan

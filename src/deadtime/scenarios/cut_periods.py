@@ -1,0 +1,172 @@
+"""Transitions over a period, whole or cut by switches.
+
+Over a period the plant sees z = (x, u_{k−N}, u_{k−N+1}), or (x, u_{k−N}) where N periods are the
+delay, and moves by x_{k+1} = M z with ∫|x|² = zᵀ E z. Where one switch from mode i to mode j cuts
+the period, M and E are analytic in the instant of the switch: series in it replace two
+exponentials by one short polynomial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import read_only
+from deadtime.plant import SwitchedSystem
+
+WIDE = 8  # entries of a map come in vectors of so many
+_NODES, _ROUND_OFF = 20, 2e-15
+_MOST_NUMBERS = 4e6  # of the series for all pairs of modes
+
+
+class Maps(NamedTuple):
+    """Whole periods, mode by mode: x_{k+1} = move z and ∫|x|² = zᵀ energy z."""
+
+    move: Float[np.ndarray, "mode n z"]
+    energy: Float[np.ndarray, "mode z z"]
+
+
+class Tables(NamedTuple):
+    """Series by cells of a period, in δ ∈ [−1, 1] across each, the lowest power first.
+
+    switched : (mode·mode, part, cell, degree, size), M and E of a period with one switch from
+        mode i to mode j, row i·modes + j, in either part of the period; without cells where there
+        are too many modes for it
+    pieces : (mode, cell, degree, size), Φ, Γ and the energy of one mode over a time
+    width : the size of a map, in whole vectors
+    """
+
+    switched: Float[np.ndarray, "pair part cell degree size"]
+    pieces: Float[np.ndarray, "mode cell degree piece"]
+    width: int
+
+
+def packed(form: Float[np.ndarray, "*rows z z"]) -> Float[np.ndarray, "*rows size"]:
+    """The upper triangle of a symmetric matrix, its off-diagonal doubled, flat.
+
+    Examples
+    --------
+    >>> packed(np.array([[1.0, 2.0], [2.0, 5.0]]))
+    array([1., 4., 5.])
+    """
+    i, j = np.triu_indices(form.shape[-1])
+    return form[..., i, j] * np.where(i == j, 1.0, 2.0)
+
+
+def balanced_norm(A: Float[np.ndarray, "n n"]) -> float:
+    """Largest row sum of A in the units in which it is balanced."""
+    from deadtime.numerics.exponential import balance
+
+    unit = balance(A)
+    return float(np.abs(A * unit / unit[:, None]).sum(axis=1).max())
+
+
+def composed(
+    pieces: Sequence[tuple[np.ndarray, np.ndarray, float]], inputs: Sequence[int] = (0, 1)
+) -> tuple[Float[np.ndarray, "n z"], Float[np.ndarray, "z z"]]:
+    """M and E over pieces (A, B, seconds), piece p seeing the block inputs[p] of the inputs."""
+    from deadtime.numerics.exponential import energy_gramian, held
+
+    n, m = pieces[0][1].shape
+    which = list(inputs)[: len(pieces)]
+    wide = n + m * (1 + max(which))
+    move, energy = np.eye(n, wide), np.zeros((wide, wide))
+    for (A, B, length), block in zip(pieces, which, strict=True):
+        u = np.eye(m, wide, n + block * m)
+        z = np.vstack((move, u))
+        Phi, Gamma = held(A, B, length)
+        energy += z.T @ energy_gramian(A, B, length) @ z
+        move = Phi @ move + Gamma @ u
+    return move, energy
+
+
+@lru_cache(8)
+def tables_of(plant: SwitchedSystem, lengths: tuple[float, ...], cells: int) -> Tables:
+    """The series of a plant, `lengths` being those for which one input acts at a time."""
+    A, B, modes, step = plant.A, plant.B, plant.modes, sum(lengths)
+    n, wide = plant.states, plant.states + plant.inputs * len(lengths)
+
+    def piece(i: int) -> Callable[[float], np.ndarray]:
+        def at(t: float) -> np.ndarray:
+            move, energy = composed([(A[i], B[i], t)])
+            return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), packed(energy)))
+
+        return at
+
+    def switched(i: int, j: int, part: int) -> Callable[[float], np.ndarray]:
+        def at(t: float) -> np.ndarray:
+            both = [(A[i], B[i], t), (A[j], B[j], sum(lengths[: part + 1]) - t)]
+            blocks = [part, part]
+            if part == 1:
+                both = [(A[i], B[i], lengths[0]), (A[i], B[i], t - lengths[0]), both[1]]
+                blocks = [0, 1, 1]
+            elif len(lengths) > 1:
+                both, blocks = [*both, (A[j], B[j], lengths[1])], [0, 0, 1]
+            move, energy = composed(both, blocks)
+            return np.concatenate((move.ravel(), packed(energy)))
+
+        return at
+
+    edges = np.concatenate(([0.0], np.cumsum(lengths)))
+    width = -(-(n * wide + wide * (wide + 1) // 2) // WIDE) * WIDE
+    pieces = _stack([[_series(piece(i), 0.0, step, cells)] for i in range(modes)])[:, 0]
+    if modes * modes * len(lengths) * cells * _NODES * width > _MOST_NUMBERS:
+        return Tables(np.zeros((1, 1, 0, 1, width)), pieces, width)
+    pairs = [
+        [
+            _series(switched(i, j, part), edges[part], edges[part + 1], cells)
+            for part in range(len(lengths))
+        ]
+        for i in range(modes)
+        for j in range(modes)
+    ]
+    return Tables(_stack(pairs), pieces, width)
+
+
+def _series(
+    function: Callable[[float], np.ndarray], low: float, high: float, cells: int
+) -> Float[np.ndarray, "cell degree size"]:
+    """A function of time on [low, high] in powers of δ, cell by cell.
+
+    Interpolation at Chebyshev's nodes; cells are short enough for terms to fall so fast that
+    powers of δ lose nothing against Chebyshev's polynomials.
+    """
+    nodes = np.polynomial.chebyshev.chebpts1(_NODES)
+    values = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
+    weights = np.where(np.arange(_NODES) == 0, 1.0, 2.0) / _NODES
+    powers = _chebyshev(_NODES)
+    width, result = (high - low) / cells, []
+    for c in range(cells):
+        samples = np.array([function(low + width * (c + 0.5 + 0.5 * x)) for x in nodes])
+        scale = np.abs(samples).max(axis=0)
+        terms = weights[:, None] * (values.T @ samples)
+        kept = np.flatnonzero((np.abs(terms) > _ROUND_OFF * np.maximum(scale, 1e-300)).any(axis=1))
+        terms = terms[: 1 + int(kept.max(initial=0))]
+        result.append(powers[: len(terms), : len(terms)] @ terms)
+    return _stack(result)
+
+
+@lru_cache(1)
+def _chebyshev(count: int) -> Float[np.ndarray, "power polynomial"]:
+    """Chebyshev's polynomials T_0, …, T_{count − 1} as columns of powers."""
+    columns = [
+        np.polynomial.chebyshev.cheb2poly(row[: d + 1]) for d, row in enumerate(np.eye(count))
+    ]
+    return read_only(
+        np.stack([np.pad(column, (0, count - column.size)) for column in columns], axis=1)
+    )
+
+
+def _stack(parts: Sequence) -> np.ndarray:
+    """Nested lists of arrays (…, degree, size) as one, padded to one degree and whole vectors."""
+    flat = [part if isinstance(part, np.ndarray) else _stack(part) for part in parts]
+    shape = [max(sizes) for sizes in zip(*(part.shape for part in flat), strict=True)]
+    shape[-1] = -(-shape[-1] // WIDE) * WIDE
+    result = np.zeros([len(flat), *shape])
+    for row, part in zip(result, flat, strict=True):
+        row[tuple(slice(size) for size in part.shape)] = part
+    return result

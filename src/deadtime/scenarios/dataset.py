@@ -1,0 +1,95 @@
+"""Metrics of laws over scenarios as a labelled dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from deadtime.base.version import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Metric: (unit, long name), in the order and under the names of `Trajectory.metrics()`.
+METRICS = {
+    "ise": ("x^2 s", "integral of |x|^2"),
+    "energy": ("u^2 s", "integral of |u|^2"),
+    "cost": ("x^2 s + u^2 s", "integral of |x|^2 + |u|^2"),
+    "peak": ("x", "maximum of |x| over the samples"),
+    "settling_time": ("s", "time from which |x| stays within 2 % of its peak, inf if never"),
+    "decay_rate": ("1/s", "minus the slope of log|x| over the second half"),
+    "final_norm": ("x", "|x| at the end"),
+}
+DIVERGED = "|x| left 1e100 and the run ended there; its metrics are those up to that end"
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What the blocks of a comparison fill, law by law and scenario by scenario.
+
+    Attributes
+    ----------
+    metrics : mapping
+        From a metric to an array (law, scenario).
+    done : (scenario,) array
+        Which scenarios are whole.
+    x, u, mode : arrays or None
+        Trajectories where they are asked for; NaN past the end of a run that diverged.
+    """
+
+    metrics: Mapping[str, Float[np.ndarray, "law scenario"]]
+    diverged: Bool[np.ndarray, "law scenario"]
+    done: Bool[np.ndarray, " scenario"]
+    x: Float[np.ndarray, "law scenario n sample"] | None = None
+    u: Float[np.ndarray, "law scenario m sample"] | None = None
+    mode: Int[np.ndarray, "scenario sample"] | None = None
+
+    @classmethod
+    def empty(cls, laws: int, scenarios: int, path: tuple[int, int, int] | None = None) -> Results:
+        """Room for the results, with `path` = (n, m, samples) for trajectories, too."""
+        shape = laws, scenarios
+        metrics = {name: np.empty(shape) for name in METRICS}
+        flags = np.zeros(shape, dtype=bool), np.zeros(scenarios, dtype=bool)
+        if path is None:
+            return cls(metrics, *flags)
+        n, m, samples = path
+        x, u = np.empty((*shape, n, samples)), np.empty((*shape, m, samples))
+        return cls(metrics, *flags, x, u, np.empty((scenarios, samples), np.int32))
+
+
+def dataset_of(
+    names: Sequence[str], results: Results, step: float, attributes: Mapping[str, Any]
+) -> xr.Dataset:
+    """The scenarios that are done."""
+    import xarray as xr
+
+    done, dims = np.flatnonzero(results.done), ("law", "scenario")
+    whole = done.size == results.done.size
+
+    def kept(array: np.ndarray, axis: int = 1) -> np.ndarray:
+        return array if whole else np.take(array, done, axis)
+
+    variables: dict[str, Any] = {
+        name: (dims, kept(value), {"units": METRICS[name][0], "long_name": METRICS[name][1]})
+        for name, value in results.metrics.items()
+    }
+    variables["diverged"] = (dims, kept(results.diverged), {"long_name": DIVERGED})
+    coordinates: dict[str, Any] = {
+        "law": ("law", list(names), {"long_name": "law"}),
+        "scenario": ("scenario", done, {"long_name": "scenario"}),
+    }
+    if results.x is not None and results.u is not None and results.mode is not None:
+        time = step * np.arange(results.mode.shape[1])
+        coordinates["time"] = ("time", time, {"units": "s", "long_name": "time"})
+        variables["x"] = ((*dims, "state", "time"), kept(results.x), {"long_name": "state"})
+        variables["u"] = ((*dims, "input", "time"), kept(results.u), {"long_name": "input"})
+        variables["mode"] = (
+            ("scenario", "time"),
+            kept(results.mode, 0),
+            {"long_name": "mode at the sample"},
+        )
+    return xr.Dataset(variables, coordinates, {**attributes, "version": __version__})

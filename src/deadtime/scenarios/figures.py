@@ -1,0 +1,98 @@
+"""What an engine measures along each scenario, and the metrics that follow from it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.scenarios.loop import Loop
+
+FEW_LATE = 11  # samples of the second half below which `Trajectory.metrics` looks between them
+_LIMIT, _TINY = 1e200, 1e-290  # of |x|²
+
+
+class Figures(NamedTuple):
+    """Sums along each scenario.
+
+    ise ∫|x|² and energy Σ|u|², the last one weighted by what is left of the horizon; peak and
+    final are |x|², over the samples t_0, …, t_K and at the horizon; outside is the last sample
+    with |x| above 2 % of the peak so far, −1 if there is none; over the samples of the second
+    half, least is the smallest |x|², log_sum Σ log|x|² and log_double Σ_k Σ_{j ≤ k} log|x_j|².
+    """
+
+    ise: Float[np.ndarray, " scenario"]
+    energy: Float[np.ndarray, " scenario"]
+    peak: Float[np.ndarray, " scenario"]
+    outside: Float[np.ndarray, " scenario"]
+    least: Float[np.ndarray, " scenario"]
+    log_sum: Float[np.ndarray, " scenario"]
+    log_double: Float[np.ndarray, " scenario"]
+    final: Float[np.ndarray, " scenario"]
+
+
+class Path(NamedTuple):
+    """States and inputs at the samples: x (scenario, n, K + 1) and u (scenario, m, K + 1)."""
+
+    x: Float[np.ndarray, "scenario n sample"]
+    u: Float[np.ndarray, "scenario m sample"]
+
+
+@np.errstate(all="ignore")  # of a scenario that diverges, which is run again
+def metrics_of(loop: Loop, figures: Figures) -> dict[str, Float[np.ndarray, " scenario"]]:
+    """The metrics of `Trajectory.metrics`, in its order.
+
+    The peak of |x| so far never falls, and is the peak itself from where it is reached on; so the
+    last sample above 2 % of the peak so far is the last one above 2 % of the peak.
+    """
+    step = loop.window.step
+    peak = np.maximum(figures.peak, figures.final)
+    ise, energy = figures.ise, step * figures.energy
+    at_end = figures.final > 0.02**2 * peak
+    time = step * (figures.outside + 1.0)
+    time = np.where(figures.outside == loop.whole, loop.horizon, time)
+    return {
+        "ise": ise,
+        "energy": energy,
+        "cost": ise + energy,
+        "peak": np.sqrt(peak),
+        "settling_time": np.where(at_end, np.inf, time),
+        "decay_rate": _decay_rate(loop, figures),
+        "final_norm": np.sqrt(figures.final),
+    }
+
+
+def _decay_rate(loop: Loop, figures: Figures) -> Float[np.ndarray, " scenario"]:
+    """Minus the least-squares slope of log|x| over the samples of the second half, and its end.
+
+    With j = k − k₀ counting c samples from k₀ on, Σ j L_j = c Σ L_j − Σ_k Σ_{j ≤ k} L_j.
+    """
+    count = loop.whole + 1 - loop.late
+    j = np.arange(count)
+    moment = count * figures.log_sum - figures.log_double
+    total, places, squares = figures.log_sum, float(j.sum()), float((j * j).sum())
+    if loop.rest > 0.0:
+        place = loop.horizon / loop.window.step - loop.late
+        last = np.log(np.maximum(figures.final, np.finfo(float).tiny))
+        moment, total = moment + place * last, total + last
+        places, squares, count = places + place, squares + place * place, count + 1
+    slope = (moment - places / count * total) / (squares - places * places / count)
+    return -0.5 * slope / loop.window.step
+
+
+def few_late(loop: Loop) -> bool:
+    """Whether the second half of the horizon has too few samples to fit a slope to."""
+    return loop.whole + 1 - loop.late + (loop.rest > 0.0) < FEW_LATE
+
+
+def needs_own_run(loop: Loop, figures: Figures) -> Bool[np.ndarray, " scenario"]:
+    """Scenarios that diverge, vanish or are too short for sums: `simulate` knows what they are."""
+    if few_late(loop):
+        return np.ones(figures.ise.size, dtype=bool)
+    peak = np.maximum(figures.peak, figures.final)
+    least = np.minimum(figures.least, figures.final)
+    fine = (peak <= _LIMIT) & (least >= _TINY)
+    for figure in (figures.ise, figures.energy, figures.log_sum, figures.log_double):
+        fine &= np.isfinite(figure)
+    return ~fine

@@ -1,0 +1,366 @@
+"""The digital loop of eight scenarios at once, compiled: see `docs/theory/batch.md`.
+
+All sizes are types (`deadtime.numerics.lanes`), so that one period is straight-line code with
+states, window sums and metrics in registers. Each scenario's transition over a period lies in
+memory and is rewritten where its records say so: when its mode changes, and for a period that a
+switch cuts.
+"""
+
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deadtime.numerics.lanes import (
+    LANES,
+    block_product,
+    chosen,
+    exponent,
+    first_of,
+    gather,
+    larger,
+    load,
+    mantissa,
+    matrix_product,
+    own_form,
+    own_product,
+    product,
+    same,
+    smaller,
+    spread,
+    squares,
+    store,
+    times,
+    total,
+    where_larger,
+)
+
+FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
+OUTSIDE = 0.02**2
+_LOG_2 = math.log(2.0)
+_NEVER = np.int64(2**62)
+_ONE = (0.0,)
+_FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
+_GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
+
+
+class Shape(NamedTuple):
+    """Sizes, as the lengths of tuples: state, input, both, what acts over a period, window, its
+    blocks, the inputs that the law's rows ask for, m (n + m) for the heads of dense rows. The last
+    two are empty where rows are factorised, and where no actuator limits the input."""
+
+    x: tuple
+    u: tuple
+    both: tuple
+    z: tuple
+    b: tuple
+    block: tuple
+    rows: tuple
+    head: tuple
+    dense: tuple
+    limited: tuple
+
+
+class Rows(NamedTuple):
+    """A law. Of a factorised one `length` is the window, and `head` and `dense` are empty.
+
+    state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
+    ahead (length, q, m) and behind (length, rows, m, q), flat. Of dense rows, `head`
+    (rows, m, n + m): what x and the latest input, and `dense` (rows, m, width): what the others,
+    the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per mode and
+    age, 3 per sample.
+    """
+
+    length: int
+    taps: int
+    state: np.ndarray
+    out: np.ndarray
+    last: np.ndarray
+    transition: np.ndarray
+    enter: np.ndarray
+    ahead: np.ndarray
+    behind: np.ndarray
+    head: np.ndarray
+    dense: np.ndarray
+    width: int
+    kind: int
+    ages: int
+
+
+class Plant(NamedTuple):
+    """The truth: its delay N in periods, and signals laid on them (`loop.Laid`)."""
+
+    delay: int
+    maps: np.ndarray
+    first: np.ndarray
+    step: np.ndarray
+    mode: np.ndarray
+    map: np.ndarray
+    age: np.ndarray
+
+
+class Run(NamedTuple):
+    """samples, the weight of the last one's input, where the late half begins, x0, actuators.
+
+    Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`.
+    """
+
+    samples: int
+    rest: float
+    late: int
+    x0: np.ndarray
+    rate: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def _dot(a, i, b, j, length):
+    """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
+    sums = same(0.0, _FOUR)
+    k = 0
+    while k + 4 * LANES <= length:
+        sums = times(load(a, i + k, _FOUR), load(b, j + k, _FOUR), sums)
+        k += 4 * LANES
+    rest = same(0.0, _ONE)
+    while k < length:
+        rest = times(load(a, i + k, _ONE), load(b, j + k, _ONE), rest)
+        k += LANES
+    return total(first_of(sums, rest, rest, _FIVE))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _refill(shape, rows, ring, period, now, carry):
+    """What the previous block of inputs adds to each sum of the coming one.
+
+    With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
+    subtracted, so nothing cancels.
+    """
+    m, asked = len(shape.u), len(shape.rows)
+    q = len(shape.b)
+    s = same(0.0, shape.b)
+    place = now
+    for r in range(rows.length - 1, -1, -1):
+        place = period - 1 if place == 0 else place - 1
+        u = load(ring, place * m * LANES, shape.u)
+        s = product(rows.ahead, r * q * m, u, s)
+        sums = product(rows.behind, r * asked * q, s, same(0.0, shape.rows))
+        store(carry, r * asked * LANES, sums)
+
+
+class Work(NamedTuple):
+    """Memory of eight scenarios.
+
+    ring : inputs, of `period` samples;  carry : what the block of inputs before adds to sums;
+    window : for dense rows, scenario by scenario, inputs twice over, so that N of them lie side
+    by side wherever the ring begins;  own : maps;
+    mode, its number as one that `chosen` reads, when it began, the row of the law;
+    at, stop, coming : the next record, the end of records, 8·period + place of the next one.
+    """
+
+    ring: np.ndarray
+    carry: np.ndarray
+    window: np.ndarray
+    own: np.ndarray
+    xs: np.ndarray
+    ask: np.ndarray
+    mode: np.ndarray
+    mode_row: np.ndarray
+    began: np.ndarray
+    row: np.ndarray
+    at: np.ndarray
+    stop: np.ndarray
+    coming: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def _work(shape, rows, plant, run, start, count, period):
+    """The memory at time 0."""
+    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
+    at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
+    mode, mode_row = np.empty(LANES, np.int64), np.zeros(LANES)
+    began, xs = np.empty(LANES, np.int64), np.empty(n * LANES)
+    for lane in range(LANES):
+        scenario = start + min(lane, count - 1)
+        at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
+        mode[lane] = plant.mode[at[lane]]
+        if rows.kind == 1:
+            mode_row[lane] = mode[lane]
+        began[lane] = -plant.age[scenario]
+        for i in range(n):
+            xs[i * LANES + lane] = run.x0[i]
+    return Work(
+        np.zeros(period * m * LANES),
+        np.zeros(max(1, min(rows.length, run.samples)) * len(shape.rows) * LANES),
+        np.zeros(len(shape.dense) * (2 * rows.taps * m + LANES) * LANES),
+        np.empty((n * wide + wide * (wide + 1) // 2) * LANES),
+        xs,
+        np.empty(m * LANES),
+        mode,
+        mode_row,
+        began,
+        np.zeros(LANES, np.int64),
+        at,
+        stop,
+        np.arange(LANES),
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _switch(rows, plant, work, k, soon):
+    """Apply the records of period k; which comes next, or a number that no period reaches."""
+    size = work.own.size // LANES
+    while soon // LANES == k:
+        lane = soon % LANES
+        record = work.at[lane]
+        work.at[lane] += 1
+        if plant.mode[record] != work.mode[lane]:
+            work.mode[lane], work.began[lane] = plant.mode[record], k
+            if rows.kind == 1:
+                work.mode_row[lane] = plant.mode[record]
+        for i in range(size):
+            work.own[i * LANES + lane] = plant.maps[plant.map[record], i]
+        work.coming[lane] = _NEVER
+        if work.at[lane] < work.stop[lane]:
+            work.coming[lane] = np.int64(plant.step[work.at[lane]]) * LANES + lane
+        soon = _NEVER
+        for other in range(LANES):
+            soon = min(soon, work.coming[other])
+    return soon
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _sum_dense(shape, rows, work, k, count, samples, place):
+    """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
+
+    They do not wait for what the last period gave: a processor works on both at once.
+    """
+    m, head = len(shape.u), len(shape.head)
+    width = work.window.size // LANES
+    for lane in range(LANES):
+        row = 0
+        if rows.kind == 1:
+            row = work.mode[lane]
+        elif rows.kind == 2:
+            row = work.mode[lane] * rows.ages + min(k - work.began[lane], rows.ages - 1)
+        elif rows.kind == 3:
+            row = min(lane, count - 1) * samples + k
+        work.row[lane] = row * head
+        start = lane * width + (place + 1) * m
+        for i in range(m):
+            at = (row * m + i) * rows.width
+            work.ask[lane * m + i] = _dot(rows.dense, at, work.window, start, rows.width)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _limited(shape, run, u, before):
+    """The input after the actuators, the one before given."""
+    m, one = len(shape.u), same(1.0, _ONE)
+    for a in range(run.rate.size):
+        base = times(same(run.rate[a], shape.u), before, same(0.0, shape.u))
+        low = product(run.low, a * m, one, base)
+        u = smaller(larger(u, low), product(run.high, a * m, one, base))
+    return u
+
+
+@njit(cache=True, nogil=True)
+def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
+    """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest."""
+    n, m, wide, asked = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
+    # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
+    period = min(max(plant.delay, rows.taps), run.samples) + 1
+    work = _work(shape, rows, plant, run, start, count, period)
+    ring, own = work.ring, work.own
+    none, one = same(0.0, _ONE), same(1.0, _ONE)
+    small = same(OUTSIDE, _ONE)
+    x, b = load(work.xs, 0, shape.x), same(0.0, shape.b)
+    ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
+    # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
+    P, Q, EP, EQ = one, one, none, none
+    now, old = 0, period - min(plant.delay, run.samples)
+    new = (period - min(plant.delay - 1, run.samples)) % period
+    older = period - min(rows.taps, run.samples)
+    places = m * np.arange(LANES)
+    soon, r, place, width = np.int64(0), 0, 0, work.window.size // LANES
+    for k in range(run.samples):
+        if soon // LANES == k:
+            soon = _switch(rows, plant, work, k, soon)
+        norm = squares(x, none)
+        peak = larger(norm, peak)
+        last = where_larger(norm, times(small, peak, none), float(k), last)
+        if k >= run.late:
+            least = smaller(norm, least)
+            P, EP = times(P, mantissa(norm), none), times(one, exponent(norm), EP)
+            Q, EQ = times(Q, P, none), times(one, EP, EQ)
+            if (k - run.late) % _GROUP == _GROUP - 1:
+                EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
+                P, Q = mantissa(P), mantissa(Q)
+        if len(shape.dense) == 0:
+            if r == rows.length:
+                _refill(shape, rows, ring, period, now, work.carry)
+                b, r = same(0.0, shape.b), 0
+            sums = load(work.carry, r * asked * LANES, shape.rows)
+            sums = product(rows.last, 0, load(ring, older * m * LANES, shape.u), sums)
+            sums = product(rows.out, 0, b, product(rows.state, 0, x, sums))
+            u = chosen(sums, load(work.mode_row, 0, _ONE), shape.u)
+        else:
+            _sum_dense(shape, rows, work, k, count, run.samples, place)
+            latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
+            heads = gather(rows.head, work.row, shape.head)
+            sums = gather(work.ask, places, shape.u)
+            u = matrix_product(heads, first_of(x, latest, latest, shape.both), sums)
+        if len(shape.limited) > 0:
+            before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
+            u = _limited(shape, run, u, before)
+        store(ring, now * m * LANES, u)
+        if len(shape.dense) == 0:
+            entered = product(rows.enter, 0, u, same(0.0, shape.b))
+            b = block_product(rows.transition, 0, b, entered, shape.block)
+            r += 1
+        else:
+            place = rows.taps - 1 if place == 0 else place - 1
+            spread(work.window, place * m, width, u)
+            spread(work.window, (place + rows.taps) * m, width, u)
+        if path.size and k >= keep:
+            store(path, (k - keep) * (n + m) * LANES, x)
+            store(path, ((k - keep) * (n + m) + n) * LANES, u)
+        recent = load(ring, new * m * LANES, shape.u)
+        z = first_of(x, load(ring, old * m * LANES, shape.u), recent, shape.z)
+        ise = own_form(own, n * wide * LANES, z, ise)
+        x = own_product(own, 0, z, same(0.0, shape.x))
+        weight = run.rest if k == run.samples - 1 else 1.0
+        energy = times(same(weight, _ONE), squares(u, none), energy)
+        now = 0 if now + 1 == period else now + 1
+        old = 0 if old + 1 == period else old + 1
+        new = 0 if new + 1 == period else new + 1
+        older = 0 if older + 1 == period else older + 1
+    figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
+    for f, figure in enumerate(figures):
+        store(out, f * LANES, figure)
+    for lane in range(LANES):
+        for f in (5, 6):
+            product_so_far, exponents = out[f * LANES + lane], out[(f + 3) * LANES + lane]
+            out[f * LANES + lane] = math.log(product_so_far) + exponents * _LOG_2
+
+
+@njit(cache=True, nogil=True)
+def run_scenarios(shape, rows, plant, run, start, count, path, keep):
+    """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
+
+    `path`, empty or for at most eight scenarios, gets x and u of every sample from `keep` on.
+    """
+    result = np.empty((FIGURES, count))
+    out = np.empty((FIGURES + 2) * LANES)
+    for at in range(0, count, LANES):
+        few = min(LANES, count - at)
+        _run_eight(shape, rows, plant, run, start + at, few, out, path, keep)
+        for f in range(FIGURES):
+            for lane in range(few):
+                result[f, at + lane] = out[f * LANES + lane]
+    return result

@@ -1,0 +1,225 @@
+"""Switching signals laid on the periods of a digital loop, many at once, compiled.
+
+A record says which map takes a scenario over a period, from that period on: its mode's own, or
+that of a period which a switch cuts. As `deadtime.plant.steps.Cuts` has it, a switch within 1e-9 of a
+period of a sample, or of an arriving input, is at it.
+"""
+
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from deadtime.numerics.lanes import load, same, store, times
+
+TOLERANCE = 1e-9
+
+
+@njit(cache=True, nogil=True)
+def _snap(ratio):
+    nearest = np.floor(ratio + 0.5)
+    return nearest if abs(ratio - nearest) <= TOLERANCE else ratio
+
+
+@njit(cache=True, nogil=True)
+def _place(time, step, phase, count, rate):
+    """The period that a switch falls in, and when in it; `rate` is 1/step."""
+    ratio = _snap(time * rate)
+    k = np.floor(ratio)
+    if ratio == k:
+        return np.int64(k), 0.0
+    offset = time - k * step
+    if phase < step:
+        late = _snap((time - (count - 1) * step - phase) * rate)
+        if late == np.floor(late):
+            k, offset = late + count - 1, phase
+    return np.int64(k), offset
+
+
+@njit(cache=True, nogil=True)
+def lay(offset, times, modes, samples, step, phase, count, plants):
+    """Records (step, mode at the sample, map) of every scenario for the periods 0, …, samples − 1.
+
+    Scenario s has the sojourns offset[s], …, offset[s + 1] − 1. A map below `plants`, the number
+    of modes, is that mode's. Map plants + c is that of cut period c with the sojourns sojourn[c],
+    …, until[c] − 1, of which sojourn i begins at[i] into the period, the first one before it or
+    at its start. A scenario's last period counts as cut, and is marked in `last`.
+    Returns first, step, mode, map, sojourn, until, last, at.
+    """
+    scenarios, most = offset.size - 1, 2 * modes.size + 2 * (offset.size - 1)
+    first = np.empty(scenarios + 1, np.int64)
+    step_of, mode_of = np.empty(most, np.int32), np.empty(most, np.int32)
+    map_of, last = np.empty(most, np.int32), np.empty(most, np.bool_)
+    sojourn, until = np.empty(most, np.int32), np.empty(most, np.int32)
+    rate = 1.0 / step
+    at = np.empty(modes.size)
+    final, r, c = samples - 1, 0, 0
+    for s in range(scenarios):
+        first[s] = r
+        i, stop = offset[s], offset[s + 1]  # i: the sojourn that is going on
+        k = 0
+        while True:
+            # Switches at the sample come first: they are what the law sees.
+            ahead, within = final + 1, 0.0
+            while i + 1 < stop:
+                ahead, within = _place(times[i + 1], step, phase, count, rate)
+                if ahead != k or within > 0.0:
+                    break
+                i += 1
+                ahead = final + 1
+            step_of[r], mode_of[r], map_of[r] = k, modes[i], modes[i]
+            if k == final or ahead == k:
+                map_of[r], sojourn[c], last[c] = plants + c, i, k == final
+                while i + 1 < stop and ahead == k:
+                    i += 1
+                    at[i] = within
+                    ahead = final + 1
+                    if i + 1 < stop:
+                        ahead, within = _place(times[i + 1], step, phase, count, rate)
+                until[c] = i + 1
+                c += 1
+                r += 1
+                if k == final:
+                    break
+                k += 1
+            else:
+                r += 1
+                k = min(ahead, final)
+    first[scenarios] = r
+    return first, step_of[:r], mode_of[:r], map_of[:r], sojourn[:c], until[:c], last[:c], at
+
+
+@njit(cache=True, nogil=True)
+def _series(flat, index, cells, degrees, size, start, cell, t, width):
+    """Σ_d flat[index, c, d] δ^d: c the cell of t, δ ∈ [−1, 1] the place in it."""
+    c = min(max(np.int64((t - start) / cell), 0), cells - 1)
+    delta = same(2.0 * ((t - start) / cell - c) - 1.0, width)
+    place = ((index * cells + c) * degrees + degrees - 1) * size
+    value = load(flat, place, width)
+    for _ in range(degrees - 1):
+        place -= size
+        value = times(value, delta, load(flat, place, width))
+    return value
+
+
+@njit(cache=True, nogil=True)
+def _compose(piece, n, m, column, move, energy, own):
+    """Follow the map (move, energy) by a piece whose input is z[column], …."""
+    wide = move.shape[1]
+    own[:n] = move
+    own[n:] = 0.0
+    for j in range(m):
+        own[n + j, column + j] = 1.0
+    at = n * n + n * m
+    for i in range(n + m):
+        for j in range(i, n + m):
+            q = piece[at]
+            at += 1
+            for a in range(wide):
+                left = q * own[i, a]
+                if left != 0.0:
+                    for b in range(wide):
+                        energy[a, b] += left * own[j, b]
+    for i in range(n):
+        for a in range(wide):
+            value = 0.0
+            for j in range(n):
+                value += piece[i * n + j] * own[j, a]
+            for j in range(m):
+                value += piece[n * n + i * m + j] * own[n + j, a]
+            move[i, a] = value
+
+
+@njit(cache=True, nogil=True)
+def _composed(first, last, modes, at, end, phase, pieces, cell, n, m, result, scratch, width):
+    """The map over [0, end) of a period with the sojourns first, …, last − 1."""
+    cells, degrees, size = pieces.shape[1:]
+    flat = pieces.reshape(-1)
+    wide = n + m if phase == 0.0 else n + 2 * m
+    move, energy = np.zeros((n, wide)), np.zeros((wide, wide))
+    own = np.empty((n + m, wide))
+    for i in range(n):
+        move[i, i] = 1.0
+    start = 0.0
+    for i in range(first, last):
+        stop = end if i + 1 == last else min(at[i + 1], end)
+        for part in range(2):
+            edge = stop if part == 1 or phase == 0.0 else min(stop, phase)
+            if edge > start:
+                value = _series(
+                    flat, modes[i], cells, degrees, size, 0.0, cell, edge - start, width
+                )
+                store(scratch, 0, value)
+                late = phase > 0.0 and start >= phase
+                _compose(scratch, n, m, n + m if late else n, move, energy, own)
+                start = edge
+    k = 0
+    for i in range(n):
+        for a in range(wide):
+            result[k] = move[i, a]
+            k += 1
+    for a in range(wide):
+        for b in range(a, wide):
+            result[k] = energy[a, a] if a == b else energy[a, b] + energy[b, a]
+            k += 1
+
+
+@njit(cache=True, nogil=True)
+def fill_maps(
+    maps,
+    sojourn,
+    until,
+    modes,
+    at,
+    last,
+    step,
+    rest,
+    phase,
+    switched,
+    pieces,
+    n,
+    m,
+    width,
+    piece_width,
+):
+    """Fill maps[modes + c] for every cut period c; `last` as from `lay`.
+
+    A period with one switch is read from `switched` (mode·modes + mode, part, cell, degree, size),
+    the others are composed from `pieces` (mode, cell, degree, size). `phase` is 0 where one input
+    acts throughout.
+    """
+    count = pieces.shape[0]
+    _, parts, cells, degrees, size = switched.shape
+    flat, place = switched.reshape(-1), maps.reshape(-1)
+    scratch = np.empty(pieces.shape[3])
+    cell = step / pieces.shape[1]
+    for c in range(sojourn.size):
+        i = sojourn[c]
+        if cells > 0 and until[c] == i + 2 and not last[c]:
+            t = at[i + 1]
+            part = 1 if phase > 0.0 and t >= phase else 0
+            low = phase if part == 1 else 0.0
+            high = phase if part == 0 and phase > 0.0 else step
+            index = (modes[i] * count + modes[i + 1]) * parts + part
+            value = _series(flat, index, cells, degrees, size, low, (high - low) / cells, t, width)
+            store(place, (count + c) * size, value)
+        else:
+            end = rest if last[c] else step
+            _composed(
+                i,
+                until[c],
+                modes,
+                at,
+                end,
+                phase,
+                pieces,
+                cell,
+                n,
+                m,
+                maps[count + c],
+                scratch,
+                piece_width,
+            )

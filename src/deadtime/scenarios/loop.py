@@ -1,0 +1,159 @@
+"""What a batch engine runs: the loop, the laws' rows, and the scenarios' signals laid on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.imperfections import Limiting, Sizes
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.steps import snap, snap_all
+from deadtime.scenarios.cut_periods import (
+    WIDE,
+    Maps,
+    Tables,
+    balanced_norm,
+    composed,
+    packed,
+    tables_of,
+)
+from deadtime.switching import SignalBatch
+
+_CELLS = 1024  # of a period, for a plant that is so fast
+_OLDEST = 2.0**31  # samples: older than any table tells apart
+
+
+class Laid(NamedTuple):
+    """Signals laid on the periods.
+
+    Record r of scenario s, first[s] ≤ r < first[s + 1], says that from period `step[r]` on the
+    sampled mode is `mode[r]` and row `map[r]` of `maps` takes the plant over a period: `move` and
+    the upper triangle of `energy` with its off-diagonal doubled, flat (`Maps`). The last period,
+    K, goes on to the horizon only. `age` is that of the first mode at time 0, in samples.
+    """
+
+    first: Int[np.ndarray, " scenario+1"]
+    step: Int[np.ndarray, " record"]
+    mode: Int[np.ndarray, " record"]
+    map: Int[np.ndarray, " record"]
+    maps: Float[np.ndarray, "map size"]
+    age: Int[np.ndarray, " scenario"]
+
+    @property
+    def scenarios(self) -> int:
+        """How many there are."""
+        return self.first.size - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """The plant, how its time is cut, and what limits its inputs.
+
+    Attributes
+    ----------
+    whole : int
+        K, periods within the horizon; samples are t_0, …, t_K.
+    rest : float
+        Seconds from t_K to the horizon, in [0, h).
+    actuators : sequence of Limiting
+    """
+
+    plant: SwitchedSystem
+    window: Window
+    x0: Float[np.ndarray, " n"]
+    horizon: float
+    actuators: Sequence[Limiting] = ()
+
+    @cached_property
+    def whole(self) -> int:
+        return math.floor(snap(self.horizon / self.window.step))
+
+    @cached_property
+    def rest(self) -> float:
+        ratio = snap(self.horizon / self.window.step)
+        return 0.0 if ratio == self.whole else self.horizon - self.whole * self.window.step
+
+    @cached_property
+    def late(self) -> int:
+        """The first sample of the second half."""
+        step, half = self.window.step, 0.5 * self.horizon
+        first = max(0, math.floor(half / step) - 1)
+        return next(k for k in range(first, first + 4) if k * step >= half)
+
+    @property
+    def lengths(self) -> list[float]:
+        """For how long one input acts at a time within a period, seconds."""
+        window = self.window
+        return [window.phase, window.step - window.phase][: 1 + (window.phase < window.step)]
+
+    @cached_property
+    def maps(self) -> Maps:
+        """The uncut periods."""
+        A, B = self.plant.A, self.plant.B
+        pairs = [composed([(A[i], B[i], t) for t in self.lengths]) for i in range(len(A))]
+        return Maps(*(np.array(part) for part in zip(*pairs, strict=True)))
+
+    @cached_property
+    def tables(self) -> Tables | None:
+        """Cut periods as series; None for a plant so fast that they would be too long."""
+        norms = [balanced_norm(A) for A in self.plant.A]
+        size = max(norms) * self.window.step
+        cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
+        return None if cells > _CELLS else tables_of(self.plant, tuple(self.lengths), cells)
+
+    @cached_property
+    def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Per actuator: 1 where it limits the change of the input and 0 otherwise, low, high."""
+        m = self.plant.inputs
+        sizes = Sizes(self.plant.modes, self.plant.states, m, self.window.step)
+        limits = [one.limits(sizes) for one in self.actuators]
+        rate = np.array([float(limit.relative) for limit in limits])
+        low = np.reshape([limit.low for limit in limits], (-1, m))
+        return rate, low, np.reshape([limit.high for limit in limits], (-1, m))
+
+    def lay(self, signals: SignalBatch) -> Laid:
+        """Signals laid on the periods up to the horizon."""
+        from deadtime.scenarios.laid import fill_maps, lay
+
+        window, tables = self.window, self.tables
+        assert tables is not None
+        first, step, mode, which, sojourn, until, last, at = lay(
+            signals.first,
+            signals.times,
+            signals.modes,
+            self.whole + 1,
+            window.step,
+            window.phase,
+            window.count,
+            self.plant.modes,
+        )
+        modes = self.plant.modes
+        own = np.concatenate((self.maps.move.reshape(modes, -1), packed(self.maps.energy)), axis=1)
+        maps = np.empty((modes + sojourn.size, tables.width))
+        maps[:modes] = 0.0
+        maps[:modes, : own.shape[1]] = own
+        fill_maps(
+            maps,
+            sojourn,
+            until,
+            signals.modes,
+            at,
+            last,
+            window.step,
+            self.rest,
+            window.phase if len(self.lengths) > 1 else 0.0,
+            tables.switched,
+            tables.pieces,
+            self.plant.states,
+            self.plant.inputs,
+            (0.0,) * (tables.width // WIDE),
+            (0.0,) * (tables.pieces.shape[-1] // WIDE),
+        )
+        ages = np.floor(snap_all(np.minimum(signals.initial_age / window.step, _OLDEST)))
+        return Laid(first, step, mode, which, maps, ages.astype(np.int64))

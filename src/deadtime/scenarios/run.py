@@ -1,0 +1,257 @@
+"""`monte_carlo`: several laws over many switching signals, as a labelled dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import instance, positive, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw, require_match
+from deadtime.imperfections import Imperfection, Limiting, streams
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.scenarios.block import Block
+from deadtime.scenarios.dataset import METRICS, Results, dataset_of
+from deadtime.scenarios.engine import BACKENDS, Engine, engine_of
+from deadtime.scenarios.figures import few_late
+from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.memory import require_memory
+from deadtime.scenarios.named import named_laws
+from deadtime.scenarios.source import SwitchingModel, source_of
+from deadtime.scenarios.workers import Progress, processors, run_blocks, shown
+from deadtime.simulation.simulate import require_steps
+from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    Laws = Sequence[Law] | Mapping[str, Law]
+    Model = SwitchingModel | Sequence[SwitchingSignal] | SignalBatch
+else:
+    Laws = Model = object  # `named_laws` and `source_of` check them, with better messages
+
+_BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
+_LARGER = 16  # so many times as much for a device that wants much to do at a time
+_MOST_TERMS = 1500  # of straight-line code for a period of the plant
+_NAMED = 10  # scenarios that a message names
+
+
+def monte_carlo(
+    plant: SwitchedSystem,
+    laws: Laws,
+    model: Model,
+    x0: ArrayLike,
+    horizon: float,
+    step: float = 0.01,
+    scenarios: int = 1000,
+    seed: int = 0,
+    backend: str = "numba",
+    progress: Progress | bool | None = None,
+    imperfections: Sequence[Imperfection] = (),
+    trajectories: bool = False,
+    threads: int | None = None,
+) -> xr.Dataset:
+    """Run several laws over many switching signals, every law on the same ones.
+
+    The signal of scenario i depends on the model, on `seed` and on i only: not on the number
+    of scenarios or of laws, on the backend, or on how many threads there are; `draw_signals`
+    gives it. Inputs before time 0 are 0. The loops are those of `simulate`: switches anywhere,
+    any delay, a law whose model is not the plant.
+
+    Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
+    where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
+    laws with imperfections other than limits of the input, horizons of fewer than some 20
+    periods, plants beyond some 30 states or a thousand times faster than the period;
+    `attrs["one_by_one"]` names the laws. So do scenarios that diverge or vanish.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth, as in `simulate`.
+    laws : list of Law, or mapping of names to laws
+        A list is named by the laws' labels, which must differ.
+    model : switching model, list of SwitchingSignal, or SignalBatch
+        Something with a method ``sample(horizon, seed)``, and better one with ``draw``, such as
+        `Markov` and `SemiMarkov`; it is asked for signals that reach the horizon plus the longest
+        delay. Or the signals themselves, one per scenario. One that ends before the horizon goes
+        on in its last mode, as in `simulate`, and ``attrs["message"]`` counts these.
+    x0 : array_like, shape (n,)
+        State at time 0.
+    horizon : float
+        Length of every run, in seconds.
+    step : float
+        Sampling period h, in seconds.
+    scenarios : int
+        Number of signals to draw, ≥ 1; with a list of signals its length counts instead.
+    seed : int
+        At least 0. The same seed gives the same signals.
+    backend : "numba" or "jax"
+        The compiled loop for processors, or JAX, which uses a GPU where there is one
+        (``pip install "deadtime[jax]"``).
+    progress : bool or callable, optional
+        True for a bar on the terminal; or called as ``progress(done, total)`` after each block
+        of scenarios.
+    imperfections : sequence of Imperfection
+        What sensors and actuators do, as in `simulate`; scenario i draws the same for every law,
+        whatever the number of scenarios: what `simulate` draws with the seed
+        ``scenario_seed(seed, i)`` of `deadtime.monte_carlo`.
+    trajectories : bool
+        Keep states and inputs at the samples, and the modes.
+    threads : int, optional
+        How many to use; by default one for each processor.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions (law, scenario); one variable per metric of `Trajectory.metrics`, with its
+        unit, and `diverged`. A run that diverges leaves its metrics up to its end, and the
+        other runs untouched; ``attrs["message"]`` counts and names such scenarios. With
+        trajectories also x (law, scenario, state, time), u and mode, NaN past a run's end.
+        After Ctrl-C the scenarios that are done, with ``attrs["interrupted"]`` = 1.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, laws, plant and signals do not belong together, the results
+        would not fit into memory, or the backend is not installed.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from deadtime.monte_carlo import monte_carlo
+    >>> problem = dt.problems.paper()
+    >>> laws = [problem.laws["averaged"], problem.laws["mean"]]
+    >>> signals = [dt.SwitchingSignal.random(2, 16, dwell_time=0.2, seed=i) for i in range(20)]
+    >>> data = monte_carlo(problem.plant, laws, signals, problem.x0, horizon=15)
+    >>> dict(data.sizes), int(data.diverged.sum())
+    ({'law': 2, 'scenario': 20}, 0)
+    >>> data.ise.median("scenario").sel(law="mean").item() < 1000
+    True
+    """
+    horizon, step = positive("horizon", horizon), positive("step", step)
+    instance("plant", plant, SwitchedSystem)
+    named = named_laws(laws)
+    for law in named.values():
+        require_match(plant, law)
+    scenarios, seed = _whole("scenarios", scenarios, 1), _whole("seed", seed, 0)
+    threads = processors() if threads is None else _whole("threads", threads, 1)
+    if backend not in BACKENDS:
+        raise ArgumentError(f"backend must be one of {list(BACKENDS)}, got {backend!r}.")
+    x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    delay = max(plant.delay, *(law.plant.delay for law in named.values()))
+    require_steps(horizon, delay, step)
+    source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
+    streams(imperfections, seed)
+    loop = Loop(plant, Window.of_plant(plant, step), x0, horizon, _actuators(imperfections))
+    results = _room(loop, len(named), scenarios, trajectories)
+    engine = engine_of(backend, loop)
+    tables = _tables(engine, loop, named, imperfections)
+    block = Block(loop, source, named, tables, engine, imperfections, seed, results)
+    size = _block(loop, backend) if tables else 1
+    with shown(progress, scenarios) as report:
+        workers = min(threads, -(-scenarios // size)) if tables and backend == "numba" else 1
+        continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
+    attributes = {
+        "seed": seed,
+        "step": step,
+        "horizon": horizon,
+        "modes": plant.modes,
+        "states": plant.states,
+        "inputs": plant.inputs,
+        "delay": plant.delay,
+        "backend": backend,
+        "imperfections": [repr(one) for one in imperfections],
+        "one_by_one": [name for name in named if name not in tables],
+        "interrupted": int(interrupted),
+        "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
+    }
+    return dataset_of(list(named), results, step, attributes)
+
+
+def _block(loop: Loop, backend: str) -> int:
+    """Scenarios in a block, in whole vectors of eight."""
+    larger = _LARGER if backend == "jax" else 1
+    return 8 * int(np.clip(larger * _BLOCK_STEPS / 8 / (loop.whole + 1), 1, larger * _BLOCK / 8))
+
+
+def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
+    """What engines know of imperfections: limits of the inputs."""
+    return [one for one in imperfections if isinstance(one, Limiting)]
+
+
+def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:
+    """Arrays for the results, where there is memory for them."""
+    plant, samples = loop.plant, loop.whole + 1
+    needed = scenarios * laws * (8.0 * len(METRICS) + 1.0)
+    require_memory(f"metrics of {scenarios:,} scenarios", needed, "run fewer at a time")
+    if not trajectories:
+        return Results.empty(laws, scenarios)
+    needed += scenarios * samples * (8.0 * laws * (plant.states + plant.inputs) + 4.0)
+    require_memory(
+        f"trajectories of {scenarios:,} scenarios of {samples:,} samples under {laws} laws",
+        needed,
+        "leave trajectories out and run the scenarios of interest alone, with draw_signals and "
+        "simulate",
+    )
+    return Results.empty(laws, scenarios, (plant.states, plant.inputs, samples))
+
+
+def _tables(
+    engine: Engine,
+    loop: Loop,
+    laws: Mapping[str, Law],
+    imperfections: Sequence[Imperfection],
+) -> dict[str, Any]:
+    """The tables of the laws that the engine can run: None for rows per sample."""
+    n, wide = loop.maps.move.shape[1:]
+    if len(imperfections) > len(loop.actuators) or loop.tables is None:
+        return {}
+    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
+        return {}
+    step, anything = loop.window.step, SwitchingSignal.constant(0)
+    tables = {}
+    for name, law in laws.items():
+        if isinstance(law, TableLaw):
+            feedback = law.digital(step, anything, 1)
+            tables[name] = None if feedback.context == "step" else engine.table(feedback)
+    return tables
+
+
+def _whole(name: str, value: object, least: int) -> int:
+    """An integer ≥ `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ArgumentError(f"{name} must be an integer ≥ {least}, got {value!r}.")
+    return int(value)
+
+
+def _unseen(model: object, plant: SwitchedSystem) -> str:
+    """That a model knows of fewer modes than the plant has: they are left out at times."""
+    modes = getattr(model, "modes", plant.modes)
+    if not isinstance(model, (Markov, SemiMarkov)) or modes == plant.modes:
+        return ""
+    return f"the model has {modes} modes, the plant {plant.modes}: the others never occur."
+
+
+def _message(
+    results: Results, names: Sequence[str], continued: int, interrupted: bool, unseen: str
+) -> str:
+    """What is worth knowing about the run as a whole."""
+    done, scenarios = int(results.done.sum()), results.done.size
+    notes = [unseen] if unseen else []
+    if interrupted:
+        notes.append(f"interrupted after {done:,} of {scenarios:,} scenarios.")
+    if continued:
+        notes.append(
+            f"{continued} of {done} signals end before the horizon and were continued in their "
+            "last mode."
+        )
+    for name, diverged in zip(names, results.diverged, strict=True):
+        which = np.flatnonzero(diverged & results.done)
+        if which.size:
+            listed = ", ".join(map(str, which[:_NAMED])) + ", …" * (which.size > _NAMED)
+            notes.append(f"{name} diverged on {which.size:,} of {done:,} scenarios: {listed}.")
+    return " ".join(notes)

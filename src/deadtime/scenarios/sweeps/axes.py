@@ -1,0 +1,208 @@
+"""Parameters that a sweep knows by name: every one is a way to write a value into a problem file.
+
+A problem file is here what its TOML says, as nested dictionaries and lists. Whatever has no name of
+its own is reached by its path: ``plant.delay``, ``run.x0.1``, ``law.averaged.low_pass``,
+``imperfection.noise.std``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
+from deadtime.problems.imperfection_registry import SWEPT, Swept
+from deadtime.scenarios.sweeps.sojourns import sojourn_section
+
+Draft = dict[str, Any]
+Write = Callable[[Draft, Any], None]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A parameter: its name in files and data, what it is for readers, and how it is written."""
+
+    name: str
+    label: str
+    unit: str
+    write: Write
+
+    def say(self, value: object) -> str:
+        """The value with its name, for titles.
+
+        Examples
+        --------
+        >>> AXES["delay"].say(0.5), AXES["sojourn"].say("uniform")
+        ('delay 0.5 s', 'uniform sojourns')
+        """
+        if isinstance(value, str):
+            return f"{value} {self.label}" if self.name in AXES else f"{self.label} {value}"
+        if isinstance(value, float):
+            value = f"{value:g}"
+        return f"{self.label} {value} {self.unit}".rstrip()
+
+
+def write_path(draft: Draft, path: str, value: Any) -> None:
+    """Put a value where a dotted path leads; items of lists go by number, name or kind.
+
+    Examples
+    --------
+    >>> draft = {"law": [{"kind": "mean"}, {"kind": "averaged", "name": "mine"}]}
+    >>> write_path(draft, "law.mine.dwell_time", 0.2)
+    >>> write_path(draft, "run.step", 0.01)
+    >>> draft["law"][1]["dwell_time"], draft["run"]
+    (0.2, {'step': 0.01})
+    """
+    *way, last = path.split(".")
+    place: Any = draft
+    for depth, part in enumerate(way):
+        if isinstance(place, list):
+            place = place[_item(place, part, ".".join(way[: depth + 1]))]
+        else:
+            place = place.setdefault(part, {})
+        if not isinstance(place, (dict, list)):
+            raise ArgumentError(f"{path} leads nowhere: {'.'.join(way[: depth + 1])} is a value.")
+    if isinstance(place, list):
+        place[_item(place, last, path)] = value
+    else:
+        place[last] = value
+
+
+def _item(items: list, part: str, path: str) -> int:
+    """The place in a list that a part of a path names."""
+    if part.isdigit() and int(part) < len(items):
+        return int(part)
+    tables = [(i, item) for i, item in enumerate(items) if isinstance(item, dict)]
+    named = [i for i, item in tables if item.get("name") == part]
+    plain = [i for i, item in tables if item.get("kind") == part and "name" not in item]
+    found = named or plain or [i for i, item in tables if item.get("kind") == part]
+    if len(found) == 1:
+        return found[0]
+    known = [
+        str(item.get("name") or item.get("kind") if isinstance(item, dict) else i)
+        for i, item in enumerate(items)
+    ]
+    problem = "is not there" if not found else f"stands for {len(found)} of them"
+    raise ArgumentError(f"{path}: {part!r} {problem}: it must be one of {', '.join(known)}.")
+
+
+def at(path: str) -> Write:
+    """Write to a path."""
+    return lambda draft, value: write_path(draft, path, value)
+
+
+def _distance(draft: Draft, alpha: float) -> None:
+    """The modes are moved α times as far from mode 0."""
+    plant = draft["plant"]
+    moved = SwitchedSystem(plant["A"], plant["B"], plant["delay"]).apart(alpha)
+    plant |= {"A": moved.A.tolist(), "B": moved.B.tolist()}
+
+
+def _delay_error(draft: Draft, error: float) -> None:
+    """The true delay is (1 + e) times that which laws believe."""
+    draft.setdefault("truth", {})["delay"] = (1.0 + error) * draft["plant"]["delay"]
+
+
+def _gain_error(draft: Draft, error: float) -> None:
+    """The true B is (1 + e) times that which laws believe."""
+    B = np.array(draft["plant"]["B"], dtype=float)
+    draft.setdefault("truth", {})["B"] = ((1.0 + error) * B).tolist()
+
+
+def _start(draft: Draft, factor: float) -> None:
+    draft["run"]["x0"] = [factor * float(x) for x in draft["run"]["x0"]]
+
+
+def _speed(draft: Draft, factor: float) -> None:
+    """Poles are moved away from 0 by a factor."""
+    poles = draft["gains"].get("poles")
+    if poles is None:
+        raise ArgumentError("speed moves poles, and the gains are not placed: give poles.")
+
+    def moved(given: Any) -> Any:
+        if isinstance(given, list):
+            return [moved(one) for one in given]
+        return str(factor * complex(given)) if isinstance(given, str) else factor * given
+
+    draft["gains"]["poles"] = moved(poles)
+
+
+def _imperfect(swept: Swept) -> Write:
+    """Add an imperfection; none for the value 0."""
+
+    def write(draft: Draft, value: float) -> None:
+        if value:
+            draft["imperfection"] = [*draft.get("imperfection", []), swept.section(value)]
+
+    return write
+
+
+def _dwell_time(draft: Draft, dwell_time: float) -> None:
+    """τ_d of the signals, and of laws that are told one in the file."""
+    for law in draft.get("law", []):
+        if law.get("dwell_time") is not None:
+            law["dwell_time"] = dwell_time
+    draft["switching"] = {
+        "kind": "semi-markov",
+        "sojourn": sojourn_section(draft.pop("sojourn", "exponential"), dwell_time),
+    }
+
+
+def no_write(draft: Draft, value: Any) -> None:
+    """Of an axis that is in no problem file."""
+
+
+def _by_name(*axes: Axis) -> dict[str, Axis]:
+    """The axes by their names, no two of which may be the same."""
+    named: dict[str, Axis] = {}
+    for axis in axes:
+        if axis.name in named:
+            raise ArgumentError(f"the name of the axis {axis.name!r} is taken: choose another.")
+        named[axis.name] = axis
+    return named
+
+
+# In the order in which they are written: what reads the plant comes after what changes it.
+AXES: Mapping[str, Axis] = _by_name(
+    Axis("distance", "mode distance α", "", _distance),
+    Axis("delay", "delay", "s", at("plant.delay")),
+    Axis("speed", "closed-loop speed", "", _speed),
+    Axis("step", "sampling period", "s", at("run.step")),
+    Axis("horizon", "horizon", "s", at("run.horizon")),
+    Axis("start", "size of x(0)", "", _start),
+    Axis("delay_error", "delay error", "", _delay_error),
+    Axis("gain_error", "gain error", "", _gain_error),
+    Axis("sojourn", "sojourns", "", at("sojourn")),
+    Axis("dwell_time", "dwell time", "s", _dwell_time),
+    *(
+        Axis(name, swept.axis.label, swept.axis.unit, _imperfect(swept))
+        for name, swept in SWEPT.items()
+    ),
+    Axis("seed", "seed", "", no_write),
+)
+
+
+# Paths of the problem file that an axis replaces, whatever stood there.
+OVERWRITES: Mapping[str, tuple[str, ...]] = {
+    "delay": ("plant.delay",),
+    "step": ("run.step",),
+    "horizon": ("run.horizon",),
+    "delay_error": ("truth.delay",),
+    "gain_error": ("truth.B",),
+    "dwell_time": ("switching", "law.*.dwell_time"),
+}
+
+
+def axis_of(name: str) -> Axis:
+    """A named parameter, or the one at a dotted path.
+
+    Examples
+    --------
+    >>> axis_of("noise").label, axis_of("run.x0.1").label
+    ('measurement noise', 'run.x0.1')
+    """
+    return AXES[name] if name in AXES else Axis(name, name, "", at(name))

@@ -1,0 +1,117 @@
+"""One cell of a study: its laws on its signals, and what becomes of every one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.scenarios.run import monte_carlo
+from deadtime.scenarios.source import draw_signals
+from deadtime.scenarios.sweeps.study import Cell, Loop, Study
+from deadtime.switching import SignalBatch, SwitchingSignal
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_FEW = 20_000  # signals that are drawn all at once, to run equal ones only once
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What was measured in one cell.
+
+    Attributes
+    ----------
+    metrics : mapping
+        From a metric to an array (law, scenario); NaN in the rows of laws that failed.
+    diverged : (law, scenario) array
+    reasons : tuple of str
+        Law by law what went wrong, empty where nothing did.
+    """
+
+    metrics: Mapping[str, Float[np.ndarray, "law scenario"]]
+    diverged: Bool[np.ndarray, "law scenario"]
+    reasons: tuple[str, ...]
+
+
+def run_cell(study: Study, cell: Cell) -> Outcome:
+    """Run every law of a study in one cell; whatever fails there is a result with a reason."""
+    shape = (len(study.laws), study.scenarios)
+    metrics = {name: np.full(shape, np.nan) for name in study.metrics}
+    diverged = np.zeros(shape, dtype=bool)
+    reasons = dict.fromkeys(study.laws, "")
+    try:
+        loop = study.loop(cell)
+        laws = _with_tables(loop, reasons)
+        if laws:
+            data = _measured(loop, laws, study.scenarios, cell.values.get("seed", study.seed))
+            rows = [study.laws.index(law) for law in laws]
+            for name, array in metrics.items():
+                array[rows] = data[name].values
+            diverged[rows] = data.diverged.values
+    except DeadtimeError as error:
+        reasons = dict.fromkeys(study.laws, str(error))
+    except MemoryError:
+        raise
+    except Exception as error:
+        # Whatever a cell's function or a library makes of odd values, the other cells go on.
+        reasons = dict.fromkeys(study.laws, f"failed: {type(error).__name__}: {error}")
+    for law, lost in zip(study.laws, diverged, strict=True):
+        if lost.any():
+            reasons[law] = f"diverged on {lost.sum():,} of {study.scenarios:,} scenarios"
+    return Outcome(metrics, diverged, tuple(reasons.values()))
+
+
+def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
+    """The laws whose tables can be filled; why the others cannot goes to `reasons`."""
+    reasons |= loop.reasons
+    strange = [name for name in loop.laws if name not in reasons]
+    if strange:
+        raise ArgumentError(
+            f"laws must be named alike in every cell, {', '.join(reasons)}, got {strange[0]!r}."
+        )
+    for name in reasons:
+        if name not in loop.laws and not reasons[name]:
+            reasons[name] = f"no law {name!r} was made here"
+    laws = {}
+    for name, law in loop.laws.items():
+        try:
+            if isinstance(law, TableLaw):
+                law.digital(loop.step, SwitchingSignal.constant(0), 1)
+        except DeadtimeError as error:
+            reasons[name] = str(error)
+        else:
+            laws[name] = law
+    return laws
+
+
+def _measured(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> xr.Dataset:
+    """The metrics of every law on every signal, on one thread: cells run beside each other."""
+    run = partial(monte_carlo, loop.plant, laws, x0=loop.x0, horizon=loop.horizon, step=loop.step)
+    if loop.imperfections or scenarios > _FEW:
+        chance = loop.imperfections  # equal signals do not make equal runs
+        return run(loop.model, scenarios=scenarios, seed=seed, imperfections=chance, threads=1)
+    reach = max(loop.plant.delay, *(law.plant.delay for law in laws.values()))
+    signals, which = _distinct(draw_signals(loop.model, loop.horizon + reach, seed, 0, scenarios))
+    return run(signals, threads=1).isel(scenario=which)
+
+
+def _distinct(signals: SignalBatch) -> tuple[SignalBatch, np.ndarray]:
+    """The different signals of a batch, and which of them every signal is."""
+    times, modes, first = signals.times.tobytes(), signals.modes.tobytes(), 8 * signals.first
+    places: dict[tuple[bytes, bytes], int] = {}
+    which = np.empty(len(signals), np.int64)
+    for i, (a, b) in enumerate(zip(first[:-1].tolist(), first[1:].tolist(), strict=True)):
+        which[i] = places.setdefault((times[a:b], modes[a:b]), len(places))
+    if len(places) == len(signals):
+        return signals, which
+    _, examples = np.unique(which, return_index=True)
+    return SignalBatch.of([signals[int(i)] for i in examples]), which

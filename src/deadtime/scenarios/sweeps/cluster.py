@@ -1,0 +1,101 @@
+"""The cluster that a sweep runs on: one made here, or any that has a scheduler's address."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from deadtime.base.errors import ArgumentError, ClusterError
+from deadtime.base.version import __version__
+from deadtime.scenarios.workers import processors
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# Of workers here. Dask's own also has the allocator hand all memory back at once, which doubles the
+# time of cells that ask for some megabytes again and again.
+_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
+    "distributed.worker.profile.enabled": False,  # it looks at every thread 100 times a second
+}
+_PATIENCE = 20.0  # seconds to wait for a scheduler, or for the first worker
+
+
+@contextmanager
+def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A client of the scheduler at an address; without one, of a cluster on this machine."""
+    try:
+        import dask.config as settings
+        import distributed
+    except ImportError:
+        raise ArgumentError(
+            'a sweep runs on Dask, which is not installed: pip install "deadtime[sweep]".'
+        ) from None
+    if scheduler is not None:
+        with _remote(scheduler) as client:
+            yield client
+        return
+    count = processors() if workers is None else workers
+    try:
+        with settings.set(_SETTINGS):
+            local = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=count > 1,
+                host="127.0.0.1",
+                protocol="tcp",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
+    except RuntimeError as error:
+        raise ClusterError(
+            f"workers cannot be started ({error}): a script must call sweep under "
+            'if __name__ == "__main__":, or with workers=1.'
+        ) from None
+    with local, distributed.Client(local, set_as_default=False) as client:
+        # Ctrl-C reaches every process of the terminal: here it ends the sweep in good order.
+        if count > 1:
+            client.run(_ignore_interrupts)
+        yield client
+
+
+@contextmanager
+def _remote(scheduler: str) -> Iterator[Client]:
+    """A client of a cluster that is there, with workers of this version."""
+    import distributed
+
+    try:
+        client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ClusterError(
+            f"scheduler {scheduler!r} cannot be reached ({error or type(error).__name__}): start "
+            "one with `dask scheduler`, or leave the scheduler out to run here."
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError:
+            raise ClusterError(
+                f"scheduler {scheduler!r} has no workers: start some with `dask worker "
+                f"{scheduler}`."
+            ) from None
+        found = set(client.run(_version).values())  # pyright: ignore[reportAttributeAccessIssue]
+        if found != {__version__}:
+            raise ClusterError(
+                f"the workers of {scheduler!r} run deadtime {', '.join(sorted(map(str, found)))}, "
+                f"and this is {__version__}: install the same everywhere."
+            )
+        yield client
+
+
+def _version() -> str:
+    return __version__
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

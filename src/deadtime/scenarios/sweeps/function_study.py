@@ -1,0 +1,184 @@
+"""Studies in Python: a function makes the plant, laws and model of every cell."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import marshal
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.checks import count, instance, positive, real_array, shaped
+from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.plant import SwitchedSystem
+from deadtime.scenarios.dataset import METRICS
+from deadtime.scenarios.named import named_laws
+from deadtime.scenarios.source import SwitchingModel
+from deadtime.scenarios.sweeps.axes import Axis, no_write
+from deadtime.scenarios.sweeps.study import Cell, Loop, Study, require_axis
+
+_KEYS = ("plant", "laws", "model", "x0", "horizon", "step")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FunctionStudy(Study):
+    """A study whose cells a function makes (immutable); see `function_study`."""
+
+    function: Callable[..., Mapping[str, Any]]
+
+    def particulars(self) -> dict[str, Any]:
+        return {"function": _text(self.function), "values": _bound_values(self.function)}
+
+    def loop(self, cell: Cell) -> Loop:
+        given = {name: value for name, value in cell.values.items() if name != "seed"}
+        try:
+            made = self.function(**given)
+        except DeadtimeError:
+            raise
+        except Exception as error:
+            raise ArgumentError(f"function failed: {type(error).__name__}: {error}.") from None
+        return _loop(made)
+
+    def axis(self, name: str) -> Axis:
+        return Axis(name, name, "", no_write)
+
+
+def function_study(
+    function: Callable[..., Mapping[str, Any]],
+    grid: Mapping[str, Sequence[Any]],
+    scenarios: int = 200,
+    seed: int = 0,
+    metrics: Sequence[str] = tuple(METRICS),
+    title: str = "",
+) -> FunctionStudy:
+    """A study whose cells are made in Python: any plant, law, model or loop.
+
+    Parameters
+    ----------
+    function : callable
+        Called with a cell's values as keyword arguments (but for ``seed``); returns a mapping with
+        ``plant``, ``laws`` (named alike in every cell), ``model``, ``x0``, ``horizon``, ``step``
+        and perhaps ``imperfections``, as `monte_carlo` takes them. It runs on the workers; its
+        source text, its defaults and the values around it are part of what tells studies apart,
+        globals that it reads are not.
+    grid : mapping
+        From names to values, numbers or texts. ``seed`` stands for that of the signals.
+    scenarios, seed : int
+        Signals per cell, and their seed.
+    metrics : sequence of str
+        Those of `monte_carlo` to keep.
+    title : str
+
+    Raises
+    ------
+    ArgumentError
+        If the grid is empty somewhere or holds a value twice, or the function does not make a loop
+        of the grid's first cell.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> def loop(delay, weight):
+    ...     problem = dt.problems.paper()
+    ...     plant = dt.SwitchedSystem(problem.plant.A, problem.plant.B, delay)
+    ...     laws = {"mine": dt.AveragedPredictor(plant, problem.gains, [weight, 1 - weight])}
+    ...     model = dt.Markov([[0, 2], [2, 0]])
+    ...     return dict(plant=plant, laws=laws, model=model, x0=[1, 0], horizon=5, step=0.02)
+    >>> study = function_study(loop, {"delay": [0.5, 1.0], "weight": [0.3, 0.5, 0.7]}, scenarios=50)
+    >>> study.size, study.laws
+    (6, ('mine',))
+    """
+    if not inspect.isfunction(function):
+        raise ArgumentError(
+            f"function must be a function, got {type(function).__name__}: write one by def."
+        )
+    instance("grid", grid, Mapping)
+    axes: dict[str, tuple[Any, ...]] = {}
+    for name, values in grid.items():
+        require_axis(str(name), list(axes))
+        axes[str(name)] = _axis(str(name), values)
+    for metric in metrics:
+        if metric not in METRICS or list(metrics).count(metric) > 1:
+            raise ArgumentError(
+                f"metrics must be some of {list(METRICS)}, each once, got {metric!r}."
+            )
+    study = FunctionStudy(
+        grid=axes,
+        laws=(),
+        scenarios=count("scenarios", scenarios),
+        seed=count("seed", seed, 0),
+        metrics=tuple(metrics),
+        title=title or getattr(function, "__name__", ""),
+        text=_text(function),
+        function=function,
+    )
+    laws = tuple(study.loop(next(study.cells())).laws)
+    return FunctionStudy(**{**vars(study), "laws": laws})
+
+
+def _axis(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+    """At least one number or text, and none twice."""
+    if isinstance(values, (str, bytes)) or not np.iterable(values):
+        raise ArgumentError(f"grid[{name!r}] must be a list of values, got {values!r}.")
+    listed = [value.item() if isinstance(value, np.generic) else value for value in values]
+    for value in listed:
+        if not isinstance(value, (int, float, str)):
+            raise ArgumentError(f"grid[{name!r}] must hold numbers or texts, got {value!r}.")
+    if not listed or len(set(listed)) < len(listed):
+        raise ArgumentError(
+            f"grid[{name!r}] must hold at least one value and none twice, got {listed}."
+        )
+    return tuple(listed)
+
+
+def _loop(made: Any) -> Loop:
+    """What the function returned, by name."""
+    allowed = (*_KEYS, "imperfections")
+    if not isinstance(made, Mapping) or not set(_KEYS) <= set(made) <= set(allowed):
+        got = sorted(made) if isinstance(made, Mapping) else type(made).__name__
+        raise ArgumentError(
+            f"function must return a mapping with {', '.join(_KEYS)} and perhaps imperfections, "
+            f"got {got}."
+        )
+    parts = dict(made)
+    instance("plant", parts["plant"], SwitchedSystem)
+    if not isinstance(parts["model"], SwitchingModel):
+        raise ArgumentError(
+            "model must have a method sample(horizon, seed), such as Markov and SemiMarkov, got "
+            f"{type(parts['model']).__name__}."
+        )
+    parts["laws"] = named_laws(parts["laws"])
+    parts["x0"] = real_array("x0", parts["x0"], "(n,)", 1)
+    shaped("x0", parts["x0"], (parts["plant"].states,), "(n,)")
+    parts["horizon"] = positive("horizon", parts["horizon"])
+    parts["step"] = positive("step", parts["step"])
+    return Loop(**parts)
+
+
+def _text(function: Callable[..., Any]) -> str:
+    """The source text; of a function that has none, its name and a digest of what it does."""
+    try:
+        return textwrap.dedent(inspect.getsource(function))
+    except (OSError, TypeError):
+        code = hashlib.sha256(marshal.dumps(function.__code__)).hexdigest()
+        return f"{function.__qualname__} {code}"
+
+
+def _bound_values(function: Callable[..., Any]) -> dict[str, Any]:
+    """Defaults, and values of the functions around it, as far as they are numbers or texts."""
+    names = inspect.signature(function).parameters.items()
+    values = {name: one.default for name, one in names if one.default is not one.empty}
+    values |= inspect.getclosurevars(function).nonlocals
+    return {name: _for_json(value) for name, value in values.items()}
+
+
+def _for_json(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_for_json(one) for one in value]
+    return value if isinstance(value, (int, float, str, type(None))) else type(value).__name__

@@ -1,0 +1,381 @@
+"""The Zarr store of a sweep: a cell is either whole in it or absent.
+
+Every variable is one array over (axes of the grid …, law, scenario), one chunk to a block of cells;
+each chunk is an object of its own that is written at once and carries a checksum. `done` says which
+cells are whole: a block's flags are written after everything else of the block, so that whatever is
+killed in between counts as absent, and is computed again.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError, StoreError
+from deadtime.base.version import __version__
+from deadtime.scenarios.dataset import DIVERGED, METRICS
+from deadtime.scenarios.sweeps.axes import Axis, no_write
+from deadtime.scenarios.sweeps.cell import Outcome
+from deadtime.scenarios.sweeps.description import described
+from deadtime.scenarios.sweeps.layout import Layout
+from deadtime.scenarios.sweeps.study import Study, differences
+
+if TYPE_CHECKING:
+    import zarr
+
+KIND = "deadtime sweep"
+UNREADABLE = (RuntimeError, ValueError, OSError, KeyError)  # what codecs and files raise
+_REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class Store:
+    """A store that exists, with the layout of its blocks."""
+
+    def __init__(self, url: str, group: zarr.Group) -> None:
+        self.url, self.group = url, group
+        attributes = dict(group.attrs)
+        if attributes.get("kind") != KIND:
+            raise ArgumentError(
+                f"store {url!r} is Zarr, but not made by deadtime sweep: choose another name."
+            )
+        try:
+            self.definition, self.layout = described(attributes)
+            self._require_arrays()
+        except ArgumentError as error:
+            raise StoreError(
+                f"store {url!r} is damaged: {error} Choose another store, or run the sweep anew."
+            ) from None
+        whole = json.dumps([self.definition, self.layout.block])
+        self.key = hashlib.sha256(whole.encode()).hexdigest()
+
+    def array(self, name: str) -> Any:
+        """A variable or coordinate, a Zarr array that stores every chunk: none is left out."""
+        import zarr
+
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            return self.group[name]
+
+    def _require_arrays(self) -> None:
+        """Refuse a store that lacks a variable, or has one of another shape than it says."""
+        from zarr import Array
+
+        shape, block = self.layout.shape, self.layout.block
+        law, scenario = len(self.definition["laws"]), self.definition["scenarios"]
+        extents = dict.fromkeys((*self.definition["metrics"], "diverged"), (law, scenario))
+        extents |= {"reason": (law,), "done": ()}
+        expected = {name: ((*shape, *rest), (*block, *rest)) for name, rest in extents.items()}
+        kinds = dict.fromkeys(self.definition["metrics"], "f") | {"diverged": "b", "done": "b"}
+        axes = {**{n: len(v) for n, v in self.definition["grid"].items()}, "law": law}
+        axes["scenario"] = scenario
+        expected |= {name: ((size,), (size,)) for name, size in axes.items()}
+        for name, sizes in expected.items():
+            array = self.group.get(name)
+            if not isinstance(array, Array):
+                raise ArgumentError(f"it lacks the array {name!r}.")
+            if array.dtype.kind != kinds.get(name, array.dtype.kind):
+                raise ArgumentError(f"its array {name!r} holds {array.dtype}.")
+            names = (*self.definition["grid"], "law", "scenario")
+            dims = (name,) if name in axes else names[: len(sizes[0])]
+            given = getattr(array.metadata, "dimension_names", None)
+            if given != dims or not isinstance(array.metadata.attributes, dict):
+                raise ArgumentError(f"its array {name!r} does not say what its axes are.")
+            if (array.shape, array.chunks) != sizes:
+                raise ArgumentError(
+                    f"its array {name!r} has the shape {array.shape} in chunks of {array.chunks}, "
+                    f"not {sizes[0]} in chunks of {sizes[1]}."
+                )
+
+    def require(self, study: Study) -> None:
+        """Refuse to mix the results of different studies."""
+        found = differences(self.definition, study.definition())
+        if found:
+            more = f" (and {len(found) - 4} more)" if len(found) > 4 else ""
+            raise ArgumentError(
+                f"store {self.url!r} holds another study: {'; '.join(found[:4])}{more}. Choose "
+                "another store, or change the study back."
+            )
+
+    def done(self) -> np.ndarray:
+        """Which cells are whole; those whose flags cannot be read are not."""
+        done = np.zeros(self.layout.shape, dtype=bool)
+        array = self.array("done")
+        try:
+            done[...] = array[...]
+        except UNREADABLE:
+            for number in range(self.layout.size):
+                place = self.layout.slices(number)
+                with suppress(*UNREADABLE):
+                    done[place] = array[place]
+        return done
+
+    def missing(self) -> list[int]:
+        """The blocks that are not whole."""
+        done = self.done()
+        return [
+            number
+            for number in range(self.layout.size)
+            if not done[self.layout.slices(number)].all()
+        ]
+
+    def write(self, number: int, outcomes: Sequence[Outcome]) -> None:
+        """Store the outcomes of a block's cells, in their order; the flags last."""
+        place = self.layout.slices(number)
+        shape = tuple(part.stop - part.start for part in place)
+        with writing(self.url):
+            for name in outcomes[0].metrics:
+                self._put(name, place, shape, [one.metrics[name] for one in outcomes])
+            self._put("diverged", place, shape, [one.diverged for one in outcomes])
+            reasons = [np.array(one.reasons, dtype=object) for one in outcomes]
+            self._put("reason", place, shape, reasons)
+            self.array("done")[place] = np.ones(shape, dtype=bool)
+
+    def _put(
+        self, name: str, place: tuple[slice, ...], shape: tuple[int, ...], parts: list[np.ndarray]
+    ) -> None:
+        self.array(name)[place] = np.stack(parts).reshape((*shape, *parts[0].shape))
+
+    def forget(self, number: int) -> None:
+        """Count a block's cells as absent."""
+        place = self.layout.slices(number)
+        with writing(self.url):
+            self.array("done")[place] = np.zeros([s.stop - s.start for s in place], dtype=bool)
+
+    def read(self, name: str, number: int) -> np.ndarray:
+        """A block of a variable; `StoreError` that names its chunk if it cannot be read."""
+        from zarr.core.sync import sync
+
+        array, place, chunk = self.array(name), self.layout.slices(number), self.chunk(name, number)
+        advice = "find all such by `deadtime sweep … --verify`, which computes them again."
+        try:
+            there = sync(self.group.store.exists(chunk))
+            values = array[place]
+        except UNREADABLE as error:
+            raise StoreError(
+                f"store {self.url!r} has a damaged chunk, {self.url}/{chunk} ({error}): {advice}"
+            ) from None
+        if not there and name != "done":
+            raise StoreError(f"store {self.url!r} lacks the chunk {self.url}/{chunk}: {advice}")
+        return values.astype(object) if name == "reason" else values
+
+    def faults(self) -> Iterator[tuple[int, str]]:
+        """Whole blocks of which something cannot be read or is gone, and what that is."""
+        done, names = self.done(), [*self.definition["metrics"], "diverged", "reason"]
+        for number in range(self.layout.size):
+            if not done[self.layout.slices(number)].all():
+                continue
+            try:
+                for name in names:
+                    self.read(name, number)
+            except StoreError as error:
+                yield number, str(error)
+
+    def restore_coordinates(self) -> list[str]:
+        """Write coordinates anew that are not what the definition says; their names."""
+        wrong = []
+        for name, values in coordinates_of(self.definition).items():
+            try:
+                fine = (self.array(name)[...] == values).all()
+            except UNREADABLE:
+                fine = False
+            if not fine:
+                wrong.append(name)
+                with writing(self.url):
+                    self.array(name)[...] = values
+        return wrong
+
+    def chunk(self, name: str, number: int) -> str:
+        """The object that holds a block of a variable, as its place in the store."""
+        counts, array = self.layout.counts, self.array(name)
+        where = [int(i) for i in np.unravel_index(number, counts)] if counts else []
+        places = (*where, *[0] * (array.ndim - len(counts)))
+        return f"{name}/{array.metadata.encode_chunk_key(places)}"
+
+
+def place_of(store: str | PathLike[str]) -> str:
+    """The name of a store that is the same everywhere: a whole path, or the URL itself."""
+    name = fspath(store)
+    return name if "://" in name else str(Path(name).absolute())
+
+
+def open_store(url: str) -> Store:
+    """A store that exists."""
+    return Store(url, _group(url))
+
+
+def _group(url: str) -> zarr.Group:
+    try:
+        import zarr
+    except ModuleNotFoundError:
+        raise ArgumentError(
+            'a sweep\'s store needs Zarr, which is not installed: pip install "deadtime[sweep]".'
+        ) from None
+    try:
+        return zarr.open_group(url, mode="r+")
+    except (FileNotFoundError, NotADirectoryError, FileExistsError):
+        if "://" not in url and Path(url).exists():
+            raise ArgumentError(
+                f"store {url!r} is there, but is no Zarr store: choose another name."
+            ) from None
+        raise ArgumentError(f"store {url!r} does not exist: run the sweep first.") from None
+    except Exception as error:  # what Zarr raises of metadata that are none is anything
+        why = " ".join(str(error).split())
+        raise StoreError(f"store {url!r} cannot be opened: {why:.300}") from None
+
+
+@lru_cache(maxsize=8)
+def cached_store(url: str, key: str) -> Store:
+    """The same for the many blocks that one process reads or writes, of a store with this key."""
+    store = open_store(url)
+    if store.key != key:
+        raise StoreError(f"store {url!r} was replaced by another one meanwhile: open it again.")
+    return store
+
+
+def exists(url: str) -> bool:
+    """Whether there is anything at the place of a store."""
+    if "://" not in url:
+        return Path(url).exists()
+    import zarr
+
+    try:
+        zarr.open_group(url, mode="r")
+    except FileNotFoundError:
+        return False
+    except (ImportError, ValueError, OSError) as error:
+        raise StoreError(f"store {url!r} cannot be opened: {error}") from None
+    return True
+
+
+def create(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> Store:
+    """A new store of absent cells; it appears whole or not at all where names can be changed.
+
+    Where another sweep makes one at the same time, it is the one that is there first.
+    """
+    if "://" in url:
+        _fill(url, study, layout, facts)
+        return open_store(url)
+    target = Path(url)
+    draft = target.with_name(f".{target.name}.{uuid4().hex}")
+    with writing(url):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _fill(str(draft), study, layout, facts)
+            os.rename(draft, target)
+        except OSError:
+            if not target.exists():  # otherwise another sweep was quicker
+                raise
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    return open_store(url)
+
+
+def _fill(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> None:
+    """Arrays without chunks, coordinates and attributes."""
+    import zarr
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    group = zarr.create_group(url)
+    axes, laws, scenarios = tuple(study.grid), len(study.laws), study.scenarios
+    dims = (*axes, "law", "scenario")
+
+    def add(name: str, dtype: Any, fill: Any, extent: int, **attributes: Any) -> None:
+        rest = (laws, scenarios)[:extent]
+        group.create_array(
+            name,
+            shape=(*layout.shape, *rest),
+            chunks=(*layout.block, *rest),
+            dtype=dtype,
+            fill_value=fill,
+            compressors=[BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()],
+            dimension_names=dims[: len(axes) + extent],
+            attributes=attributes,
+        )
+
+    for name in study.metrics:
+        unit, long = METRICS[name]
+        add(name, "f8", np.nan, 2, units=unit, long_name=long)
+    add("diverged", "bool", False, 2, long_name=DIVERGED)
+    add("reason", str, "", 1, long_name="what went wrong")
+    add("done", "bool", False, 0, long_name="cell is whole")
+    for name, values in coordinates_of(study.definition()).items():
+        axis = study.axis(name) if name in study.grid else Axis(name, name, "", no_write)
+        dtype = str if values.dtype == object else values.dtype
+        array = group.create_array(
+            name,
+            shape=values.shape,
+            chunks=values.shape,
+            dtype=dtype,
+            compressors=[BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()],
+            dimension_names=(name,),
+            attributes={"long_name": axis.label, **({"units": axis.unit} if axis.unit else {})},
+        )
+        array[...] = values
+    group.attrs.update(
+        {
+            "kind": KIND,
+            "title": study.title,
+            "source": study.source,
+            "version": __version__,
+            "seed": study.seed,
+            "scenarios": scenarios,
+            "study": study.text,
+            "definition": json.dumps(study.definition(), ensure_ascii=False),
+            "block": list(layout.block),
+            **facts,
+        }
+    )
+    with warnings.catch_warnings():
+        # Read by xarray and zarr alike, and not yet in the specification of Zarr 3.
+        warnings.filterwarnings("ignore", message="Consolidated metadata")
+        zarr.consolidate_metadata(url)
+
+
+def coordinates_of(definition: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The values of all dimensions by name."""
+    return {
+        **{name: _plain(values) for name, values in definition["grid"].items()},
+        "law": np.array(definition["laws"], dtype=object),
+        "scenario": np.arange(definition["scenarios"]),
+    }
+
+
+def _plain(values: Sequence[Any]) -> np.ndarray:
+    """The values of an axis as numbers, where they all are, or as texts."""
+    if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
+        return np.array(values)
+    texts = [value if isinstance(value, str) else json.dumps(value) for value in values]
+    return np.array(texts, dtype=object)
+
+
+@contextmanager
+def writing(url: str) -> Iterator[None]:
+    """Say what is wrong with a store that cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _FULL:
+            why, what = "is full", "make room"
+        elif error.errno in _REFUSED:
+            why, what = "may not be written", "change its rights, or choose another store"
+        else:
+            reason = error.strerror or error
+            raise StoreError(
+                f"store {url!r} cannot be written ({reason}): choose another store."
+            ) from None
+        raise StoreError(
+            f"store {url!r} {why}: what is stored is kept; {what} and run the same command again."
+        ) from None

@@ -1,0 +1,1 @@
+"""The loop whose input is updated continuously, solved by the method of steps."""

@@ -1,0 +1,60 @@
+"""Functions of time that are polynomials on segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.frozen import Frozen
+from deadtime.numerics.collocation import gauss
+
+
+@dataclass(frozen=True, eq=False)
+class Piecewise(Frozen):
+    """A vector-valued function of time, a polynomial on each segment; values are right limits.
+
+    Attributes
+    ----------
+    edges : (segments + 1,)
+        Ends of the segments.
+    values : (segments, nodes, k)
+        Values at the support nodes of each segment: its start, Gauss points, its end.
+
+    Examples
+    --------
+    >>> line = Piecewise(np.array([0.0, 2.0]), 2.0 * gauss(3).support[None, :, None])
+    >>> line(np.array([0.5, 1.5])).ravel()
+    array([0.5, 1.5])
+    """
+
+    edges: Float[np.ndarray, " edge"]
+    values: Float[np.ndarray, "segment node k"]
+
+    @property
+    def slack(self) -> float:
+        """How far before an edge a time counts as at it."""
+        return 1e-12 * max(1.0, float(self.edges[-1]))
+
+    def __call__(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T k"]:
+        """Values at times within the edges, in any order."""
+        from deadtime.simulation.ideal.kernel import sample
+
+        nodes, edges = gauss(self.values.shape[1] - 2), self.edges
+        # A time within round-off before an edge is at it.
+        following = edges[np.minimum(np.searchsorted(edges, times), edges.size - 1)]
+        close = following - times <= self.slack
+        times = np.where(close, following, times)
+        order = np.argsort(times, kind="stable")
+        result = np.empty((times.size, self.values.shape[2]))
+        result[order] = sample(
+            edges, self.values, nodes.support, nodes.barycentric, times[order], 0
+        )
+        return result
+
+    def square_integral(self, start: float, end: float) -> float:
+        """∫|f|² over [start, end], both of them edges."""
+        inside = (self.edges[:-1] >= start - 1e-12) & (self.edges[1:] <= end + 1e-12)
+        weights = np.diff(self.edges)[inside, None] * gauss(self.values.shape[1] - 2).weights
+        return float(np.sum(weights * np.sum(self.values[inside, 1:-1] ** 2, axis=2)))

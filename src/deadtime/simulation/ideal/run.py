@@ -1,0 +1,193 @@
+"""The ideal loop: the law updated continuously, solved segment by segment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import read_only
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Forecast
+from deadtime.numerics.collocation import gauss
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.ideal.breakpoints import merged, shifted, subdivided
+from deadtime.simulation.ideal.piecewise import Piecewise
+from deadtime.simulation.initial_input import InputHistory
+from deadtime.switching import SwitchingSignal
+
+NODES = 10
+_MOST_SEGMENTS = 1e6
+_RESOLUTION = 2.0  # longest segment times the fastest rate
+_SAMPLES = 1001
+
+
+@dataclass(frozen=True, eq=False)
+class IdealRecord:
+    """One ideal run: state and input as polynomials on segments.
+
+    Attributes
+    ----------
+    states : Piecewise
+        x on [0, end of the run + delay].
+    inputs : Piecewise
+        u from the longest delay before 0 to the end of the run.
+    """
+
+    plant: SwitchedSystem
+    states: Piecewise
+    inputs: Piecewise
+    held: ClassVar[bool] = False
+
+    def grid(self, end: float) -> Float[np.ndarray, " T"]:
+        """The instants that a run reports unless asked for others: 1001, uniform."""
+        return np.linspace(0.0, end, _SAMPLES)
+
+    def states_at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
+        """x at any times from 0 to the end of the run plus the delay."""
+        return self.states(times)
+
+    def ahead_of(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T n"]:
+        """x a delay after any times of the run; infinite where it has left the limit."""
+        later, last = times + self.plant.delay, self.states.edges[-1]
+        x = self.states(np.minimum(later, last))
+        return np.where((later <= last + 1e-9)[:, None], x, np.inf)
+
+    def inputs_at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T m"]:
+        """u (right limits) at any times up to the end of the run, those before 0 included."""
+        return self.inputs(times)
+
+    def integrals(self, end: float) -> tuple[float, float]:
+        """∫|x|² and ∫|u|² over [0, end], by Gauss quadrature on the segments."""
+        return self.states.square_integral(0.0, end), self.inputs.square_integral(0.0, end)
+
+    def history(self, end: float) -> InputHistory:
+        """The inputs in the pipe at `end`, as the `u0` of a run that goes on from there."""
+        edges = self.inputs.edges
+        jumps = edges[(edges > end + edges[0]) & (edges < end)] - end
+        return InputHistory(lambda s: self.inputs(s + end), jumps)
+
+
+def run_ideal(
+    plant: SwitchedSystem,
+    forecast: Forecast,
+    signal: SwitchingSignal,
+    x0: Float[np.ndarray, " n"],
+    horizon: float,
+    history: InputHistory,
+) -> tuple[IdealRecord, float | None]:
+    """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
+    from deadtime.numerics.exponential import held_modes
+    from deadtime.simulation.ideal.loop import march
+
+    ahead, _ = held_modes(*_contiguous(forecast), forecast.lead)
+    if not np.isfinite(ahead).all():
+        raise ArgumentError(
+            "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay is "
+            "too long for this plant."
+        )
+    nodes = gauss(NODES)
+    edges, begin = _edges(plant, forecast, signal, horizon, history)
+    middles = (edges[:-1] + edges[1:]) / 2.0
+    # One segment more than the run: u at its end is a right limit.
+    stop = int(np.searchsorted(edges, horizon * (1.0 - 1e-15))) + 1
+    inputs = np.zeros((middles.size, NODES + 2, plant.inputs))
+    inputs[:begin] = history.on(edges[: begin + 1], nodes)
+    run = np.maximum(middles, 0.0)
+    states, done = march(
+        edges,
+        begin,
+        stop,
+        signal(run),
+        plant.A,
+        plant.B,
+        plant.delay,
+        *_contiguous(forecast),
+        forecast.lead,
+        forecast.branches,
+        np.ascontiguousarray(forecast.gains(run)),
+        forecast.path(run),
+        forecast.path(np.maximum(middles + forecast.lead, 0.0)),
+        forecast.until(run),
+        forecast.foresees,
+        np.eye(plant.states) if forecast.lift is None else forecast.lift,
+        x0,
+        inputs,
+        nodes.points,
+        nodes.integral,
+        nodes.weights,
+        nodes.support,
+        nodes.barycentric,
+    )
+    # The states of the pipe's last inputs may leave the limit after the run's end.
+    end = float(edges[done]) if done < stop else None
+    kept = done if end is not None else stop
+    return (
+        IdealRecord(
+            plant,
+            Piecewise(edges[begin : done + 1], states[begin:done]),
+            Piecewise(edges[: kept + 1], inputs[:kept]),
+        ),
+        end,
+    )
+
+
+def _contiguous(forecast: Forecast) -> tuple[np.ndarray, np.ndarray]:
+    """The forecast's A and B as the compiled code needs them."""
+    return read_only(forecast.A), read_only(forecast.B)
+
+
+def _fastest_rate(plant: SwitchedSystem, forecast: Forecast, gains: np.ndarray) -> float:
+    """A bound of |A| + |B||K| in units of the states in which they are balanced, 1/s.
+
+    `gains` (times, branches, m, q) are the K_b at every time at which they may change.
+    """
+    K = np.abs(gains).sum(axis=1)
+    if forecast.lift is None:
+        return _rate(np.concatenate((plant.A, forecast.A)), forecast.B, K)
+    return max(
+        _rate(plant.A, plant.B, np.zeros((1, plant.inputs, plant.states))),
+        _rate(forecast.A, forecast.B, K),
+    )
+
+
+def _rate(A: np.ndarray, B: np.ndarray, K: np.ndarray) -> float:
+    """The bound for any of the A, with any of the B and any of the K ≥ 0."""
+    from deadtime.numerics.exponential import balance
+
+    t = balance(np.abs(A).max(axis=0) + np.abs(B).max(axis=0) @ K.max(axis=0))
+    free, fed, gain = (
+        np.linalg.norm(M, 2, axis=(1, 2)).max()
+        for M in (A * t / t[:, None], np.abs(B) / t[:, None], K * t)
+    )
+    return float(free + fed * gain)
+
+
+def _edges(
+    plant: SwitchedSystem,
+    forecast: Forecast,
+    signal: SwitchingSignal,
+    horizon: float,
+    history: InputHistory,
+) -> tuple[np.ndarray, int]:
+    """All segments, and the index of the first after time 0."""
+    lead, delay = forecast.lead, plant.delay
+    low, high = -max(lead, delay), horizon + delay
+    breaks = np.concatenate((forecast.breaks, forecast.breaks - lead))
+    before = np.concatenate((history.jumps, breaks, [-lead, -delay]))
+    seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
+    delays = (delay, lead) if lead > 0.0 else (delay,)
+    after = np.concatenate((shifted(seeds, delays, high), [horizon]))
+    # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
+    rate = _fastest_rate(plant, forecast, forecast.gains(seeds[seeds >= 0.0]))
+    longest = min(_RESOLUTION / rate, min(delays) / 2.0)
+    if (high - low) / longest > _MOST_SEGMENTS:
+        raise ArgumentError(
+            f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
+            f"segments of {longest:.1e} s; shorten it, or give a step."
+        )
+    past = subdivided(merged(before, low, 0.0), longest)
+    future = subdivided(merged(after, 0.0, high), longest)
+    return np.concatenate((past, future[1:])), past.size - 1

@@ -1,0 +1,199 @@
+"""Families of sojourn distributions, fitted by maximum likelihood to whole and cut-off sojourns.
+
+With whole sojourns t and right-censored ones c, the likelihood is Π f(t) Π P(S > c). The
+estimates of a start or an end of the support (shifted exponential, uniform) are corrected for
+their bias, which moves them off the extreme observation, so that no observation has density 0.
+Akaike's criterion is that of the distribution returned: at the extreme observation the likelihood
+gains about twice what the criterion charges for such a parameter.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.frozen import Frozen
+from deadtime.switching.models.sojourns import Distribution, Fixed
+
+Parameters = dict[str, float]
+EQUAL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Observed(Frozen):
+    """What logs say about the sojourns in one mode, seconds.
+
+    Attributes
+    ----------
+    complete : (complete,) array
+        Sojourns seen from their beginning to their end, in ascending order.
+    censored : (censored,) array
+        How long the sojourns lasted whose end was not seen, in ascending order.
+    """
+
+    complete: Float[np.ndarray, " complete"]
+    censored: Float[np.ndarray, " censored"]
+
+    @property
+    def fixed(self) -> bool:
+        """Whether one length explains all of them, within 1e-6."""
+        longest = self.complete.max()
+        least = max(longest - self.complete.min(), self.censored.max(initial=0.0) - longest)
+        return bool(least <= EQUAL * longest)
+
+
+@dataclass(frozen=True, repr=False)
+class Goodness:
+    """How well a family fits the logged sojourns of one mode.
+
+    Attributes
+    ----------
+    family : str
+        Name of the family.
+    parameters : dict
+        What scipy.stats calls them; lengths are in seconds.
+    complete, censored : int
+        Number of sojourns seen to their end, and of those cut off by the end of a log.
+    distance : float
+        Kolmogorov and Smirnov's: the largest difference between the Kaplan–Meier estimate and
+        the fitted distribution function, up to the longest observation.
+    p_value : float
+        Asymptotic probability of a larger distance if the family were right, as if there were
+        `complete` sojourns and none cut off. Optimistic where few are cut off, because the
+        parameters were fitted to the same sojourns: a small value refutes the family, a large
+        one does not prove it. Pessimistic where most are: it fell below 0.05 for 9 to 13 in 100
+        of the very distributions that the sojourns were drawn from.
+    aic : float
+        Akaike's criterion of the fitted distribution, 2 · parameters − 2 log likelihood; the
+        least is the best.
+
+    References
+    ----------
+    Lilliefors, "On the Kolmogorov–Smirnov test for the exponential distribution with mean
+    unknown", JASA 64, 1969, on what fitting does to the p-value.
+    """
+
+    family: str
+    parameters: Parameters
+    complete: int
+    censored: int
+    distance: float
+    p_value: float
+    aic: float
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={value:.4g}" for name, value in self.parameters.items())
+        return (
+            f"Goodness({self.family}, {values}; {self.complete} complete, {self.censored} "
+            f"censored, distance={self.distance:.3f}, p_value={self.p_value:.2g}, "
+            f"aic={self.aic:.1f})"
+        )
+
+
+def estimate(family: str, observed: Observed) -> tuple[Distribution, Parameters, float] | None:
+    """The fitted distribution, its parameters and its AIC; None where no fit exists."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        if family == "fixed":
+            return _fixed(observed)
+        from scipy import stats
+
+        name, fit = FAMILIES[family]
+        parameters = fit(getattr(stats, name), observed)
+        if not np.isfinite(list(parameters.values())).all() or not parameters["scale"] > 0.0:
+            return None
+        dist = getattr(stats, name)(**parameters)
+        likelihood = dist.logpdf(observed.complete).sum() + dist.logsf(observed.censored).sum()
+        if not np.isfinite(likelihood):
+            return None
+    return dist, parameters, 2.0 * len(parameters) - 2.0 * float(likelihood)
+
+
+def _fixed(observed: Observed) -> tuple[Distribution, Parameters, float] | None:
+    if not observed.fixed:
+        return None
+    length = float(np.median(observed.complete))
+    return Fixed(length), {"length": length}, -np.inf
+
+
+def _exponential(_: Any, observed: Observed) -> Parameters:
+    """Scale = Σ(t + c)/n."""
+    total = observed.complete.sum() + observed.censored.sum()
+    return {"scale": float(total / observed.complete.size)}
+
+
+def _shifted_exponential(_: Any, observed: Observed) -> Parameters:
+    """The likelihood is largest at loc = min t, scale = Σ(t − loc)⁺/n.
+
+    Unbiased, when nothing is cut off, are n/(n − 1) times this scale and loc − scale/n (Epstein
+    and Sobel 1954, theorem 4). The least of r sojourns under way at loc lies scale/r beyond it,
+    so loc moves by that, with r = n + #{c > loc}, but stays ≥ 0. Of its bias under censoring 4 to
+    14 % remain, with the other sign: expon(0.3, 0.5), 60 sojourns, 18 or 6 of them complete.
+    """
+    n, least = observed.complete.size, observed.complete[0]
+    cut = observed.censored[observed.censored > least]
+    scale = ((observed.complete - least).sum() + (cut - least).sum()) / (n - 1)
+    loc = max(0.0, least - scale / (n + cut.size))
+    return {"loc": float(loc), "scale": float(scale)}
+
+
+def _uniform(_: Any, observed: Observed) -> Parameters:
+    """The likelihood is largest at low = min t and the least high ≥ max t that satisfies
+
+        Σ_{c > low} (c − low)/(high − c) ≤ n.
+
+    Its left side falls with `high`: one root, at most. Unless it is the root, `high` is moved
+    outwards by (max t − low)/(n − 1); then `low` by (high − low)/r, r = n + #{c > low} under way
+    there, but not below 0. That is unbiased when nothing is cut off. Under censoring `low`
+    remains nearly so; `high` does not: for 60 uniform sojourns on 0.2..1 s it is 0.02 s too low,
+    with a deviation of 0.05 s, if 24 are complete (cut at exponential times of mean 0.6 s), and
+    0.03 s with 0.2 s if 10 are (cut at 0.2..0.45 s). n − 1 for n above, a correction of second
+    order and a posterior mean each help in some such cases and err more in others.
+    """
+    n, least, top = observed.complete.size, observed.complete[0], observed.complete[-1]
+    cut = observed.censored[observed.censored > least]
+
+    def excess(end: float) -> float:
+        return float(((cut - least) / (end - cut)).sum()) - n
+
+    if cut.size and (cut[-1] >= top or excess(top) > 0.0):
+        from scipy.optimize import brentq
+
+        first = max(top, cut[-1] + 0.5 * (cut[-1] - least) / (n + 1))
+        last = 1.000001 * (cut[-1] + (cut - least).sum() / n)
+        high = float(brentq(excess, first, last))  # pyright: ignore[reportArgumentType]
+    else:
+        high = float(top + (top - least) / (n - 1))
+    low = max(0.0, least - (high - least) / (n + cut.size))
+    return {"loc": float(low), "scale": float(high - low)}
+
+
+def _by_scipy(family: Any, observed: Observed) -> Parameters:
+    """SciPy's maximum, with the origin held at 0 and times in units of their mean."""
+    from scipy.stats import CensoredData, FitError
+
+    unit = observed.complete.mean()
+    complete, censored = observed.complete / unit, observed.censored / unit
+    data = CensoredData(complete, right=censored) if censored.size else complete
+    try:
+        shape, _, scale = family.fit(data, floc=0.0)
+    except (FitError, FloatingPointError, ValueError):
+        return {"scale": np.nan}
+    return {family.shapes: float(shape), "scale": float(scale * unit)}
+
+
+Fit = Callable[[Any, Observed], Parameters]
+
+FAMILIES: dict[str, tuple[str, Fit]] = {
+    "exponential": ("expon", _exponential),
+    "shifted exponential": ("expon", _shifted_exponential),
+    "gamma": ("gamma", _by_scipy),
+    "weibull": ("weibull_min", _by_scipy),
+    "uniform": ("uniform", _uniform),
+    "lognormal": ("lognorm", _by_scipy),
+}

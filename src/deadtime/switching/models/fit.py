@@ -1,0 +1,201 @@
+"""Fitting a semi-Markov model to logged signals, some of whose sojourns were cut off.
+
+A sojourn that a log sees from its beginning to its end is complete. The last one of a log that
+ends is right-censored: it lasted at least so long. The last one of a log without an end says
+nothing. Complete sojourns alone would be too short on average, because long ones are cut off
+more often.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import count
+from deadtime.base.errors import ArgumentError
+from deadtime.switching.models.families import EQUAL, FAMILIES, Goodness, Observed, estimate
+from deadtime.switching.models.sojourns import Distribution, Fixed
+from deadtime.switching.signal import SwitchingSignal
+
+LEAST = 5
+MARGIN = 4.0
+NAMES = (*FAMILIES, "fixed")
+
+
+def fit_model(
+    signals: object, family: object = "auto", modes: int | None = None, first: str = "whole"
+) -> tuple[list[Distribution], Float[np.ndarray, "mode mode"], tuple[Goodness, ...]]:
+    """Sojourn distributions, jump probabilities and goodness of a semi-Markov model.
+
+    Distributions maximise the likelihood of complete and censored sojourns (see
+    `deadtime.switching.models.families`); T_ij is the share of the switches out of mode i that led
+    to j. Beyond the longest logged sojourn the tail is the family's word alone: if the law's
+    trust in it matters, name the family, for "auto" judges only what was observed.
+
+    Few sojourns cannot tell families apart: of 80 logs with 5, 10, 20 and 50 complete sojourns,
+    "auto" named gamma (a = 3) for what it was in 5, 6, 21 and 44, shifted exponential (loc 0.3,
+    scale 0.5) in 44, 67, 72 and 78, uniform (0.2 to 1) in 0, 7, 43 and 76. Below about 50 in each
+    mode, name the family.
+
+    Parameters
+    ----------
+    signals : SwitchingSignal, or list of them
+        The logs.
+    family : str, or list of str with one per mode
+        "exponential", "shifted exponential", "gamma", "weibull", "uniform", "lognormal",
+        "fixed" (all sojourns equal within 1e-6), or "auto": fixed where that holds, else the
+        family with the least AIC, a uniform only if it is the least by 4: the end of its support
+        promises a switch, and a wrong one misleads a law more than a wrong tail does.
+    modes : int, optional
+        Number of modes; by default the largest in the logs, plus one.
+    first : {"whole", "drop"}
+        Whether logs begin with a switch or amid a sojourn, whose length is then not known. The
+        first sojourn of a signal with an `initial_age` is dropped in any case.
+
+    Raises
+    ------
+    ArgumentError
+        If a mode has fewer than 5 complete sojourns, or its family cannot be fitted.
+
+    References
+    ----------
+    Kaplan and Meier, "Nonparametric estimation from incomplete observations", JASA 53, 1958.
+    Moore and Pyke, "Estimation of the transition distributions of a Markov renewal process",
+    Annals of the Institute of Statistical Mathematics 20, 1968.
+    """
+    logs = _checked(signals)
+    observed = sojourns_of(logs, first, modes)
+    names = _families(family, len(observed))
+    for mode, seen in enumerate(observed):
+        if seen.complete.size < LEAST:
+            raise ArgumentError(
+                f"signals hold only {seen.complete.size} complete sojourns of mode {mode}: at "
+                f"least {LEAST} are needed to fit; log longer, or give SemiMarkov a distribution."
+            )
+    fits = [_fit_mode(i, *pair) for i, pair in enumerate(zip(names, observed, strict=True))]
+    jumps = np.zeros((len(observed), len(observed)))
+    for log in logs:
+        np.add.at(jumps, (log.modes[:-1], log.modes[1:]), 1.0)
+    sojourn, goodness = zip(*fits, strict=True)
+    return list(sojourn), jumps / jumps.sum(axis=1, keepdims=True), goodness
+
+
+def sojourns_of(
+    signals: object, first: str = "whole", modes: int | None = None
+) -> tuple[Observed, ...]:
+    """The complete and the censored sojourns of every mode; see `fit_model`.
+
+    Examples
+    --------
+    >>> log = SwitchingSignal([0.0, 0.5, 0.75], [0, 1, 0], end=2.0)
+    >>> sojourns_of(log)[0]
+    Observed(complete=array([0.5]), censored=array([1.25]))
+    """
+    logs = _checked(signals)
+    if first not in ("whole", "drop"):
+        raise ArgumentError(f"first must be 'whole' or 'drop', got {first!r}.")
+    number = 1 + max(int(log.modes.max()) for log in logs)
+    if modes is not None:
+        number = count("modes", modes, least=2)
+        for log in logs:
+            log.require_modes(number)
+    complete: list[list[float]] = [[] for _ in range(number)]
+    censored: list[list[float]] = [[] for _ in range(number)]
+    for log in logs:
+        dropped = int(first == "drop" or log.initial_age > 0.0)
+        lengths = np.diff(log.times, append=log.end).tolist()
+        visits = list(zip(log.modes.tolist(), lengths, strict=True))
+        for mode, length in visits[dropped:-1]:
+            complete[mode].append(length)
+        for mode, length in visits[max(dropped, log.switches) :]:
+            if length < np.inf:
+                censored[mode].append(length)
+    pairs = zip(complete, censored, strict=True)
+    return tuple(Observed(np.array(sorted(a)), np.array(sorted(b))) for a, b in pairs)
+
+
+def kaplan_meier(
+    observed: Observed,
+) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, " time"]]:
+    """The observed times, and the Kaplan–Meier estimate of P(S > t) from each to the next."""
+    from scipy.stats import CensoredData, ecdf
+
+    survival = ecdf(CensoredData(observed.complete, right=observed.censored)).sf
+    return survival.quantiles, survival.probabilities
+
+
+def distance(dist: Distribution, observed: Observed) -> float:
+    """sup |F(t) − F_KM(t)| up to the longest observation; both sides of every jump count.
+
+    For a fixed sojourn, those that ended within 1e-6 of it are taken as equal to it, and those
+    cut off there are left out.
+    """
+    if isinstance(dist, Fixed):
+        ended, cut = (
+            np.abs(times - dist.length) <= EQUAL * dist.length
+            for times in (observed.complete, observed.censored)
+        )
+        complete = np.sort(np.where(ended, dist.length, observed.complete))
+        observed = Observed(complete, observed.censored[~cut])
+    times, survival = kaplan_meier(observed)
+    after = 1.0 - survival
+    before = np.concatenate(([0.0], after[:-1]))
+    low, high = dist.cdf(times * (1.0 - 1e-9)), dist.cdf(times)
+    return float(max(np.abs(low - before).max(), np.abs(high - after).max()))
+
+
+def _fit_mode(mode: int, name: str, observed: Observed) -> tuple[Distribution, Goodness]:
+    """The mode's distribution; `name` may be "auto"."""
+    from scipy.stats import kstwobign
+
+    candidates = (name,) if name != "auto" else ("fixed",) if observed.fixed else tuple(FAMILIES)
+    fits = {family: estimate(family, observed) for family in candidates}
+    found = {family: fit for family, fit in fits.items() if fit is not None}
+    if not found:
+        raise ArgumentError(
+            f"family {name!r} cannot be fitted to the sojourns of mode {mode}, which last from "
+            f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: take 'auto'."
+        )
+    family = min(found, key=lambda key: found[key][2] + MARGIN * (key == "uniform"))
+    dist, parameters, aic = found[family]
+    n, gap = observed.complete.size, distance(dist, observed)
+    p_value = float(kstwobign.sf(np.sqrt(n) * gap))
+    return dist, Goodness(family, parameters, n, observed.censored.size, gap, p_value, aic)
+
+
+def _families(family: object, modes: int) -> list[str]:
+    """One family's name per mode."""
+    single = not isinstance(family, (list, tuple))
+    given = [family] * modes if single else list(family)
+    if len(given) != modes:
+        raise ArgumentError(f"family must have one entry per mode, {modes}, got {len(given)}.")
+    names: list[str] = []
+    for i, name in enumerate(given):
+        if not isinstance(name, str) or name not in ("auto", *NAMES):
+            raise ArgumentError(
+                f"family{'' if single else f'[{i}]'} must be 'auto' or one of {', '.join(NAMES)}, "
+                f"got {name!r}."
+            )
+        names.append(name)
+    return names
+
+
+def _checked(signals: object) -> list[SwitchingSignal]:
+    """The signals as a list."""
+    if isinstance(signals, SwitchingSignal):
+        return [signals]
+    if not isinstance(signals, Sequence) or not signals:
+        raise ArgumentError(
+            "signals must be a SwitchingSignal or a list of at least one, got "
+            f"{'an empty list' if isinstance(signals, Sequence) else type(signals).__name__}."
+        )
+    checked = []
+    for i, signal in enumerate(signals):
+        if not isinstance(signal, SwitchingSignal):
+            raise ArgumentError(
+                f"signals[{i}] must be a SwitchingSignal, got {type(signal).__name__}."
+            )
+        checked.append(signal)
+    return checked

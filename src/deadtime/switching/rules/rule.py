@@ -1,0 +1,299 @@
+"""Switching rules: the mode as a function of the state, σ(t) = r(x(t)).
+
+A half-space, polyhedra or quadratic forms (`deadtime.switching.rules.quadratic`) say where each mode is
+active; a function of the state may say anything. A state on a boundary belongs to mode 1 of a
+half-space, to the first of the polyhedra that hold it. A rule must name one mode for every state:
+regions that overlap or leave a gap are refused.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import count, index, number, real_array, shaped
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.plant import SwitchedSystem
+from deadtime.switching.rules.motion import Motion
+from deadtime.switching.rules.partition import require_partition
+from deadtime.switching.rules.region_motion import RegionMotion, Regions
+from deadtime.switching.rules.sampled_motion import SampledMotion
+from deadtime.switching.signal import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rule(Frozen, ABC):
+    """A map from states to modes."""
+
+    @abstractmethod
+    def modes_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
+        """The modes of many states, one per row."""
+
+    @abstractmethod
+    def require(self, plant: SwitchedSystem) -> Rule:
+        """The rule itself, when it fits the sizes of a plant; an error otherwise."""
+
+    @abstractmethod
+    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
+        """A plant under the rule, made for pieces of these lengths under a held input."""
+
+    @abstractmethod
+    def same(self, other: Rule) -> bool:
+        """Whether the other rule is this one: the same numbers, or the same function."""
+
+    def __call__(self, x: ArrayLike) -> int:
+        """r(x), the mode of one state of shape (n,)."""
+        return int(self.modes_of(real_array("x", x, "(n,)", 1)[None])[0])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PolyhedralRule(Rule):
+    """A rule made of polyhedra: region r is where rows·x ≤ offsets for its rows.
+
+    Attributes
+    ----------
+    rows : (rows, n), offsets : (rows,)
+        The inequalities of all regions, one region after the other.
+    region_modes : (regions,) int
+        The mode of each region; several may share one.
+    first : (regions + 1,) int
+        Where the rows of each region start, and the number of rows.
+    """
+
+    rows: Float[np.ndarray, "row n"]
+    offsets: Float[np.ndarray, " row"]
+    region_modes: Int[np.ndarray, " region"]
+    first: Int[np.ndarray, " region+1"]
+
+    def regions_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
+        """The first region that holds each state; where round-off leaves none, the nearest."""
+        norms = np.linalg.norm(self.rows, axis=1)
+        outside = (states @ self.rows.T - self.offsets) / norms
+        outside = np.maximum.reduceat(outside, self.first[:-1], axis=1)
+        holds = outside <= 0.0
+        return np.where(holds.any(axis=1), holds.argmax(axis=1), outside.argmin(axis=1))
+
+    def modes_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
+        return self.region_modes[self.regions_of(states)]
+
+    def require(self, plant: SwitchedSystem) -> Rule:
+        n, highest = self.rows.shape[1], int(self.region_modes.max())
+        if n != plant.states:
+            raise ArgumentError(
+                f"rule must be one of {plant.states} states, as the plant's, got one of {n}."
+            )
+        if highest >= plant.modes:
+            raise ArgumentError(
+                f"rule names mode {highest}, but the plant's modes are 0..{plant.modes - 1}: "
+                "modes count from 0."
+            )
+        return self
+
+    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
+        n = plant.states
+        planes = np.empty((0, n, n)), self.rows, self.offsets, self.first, self.region_modes
+        return RegionMotion.of(self.regions_of, plant.A, plant.B, Regions(*planes), lengths)
+
+    def same(self, other: Rule) -> bool:
+        return isinstance(other, PolyhedralRule) and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("rows", "offsets", "first", "region_modes")
+        )
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class HalfSpace(PolyhedralRule):
+    """Mode 1 where normal·x ≥ offset, mode 0 elsewhere.
+
+    Parameters
+    ----------
+    normal : array_like, shape (n,)
+        Points into mode 1; any length but 0.
+    offset : float
+        In the unit of normal·x.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rule = HalfSpace([0.0, 1.0], offset=0.5)
+    >>> rule([3.0, 0.5]), rule([3.0, 0.4])
+    (1, 0)
+    """
+
+    normal: Float[np.ndarray, " n"]
+    offset: float
+
+    def __init__(self, normal: ArrayLike, offset: float = 0.0) -> None:
+        normal = real_array("normal", normal, "(n,)", 1)
+        offset = number("offset", offset)
+        if not normal.any():
+            raise ArgumentError("normal must not be zero: it points from mode 0 into mode 1.")
+        # Mode 1 comes first, so that the boundary is its.
+        _fill(self, np.stack((-normal, normal)), np.array([-offset, offset]), [0, 1, 2], [1, 0])
+        vars(self).update(normal=normal, offset=offset)
+
+    def __repr__(self) -> str:
+        return f"HalfSpace(mode 1 where {self.normal.tolist()}·x ≥ {self.offset:g})"
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Polyhedra(PolyhedralRule):
+    """The mode of the region that holds the state, region i being where H_i x ≤ h_i.
+
+    Parameters
+    ----------
+    regions : sequence of pairs (H, h)
+        Shapes (rows, n) and (rows,). Together they must fill the space.
+    modes : sequence of int, optional
+        The mode of each region, 0, 1, 2, … by default. Regions of one mode may overlap.
+
+    Raises
+    ------
+    ArgumentError
+        If a region is empty, regions of different modes overlap, or there is a gap; the message
+        names a state that shows it.
+
+    Examples
+    --------
+    A slab |x₁| ≤ 1 in mode 0 between two half-spaces in mode 1:
+
+    >>> slab = ([[1, 0], [-1, 0]], [1, 1])
+    >>> rule = Polyhedra([slab, ([[-1, 0]], [-1]), ([[1, 0]], [-1])], modes=[0, 1, 1])
+    >>> rule.modes_of(np.array([[0.5, 9.0], [1.0, 0.0], [-2.0, 0.0]]))
+    array([0, 0, 1])
+    """
+
+    def __init__(
+        self,
+        regions: Sequence[Sequence[ArrayLike]],
+        modes: Sequence[int] | None = None,
+    ) -> None:
+        pairs = [_polyhedron(i, region) for i, region in enumerate(regions)]
+        if not pairs:
+            raise ArgumentError("regions must hold at least one pair (H, h), got none.")
+        n = pairs[0][0].shape[1]
+        for i, (H, _) in enumerate(pairs):
+            shaped(f"regions[{i}][0]", H, (H.shape[0], n), "(rows, n)")
+        modes = range(len(pairs)) if modes is None else modes
+        if len(modes) != len(pairs):
+            raise ArgumentError(
+                f"modes must have one entry per region, {len(pairs)}, got {len(modes)}."
+            )
+        named = np.array([count(f"modes[{i}]", mode, 0) for i, mode in enumerate(modes)])
+        require_partition(pairs, named)
+        first = np.cumsum([0, *(h.size for _, h in pairs)])
+        rows, offsets = np.vstack([H for H, _ in pairs]), np.concatenate([h for _, h in pairs])
+        _fill(self, rows, offsets, first, named)
+
+    @property
+    def regions(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The pairs (H, h)."""
+        cuts = self.first[1:-1]
+        return list(zip(np.split(self.rows, cuts), np.split(self.offsets, cuts), strict=True))
+
+    @property
+    def modes(self) -> list[int]:
+        """The mode of each region."""
+        return self.region_modes.tolist()
+
+    def __repr__(self) -> str:
+        regions, modes = self.region_modes.size, np.unique(self.region_modes).size
+        return f"Polyhedra(regions={regions}, modes={modes}, states={self.rows.shape[1]})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FunctionRule(Rule):
+    """Any function from a state of shape (n,) to a mode; `simulate` and laws take it bare, too.
+
+    A function can only be asked, so its crossings are looked for at samples of every piece of
+    time under one input, and then bisected: a stay in a mode that falls between two samples is
+    missed, and where both modes point at their boundary the run ends. `HalfSpace`, `Polyhedra` and
+    `QuadraticRegions` miss none that is deeper than round-off, and slide along their boundaries.
+
+    Parameters
+    ----------
+    function : callable
+        From x, shape (n,), to an integer.
+    samples : int
+        How many instants of each piece to ask at; 8 by default.
+
+    Examples
+    --------
+    >>> rule = FunctionRule(lambda x: 1 if x[0] ** 2 + x[1] ** 2 > 1.0 else 0)
+    >>> rule([0.5, 0.5])
+    0
+    """
+
+    function: Callable[[np.ndarray], int]
+    samples: int = 8
+
+    def __post_init__(self) -> None:
+        count("samples", self.samples)
+        super().__post_init__()
+
+    def modes_of(self, states: Float[np.ndarray, "k n"]) -> Int[np.ndarray, " k"]:
+        return np.array([self.function(x) for x in states])
+
+    def require(self, plant: SwitchedSystem) -> Rule:
+        return self
+
+    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
+        function, modes = self.function, plant.modes
+
+        def mode_at(x: np.ndarray) -> int:
+            mode = function(x)
+            if (type(mode) is int or isinstance(mode, np.integer)) and 0 <= mode < modes:
+                return int(mode)
+            return index(f"rule({np.array2string(x, precision=4)})", mode, modes)
+
+        return SampledMotion.of(mode_at, plant.A, plant.B, self.samples, lengths)
+
+    def same(self, other: Rule) -> bool:
+        mine = self.function, self.samples
+        return isinstance(other, FunctionRule) and mine == (other.function, other.samples)
+
+    def __repr__(self) -> str:
+        name = getattr(self.function, "__name__", type(self.function).__name__)
+        return f"FunctionRule({name}, samples={self.samples})"
+
+
+def as_rule(name: str, value: Any) -> Rule:
+    """A rule as it is, a function of the state as a rule."""
+    if isinstance(value, Rule):
+        return value
+    if isinstance(value, SwitchingSignal) or not callable(value):
+        raise ArgumentError(
+            f"{name} must be a HalfSpace, Polyhedra, QuadraticRegions or a function from a state "
+            f"to a mode, got {type(value).__name__}."
+        )
+    return FunctionRule(cast("Callable[[np.ndarray], int]", value))
+
+
+def _polyhedron(i: int, region: Sequence[ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
+    """One region with its shapes checked."""
+    if not isinstance(region, (tuple, list)) or len(region) != 2:
+        raise ArgumentError(f"regions[{i}] must be a pair (H, h), got {region!r}.")
+    H = real_array(f"regions[{i}][0]", region[0], "(rows, n)", 2)
+    h = real_array(f"regions[{i}][1]", region[1], "(rows,)", 1)
+    shaped(f"regions[{i}][1]", h, (H.shape[0],), "(rows,)")
+    empty = np.flatnonzero(~H.any(axis=1))
+    if empty.size:
+        raise ArgumentError(f"regions[{i}][0][{empty[0]}] must not be a row of zeros.")
+    return H, h
+
+
+def _fill(
+    rule: PolyhedralRule, rows: np.ndarray, offsets: np.ndarray, first: ArrayLike, modes: ArrayLike
+) -> None:
+    """Set the read-only arrays of a polyhedral rule."""
+    first, modes = np.asarray(first, np.int64), np.asarray(modes, np.int64)
+    for array in (rows, offsets, first, modes):
+        array.flags.writeable = False
+    vars(rule).update(rows=rows, offsets=offsets, first=first, region_modes=modes)

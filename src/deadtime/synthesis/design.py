@@ -1,0 +1,200 @@
+"""Design for margin: the cheapest gains, filter and period with a requested delay margin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import count
+from deadtime.feedback import Law
+from deadtime.feedback.law import checked_gains
+from deadtime.gains import lqr
+from deadtime.gains.state_feedback import require_controllable
+from deadtime.laws import AveragedPredictor
+from deadtime.margins.constant_modes import constant_delay_margin
+from deadtime.plant import SwitchedSystem
+from deadtime.spectrum import growth_rate
+from deadtime.spectrum.affordable import require_affordable
+from deadtime.synthesis.assess import WIDEST, assessed
+from deadtime.synthesis.exact import Exact
+from deadtime.synthesis.families import Choice, Family
+from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.limits import DelayLimit, delay_limit
+from deadtime.synthesis.message import sentences
+from deadtime.synthesis.request import checked, decay_asked, required_table
+from deadtime.synthesis.result import Design, TradeOff
+from deadtime.synthesis.search import MakeLaw, Search, Tried
+from deadtime.synthesis.strategy import pairs_of, spend
+
+DEAREST = 100.0
+
+
+def design(
+    plant: SwitchedSystem,
+    *,
+    delay_margin: float,
+    step: float = 0.01,
+    law: MakeLaw | None = None,
+    gains: ArrayLike | None = None,
+    filtered: bool | None = None,
+    longest_step: float | None = None,
+    decay_rate: float = 0.0,
+    cost: str = "mean",
+    budget: int = 800,
+    dearest: float = DEAREST,
+    seed: int = 0,
+) -> Design:
+    """Gains and a law with a requested delay margin, at the least cost found.
+
+    Varied are the gains (with one input the poles of each mode, with several the LQR weights), the
+    time constant of a low-pass filter in the law, and, if allowed, a longer sampling period. If
+    nothing tried meets the request, what comes nearest comes back, beside what any linear
+    controller could reach.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The plant at its nominal delay, the model of the law.
+    delay_margin : float
+        The relative error of the true delay, above 0 and below 1, that every constant mode must
+        tolerate both ways: 0.05 for ±5 %.
+    step : float
+        Sampling period h, seconds.
+    law : callable, optional
+        The law family: (plant, gains) → law; `AveragedPredictor` by default. For one mode's own
+        exact law give a plant of that mode alone.
+    gains : array_like, shape (modes, m, n), optional
+        The plain design to start from and to compare with; LQR of identity weights by default.
+    filtered : bool, optional
+        True: only laws with a low-pass filter; False: only without; by default both.
+    longest_step : float, optional
+        Allow periods up to this, seconds: 2, 5, 10, … times `step`.
+    decay_rate : float
+        How fast every constant mode must decay at least at the nominal delay, 1/s. A wide margin
+        at a low cost is easily had by a loop that hardly moves.
+    cost : "mean" or "worst"
+        The cost ∫ |x|² + |u|² of the mean or of the worst mode, each for ever.
+    budget : int
+        How many designs to try. A larger budget tries all that a smaller one does.
+    dearest : float
+        Designs that cost more than so many times the cheapest found are not considered, the plain
+        one apart.
+    seed : int
+        Of the samples that the search starts from; the answer depends on nothing else.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, a mode is not controllable or has no `delay_limit`, the law
+        family makes laws that are no table or foresee the signal, or the delay holds so many
+        periods that the search would take long.
+
+    Notes
+    -----
+    The margin is that of constant modes, exact; switching may lose the loop earlier, which
+    `delay_margin(…, dwell_time=…)` decides. A search proves nothing about what it did not find.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=1.0)
+    >>> found = design(plant, delay_margin=0.2, step=0.05, budget=60)
+    >>> found.reached, found.margin.relative >= 0.2, found.cost > found.plain.cost
+    (True, True, True)
+    """
+    asked = checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    floors = Floors(asked, decay_asked(decay_rate))
+    given = None if gains is None else checked_gains(plant, gains, True)
+    budget, seed = count("budget", budget, 20), count("seed", seed, 0)
+    make = _averaged if law is None else law
+    for mode in range(plant.modes):
+        require_controllable(plant.A[mode], plant.B[mode], mode)
+    start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
+    first = required_table(plant, make, start)
+    require_affordable("design", plant, first, step, budget)
+    limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
+    plain = _plain(plant, first, step, cost == "worst")
+    search = Search(plant, make, cost == "worst", budget, dearest, floors)
+    pairs = pairs_of(search, filtered, step, longest_step)
+    if not filtered:
+        search.plain = _tried(plain, *pairs[0], start)
+        search.tried.append(search.plain)
+    spend(search, pairs, start, np.random.default_rng(seed))
+    exact = Exact(plant, search)
+    return _result(plant, exact, exact.choose(), plain, start, limits)
+
+
+def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
+    """The design to compare with."""
+    margin = constant_delay_margin(plant, law, step)
+    cost = assessed(plant, law, step, worst)[1]
+    return TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
+
+
+def _tried(plain: TradeOff, family: Family, step: float, gains: np.ndarray) -> Tried:
+    """The plain design as the first of the candidates, with parameters of gains close to it."""
+    return Tried(
+        family=family,
+        step=step,
+        parameters=family.starts(gains)[0],
+        choice=Choice(gains, None),
+        law=plain.law,
+        margin=min(plain.margin, WIDEST),
+        cost=plain.cost,
+        growth=-plain.decay_rate,
+    )
+
+
+def _result(
+    plant: SwitchedSystem,
+    exact: Exact,
+    chosen: Tried | None,
+    plain: TradeOff,
+    gains: np.ndarray,
+    limits: tuple[DelayLimit, ...],
+) -> Design:
+    """What was chosen, or the plain design where nothing is stable."""
+    law, step, cost = plain.law, plain.step, plain.cost
+    if chosen is None:
+        margin = constant_delay_margin(plant, law, step)
+    else:
+        margin, gains = exact.margin(chosen), chosen.choice.gains
+        law, step = chosen.law, chosen.step
+        cost = assessed(plant, law, step, exact.search.worst)[1]
+    floors = exact.search.floors
+    growth = _ends(plant, law, step, floors.margin)
+    found = TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
+    reached = not floors.missed(found.margin, found.decay_rate) and bool((growth < 0.0).all())
+    offered = None if chosen is None else found
+    return Design(
+        law=law,
+        gains=gains,
+        time_constant=found.time_constant,
+        step=step,
+        margin=margin,
+        asked=floors.margin,
+        decay_asked=floors.decay_rate,
+        reached=reached,
+        growth=growth,
+        cost=cost,
+        decay_rate=found.decay_rate,
+        plain=plain,
+        limits=limits,
+        points=exact.trade_off(offered),
+        evaluated=exact.search.spent,
+        message=sentences(floors, reached, offered, plain, limits, exact.search.spent),
+    )
+
+
+def _averaged(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor:
+    return AveragedPredictor(plant, gains, allow_unstable=True)
+
+
+def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
+    """The growth rates at both ends of the margin asked for, from spectra of their own."""
+    ends = [SwitchedSystem(plant.A, plant.B, plant.delay * (1.0 + s * asked)) for s in (-1.0, 1.0)]
+    return np.array([[growth_rate(end, law, i, step) for i in range(plant.modes)] for end in ends])

@@ -1,0 +1,230 @@
+"""How large a delay margin any linear controller could have, mode by mode.
+
+The loop at the plant's input has the complementary sensitivity T(s) = e^{−sD} T̃(s), T̃ stable. An
+unstable part of the plant (A₊, B₊) fixes T̃ there; a true delay D + δ turns I into
+I + (e^{−sδ} − 1) T. docs/theory/delay-margin.md derives, for all |δ| < Δ:
+
+Reached by some linear controller (small gain), with the outer W of |W(jω)| = max |e^{−jωδ} − 1|:
+
+    X₂ ≤ X₁,    A₊X₁ + X₁A₊ᵀ = B₊B₊ᵀ,    A₊X₂ + X₂A₊ᵀ = C Cᵀ,    C = W(A₊) e^{A₊D} B₊
+
+Reached by none that is linear, time-invariant and continuous: what breaks, for one input, the same
+inequality with C = O(A₊)⁻¹ tan(½ asin(A₊Δ)) e^{A₊(D−Δ)} B₊, or A₊Δ having an eigenvalue on [1, ∞);
+for several inputs, for an eigenvalue p: |tan(½ asin(pΔ)) e^{p(D−Δ)}| ≤ |O(p)|. Here O is outer with
+|O(jω)| = tan(π/4 + ¼ atan(ωΔ)).
+
+C = f(A₊) B₊ in each case, so X₂ = f(A₊) X₁ f(A₊)ᵀ: in coordinates in which X₁ = I the inequality is
+‖f(A₊)‖ ≤ 1. Those of `_balanced` need no X₁, which is singular to machine precision where poles
+nearly coincide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex
+
+from deadtime.base.checks import index, instance
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.gains.pole_placement import reachable
+from deadtime.plant import SwitchedSystem
+from deadtime.synthesis.weights import delay_weight, half_angle, half_angle_weight
+
+SLOW = 1e-6  # of 1/D: poles below are not counted; what they cost is of that order
+_LEAST = -700.0  # log of the relative error below which nothing is resolved, 1e-304
+_LOST = 1e-9  # of a direction
+
+
+@dataclass(frozen=True, eq=False)
+class DelayLimit(Frozen):
+    """What the delay margin of one mode can be at all (immutable).
+
+    Attributes
+    ----------
+    reached : float
+        Some linear controller keeps the mode stable for all true delays that err by less than
+        this, relative to the delay (small gain: sufficient). ∞: every delay error below 100 %.
+    most : float
+        No linear time-invariant controller does for an error larger than this (necessary).
+    poles : (unstable poles,) complex
+        The poles that set the limits, 1/s.
+    """
+
+    reached: float
+    most: float
+    poles: Complex[np.ndarray, " pole"]
+
+
+def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
+    """The limits of the relative delay margin of one mode, whatever the linear controller.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        No input need reach its decaying poles.
+    mode : int
+        The mode.
+
+    Returns
+    -------
+    DelayLimit
+        To about 1e-9 relative. Without unstable poles `most` is ∞. Poles within 1e-6/D of the
+        imaginary axis count as on it, and do not limit `most`. Below 1e-304 `reached` is 0 and
+        `most` is 1e-304.
+
+    Raises
+    ------
+    ArgumentError
+        If an input is malformed; no input reaches a pole that is unstable or on the axis; or the
+        poles of several inputs nearly coincide, so that rounding decides which input is whose.
+
+    Notes
+    -----
+    Between the two, nothing is claimed. They are about continuous controllers; a digital loop tends
+    to one as its period shortens. Controllers that vary in time are not covered by `most`.
+
+    References
+    ----------
+    Small gain and Nevanlinna–Pick interpolation: Doyle, Francis and Tannenbaum, Feedback Control
+    Theory (1992), chapters 9 and 12. Without a nominal delay `most` is the bound of Middleton and
+    Miller, IEEE Trans. Automatic Control 52 (2007), theorem 4: an interval of 2/p.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> limit = delay_limit(dt.problems.paper().plant, mode=0)
+    >>> limit.poles.real, round(limit.reached, 3), round(limit.most, 3)
+    (array([1., 2.]), 0.027, 0.073)
+    """
+    instance("plant", plant, SwitchedSystem)
+    mode = index("mode", mode, plant.modes)
+    D, slow = plant.delay, SLOW / plant.delay
+    _require_stabilisable(plant.A[mode], plant.B[mode], slow, mode)
+    A, B = _unstable(plant.A[mode], plant.B[mode], slow)
+    on_axis = _on_axis(plant.A[mode], D)
+    if A.size == 0:
+        return DelayLimit(on_axis, math.inf, np.empty(0, complex))
+    A = _balanced(A, B, mode)
+    possible = _apart if B.shape[1] > 1 else _together
+    reached = min(on_axis, _largest(lambda error: _small_gain(A, D, error * D), 0.0))
+    most = _largest(lambda error: possible(A, D, error * D), math.exp(_LEAST))
+    return DelayLimit(reached, most, np.sort_complex(np.diag(A)))
+
+
+def _require_stabilisable(A: np.ndarray, B: np.ndarray, slow: float, mode: int) -> None:
+    """Refuse a pole that is unstable, or counts as on the axis, and that no input moves."""
+    kept, input_of = _unstable(A, B, -slow)
+    if kept.size and reachable(kept, input_of) < len(kept):
+        poles = ", ".join(f"{pole:.4g}" for pole in np.linalg.eigvals(kept))
+        raise ArgumentError(
+            f"mode {mode} cannot be stabilised: no input reaches all of its poles {poles} 1/s that "
+            "do not decay, so no controller has a delay margin."
+        )
+
+
+def _largest(excess: Callable[[float], float], below: float) -> float:
+    """The relative error below 1 at which a condition (excess ≤ 0) is lost; ∞ for none.
+
+    Solved in its logarithm. `below` is the answer where that is under _LEAST.
+    """
+    from scipy.optimize import brentq
+
+    def at(logarithm: float) -> float:
+        return min(excess(math.exp(logarithm)), 1e3)
+
+    if at(0.0) <= 0.0:
+        return math.inf
+    if at(_LEAST) > 0.0:
+        return below
+    found: Any = brentq(at, _LEAST, 0.0, xtol=1e-14)
+    return math.exp(found)
+
+
+def _on_axis(A: np.ndarray, D: float) -> float:
+    """Where poles ±iω on the axis break the small gain: 2 sin(ωΔ/2) = 1."""
+    poles = np.linalg.eigvals(A)
+    near = np.abs(np.real(poles)) * D <= SLOW
+    fastest = float(np.abs(np.imag(poles[near])).max(initial=0.0)) * D
+    limit = math.pi / (3.0 * fastest) if fastest > SLOW else math.inf
+    return limit if limit < 1.0 else math.inf
+
+
+def _unstable(A: np.ndarray, B: np.ndarray, slow: float) -> tuple[np.ndarray, np.ndarray]:
+    """A₊ (k, k) and B₊ (k, m): QᵀA = A₊Qᵀ and B₊ = QᵀB for the eigenvalues right of `slow`."""
+    from scipy.linalg import schur
+
+    found: Any = schur(A.T, sort=lambda re, im: re > slow)
+    triangle, Q, count = found
+    return np.ascontiguousarray(triangle[:count, :count].T), Q[:, :count].T @ B
+
+
+def _small_gain(A: np.ndarray, D: float, Delta: float) -> float:
+    """≤ 0 where some linear controller has ‖W T‖ ≤ 1; A input-balanced."""
+    return _log_norm(delay_weight(A * Delta), A, D)
+
+
+def _together(A: np.ndarray, D: float, Delta: float) -> float:
+    """≤ 0 where one input could do: all poles at once; A input-balanced."""
+    v = A * Delta
+    if np.any(_beyond(np.diag(v))):
+        return math.inf
+    return _log_norm(np.linalg.solve(half_angle_weight(v), half_angle(v)), A, D - Delta)
+
+
+def _apart(A: np.ndarray, D: float, Delta: float) -> float:
+    """≤ 0 where several inputs could do: each pole by itself; A triangular."""
+    poles = np.diag(A)
+    return max(_together(pole[None, None], D, Delta) for pole in poles)
+
+
+def _log_norm(weight: np.ndarray, A: np.ndarray, D: float) -> float:
+    """log ‖weight · e^{AD}‖ without overflow."""
+    from scipy.linalg import expm
+
+    growth = D * float(np.real(np.diag(A)).max())
+    norm = np.linalg.norm(weight @ expm(A * D - growth * np.eye(len(A))), 2)
+    return float(np.log(norm)) + growth
+
+
+def _beyond(v: np.ndarray) -> np.ndarray:
+    """On [1, ∞), where √(1 − v) is not defined."""
+    return (np.abs(np.imag(v)) <= 1e-12 * np.abs(v)) & (np.real(v) >= 1.0)
+
+
+def _balanced(A: np.ndarray, B: np.ndarray, mode: int) -> np.ndarray:
+    """(k, k) complex, triangular: A₊ in coordinates in which X₁ = I, without solving for X₁.
+
+    There A + Aᴴ = B Bᴴ, so that entry (i, j > i) is bᵢbⱼᴴ, and |bᵢ|² = 2 Re pᵢ: the poles and the
+    directions of the rows of B say it all, with one input the poles do. A row's direction is that
+    of what is left of it once the rows below are taken out (S. Hammarling 1982): for the last one
+    with b and U = [[U₁, v], [0, τ]] from the old coordinates to these, from A U = U (A + …),
+
+        (A₁ + p̄) v = B₁ bᴴ − a τ,    the rest is (A₁, B₁ − v b).
+    """
+    from scipy.linalg import schur
+
+    found: Any = schur(A, output="complex")
+    T, Z = found
+    poles, rows = np.diag(T), Z.conj().T @ B
+    error = np.abs(Z.T) @ np.linalg.norm(B, axis=1) * np.finfo(float).eps
+    b = np.zeros(rows.shape, complex)
+    for n in reversed(range(len(T))):
+        left = np.linalg.norm(rows[n])
+        if B.shape[1] > 1 and error[n] > _LOST * left:
+            raise ArgumentError(
+                f"mode {mode} has unstable poles too close to each other, or to being "
+                f"uncontrollable, for its several inputs: of the input to {poles[n]:.4g} 1/s only "
+                f"{left:.1e} is its own; model close poles as one, or leave weak inputs out."
+            )
+        size = np.sqrt(2.0 * poles[n].real)
+        b[n] = size * (rows[n] / left if B.shape[1] > 1 else 1.0)
+        side = rows[:n] @ b[n].conj() - T[:n, n] * left / size
+        v = np.linalg.solve(T[:n, :n] + poles[n].conj() * np.eye(n), side)
+        error = error[:n] + np.finfo(float).eps * np.abs(v) * size
+        rows = rows[:n] - v[:, None] * b[n]
+    return np.diag(poles) + np.triu(b @ b.conj().T, 1)

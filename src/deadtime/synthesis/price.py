@@ -1,0 +1,82 @@
+"""What a loop costs: ∫ |x|² + |u|², the mean over initial states on the unit sphere.
+
+With one mode for ever, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
+`deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
+`deadtime.numerics.exponential` give ∫|x|² over both phases of the period, the held input h |u_k|². So
+
+    ∫₀^∞ |x|² + |u|² dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
+
+Only the block X_xx is wanted, whose trace over n is the mean over |x₀| = 1 without inputs in the
+past: that is n runs, summed period by period until nothing more comes, which costs less than the
+Lyapunov equation of order n + W m. No quadrature, so it is exact to round-off.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deadtime.base.checks import read_only
+from deadtime.feedback import Feedback
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.spectrum import aged_row
+
+_DONE = 1e-15  # of the cost: what the last block may add
+BLOCKS = 4000  # of one delay each
+_SHORTEST = 16  # periods
+
+
+def loop_cost(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
+    """∫ |x|² + |u|² with one mode for ever, the mean over x₀ on the unit sphere; ∞ if unstable.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth.
+    feedback : Feedback
+        The law's table; the row of a mode that has lasted for ever applies.
+    mode : int
+        The mode.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], delay=0.2)
+    >>> idle = dt.DelayedStateFeedback(plant, [[[0.0]]]).digital(0.1)
+    >>> round(loop_cost(plant, idle, 0), 12)                     # ∫ e^{−2t} dt
+    0.5
+    """
+    return cost_and_growth(plant, feedback, mode)[0]
+
+
+def cost_and_growth(
+    plant: SwitchedSystem, feedback: Feedback, mode: int, blocks: int = BLOCKS
+) -> tuple[float, float]:
+    """The cost; and how fast the loop grows, about, 1/s: negative where it decays.
+
+    After so many `blocks` of one delay the rest is taken for a geometric series.
+    """
+    from deadtime.numerics.exponential import energy_gramian
+    from deadtime.synthesis.march import cost_of_run
+
+    A, B, step = read_only(plant.A[mode]), read_only(plant.B[mode]), feedback.step
+    pieces = SampledPlant(plant, step).pieces(mode)
+    Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
+    lags = np.stack([piece.stretch.lag for piece in pieces])
+    lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
+    Q = np.stack([energy_gramian(A, B, length) for length in lengths])
+    row = aged_row(feedback, mode)
+    F, G = np.ascontiguousarray(feedback.state_gain[row]), feedback.input_gain[row]
+    taps, m, _ = G.shape
+    G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
+    block = max(taps, int(lags.max()), _SHORTEST)
+    total, growth = 0.0, -math.inf
+    for x0 in np.eye(plant.states):
+        cost, ratio = cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, blocks, _DONE)
+        if math.isinf(cost):
+            return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
+        total += cost
+        if ratio > 0.0:
+            growth = max(growth, math.log(ratio) / (2.0 * block * step))
+    return total / plant.states, growth

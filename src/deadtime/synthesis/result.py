@@ -1,0 +1,116 @@
+"""What a design for margin hands back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.frozen import Frozen
+from deadtime.feedback import Law
+from deadtime.laws import LowPassPredictor
+from deadtime.margins.constant_modes import DelayMargin
+from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.limits import DelayLimit
+
+
+@dataclass(frozen=True, eq=False)
+class TradeOff:
+    """One design: what it tolerates and what it costs (immutable).
+
+    Attributes
+    ----------
+    law : Law
+        The law, with its gains and filter.
+    step : float
+        Its sampling period, seconds.
+    margin : float
+        The smallest error of the delay that loses a constant mode, relative to the delay; 0 where
+        one is unstable.
+    cost : float
+        ∫ |x|² + |u|² with one mode for ever, mean over |x₀| = 1, mean or worst over the modes; ∞
+        where one is unstable.
+    decay_rate : float
+        How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one
+        grows.
+    """
+
+    law: Law
+    step: float
+    margin: float
+    cost: float
+    decay_rate: float = 0.0
+
+    @property
+    def time_constant(self) -> Float[np.ndarray, "m m"] | None:
+        """T of the low-pass filter, seconds; None without one."""
+        return self.law.time_constant if isinstance(self.law, LowPassPredictor) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Frozen):
+    """Gains and a law that meet a request, or come nearest to it (immutable).
+
+    Attributes
+    ----------
+    law : Law
+        The law, which holds `gains` and the low-pass filter, if it has one.
+    gains : (modes, m, n)
+        K_i of u = +K_i x; with a filter, of v in T du/dt = v − u.
+    time_constant : (m, m) or None
+        T, seconds; None without a filter.
+    step : float
+        The sampling period it is made for, seconds.
+    margin : DelayMargin
+        The exact margin of constant modes, as by `delay_margin(plant, law, step)`.
+    asked : float
+        The margin asked for, relative to the delay.
+    decay_asked : float
+        The decay rate asked for, 1/s; 0 where none was.
+    reached : bool
+        Whether the margin is at least that, and the spectrum at both ends says so, too; and the
+        decay rate at least what was asked.
+    growth : (2, modes)
+        The growth rates at the true delays D (1 − asked) and D (1 + asked), 1/s.
+    cost : float
+        ∫ |x|² + |u|², as in `TradeOff`.
+    decay_rate : float
+        How fast the slowest constant mode decays at the nominal delay, 1/s, as in `TradeOff`.
+    plain : TradeOff
+        The design to compare with: given gains, or LQR of identity weights, which are best for that
+        cost when the mode never changes and the delay is right.
+    limits : tuple of DelayLimit
+        Per mode, what any linear controller could reach.
+    points : tuple of TradeOff
+        The best of what was tried, by growing margin: no other that decays as fast as asked
+        tolerates more and costs less. The chosen one is always among them.
+    evaluated : int
+        How many designs were tried.
+    message : str
+        The same in sentences.
+    """
+
+    law: Law
+    gains: Float[np.ndarray, "mode m n"]
+    time_constant: Float[np.ndarray, "m m"] | None
+    step: float
+    margin: DelayMargin
+    asked: float
+    decay_asked: float
+    reached: bool
+    growth: Float[np.ndarray, "end mode"]
+    cost: float
+    decay_rate: float
+    plain: TradeOff
+    limits: tuple[DelayLimit, ...]
+    points: tuple[TradeOff, ...]
+    evaluated: int
+    message: str
+
+    def missed(self, point: TradeOff) -> tuple[str, ...]:
+        """What a point falls short of: of "margin" and "decay rate" those asked for in vain."""
+        return Floors(self.asked, self.decay_asked).missed(point.margin, point.decay_rate)
+
+    def __repr__(self) -> str:
+        return f"Design({self.message})"
