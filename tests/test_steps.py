@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 import deadtime as dt
 from deadtime.plant import Window
-from deadtime.plant.steps import Cuts, modes_at, snap, snap_all
+from deadtime.plant.steps import snap, snap_all
+from deadtime.switching.grid import Cuts, modes_at
 
 quick = settings(max_examples=200, deadline=None, derandomize=True)
 

@@ -13,8 +13,8 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw, checked_gains
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import Cuts, modes_at
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import Cuts, modes_at
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

@@ -11,7 +11,6 @@ import numpy as np
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Imperfection
-from deadtime.plant.steps import modes_at
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.engine import LANES, Engine
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
@@ -19,6 +18,7 @@ from deadtime.scenarios.loop import Laid, Loop
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
 from deadtime.switching import SignalBatch, SwitchingSignal
+from deadtime.switching.grid import modes_at
 
 _ROWS_BYTES = 5e7  # of rows per sample that are held at a time
 

@@ -12,7 +12,7 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback, Law
 from deadtime.imperfections import Disturbance, Sizes
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.steps import Cuts, modes_at, snap
+from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Arrays
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.run import IdealRecord
@@ -20,6 +20,7 @@ from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.simulation.record import DigitalRecord, PhaseTable
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import Cuts, modes_at
 
 ModeAt = Callable[[np.ndarray], np.ndarray]
 Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams

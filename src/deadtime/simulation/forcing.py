@@ -16,8 +16,8 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.steps import Cuts
 from deadtime.simulation.record import PhaseTable
+from deadtime.switching.grid import Cuts
 
 _SINGULAR = 1e-8  # of a phase
 

@@ -18,13 +18,14 @@ from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
 from deadtime.feedback.law import Update
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.steps import modes_at, snap
+from deadtime.plant.steps import snap
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw, Lags
 from deadtime.simulation.record import DigitalRecord, PhaseTable
 from deadtime.simulation.slides import told
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching.grid import modes_at
 
 
 class _Stop(NamedTuple):

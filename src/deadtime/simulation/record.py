@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.steps import Cuts, snap_all
+from deadtime.plant.steps import snap_all
 from deadtime.simulation.slides import Slides
+from deadtime.switching.grid import Cuts
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,13 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.steps import TOLERANCE, Cuts, modes_at, snap
+from deadtime.plant.steps import TOLERANCE, snap
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.record import PhaseTable
 from deadtime.simulation.slides import Part, Slides
 from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching.grid import Cuts, modes_at
 from deadtime.switching.rules.motion import Beside, Chatter, Leg
 
 _SAME = 1e-10  # of a step: switches that close are one

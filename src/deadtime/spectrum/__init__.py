@@ -5,9 +5,9 @@ from deadtime.spectrum.growth import GROWS, constant_growth, growth_bounds, grow
 from deadtime.spectrum.lifted import DENSE, LiftedLoop, aged_row, lifted_loop
 
 __all__ = [
-    "CharacteristicRoots",
     "DENSE",
     "GROWS",
+    "CharacteristicRoots",
     "LiftedLoop",
     "aged_row",
     "characteristic_roots",

@@ -20,9 +20,9 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import side_by_side
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.steps import Cuts, modes_at
 from deadtime.simulation.record import PhaseTable
 from deadtime.spectrum import aged_row
+from deadtime.switching.grid import Cuts, modes_at
 
 WINDOWS = 3  # of the delay in one application
 TOLERANCE = 1e-9

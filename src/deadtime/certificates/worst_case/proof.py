@@ -23,9 +23,9 @@ import numpy as np
 
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import SampledLoop
-from deadtime.plant.steps import Cuts
 from deadtime.spectrum import aged_row
 from deadtime.spectrum.enclosure import LARGEST, enclosed_growth, exact_held, exact_matrix
+from deadtime.switching.grid import Cuts
 
 BITS = (192, 384, 768, 1536)
 BEYOND = 3.0  # ln of what a trace is carried on beyond d

@@ -18,7 +18,7 @@ from numba import njit
 from deadtime.numerics.exponential import phases
 from deadtime.numerics.lanes import LANES, gather, same, spread, table_product
 from deadtime.plant import Window
-from deadtime.plant.steps import Cuts
+from deadtime.switching.grid import Cuts
 
 
 def future_rows(
