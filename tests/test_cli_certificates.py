@@ -238,7 +238,7 @@ def test_the_match_with_a_problem_is_data_too(capsys, saved):
 
 
 def test_a_certificate_of_a_law_that_the_problem_lacks_is_rejected(capsys, saved, tmp_path):
-    text = files("deadtime").joinpath("templates/follower.toml").read_text()
+    text = files("deadtime.problems").joinpath("files/follower.toml").read_text()
     other = tmp_path / "other.toml"
     other.write_text(f'{text}\n[[law]]\nkind = "mean"\n')
     code, out, _ = run(capsys, "verify", str(saved), "--problem", str(other), "--step", "0.1")
@@ -263,7 +263,7 @@ def test_a_certificate_without_an_entry_names_it(capsys, saved, tmp_path, sectio
 
 
 def test_certify_asks_for_the_dwell_time_of_a_rule(capsys, tmp_path):
-    paper = files("deadtime").joinpath("templates/paper.toml").read_text()
+    paper = files("deadtime.problems").joinpath("files/paper.toml").read_text()
     rule = '[signal]\nkind = "half-space"\nnormal = [1.0, 0.0]\n\n'
     (tmp_path / "own.toml").write_text(re.sub(r"(?ms)^\[signal\].*?(?=^\[run\])", rule, paper))
     code, _, err = run(capsys, "certify", str(tmp_path / "own.toml"))

@@ -4,8 +4,8 @@ import xarray as xr
 
 import deadtime as dt
 from deadtime.reports.figures.colours import GREY, looks_of
+from deadtime.reports.figures.comparison import plot_norms
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
-from deadtime.reports.figures.plotting import plot_norms
 from deadtime.reports.figures.runs import plot_laws
 
 LAWS = ["averaged", "mode 0 only", "mean", "oracle", "delay ignored"]

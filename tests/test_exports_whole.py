@@ -116,8 +116,8 @@ def test_names_of_inputs_reach_figures_headers_and_descriptions(folder):
     assert dt.problems.paper().inputs == ("u",)
     assert command("export", "two.toml", "--c", "out") == 0
     assert "Inputs: u[0]: throttle, u[1]: brake (N)." in (folder / "out/controller.h").read_text()
-    from deadtime.reports.figures.plotting import plot_run
     from deadtime.reports.figures.runs import plot_laws
+    from deadtime.simulation.figure import plot_run
 
     run = problem.simulate("averaged")
     lines = plot_run(run, inputs=problem.inputs).axes[1].get_lines()
@@ -180,7 +180,7 @@ def test_a_report_ends_a_source_that_is_there_and_sends_nobody_to_the_repository
     page = next((folder / "report").glob("*.html")).read_text(encoding="utf-8")
     assert ('<p class="source">A handbook.</p>' in page) == bool(source)
     assert '<p class="source">.' not in page
-    for path in files("deadtime").joinpath("templates").iterdir():
+    for path in files("deadtime.problems").joinpath("files").iterdir():
         if path.name.endswith(".j2"):
             text = path.read_text(encoding="utf-8")
             assert not re.search(r"docs/|\w\.md\b", text), path.name

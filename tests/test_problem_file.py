@@ -12,7 +12,7 @@ import deadtime as dt
 from deadtime.problems.file import json_schema, load_problem
 from deadtime.problems.toml.lines import key_lines
 
-TEMPLATES = Path(str(files("deadtime"))) / "templates"
+TEMPLATES = Path(str(files("deadtime.problems"))) / "files"
 PLAIN = """\
 [plant]
 delay = 0.35

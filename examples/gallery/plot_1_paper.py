@@ -15,7 +15,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plot_norms
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
+from deadtime.reports.figures.comparison import plot_norms
 
 # %%
 # Every law on one signal

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import deadtime as dt
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 from deadtime.reports.figures.monte_carlo import plot_monte_carlo
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
 
 problem = dt.problems.three_mode()
 plant, gains = problem.plant, problem.gains

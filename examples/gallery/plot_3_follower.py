@@ -19,7 +19,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plot_run
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
+from deadtime.simulation.figure import plot_run
 
 problem = dt.problems.follower()
 costs = {name: problem.simulate(name).metrics()["cost"] for name in problem.laws}

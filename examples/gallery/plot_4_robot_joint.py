@@ -21,7 +21,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 
 DELAY, DWELL_TIME, STEP = 0.33, 0.5, 0.03  # s
 GRAVITY = 9.81  # m/s²

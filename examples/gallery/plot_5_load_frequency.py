@@ -20,8 +20,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 from deadtime.imperfections import StepDisturbance
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
 
 BASE, NOMINAL = 1000.0, 60.0  # MW, Hz; all else is per unit of these, and seconds
 INERTIA, DAMPING, DROOP = (5.0, 4.0), (0.6, 0.9), (0.05, 0.0625)

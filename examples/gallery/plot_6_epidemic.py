@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from scipy.linalg import expm
 
 import deadtime as dt
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 
 LATENT, RECOVERY, R0 = 0.23, 1.3 / 4.0, 4.0  # 1/day, 1/day, -
 DELAY, PERIOD = 9.0 + 4.0, 1.0  # days

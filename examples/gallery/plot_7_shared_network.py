@@ -22,7 +22,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 
 REACTOR = np.array([
     [1.38, -0.2077, 6.715, -5.676],

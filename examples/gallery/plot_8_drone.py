@@ -22,8 +22,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import deadtime as dt
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 from deadtime.imperfections import ColouredDisturbance, Noise, StepDisturbance
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
 
 DRAG, SPEED, TILT = 0.58, 17.8, 10.0  # 1/s, m/s, 1/s
 DELAY, PERIOD, NOISE = 0.075 + 0.100, 1.0 / 30.0, 0.2  # s, s, m

@@ -190,7 +190,7 @@ def test_hostile_uploads_get_a_message_and_hurt_nobody(
     page, browser, explorer, tmp_path, name, content, said
 ):
     if content == "NAN":
-        text = files("deadtime").joinpath("templates", "paper.toml").read_text()
+        text = files("deadtime.problems").joinpath("files", "paper.toml").read_text()
         content = text.replace("[[2.0, 1.0]", "[[nan, 1.0]").encode()
     before = cost(page, "averaged")
     path = tmp_path / name

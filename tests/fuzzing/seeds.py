@@ -49,7 +49,7 @@ sojourn = { distribution = "expon", loc = 0.3, scale = 1.0 }
 """
 
 PROBLEMS = (
-    *(files("deadtime").joinpath("templates", f"{name}.toml").read_text(encoding="utf-8")
+    *(files("deadtime.problems").joinpath("files", f"{name}.toml").read_text(encoding="utf-8")
       for name in ("paper", "three-mode", "follower")),
     PLAIN,
     _with((_POLES, 'lqr = { Q = [[1.0, 0.0], [0.0, 1.0]], R = [[2.0]] }'), end="""

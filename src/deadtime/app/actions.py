@@ -5,22 +5,22 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import panel as pn
 import panel_material_ui as pmui
 
 from deadtime.app.chart import BOUNDS, KEY, Chart
-from deadtime.app.controls import WIDE
+from deadtime.app.controls import WIDE, Controls
+from deadtime.app.documents import Document
+from deadtime.app.figures import Figures
 from deadtime.app.jobs import growth_elsewhere, growth_rates, lifted_order, margin, worst_signal
+from deadtime.app.outcome import Outcome
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import Given
 from deadtime.app.table import csv_of
 from deadtime.base.wording import file_name, signed
 from deadtime.reports.figures.runs import plot_laws
-
-if TYPE_CHECKING:
-    from deadtime.app.page import Page
 
 _LIMIT = 120.0  # seconds that a search may take
 _REST = 250  # milliseconds after which a hand that moved something rests
@@ -38,10 +38,31 @@ cursor.tags = [timer];
 """
 
 
+class Shown(Protocol):
+    """What the buttons act on: the page that shows them."""
+
+    document: Document
+    outcome: Outcome
+    controls: Controls
+    figures: Figures
+
+    def toml(self) -> str: ...
+    def draft(self, without: Sequence[str] = ()) -> dict[str, Any]: ...
+    def draw_by_hand(self, time: float, mode: int) -> None: ...
+    def elsewhere(
+        self,
+        limit: float,
+        done: Callable[[Any], None],
+        failed: Callable[[str], None],
+        job: Callable[..., Any],
+        *given: Any,
+    ) -> None: ...
+
+
 class Actions:
     """The buttons of a page and the chart."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Shown) -> None:
         self.page = page
         self.chart = Chart()
         self.law = pmui.Select(label="Law in question", options=[""], **WIDE)

@@ -25,7 +25,7 @@ from deadtime.app.outcome import Outcome, run_draft
 from deadtime.app.settings import Drawn, Given, draft_of
 from deadtime.app.workers import Workers
 from deadtime.base.errors import DeadtimeError
-from deadtime.problems.problem import NAMED
+from deadtime.problems import NAMED
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
 _TRIAL = 60.0  # seconds after which a trial of an uploaded problem is stopped

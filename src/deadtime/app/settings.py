@@ -39,7 +39,7 @@ class Settings:
     Attributes
     ----------
     values : mapping
-        Parameters that were moved, by the names of `deadtime.scenarios.sweeps.axes.AXES`, or by their
+        Parameters that were moved, by the names of `scenarios.sweeps.axes.AXES`, or by their
         paths in the file, such as ``run.x0.0``.
     laws : tuple of str, or None
         Names of the laws that run; None: the file's.

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, checks of arguments, text and number formats, read-only data."""
+"""What every room stands on: errors, checks, formats of text and numbers, read-only data."""

@@ -9,6 +9,13 @@ expected and what was given, and what to do about it.
 class DeadtimeError(Exception):
     """Base class of every error that deadtime raises on purpose."""
 
+    def __init_subclass__(cls) -> None:
+        if cls.__module__ == __name__:
+            cls.__module__ = "deadtime"  # as users import it, and tracebacks should name it
+
+
+DeadtimeError.__module__ = "deadtime"
+
 
 class ArgumentError(DeadtimeError, ValueError):
     """An argument is malformed or asks for something that does not exist."""

@@ -42,7 +42,7 @@ def read_text(
     --------
     >>> read_text("/dev/zero", 1000)
     Traceback (most recent call last):
-    deadtime.base.errors.ArgumentError: /dev/zero is neither a file nor a pipe: give a file.
+    deadtime.ArgumentError: /dev/zero is neither a file nor a pipe: give a file.
     """
     # A name may hold what no terminal shows, and what would break the line.
     called = called or (str(path) if str(path).isprintable() else ascii(str(path)))

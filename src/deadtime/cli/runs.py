@@ -124,15 +124,16 @@ def _picture(problem: Problem, out: Path | None) -> Path:
 
 def _save_figures(result: Comparison, path: Path) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
-    from deadtime.reports.figures import plotting
+    from deadtime.reports.figures.comparison import plot_norms
+    from deadtime.simulation.figure import plot_run
 
     problem = result.problem
     run = result.runs[result.lead]
     title = f"Law: {result.lead}"
-    figures = [(path, plotting.plot_run(run, title, problem.states, problem.modes, problem.inputs))]
+    figures = [(path, plot_run(run, title, problem.states, problem.modes, problem.inputs))]
     if len(result.runs) > 1:
         second = path.with_stem(path.stem + "-all-laws")
-        figures.append((second, plotting.plot_norms(result.runs)))
+        figures.append((second, plot_norms(result.runs)))
     for target, figure in figures:
         save_figure(figure, target)
     return [target for target, _ in figures]

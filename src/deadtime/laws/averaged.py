@@ -138,7 +138,10 @@ class AveragedPredictor(TableLaw):
         """
         from deadtime.laws.minimax import minimax
 
-        weights, gains, _ = minimax(plant, gains, step, common_gain, allow_unstable)
+        def tables(K: np.ndarray, weights: np.ndarray, period: float, /) -> Feedback:
+            return cls(plant, K, weights, allow_unstable=True).digital(period)
+
+        weights, gains, _ = minimax(tables, plant, gains, step, common_gain, allow_unstable)
         law = cls(plant, gains, weights, dwell_time, allow_unstable=allow_unstable)
         vars(law).update(tuned=True)
         return law

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import InfeasibleError
+from deadtime.feedback import Feedback
 from deadtime.feedback.law import checked_gains
-from deadtime.laws.averaged import AveragedPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop
 
@@ -36,9 +36,14 @@ _UNSTABLE = 1e6
 # From a vector of variables to weights (modes,) and gains (modes, m, n).
 Reading = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 Height = Callable[[np.ndarray], float]
+# From gains and weights to the table of a law at a period.
+Tables = Callable[[np.ndarray, np.ndarray, float], Feedback]
+# From weights and gains to the growth rates of the modes at a period.
+Rates = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 
 def minimax(
+    tables: Tables,
     plant: SwitchedSystem,
     gains: ArrayLike,
     step: float,
@@ -58,26 +63,29 @@ def minimax(
     step = positive("step", step)
     coarse = max(step, plant.delay / _COARSE)
 
+    def rates(weights: np.ndarray, K: np.ndarray, period: float, /) -> np.ndarray:
+        return _rates(plant, tables(K, weights, period), period)
+
     def own(variables: np.ndarray, /) -> tuple[np.ndarray, np.ndarray]:
         return _weights(variables), given
 
-    height, lattice = _height(plant, own, coarse), _simplex(plant.modes)
+    height, lattice = _height(plant, rates, own, coarse), _simplex(plant.modes)
     order = np.argsort([height(point) for point in lattice], kind="stable")
     start = _best(height, [lattice[i] for i in order[:3]], 0.05)
-    best, _ = _refined(_height(plant, own, step), start, 0.02, 3)
+    best, _ = _refined(_height(plant, rates, own, step), start, 0.02, 3)
     if not common_gain:
-        return _weights(best), given, _rates(plant, _weights(best), given, step)
+        return _weights(best), given, rates(_weights(best), given, step)
 
     read, starts = _one_gain(plant, given, _weights(best))
-    start = _best(_height(plant, read, coarse, allow_unstable), starts, 0.2)
-    best, worst = _refined(_height(plant, read, step, allow_unstable), start, 0.02, 3)
+    start = _best(_height(plant, rates, read, coarse, allow_unstable), starts, 0.2)
+    best, worst = _refined(_height(plant, rates, read, step, allow_unstable), start, 0.02, 3)
     if worst >= _UNSTABLE:
         raise InfeasibleError(
             "no common gain was found that leaves every A_i + B_i K stable: use the modes' own "
             "gains (common_gain = False), or allow_unstable = True."
         )
     weights, K = read(best)
-    return weights, K, _rates(plant, weights, K, step)
+    return weights, K, rates(weights, K, step)
 
 
 def _one_gain(
@@ -98,7 +106,7 @@ def _one_gain(
 
 
 def _height(
-    plant: SwitchedSystem, read: Reading, step: float, allow_unstable: bool = True
+    plant: SwitchedSystem, rates: Rates, read: Reading, step: float, allow_unstable: bool = True
 ) -> Height:
     """The largest growth rate; far above it where A_i + B_i K must be stable and is not."""
 
@@ -108,16 +116,13 @@ def _height(
             rightmost = np.linalg.eigvals(plant.A + plant.B @ K).real.max()
             if rightmost >= 0.0:
                 return _UNSTABLE + float(rightmost)
-        return float(_rates(plant, weights, K, step).max())
+        return float(rates(weights, K, step).max())
 
     return height
 
 
-def _rates(
-    plant: SwitchedSystem, weights: np.ndarray, K: np.ndarray, step: float
-) -> Float[np.ndarray, " mode"]:
+def _rates(plant: SwitchedSystem, table: Feedback, step: float) -> Float[np.ndarray, " mode"]:
     """The growth rate of every mode held for ever."""
-    table = AveragedPredictor(plant, K, weights, allow_unstable=True).digital(step)
     loops = [LiftedLoop.of(plant, table, mode, 0) for mode in range(plant.modes)]
     return np.array([loop.growth_rate(step) for loop in loops])
 

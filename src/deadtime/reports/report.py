@@ -22,10 +22,11 @@ from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import Comparison, Progress, compare
 from deadtime.reports.audit import STEPS, audit
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
-from deadtime.reports.figures import plotting
+from deadtime.reports.figures.comparison import plot_norms, plot_signal, plot_verdict, plot_window
 from deadtime.reports.tables.certificates import delay_sentence
 from deadtime.reports.tables.constants import bound_rows, bound_sentence, bounds_of
 from deadtime.reports.verdict import HEADINGS, table, verdict
+from deadtime.simulation.figure import plot_run
 from deadtime.simulation.outcome import Outcome
 from deadtime.switching import SwitchingSignal
 
@@ -51,23 +52,23 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
     yield (
         "window",
         "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",
-        plotting.plot_window(signal, delay, end, problem.modes),
+        plot_window(signal, delay, end, problem.modes),
     )
     yield (
         "signal",
         f"The switching signal of {_whose(result)}: active mode in blue, switching instants in "
         "black.",
-        plotting.plot_signal(signal, end, problem.modes),
+        plot_signal(signal, end, problem.modes),
     )
     for name, run in result.runs.items():
         if not _is_shown(problem, name):
             continue
-        figure = plotting.plot_run(run, None, problem.states, problem.modes, problem.inputs)
+        figure = plot_run(run, None, problem.states, problem.modes, problem.inputs)
         yield file_name(name), f"States, input and mode under the law “{name}”.", figure
     yield (
         "all-laws",
         "Every law on one axis; a law far above the others leaves the frame.",
-        plotting.plot_norms(result.runs),
+        plot_norms(result.runs),
     )
 
 
@@ -138,7 +139,7 @@ def _write(
     sentences = [*verdict(result), *delay_sentence(problem)]
     progress("drawing: verdict")
     caption = "The same law with and without switching."
-    picture = save_figure(plotting.plot_verdict(result), folder, "verdict", caption)
+    picture = save_figure(plot_verdict(result), folder, "verdict", caption)
     images = []
     for number, (name, caption, figure) in enumerate(figures_of(result), 1):
         progress(f"drawing: {name}")
@@ -271,7 +272,10 @@ def _page(
 
     problem, plant = result.problem, result.problem.plant
     template = Environment(
-        loader=PackageLoader("deadtime"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("deadtime.reports"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
     ).get_template("report.html.j2")
     return template.render(
         problem=problem,

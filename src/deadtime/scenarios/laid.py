@@ -1,7 +1,7 @@
 """Switching signals laid on the periods of a digital loop, many at once, compiled.
 
 A record says which map takes a scenario over a period, from that period on: its mode's own, or
-that of a period which a switch cuts. As `deadtime.plant.steps.Cuts` has it, a switch within 1e-9 of a
+that of a period which a switch cuts. As `plant.steps.Cuts` has it, a switch within 1e-9 of a
 period of a sample, or of an arriving input, is at it.
 """
 

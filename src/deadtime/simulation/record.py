@@ -19,7 +19,7 @@ from deadtime.switching.grid import Cuts
 
 @dataclass(frozen=True, eq=False)
 class PhaseTable(Frozen):
-    """The transitions of the steps of a run, as `deadtime.numerics.exponential.phases` returns them."""
+    """The transitions of the steps of a run, as `numerics.exponential.phases` returns them."""
 
     index: Int[np.ndarray, "step 2"]
     Phi: Float[np.ndarray, "entry n n"]

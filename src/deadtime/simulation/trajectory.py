@@ -131,7 +131,7 @@ class Trajectory(Frozen):
 
         A run that ended before the first of the `times` asked for is drawn at its samples.
         """
-        from deadtime.reports.figures.plotting import plot_run
+        from deadtime.simulation.figure import plot_run
 
         if self.time.size:
             return plot_run(self, title)

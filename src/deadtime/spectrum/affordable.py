@@ -66,7 +66,7 @@ def require_affordable(
     >>> law = dt.SingleModePredictor(plant, [[[0.1]]], 0)
     >>> require_affordable("delay margin", plant, law, 0.01)
     Traceback (most recent call last):
-    deadtime.base.errors.ArgumentError: step must be longer for a delay margin, got 0.01 s: the delay \
+    deadtime.ArgumentError: step must be longer for a delay margin, got 0.01 s: the delay \
 of 250 s holds D/h = 25,000 periods of 0.01 s, with which it takes about 2 min; check their units, \
 or give a longer step, 0.04 s.
     """

@@ -72,7 +72,7 @@ def exact_held(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, Any]:
 
 
 def _period(plant: SwitchedSystem, step: float, mode: int) -> tuple[Any, dict[int, Any]]:
-    """Balls of Φ, and of Γ by lag, over a period of one mode; see `deadtime.plant.sampled_plant`."""
+    """Balls of Φ, and of Γ by lag, over a period of one mode; see `plant.sampled_plant`."""
     from flint import arb, arb_mat
 
     n, m = plant.B.shape[1:]

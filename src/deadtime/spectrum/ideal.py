@@ -1,6 +1,6 @@
 """The ideal loop of one mode for ever, as a characteristic matrix.
 
-A law updated continuously is a sum over branches (`deadtime.feedback.forecast`). While one mode lasts for
+A law updated continuously is a sum over branches (`feedback.forecast`). While one mode lasts for
 ever each branch stays in one system, and all together are one frozen system (S, R), the
 branches' A and B stacked, that starts from L x(t) and is read by K, the branches' gains side by
 side:

@@ -8,7 +8,7 @@ W the longer of the plant's longest lag N and the law's taps:
 
     u_k = F x_k + Σ_j G_j u_{k−j},    x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},
 
-l over the lags of the plant's period (`deadtime.plant.sampled_plant`). The rest of z is shifted. The
+l over the lags of the plant's period (`plant.sampled_plant`). The rest of z is shifted. The
 law's row comes from its own model, which need not be the plant.
 """
 

@@ -12,15 +12,24 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.text_files import read_text
-from deadtime.switching.signal import SwitchingSignal
 
 MOST_BYTES = 100_000_000
 MOST_MODES = 1000  # of a log whose plant is not known
 UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
 LATEST = 10**11  # seconds; counted from 1970 it is the year 5138
+
+
+class SwitchingLog(NamedTuple):
+    """What a log says, as `SwitchingSignal` takes it: times in seconds from the first row."""
+
+    times: Float[np.ndarray, " sojourn"]
+    modes: Int[np.ndarray, " sojourn"]
+    end: float
+    initial_age: float
 
 
 def read_log(
@@ -30,8 +39,8 @@ def read_log(
     labels: Mapping[str, int] | None = None,
     end: float | None = None,
     unit: str | None = None,
-) -> SwitchingSignal:
-    """A signal from a CSV file with a header and the columns `time` and `mode`.
+) -> SwitchingLog:
+    """Times and modes from a CSV file with a header and the columns `time` and `mode`.
 
     Rows may be switching events or samples, evenly spaced or not: a mode begins at the first row
     that names it. The first row's time becomes 0, before any digit of the others is lost, so
@@ -79,7 +88,7 @@ def read_log(
         known_until = times[-1]
         times, visited = times[:-1], visited[:-1]
     age_at_start = float(_decimal(f"{source}: initial_age", age)) if age else 0.0
-    return SwitchingSignal(times, np.array(visited), known_until, initial_age=age_at_start)
+    return SwitchingLog(times, np.array(visited), known_until, age_at_start)
 
 
 def _power(source: Path, start: Decimal, unit: str | None) -> int:
@@ -158,14 +167,14 @@ def _short(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:79]}…"
 
 
-def write_log(signal: SwitchingSignal, path: str | PathLike[str]) -> None:
-    """Write the signal's sojourns; a finite end becomes a last row that repeats the mode."""
-    rows = list(zip(signal.times.tolist(), signal.modes.tolist(), strict=True))
-    if np.isfinite(signal.end):
-        rows.append((signal.end, int(signal.modes[-1])))
+def write_log(log: SwitchingLog, path: str | PathLike[str]) -> None:
+    """Write a signal's sojourns; a finite end becomes a last row that repeats the mode."""
+    rows = list(zip(log.times.tolist(), log.modes.tolist(), strict=True))
+    if np.isfinite(log.end):
+        rows.append((log.end, int(log.modes[-1])))
     known = [()] * len(rows)
-    if signal.initial_age:
-        known = [(repr(signal.initial_age),), *[("",)] * (len(rows) - 1)]
+    if log.initial_age:
+        known = [(repr(log.initial_age),), *[("",)] * (len(rows) - 1)]
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("time", "mode", "initial_age")[: 2 + len(known[0])])

@@ -259,14 +259,15 @@ class SwitchingSignal(Frozen):
         """A signal from a log with columns `time` and `mode`; see `deadtime.switching.log`."""
         from deadtime.switching.log import read_log
 
-        signal = read_log(path, modes=modes, labels=labels, end=end, unit=unit)
+        log = read_log(path, modes=modes, labels=labels, end=end, unit=unit)
+        signal = cls(log.times, log.modes, log.end, initial_age=log.initial_age)
         return signal if dwell_time is None else signal.require_dwell_time(dwell_time)
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write the log that `from_csv` reads back exactly."""
-        from deadtime.switching.log import write_log
+        from deadtime.switching.log import SwitchingLog, write_log
 
-        write_log(self, path)
+        write_log(SwitchingLog(self.times, self.modes, self.end, self.initial_age), path)
 
     def __repr__(self) -> str:
         return (

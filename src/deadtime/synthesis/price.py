@@ -2,7 +2,7 @@
 
 With one mode for ever, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
 `deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
-`deadtime.numerics.exponential` give ∫|x|² over both phases of the period, the held input h |u_k|². So
+`numerics.exponential` give ∫|x|² over both phases of the period, the held input h |u_k|². So
 
     ∫₀^∞ |x|² + |u|² dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
 

@@ -7,7 +7,7 @@ overflows nor underflows when w is near 1/(growth over a period):
     x̃_{k+1} = w (Φ₁ (Φ₀ x̃_k + w^N Γ₀ ũ_{k−N}) + w^{N−1} Γ₁ ũ_{k−N+1}).
 
 A period begins with its sample.
-`index`, Φ, Γ are a phase table (`deadtime.numerics.exponential.phases`); row c of the law is F[c] and
+`index`, Φ, Γ are a phase table (`numerics.exponential.phases`); row c of the law is F[c] and
 G[c] (m, taps·m), weighted, the oldest input first. This module needs Numba, so it is imported
 where it is used.
 """

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.problem import NAMED
+from deadtime.problems.literature import NAMED
 
 
 def is_named(place: Path) -> bool:
@@ -43,4 +43,4 @@ def template(name: str) -> str:
     >>> "[plant]" in template("follower")
     True
     """
-    return files("deadtime").joinpath("templates", f"{name}.toml").read_text(encoding="utf-8")
+    return files("deadtime.problems").joinpath("files", f"{name}.toml").read_text(encoding="utf-8")

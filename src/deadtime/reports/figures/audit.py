@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
 from deadtime.reports.audit import Claim, Proportion, Sweep
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH
 
 VERDICTS = {
     "holds": (COLOURS[2], "o"),

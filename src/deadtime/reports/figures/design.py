@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.synthesis.floors import DECAY
 
 if TYPE_CHECKING:

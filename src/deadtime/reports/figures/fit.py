@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.switching import SemiMarkov, SwitchingSignal
 from deadtime.switching.models.families import Observed
 from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.base.wording import amount
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
 from deadtime.reports.tightness import Reach, Tightness
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.figure_style import LINES, STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import looks_of
-from deadtime.reports.figures.plotting import LINES, STYLE, WIDTH, plain
 from deadtime.reports.tables.monte_carlo import (
     losses,
     names_of,

@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.margins import Robustness, Tolerance
 from deadtime.plant import SwitchedSystem
-from deadtime.reports.figures.plotting import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import MOST, seconds_of
 

@@ -9,10 +9,11 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deadtime.base.figure_style import LINES, STYLE, WIDTH, plain
 from deadtime.base.wording import input_names, subscript
 from deadtime.reports.figures.colours import Look, looks_of
-from deadtime.reports.figures.plotting import LINES, STYLE, WIDTH, mode_strip, plain, signal_steps
 from deadtime.simulation import Trajectory
+from deadtime.simulation.figure import mode_strip, signal_steps
 
 _FAR = 5.0  # a run that goes so many times as far as the others leaves the frame
 

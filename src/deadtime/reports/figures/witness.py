@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain, visible
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain, visible
 
 if TYPE_CHECKING:
     from deadtime.certificates import WorstCase

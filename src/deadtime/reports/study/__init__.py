@@ -1,6 +1,6 @@
 """Studies: which law, when? A sweep over plants and switching, with maps and answers in sentences.
 
-The sweep is `deadtime.scenarios.sweeps`; here is what reads its dataset. What draws and writes is in
+The sweep is `scenarios.sweeps`; here is what reads its dataset. What draws and writes is in
 `deadtime.reports.study.report`.
 """
 

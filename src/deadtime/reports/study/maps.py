@@ -13,8 +13,8 @@ from matplotlib import rc_context
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
+from deadtime.base.figure_style import STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import colour_of
-from deadtime.reports.figures.plotting import STYLE, WIDTH, plain
 from deadtime.reports.figures.sweeps.maps import Scale, coloured, winners
 from deadtime.reports.figures.sweeps.panels import Grid
 from deadtime.reports.study.findings import LOST, best, duel, summary

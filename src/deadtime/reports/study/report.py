@@ -160,7 +160,10 @@ def _page(study: FileStudy, **parts: Any) -> str:
     from jinja2 import Environment, PackageLoader
 
     template = Environment(
-        loader=PackageLoader("deadtime"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("deadtime.reports"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
     ).get_template("study.html.j2")
     return template.render(
         study=study,

@@ -52,7 +52,7 @@ def described(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Layout]:
     --------
     >>> described({"block": [1]})
     Traceback (most recent call last):
-    deadtime.base.errors.ArgumentError: its definition is no JSON.
+    deadtime.ArgumentError: its definition is no JSON.
     """
     known = dict(attributes)
     try:

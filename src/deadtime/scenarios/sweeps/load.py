@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadtime.base.errors import ArgumentError, ProblemFileError, StudyFileError
-from deadtime.problems import Problem
+from deadtime.problems import NAMED, Problem
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import as_numbers, build_problem
 from deadtime.problems.file.named import template
-from deadtime.problems.problem import NAMED
 from deadtime.problems.toml import SectionError, read_toml, require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, write_path
 from deadtime.scenarios.sweeps.file_study import FileStudy, without_signal

@@ -48,7 +48,7 @@ def open_sweep(store: str | PathLike[str]) -> xr.Dataset:
     --------
     >>> open_sweep("nowhere.zarr")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    deadtime.base.errors.ArgumentError: store '...nowhere.zarr' does not exist: run the sweep first.
+    deadtime.ArgumentError: store '...nowhere.zarr' does not exist: run the sweep first.
     """
     import xarray as xr
 

@@ -4,7 +4,7 @@ Region r is where all of its g are ≤ 0; those numbered first[r], …, first[r 
 Polyhedra have no Q: `forms` is then empty. A tuple `boundaries` is (forms, rows, offsets), a tuple
 `regions` has first and the mode of every region besides.
 
-A state is known up to its spread M|x| + N|u| only (`deadtime.switching.rules.motion.round_off`), and so
+A state is known up to its spread M|x| + N|u| only (`switching.rules.motion.round_off`), and so
 g up to its band β, and the direction in which a vector field crosses a boundary.
 
 This module needs Numba, so it is imported where it is used.

@@ -1,7 +1,7 @@
 """Where a trajectory under a held input crosses from region to region, compiled.
 
 The trajectory leaves a region at the first time at which some of its g (see
-`deadtime.switching.rules.boundaries`) is positive. While |A|τ ≤ 1/2 the state is to round-off its Taylor
+`switching.rules.boundaries`) is positive. While |A|τ ≤ 1/2 the state is to round-off its Taylor
 polynomial
 
     x(s) = x + v s + A v s²/2! + A² v s³/3! + …,    v = A x + B u,

@@ -1,6 +1,6 @@
 """Switching rules: the mode as a function of the state, σ(t) = r(x(t)).
 
-A half-space, polyhedra or quadratic forms (`deadtime.switching.rules.quadratic`) say where each mode is
+A half-space, polyhedra or quadratic forms (`switching.rules.quadratic`) say where each mode is
 active; a function of the state may say anything. A state on a boundary belongs to mode 1 of a
 half-space, to the first of the polyhedra that hold it. A rule must name one mode for every state:
 regions that overlap or leave a gap are refused.

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
-from deadtime.reports.figures.plotting import WIDTH, plain
+from deadtime.base.figure_style import WIDTH, plain
 from deadtime.reports.figures.sweeps.scales import linear_ticks, log_ticks
 from deadtime.reports.figures.sweeps.words import text_of, unbroken
 

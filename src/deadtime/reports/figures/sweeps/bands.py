@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from deadtime.base.figure_style import LINES, STYLE, plain
 from deadtime.reports.figures.colours import colours_of
-from deadtime.reports.figures.plotting import LINES, STYLE, plain
 from deadtime.reports.figures.sweeps.band_panels import (
     add_legend,
     draw,

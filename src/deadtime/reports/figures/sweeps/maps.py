@@ -18,7 +18,7 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from deadtime.reports.figures.plotting import STYLE, plain
+from deadtime.base.figure_style import STYLE, plain
 from deadtime.reports.figures.sweeps.panels import (
     HATCH,
     NOT_BUILT,

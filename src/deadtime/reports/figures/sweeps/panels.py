@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from deadtime.base.errors import ArgumentError
-from deadtime.reports.figures.plotting import WIDTH, plain
+from deadtime.base.figure_style import WIDTH, plain
 from deadtime.reports.figures.sweeps.words import label_of, name_of, say, text_of
 
 if TYPE_CHECKING:

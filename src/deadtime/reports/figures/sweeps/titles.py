@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-from deadtime.reports.figures.plotting import plain
+from deadtime.base.figure_style import plain
 from deadtime.reports.figures.sweeps.panels import Grid
 from deadtime.reports.figures.sweeps.selection import axes_of
 from deadtime.reports.figures.sweeps.words import say, unbroken

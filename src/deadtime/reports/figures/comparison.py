@@ -1,121 +1,24 @@
-"""Figures, drawn with matplotlib and returned as `Figure` objects: save or show them yourself.
+"""Figures of a comparison: |x| under every law, the verdict, and the switching signal.
 
-Sized for one column of a paper; colours are those of Okabe and Ito, told apart by colour-blind
-readers too.
+Drawn with matplotlib and returned as `Figure` objects: save or show them yourself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deadtime.base.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
-from deadtime.base.wording import input_names, one_line, signed, subscript
+from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain, visible
+from deadtime.base.wording import signed
+from deadtime.problems import Problem
+from deadtime.problems.comparison import Comparison
+from deadtime.reports.figures.colours import looks_of
 from deadtime.simulation import Trajectory
+from deadtime.simulation.figure import signal_steps
 from deadtime.switching import SwitchingSignal
-
-if TYPE_CHECKING:
-    from deadtime.problems import Problem
-    from deadtime.problems.comparison import Comparison
-
-COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, BLACK)
-LINES = ("-", "--", "-.", ":")
-WIDTH = 4.6
-STYLE: dict[Any, Any] = {
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.4,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "figure.constrained_layout.use": True,
-    "figure.dpi": 180,
-    "svg.hashsalt": "deadtime",
-}
-
-
-def plain(text: str) -> str:
-    """A user's text for matplotlib: no mathematics in it, and never hidden from a legend.
-
-    What cannot be printed would make an SVG malformed; lines stay.
-
-    Examples
-    --------
-    >>> plain("_cost in $")
-    '\u200b_cost in \\\\$'
-    """
-    text = "\n".join(map(one_line, text.split("\n"))).replace("$", r"\$")
-    return f"\u200b{text}" if text.startswith("_") else text
-
-
-def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
-    """σ as steps, with the modes' names on the axis."""
-    axes.step(time, mode, where="post", color=COLOURS[6], linewidth=1.0)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(-0.35, len(names) - 0.65)
-    axes.grid(False)
-
-
-def signal_steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the signal on [0, end] for a step plot."""
-    inside = signal.times < end
-    times, modes = signal.times[inside], signal.modes[inside]
-    return np.append(times, end), np.append(modes, modes[-1])
-
-
-def plot_run(
-    run: Trajectory,
-    title: str | None = None,
-    states: Sequence[str] | None = None,
-    modes: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
-) -> Figure:
-    """States, inputs and mode of a run over time."""
-    n, m = run.states.shape[0], run.inputs.shape[0]
-    states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
-    count = run.plant.modes
-    modes = [f"mode {i}" for i in range(count)] if modes is None else modes
-    inputs = input_names(m) if inputs is None else inputs
-    states, modes, inputs = (list(map(plain, names)) for names in (states, modes, inputs))
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 4.0))
-        upper, middle, lower = figure.subplots(
-            3, 1, sharex=True, height_ratios=(3.0, 2.2, 0.5 + 0.25 * count)
-        )
-        for i, name in enumerate(states):
-            upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
-        for i, name in enumerate(inputs):
-            style = "steps-post" if run.record.held else "default"
-            colour = COLOURS[(i + 4) % 7]
-            middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=name)
-        upper.set_ylabel("state")
-        middle.set_ylabel("input")
-        # A run that ended at once still needs an axis.
-        end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
-        mode_strip(lower, *signal_steps(run.signal, end), modes)
-        lower.set_xlabel("time (s)")
-        lower.set_xlim(run.time[0], end)
-        figure.align_ylabels()
-        figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, *inputs)))
-        if title:
-            upper.set_title(plain(title))
-    return figure
-
-
-def _columns(count: int, labels: Sequence[str]) -> int:
-    """How many legend columns fit the width."""
-    return max(1, min(count, 62 // (max(map(len, labels)) + 6)))
 
 
 def plot_signal(signal: SwitchingSignal, end: float, modes: Sequence[str]) -> Figure:
@@ -165,15 +68,8 @@ def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequen
     return figure
 
 
-def visible(norm: np.ndarray) -> np.ndarray:
-    """|x| for a logarithmic axis, which has no 0."""
-    return np.maximum(norm, np.finfo(float).tiny)
-
-
 def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figure:
     """|x| of several runs on one logarithmic axis; a run far above the others leaves the frame."""
-    from deadtime.reports.figures.colours import looks_of
-
     norms = {name: np.linalg.norm(run.states, axis=0) for name, run in runs.items()}
     tops = sorted(float(norm.max()) for norm in norms.values())
     bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())

@@ -1,0 +1,53 @@
+"""How figures look: sizes, colours, lines and safe text, for one column of a paper.
+
+The colours are those of Okabe and Ito, told apart by colour-blind readers too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
+from deadtime.base.wording import one_line
+
+COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, BLACK)
+LINES = ("-", "--", "-.", ":")
+WIDTH = 4.6
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "figure.constrained_layout.use": True,
+    "figure.dpi": 180,
+    "svg.hashsalt": "deadtime",
+}
+
+
+def plain(text: str) -> str:
+    """A user's text for matplotlib: no mathematics in it, and never hidden from a legend.
+
+    What cannot be printed would make an SVG malformed; lines stay.
+
+    Examples
+    --------
+    >>> plain("_cost in $")
+    '\u200b_cost in \\\\$'
+    """
+    text = "\n".join(map(one_line, text.split("\n"))).replace("$", r"\$")
+    return f"\u200b{text}" if text.startswith("_") else text
+
+
+def visible(norm: np.ndarray) -> np.ndarray:
+    """|x| for a logarithmic axis, which has no 0."""
+    return np.maximum(norm, np.finfo(float).tiny)

@@ -1,0 +1,77 @@
+"""The figure of a run: states, inputs and mode over time, as a matplotlib `Figure`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
+from deadtime.base.wording import input_names, subscript
+from deadtime.switching import SwitchingSignal
+
+if TYPE_CHECKING:
+    from deadtime.simulation.trajectory import Trajectory
+
+
+def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
+    """σ as steps, with the modes' names on the axis."""
+    axes.step(time, mode, where="post", color=COLOURS[6], linewidth=1.0)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(-0.35, len(names) - 0.65)
+    axes.grid(False)
+
+
+def signal_steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the signal on [0, end] for a step plot."""
+    inside = signal.times < end
+    times, modes = signal.times[inside], signal.modes[inside]
+    return np.append(times, end), np.append(modes, modes[-1])
+
+
+def plot_run(
+    run: Trajectory,
+    title: str | None = None,
+    states: Sequence[str] | None = None,
+    modes: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+) -> Figure:
+    """States, inputs and mode of a run over time."""
+    n, m = run.states.shape[0], run.inputs.shape[0]
+    states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
+    count = run.plant.modes
+    modes = [f"mode {i}" for i in range(count)] if modes is None else modes
+    inputs = input_names(m) if inputs is None else inputs
+    states, modes, inputs = (list(map(plain, names)) for names in (states, modes, inputs))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 4.0))
+        upper, middle, lower = figure.subplots(
+            3, 1, sharex=True, height_ratios=(3.0, 2.2, 0.5 + 0.25 * count)
+        )
+        for i, name in enumerate(states):
+            upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
+        for i, name in enumerate(inputs):
+            style = "steps-post" if run.record.held else "default"
+            colour = COLOURS[(i + 4) % 7]
+            middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=name)
+        upper.set_ylabel("state")
+        middle.set_ylabel("input")
+        # A run that ended at once still needs an axis.
+        end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
+        mode_strip(lower, *signal_steps(run.signal, end), modes)
+        lower.set_xlabel("time (s)")
+        lower.set_xlim(run.time[0], end)
+        figure.align_ylabels()
+        figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, *inputs)))
+        if title:
+            upper.set_title(plain(title))
+    return figure
+
+
+def _columns(count: int, labels: Sequence[str]) -> int:
+    """How many legend columns fit the width."""
+    return max(1, min(count, 62 // (max(map(len, labels)) + 6)))
