@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import panel as pn
@@ -42,13 +42,14 @@ class Shown(Protocol):
     """What the buttons act on: the page that shows them."""
 
     document: Document
+    offer: Mapping[str, Any]
     outcome: Outcome
     controls: Controls
     figures: Figures
 
     def toml(self) -> str: ...
     def draft(self, without: Sequence[str] = ()) -> dict[str, Any]: ...
-    def draw_by_hand(self, time: float, mode: int) -> None: ...
+    def draw_by_hand(self, at: float, mode: int) -> None: ...
     def elsewhere(
         self,
         limit: float,

@@ -18,8 +18,7 @@ from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.law_registry import QUICK
 from deadtime.problems.slips import slips_of
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import Outcome as Ending
-from deadtime.simulation.outcome import untested
+from deadtime.simulation.outcome import Outcome as Ending, untested
 from deadtime.switching import SwitchingSignal
 
 MOST_SAMPLES = 20_000

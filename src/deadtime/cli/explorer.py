@@ -9,8 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import START, AsJson, lines
-from deadtime.cli.entry import app as commands
+from deadtime.cli.entry import START, AsJson, app as commands, lines
 from deadtime.cli.printing import print_json
 
 

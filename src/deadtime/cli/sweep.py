@@ -68,8 +68,7 @@ def sweep(
         Print the result as JSON instead of text.
     """
     from deadtime.base.checks import count
-    from deadtime.scenarios.sweeps import load_study
-    from deadtime.scenarios.sweeps import sweep as run
+    from deadtime.scenarios.sweeps import load_study, sweep as run
     from deadtime.scenarios.sweeps.plan import plan_of
 
     chosen = load_study(file)
@@ -193,8 +192,13 @@ def duration(seconds: float) -> str:
 @contextmanager
 def progress_of(plan: Plan, quiet: bool, remote: bool) -> Iterator[Callable[[Progress], None]]:
     """Progress on stderr: a bar on a terminal; a line now and then about a cluster elsewhere."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress as Bar,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     from deadtime.cli.console import Terminal
 

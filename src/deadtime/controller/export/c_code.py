@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jinja2 import Environment
 
-    from deadtime.controller.controller import Controller
+    from deadtime.controller.running import RunningLaw
 
 _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
@@ -77,7 +77,7 @@ class Exported:
 
 
 def export_c(
-    controller: Controller,
+    controller: RunningLaw,
     folder: str | Path,
     *,
     precision: Precision = "double",
@@ -113,7 +113,7 @@ def export_c(
 
 
 def c_sources(
-    controller: Controller,
+    controller: RunningLaw,
     precision: Precision,
     accuracy: float | None,
     rom_budget: int | None,
@@ -176,7 +176,7 @@ def description(form: Form) -> str:
     return "dense: a period costs one product a past input"
 
 
-def _values(controller: Controller, form: Form, precision: Precision, name: str) -> dict[str, Any]:
+def _values(controller: RunningLaw, form: Form, precision: Precision, name: str) -> dict[str, Any]:
     """What the templates are filled with."""
     import numpy as np
 
@@ -233,7 +233,7 @@ def _magic(told: str) -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:7] + "d"
 
 
-def _words(controller: Controller, names: Names) -> dict[str, Any]:
+def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     """What the header's comment says."""
     import numpy as np
 

@@ -19,11 +19,11 @@ from deadtime.controller.export.staging import Staging
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
-    from deadtime.controller.controller import Controller
+    from deadtime.controller.running import RunningLaw
 
 
 def export_fmu(
-    controller: Controller,
+    controller: RunningLaw,
     path: str | Path,
     *,
     version: Version = "3.0",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from deadtime.controller.controller import Controller
+    from deadtime.controller.running import RunningLaw
 
 _PRECISIONS = ("double", "float")
 # `name.h` must hide no header of the standard library, and `name.c` not be main.c.
@@ -23,7 +23,7 @@ _TAKEN = frozenset(
 )
 
 
-def require_exportable(controller: Controller, precision: str, name: str) -> None:
+def require_exportable(controller: RunningLaw, precision: str, name: str) -> None:
     """Refuse what has no C."""
     if precision not in _PRECISIONS:
         raise ArgumentError(f"precision must be 'double' or 'float', got {precision!r}.")
@@ -40,7 +40,7 @@ def require_exportable(controller: Controller, precision: str, name: str) -> Non
         )
 
 
-def require_limits(controller: Controller, most: float) -> None:
+def require_limits(controller: RunningLaw, most: float) -> None:
     """Refuse limits that leave nothing of what the C can count."""
     if (controller.low > most).any() or (controller.high < -most).any():
         raise ArgumentError(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.base.version import __version__
-from deadtime.controller.controller import Controller
+from deadtime.controller.running import RunningLaw
 
 _HOSTILE, _MOST_LINES = 300, 800
 
@@ -47,9 +47,9 @@ class Draws:
         return self.amplitude * found
 
 
-def vectors(controller: Controller) -> Vectors:
+def vectors(controller: RunningLaw) -> Vectors:
     """Run a copy of the controller from a random past, through every row, with all that is bad."""
-    run = Controller(controller.law, controller.step, limits=(controller.low, controller.high))
+    run = RunningLaw(controller.law, controller.step, limits=(controller.low, controller.high))
     plant, table = run.law.plant, run.table
     n, m = plant.states, plant.inputs
     amplitude = _amplitude(run)
@@ -82,7 +82,7 @@ def vectors(controller: Controller) -> Vectors:
     return Vectors(csv, scale, longest, amplitude, age, calls, len(visited))
 
 
-def _calls(run: Controller, amplitude: float) -> Iterator[_Call]:
+def _calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     """(skip, time, mode, x, applied): hostile ones, good ones through all rows, clocks."""
     plant, rng = run.law.plant, np.random.default_rng(0)
     modes = np.repeat(rng.integers(0, plant.modes, _HOSTILE), rng.integers(1, 30, _HOSTILE))
@@ -109,7 +109,7 @@ def _calls(run: Controller, amplitude: float) -> Iterator[_Call]:
 
 
 def _through_rows(
-    run: Controller, rng: np.random.Generator, amplitude: float, last: int
+    run: RunningLaw, rng: np.random.Generator, amplitude: float, last: int
 ) -> Iterator[_Call]:
     """Two windows of inputs at least, each mode for as long as its rows differ."""
     plant, table = run.law.plant, run.table
@@ -123,12 +123,12 @@ def _through_rows(
             yield skip, None, (last + 1 + i) % plant.modes, x, applied
 
 
-def _row(run: Controller) -> int:
+def _row(run: RunningLaw) -> int:
     mode, age = run._mode, run._age  # `state` would copy the past at every call
     return run.table.row(mode, age) if mode >= 0 else 0
 
 
-def _amplitude(run: Controller) -> float:
+def _amplitude(run: RunningLaw) -> float:
     """A power of two, so small that answers are mostly within the limits: a clipped one hides."""
     table = run.table
     each = (table.state_gain**2).sum(axis=2) + (table.input_gain**2).sum(axis=(1, 3))

@@ -18,9 +18,13 @@ from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay
 from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.margins.gain import GainMargin, gain_margin
 from deadtime.margins.robustness.setting import Setting
-from deadtime.margins.robustness.tolerance import NoisePrice, Tolerance, noise_price
-from deadtime.margins.robustness.tolerance import sweep as _sweep
-from deadtime.margins.robustness.tolerance import tolerance_of as _tolerance_of
+from deadtime.margins.robustness.tolerance import (
+    NoisePrice,
+    Tolerance,
+    noise_price,
+    sweep as _sweep,
+    tolerance_of as _tolerance_of,
+)
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.initial_input import InitialInput
 from deadtime.spectrum.affordable import left_out

@@ -14,8 +14,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Imperfection
 from deadtime.problems.imperfection_registry import entries
 from deadtime.problems.imperfection_registry.entry import Axis, ImperfectionSection, Slider
-from deadtime.problems.toml.entries import collect as entries_in
-from deadtime.problems.toml.entries import kinds_of, modules_of, refuse
+from deadtime.problems.toml.entries import collect as entries_in, kinds_of, modules_of, refuse
 
 Entry = type[ImperfectionSection]
 _refuse = partial(refuse, "imperfection")

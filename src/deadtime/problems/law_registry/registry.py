@@ -11,8 +11,7 @@ from deadtime.feedback import Law
 from deadtime.problems.law_registry import entries
 from deadtime.problems.law_registry.entry import LEVELS, LawSection, Named
 from deadtime.problems.law_registry.setting import NEEDS, Setting
-from deadtime.problems.toml.entries import collect as entries_in
-from deadtime.problems.toml.entries import kinds_of, modules_of, refuse
+from deadtime.problems.toml.entries import collect as entries_in, kinds_of, modules_of, refuse
 
 Entry = type[LawSection]
 _refuse = partial(refuse, "law")

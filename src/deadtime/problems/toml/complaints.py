@@ -14,8 +14,7 @@ from pydantic.fields import FieldInfo
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.problems.toml.lines import Path as Keys
-from deadtime.problems.toml.lines import at_line, key_lines, line_of
+from deadtime.problems.toml.lines import Path as Keys, at_line, key_lines, line_of
 from deadtime.problems.toml.shape import Shape
 from deadtime.problems.toml.walk import Place, place_of
 

@@ -1,0 +1,247 @@
+"""A table law in a loop that runs, one period per call: what `Controller` does but for exports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import count, instance, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.controller.arguments import limits_of, require_state, vector
+from deadtime.controller.observing import Observing
+from deadtime.controller.past_inputs import past_inputs
+from deadtime.controller.status import Clock, Status
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.laws import ExactPredictor
+from deadtime.simulation.initial_input import InitialInput, held_samples
+
+
+class RunningLaw:
+    """A law that runs: `update` once a period; see `Controller` for parameters and attributes."""
+
+    def __init__(
+        self,
+        law: Law,
+        step: float,
+        *,
+        limits: tuple[ArrayLike, ArrayLike] | None = None,
+        u0: InitialInput = None,
+        mode_age: int = 0,
+    ) -> None:
+        instance("law", law, Law)
+        inner = law.law if isinstance(law, OutputFeedback) else law
+        if not isinstance(inner, TableLaw) or isinstance(inner, ExactPredictor):
+            why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
+            raise ArgumentError(
+                f"law must be a table that a controller can run; {type(inner).__name__} {why}."
+            )
+        self.law, self.step = law, positive("step", step)
+        self.table = inner.digital(self.step)
+        self._observing = None
+        if isinstance(law, OutputFeedback):
+            self._observing = Observing(law, self.step)
+        self.low, self.high = limits_of(limits, law.plant.inputs)
+        self._past = past_inputs(self.table)
+        self._reads_row = self.table.context != "none"
+        self._reads_mode = self._reads_row or (self._observing is not None and law.plant.modes > 1)
+        self._measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
+        self._clock, self._nothing = Clock(self.step), np.full(self._measured, np.nan)
+        self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
+        self.reset(u0, mode_age)
+
+    def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
+        """Start anew, after the inputs u0 (as `simulate` takes them)."""
+        m, taps = self.law.plant.inputs, self.table.taps
+        history = held_samples(u0, m, taps, self.step, self.law.plant.delay)
+        self._age, self._mode = count("mode_age", mode_age, 0), -1
+        self._past.clear()
+        for u in history[:-1]:
+            self._past.push(u)
+        self._u[:] = history[-1]
+        if self._observing:
+            self._observing.begin(history)
+        self._clock.reset()
+        self.status, self.refused, self.late, self.samples = Status.OK, 0, 0, 0
+
+    def update(
+        self,
+        x: ArrayLike,
+        mode: int | None = None,
+        applied: ArrayLike | None = None,
+        out: Float[np.ndarray, " m"] | None = None,
+        reference: ArrayLike | None = None,
+        time: float | None = None,
+    ) -> Float[np.ndarray, " m"]:
+        """The input of this period, u_k.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,) or (p,)
+            The state at t_k; of a law that measures outputs, y.
+        mode : int, optional
+            The mode at t_k; laws whose rows depend on it need it.
+        applied : array_like, shape (m,), optional
+            What the actuator was given in the period that ends, if it was not what `update`
+            returned.
+        out : (m,) float array, optional
+            Where to write the input; without it a new array is made.
+        reference : array_like, shape (tracked,), optional
+            r at t_k, of a law with a servo; without it the law's own.
+        time : float, optional
+            When this sample was taken, seconds on any clock that goes on; a call without one is
+            the next period. Jitter below half a period is taken for none. A call whose period has
+            been served is refused; periods without a call are made up for: their input is taken to
+            have been held, and `late` counts them. A time more than 100,000 periods ahead is
+            refused like one out of order: the clock is not the same.
+
+        Returns
+        -------
+        (m,) array
+            Unusable values (x or `applied` not finite, a mode that is none) are refused: the
+            last input is held, `status` says why and `refused` counts. A law that measures outputs
+            goes on without a y that is not finite: its observer predicts.
+
+        Raises
+        ------
+        ArgumentError
+            If a shape is wrong, or the mode is missing where the law reads it.
+        """
+        x = vector("x", x, self._measured)
+        applied = None if applied is None else vector("applied", applied, self._u.size)
+        self._require(mode, reference)
+        periods = self._clock.periods(time)
+        if not periods:
+            self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
+            return self._answer(out)
+        self._pass(applied, periods - 1)
+        status = self._remember(applied)
+        status = self._see(mode) or status
+        if self._observing:
+            status = self._observe(x, reference, status)
+        else:
+            if not status and not np.isfinite(x).all():
+                status = Status.BAD_STATE
+            if not status:
+                status = self._compute(x)
+        self.refused += status > Status.SATURATED
+        self.late += periods - 1
+        self.samples += 1
+        self.status = Status.LATE if periods > 1 and status <= Status.SATURATED else status
+        return self._answer(out)
+
+    def _answer(self, out: Float[np.ndarray, " m"] | None) -> Float[np.ndarray, " m"]:
+        if out is None:
+            return self._u.copy()
+        out[:] = self._u
+        return out
+
+    def _require(self, mode: int | None, reference: ArrayLike | None) -> None:
+        """Refuse a call that lacks or misshapes something, before anything is changed."""
+        if self._reads_mode and mode is None:
+            raise ArgumentError("mode must be given: the rows of this law depend on it.")
+        if reference is None:
+            return
+        if self._observing is None:
+            raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
+        self._observing.require(reference)
+
+    def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
+        """Periods without a call: the observer runs over all of them, the window holds the last."""
+        for _ in range(missed if self._observing else min(missed, self.table.taps)):
+            self._remember(applied)
+            if self._observing:
+                self._observing.see(self._latest, self._nothing, self._mode, None, self.samples)
+                self._observing.note(self._u)
+                self.samples += 1
+        self.samples += 0 if self._observing else missed
+        self._age = min(self._age + missed, self.table.ages)
+
+    def _remember(self, applied: Float[np.ndarray, " m"] | None) -> Status:
+        """The input of the period that ends becomes the latest of the past ones."""
+        u = self._u if applied is None else applied
+        finite = bool(np.isfinite(u).all())
+        self._latest[:] = u if finite else self._u
+        self._past.push(self._latest)
+        return Status.OK if finite else Status.BAD_APPLIED
+
+    def _see(self, mode: int | None) -> Status:
+        """Follow the sampled mode and its age."""
+        if not self._reads_mode:
+            return Status.OK
+        number = int(mode) if isinstance(mode, (int, np.integer)) else -1
+        known = 0 <= number < self.law.plant.modes
+        if not known or number == self._mode:
+            self._age = min(self._age + 1, self.table.ages)
+        elif self._mode >= 0:
+            self._age = 0
+        if not known:
+            return Status.BAD_MODE
+        self._mode = number
+        return Status.OK
+
+    def _observe(self, y: np.ndarray, reference: ArrayLike | None, status: Status) -> Status:
+        """Let the observer follow; then u_k from what it estimates, unless something is unknown."""
+        observing = self._observing
+        assert observing is not None
+        known = -1 if status == Status.BAD_MODE else self._mode
+        z, lost, astray = observing.see(self._latest, y, known, reference, self.samples)
+        if not status:
+            status = self._compute(z)
+            if status != Status.OVERFLOW:
+                status = Status.BAD_STATE if lost else Status.BAD_REFERENCE if astray else status
+                observing.note(self._asked)
+                return status
+        observing.note(self._u)
+        return status
+
+    def _compute(self, x: np.ndarray) -> Status:
+        """u_k within the limits, or the last one where it is not finite."""
+        row = 0
+        if self._reads_row:
+            row = self.table.row(self._mode, self._age)
+        self._past.row(row, x, self._asked)
+        if not np.isfinite(self._asked).all():
+            return Status.OVERFLOW
+        np.clip(self._asked, self.low, self.high, out=self._u)
+        return Status.OK if (self._u == self._asked).all() else Status.SATURATED
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Everything that the next periods depend on, to `restore` it: copies."""
+        return {
+            "law": self.law.label,
+            "step": self.step,
+            "taps": self.table.taps,
+            "mode": self._mode,
+            "age": self._age,
+            "samples": self.samples,
+            "refused": self.refused,
+            "late": self.late,
+            "clock": self._clock.state.copy(),
+            "input": self._u.copy(),
+            **self._past.saved(),
+            **(self._observing.saved() if self._observing else {}),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where `state` was taken: the inputs that follow are the same to the last bit.
+
+        Raises `ArgumentError` for a state of another law or step.
+        """
+        require_state(state, self.state, self.law.plant.modes)
+        self._past.load(state)
+        if self._observing:
+            self._observing.load(state)
+        self._mode, self._age = int(state["mode"]), int(state["age"])
+        self.samples, self.refused = int(state["samples"]), int(state["refused"])
+        self.late, self._clock.state[:] = int(state["late"]), state["clock"]
+        self._u[:] = state["input"]
+        self.status = Status.OK
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.law.label}; step={self.step:g}, {self.table!r})"
