@@ -71,7 +71,7 @@ def design(
     json_output
         Print the result as JSON instead of text.
     """
-    from deadtime import SwitchedSystem
+    from deadtime.plant import SwitchedSystem
     from deadtime.problems.asked import step_of
     from deadtime.reports.figures.design import plot_designs
     from deadtime.reports.tables.design import design_record, problem_sections
