@@ -59,12 +59,13 @@ from .margins import (
     stability_margin as stability_margin,
 )
 from .plant import SwitchedSystem as SwitchedSystem
-from .scenarios import draw_signals as draw_signals, monte_carlo as monte_carlo
-from .scenarios.sweeps import (
+from .scenarios import (
     FunctionStudy as FunctionStudy,
     Study as Study,
+    draw_signals as draw_signals,
     function_study as function_study,
     load_study as load_study,
+    monte_carlo as monte_carlo,
     open_sweep as open_sweep,
     sweep as sweep,
 )

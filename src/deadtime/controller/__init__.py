@@ -1,6 +1,5 @@
 """The law in a loop that runs: one period per call."""
 
-from deadtime.controller.controller import Controller
-from deadtime.controller.status import Status
+import lazy_loader
 
-__all__ = ["Controller", "Status"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,5 @@
 """States from outputs, references for outputs: observers, output feedback, servos."""
 
-from deadtime.estimation.observer import Observer
-from deadtime.estimation.observer_design import kalman, luenberger
-from deadtime.estimation.output_feedback import OutputFeedback
-from deadtime.estimation.servo import Servo
+import lazy_loader
 
-__all__ = ["Observer", "OutputFeedback", "Servo", "kalman", "luenberger"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,5 @@
 """What a predictor-feedback law is: a table of rows, a forecast, and the interface of laws."""
 
-from deadtime.feedback.forecast import Forecast
-from deadtime.feedback.law import Law
-from deadtime.feedback.table import Factor, Feedback
+import lazy_loader
 
-__all__ = ["Factor", "Feedback", "Forecast", "Law"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

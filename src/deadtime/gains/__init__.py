@@ -1,7 +1,5 @@
 """Gains of every mode, and the Lyapunov functions that they have in common."""
 
-from deadtime.gains.lyapunov import CommonLyapunov, common_lyapunov
-from deadtime.gains.stabilization import stabilize
-from deadtime.gains.state_feedback import lqr, place
+import lazy_loader
 
-__all__ = ["CommonLyapunov", "common_lyapunov", "lqr", "place", "stabilize"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

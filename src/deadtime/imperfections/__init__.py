@@ -7,52 +7,6 @@ Each draws from a stream of its own, made from the seed, its kind and how many o
 before: adding one changes nothing that the others draw.
 """
 
-from deadtime.imperfections.actuators import RateLimit, Saturation
-from deadtime.imperfections.base import (
-    ActuatorImperfection,
-    Additive,
-    Disturbance,
-    Imperfection,
-    Limiting,
-    Limits,
-    Seen,
-    SensorImperfection,
-    Sizes,
-    TimingImperfection,
-    require,
-    streams,
-)
-from deadtime.imperfections.disturbances import (
-    ColouredDisturbance,
-    StepDisturbance,
-    WhiteDisturbance,
-)
-from deadtime.imperfections.sensors import Dropout, LateSamples, ModeDelay, Noise, WrongMode
-from deadtime.imperfections.timing import Jitter, MeasurementDelay
+import lazy_loader
 
-__all__ = [
-    "ActuatorImperfection",
-    "Additive",
-    "ColouredDisturbance",
-    "Disturbance",
-    "Dropout",
-    "Imperfection",
-    "Jitter",
-    "LateSamples",
-    "Limiting",
-    "Limits",
-    "MeasurementDelay",
-    "ModeDelay",
-    "Noise",
-    "RateLimit",
-    "Saturation",
-    "Seen",
-    "SensorImperfection",
-    "Sizes",
-    "StepDisturbance",
-    "TimingImperfection",
-    "WhiteDisturbance",
-    "WrongMode",
-    "require",
-    "streams",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

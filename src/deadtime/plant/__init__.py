@@ -1,7 +1,5 @@
 """The plant: in continuous time, and at a sampling period as pieces with delayed inputs."""
 
-from deadtime.plant.sampled_plant import SampledPlant
-from deadtime.plant.steps import Window
-from deadtime.plant.switched_system import SwitchedSystem
+import lazy_loader
 
-__all__ = ["SampledPlant", "SwitchedSystem", "Window"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,5 @@
 """Settings to run: plants from the literature, problem files, and what files know."""
 
-from deadtime.problems.literature import NAMED, comparison_laws, follower, paper, three_mode
-from deadtime.problems.problem import Problem, Published
+import lazy_loader
 
-__all__ = ["NAMED", "Problem", "Published", "comparison_laws", "follower", "paper", "three_mode"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

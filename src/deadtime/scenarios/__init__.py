@@ -1,6 +1,5 @@
 """Many random signals: every law on the same ones."""
 
-from deadtime.scenarios.run import monte_carlo
-from deadtime.scenarios.source import draw_signals, scenario_seed
+import lazy_loader
 
-__all__ = ["draw_signals", "monte_carlo", "scenario_seed"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,5 @@
 """Simulation of a plant under a law: exact for the digital loop."""
 
-from deadtime.simulation.simulate import simulate
-from deadtime.simulation.trajectory import Trajectory
+import lazy_loader
 
-__all__ = ["Trajectory", "simulate"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,20 +1,5 @@
 """Switching signals: what they are, how they are drawn at random, how logs are read."""
 
-from deadtime.switching.batch import SignalBatch
-from deadtime.switching.models.markov import Markov
-from deadtime.switching.models.semi_markov import SemiMarkov
-from deadtime.switching.rules.quadratic import QuadraticRegions
-from deadtime.switching.rules.rule import FunctionRule, HalfSpace, Polyhedra, Rule
-from deadtime.switching.signal import SwitchingSignal
+import lazy_loader
 
-__all__ = [
-    "FunctionRule",
-    "HalfSpace",
-    "Markov",
-    "Polyhedra",
-    "QuadraticRegions",
-    "Rule",
-    "SemiMarkov",
-    "SignalBatch",
-    "SwitchingSignal",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

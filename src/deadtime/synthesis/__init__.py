@@ -1,7 +1,5 @@
 """Design for margin: laws with a requested delay margin, and what could be had at all."""
 
-from deadtime.synthesis.design import design
-from deadtime.synthesis.limits import DelayLimit, delay_limit
-from deadtime.synthesis.result import Design, TradeOff
+import lazy_loader
 
-__all__ = ["DelayLimit", "Design", "TradeOff", "delay_limit", "design"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

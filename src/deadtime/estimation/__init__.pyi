@@ -1,0 +1,4 @@
+from .observer import Observer as Observer
+from .observer_design import kalman as kalman, luenberger as luenberger
+from .output_feedback import OutputFeedback as OutputFeedback
+from .servo import Servo as Servo

@@ -1,0 +1,3 @@
+from .lyapunov import CommonLyapunov as CommonLyapunov, common_lyapunov as common_lyapunov
+from .stabilization import stabilize as stabilize
+from .state_feedback import lqr as lqr, place as place

@@ -1,0 +1,28 @@
+from .actuators import RateLimit as RateLimit, Saturation as Saturation
+from .base import (
+    ActuatorImperfection as ActuatorImperfection,
+    Additive as Additive,
+    Disturbance as Disturbance,
+    Imperfection as Imperfection,
+    Limiting as Limiting,
+    Limits as Limits,
+    Seen as Seen,
+    SensorImperfection as SensorImperfection,
+    Sizes as Sizes,
+    TimingImperfection as TimingImperfection,
+    require as require,
+    streams as streams,
+)
+from .disturbances import (
+    ColouredDisturbance as ColouredDisturbance,
+    StepDisturbance as StepDisturbance,
+    WhiteDisturbance as WhiteDisturbance,
+)
+from .sensors import (
+    Dropout as Dropout,
+    LateSamples as LateSamples,
+    ModeDelay as ModeDelay,
+    Noise as Noise,
+    WrongMode as WrongMode,
+)
+from .timing import Jitter as Jitter, MeasurementDelay as MeasurementDelay

@@ -1,0 +1,9 @@
+from .averaged import AveragedPredictor as AveragedPredictor
+from .delayed import DelayedStateFeedback as DelayedStateFeedback
+from .exact import ExactPredictor as ExactPredictor
+from .expected import ExpectedPredictor as ExpectedPredictor
+from .low_pass import LowPassPredictor as LowPassPredictor
+from .mean import MeanPredictor as MeanPredictor
+from .optimal import OptimalPredictor as OptimalPredictor
+from .single import SingleModePredictor as SingleModePredictor
+from .state_dependent import StateDependentPredictor as StateDependentPredictor

@@ -1,0 +1,3 @@
+from .sampled_plant import SampledPlant as SampledPlant
+from .steps import Window as Window
+from .switched_system import SwitchedSystem as SwitchedSystem

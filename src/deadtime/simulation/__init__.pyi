@@ -1,0 +1,2 @@
+from .simulate import simulate as simulate
+from .trajectory import Trajectory as Trajectory

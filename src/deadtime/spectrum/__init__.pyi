@@ -1,0 +1,16 @@
+from .characteristic import (
+    CharacteristicRoots as CharacteristicRoots,
+    characteristic_roots as characteristic_roots,
+)
+from .growth import (
+    GROWS as GROWS,
+    constant_growth as constant_growth,
+    growth_bounds as growth_bounds,
+    growth_rate as growth_rate,
+)
+from .lifted import (
+    DENSE as DENSE,
+    LiftedLoop as LiftedLoop,
+    aged_row as aged_row,
+    lifted_loop as lifted_loop,
+)

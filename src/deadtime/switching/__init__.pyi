@@ -1,0 +1,11 @@
+from .batch import SignalBatch as SignalBatch
+from .models.markov import Markov as Markov
+from .models.semi_markov import SemiMarkov as SemiMarkov
+from .rules.quadratic import QuadraticRegions as QuadraticRegions
+from .rules.rule import (
+    FunctionRule as FunctionRule,
+    HalfSpace as HalfSpace,
+    Polyhedra as Polyhedra,
+    Rule as Rule,
+)
+from .signal import SwitchingSignal as SwitchingSignal

@@ -1,0 +1,3 @@
+from .design import design as design
+from .limits import DelayLimit as DelayLimit, delay_limit as delay_limit
+from .result import Design as Design, TradeOff as TradeOff
