@@ -7,8 +7,9 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 # What tells in minutes whether an installation works: each dependency is used by one of them.
-FAST := $(addprefix tests/test_,plant.py gains.py lyapunov.py problem_file.py trajectory.py interop.py \
-	cli_export.py export_fmu.py app_server.py)
+FAST := $(addprefix tests/,plant/test_plant.py gains problems/test_problem_file.py \
+	simulation/test_trajectory.py controller/test_interop.py controller/test_export_fmu.py \
+	cli/test_cli_export.py app/test_app_server.py)
 # What old libraries and new ones warn of each other is not ours.
 QUIET := -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 TOOLS := pytest pytest-xdist hypothesis beartype mpmath
@@ -90,7 +91,7 @@ wheel:
 cortex-m: .venv/installed-test .venv/compiled
 	@command -v arm-none-eabi-gcc >/dev/null && command -v qemu-system-arm >/dev/null || \
 		{ echo "missing (Debian): gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"; exit 1; }
-	$(BIN)/pytest tests/test_cortex_m.py
+	$(BIN)/pytest tests/controller/test_cortex_m.py
 
 bench: .venv/installed .venv/compiled
 	$(BIN)/python benchmarks/single_run.py
@@ -103,7 +104,7 @@ examples: .venv/installed
 schema: .venv/installed
 	$(BIN)/deadtime schema > docs/problem.schema.json
 
-# Strict, and the gallery's scripts are run; tests/test_docs_site.py does the same without them.
+# Strict, and the gallery's scripts are run; tests/documents/test_docs_site.py does the same without them.
 docs: .venv/installed-docs .venv/compiled
 	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build/html
 	@echo "The site: docs/_build/html/index.html"

@@ -3,7 +3,7 @@
     PYTHON scripts/tutorial.py FOLDER
 
 Nothing but the standard library and what PYTHON has installed; its Python and its commands have to
-run, what they print is compared by tests/test_docs_pages.py.
+run, what they print is compared by tests/documents/test_docs_pages.py.
 """
 
 import os

@@ -22,7 +22,7 @@ import deadtime as dt
 from deadtime.cli.entry import app, as_command, main
 from deadtime.controller.export.compiler import compiler
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 BLOCK = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.S | re.M)
 # Commands of other programs: what sets a machine up, and a cluster that is not here.
@@ -48,7 +48,9 @@ PAGES = {
 }
 # Pages with tests of their own, which know what must come out.
 ELSEWHERE = set(
-    re.findall(r'run_page\("([\w.-]+)"\)', (ROOT / "tests/test_documents.py").read_text("utf-8"))
+    re.findall(
+        r'run_page\("([\w.-]+)"\)', (ROOT / "tests/documents/test_documents.py").read_text("utf-8")
+    )
 )
 
 

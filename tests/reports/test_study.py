@@ -36,7 +36,7 @@ from deadtime.scenarios.sweeps.cell import run_cell
 from deadtime.scenarios.sweeps.laws import kinds_of, within
 from deadtime.scenarios.sweeps.sojourns import FAMILIES, sojourn_section
 
-SHIPPED = Path(__file__).parents[1] / "studies" / "paper.toml"
+SHIPPED = Path(__file__).parents[2] / "studies" / "paper.toml"
 PLAIN = """\
 title = "A small study"
 problem = "paper"
@@ -194,7 +194,9 @@ def test_fixed_sojourns_are_a_known_future_expected_equals_oracle(small):
 
 def test_every_law_that_a_study_can_name_runs_and_knows_what_its_name_says(small):
     study, _ = small
-    laws = tuple(name for name in kinds_of(2) if "minimax" not in name)  # tests/test_minimax.py
+    laws = tuple(
+        name for name in kinds_of(2) if "minimax" not in name
+    )  # tests/laws/test_minimax.py
     run = study.problem["run"] | {"horizon": 2.0, "step": 0.1}
     study = replace(study, laws=laws, scenarios=2, problem=study.problem | {"run": run})
     outcome = run_cell(study, next(iter(study.cells())))

@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.stats import expon, kstest
 
 import deadtime as dt
+from strategies import signals
 
 quick = settings(max_examples=60, deadline=None, derandomize=True)
 
@@ -18,15 +19,6 @@ def windows(signal):
     """Every closed window that starts and ends at a switch: (switches in it, its length)."""
     t = signal.times[1:]
     return [(j - i + 1, t[j] - t[i]) for i in range(t.size) for j in range(i, t.size)]
-
-
-@st.composite
-def signals(draw):
-    gaps = draw(st.lists(st.floats(1e-3, 1e3), max_size=8))
-    times = np.concatenate(([0.0], np.cumsum(gaps)))
-    modes = draw(st.lists(st.integers(0, 3), min_size=times.size, max_size=times.size))
-    end = draw(st.sampled_from([np.inf, times[-1] + 0.1, times[-1] + 1 / 3]))
-    return dt.SwitchingSignal(times, modes, end)
 
 
 def test_a_signal_is_right_continuous_and_goes_on_past_its_end():

@@ -14,7 +14,7 @@ from deadtime import imperfections
 from deadtime.controller import Status
 from deadtime.scenarios.sweeps.axes import AXES
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -151,7 +151,7 @@ def test_quick_start_of_the_readme_runs_line_by_line_in_an_empty_folder(tmp_path
 
 
 def test_commands_of_the_page_on_them_are_those_there_are(monkeypatch):
-    """Each is understood as it stands; tests/test_cli_streams.py runs one of every kind."""
+    """Each is understood as it stands; tests/cli/test_cli_streams.py runs one of every kind."""
     from deadtime.cli.entry import app
 
     monkeypatch.chdir(ROOT)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 
 import deadtime as dt
-from test_switching import signals
+from strategies import signals
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

@@ -15,7 +15,7 @@ import site_pages
 
 pytest.importorskip("sphinx_gallery", reason="the extra docs is not installed")
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 GENERATED = {"_build", "gallery", "scripts", "__pycache__"}
 LINK = re.compile(r'<a class="reference internal" href="([^"]*)"')

@@ -254,5 +254,5 @@ def test_lines_see_through_multiline_arrays_strings_and_comments():
 
 
 def test_committed_schema_is_current():
-    path = Path(__file__).parents[1] / "docs" / "problem.schema.json"
+    path = Path(__file__).parents[2] / "docs" / "problem.schema.json"
     assert json.loads(path.read_text(encoding="utf-8")) == json_schema(), "run: make schema"

@@ -8,6 +8,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from by_period import MODEL, PLANT, SIGNAL, X0, require_same
 from deadtime.cli.export import _controller
 from deadtime.imperfections import (
     ActuatorImperfection,
@@ -18,7 +19,6 @@ from deadtime.imperfections import (
     SensorImperfection,
 )
 from deadtime.simulation.outcome import pushed
-from test_imperfect_compiled import MODEL, PLANT, SIGNAL, X0, require_same
 
 LAW = plants.LAWS["averaged"](MODEL)
 

@@ -17,7 +17,7 @@ import pytest
 from deadtime.cli.entry import app, main
 from deadtime.cli.printing import print_json
 
-PAGE = (Path(__file__).parents[1] / "docs" / "cli.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
 LINES = [
     line for block in re.findall(r"```bash\n(.*?)```", PAGE, re.S) for line in block.split("\n")
 ]

@@ -18,7 +18,7 @@ import certificate_reference as reference
 import deadtime as dt
 from deadtime.base.errors import CertificateFileError
 
-VERIFY = Path(__file__).parents[1] / "verifier/verify.py"
+VERIFY = Path(__file__).parents[2] / "verifier/verify.py"
 FILES = sorted(corpus.CORPUS.glob("*.json"))
 
 

@@ -32,7 +32,7 @@ pytestmark = [
     ),
 ]
 
-MEMORY = Path(__file__).parents[1] / "benchmarks" / "explorer_memory.py"
+MEMORY = Path(__file__).parents[2] / "benchmarks" / "explorer_memory.py"
 
 
 async def said(socket, word):

@@ -101,7 +101,7 @@ def test_noise_of_the_file_is_that_of_the_outputs(tmp_path):
 def test_a_study_does_not_take_a_problem_with_an_observer(tmp_path):
     write(tmp_path, PLACED, RUN)
     study = tmp_path / "study.toml"
-    text = (Path(__file__).parents[1] / "studies" / "paper.toml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "studies" / "paper.toml").read_text(encoding="utf-8")
     study.write_text(re.sub(r'problem = ".*?"', 'problem = "mine.toml"', text, count=1), "utf-8")
     with pytest.raises(dt.StudyFileError, match=r"read the state, remove its \[observer\]"):
         load_study(study)

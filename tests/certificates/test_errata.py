@@ -18,7 +18,7 @@ import plants
 import windows
 from deadtime.certificates import theorem_bound
 
-ERRATA = Path(__file__).parents[1] / "docs" / "errata.md"
+ERRATA = Path(__file__).parents[2] / "docs" / "errata.md"
 THREE = dt.problems.three_mode()
 # Modes that do not commute, three different ones in one window, and one more afterwards.
 PLANT = dt.SwitchedSystem(
