@@ -1,8 +1,11 @@
-"""The house: arrows point inwards, and importing the package stays light."""
+"""The house: arrows go one way, pictures of it are true, and importing the package stays light."""
 
 import ast
+import graphlib
+import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -10,61 +13,25 @@ import pytest
 import deadtime as dt
 
 SOURCE = Path(dt.__file__).parent
-
-# Each ring may import from itself and from the rings before it.
-RINGS = (
-    ("errors", "checks", "frozen", "text_files", "wording", "version", "palette"),
-    (
-        *("plant", "switching", "steps", "lanes", "exponential", "covariance", "sampled"),
-        "sampled_plant",
-        *("feedback", "forecast"),
-    ),
-    ("imperfections",),
-    (
-        *("pole_placement", "gains", "observers", "tracking", "laws"),
-        *("output_feedback", "spectrum", "lmi", "lyapunov", "stabilization"),
-    ),
-    ("simulation", "interop"),
-    ("certificates", "backstepping", "controller", "export", "design"),
-    ("monte_carlo", "robustness"),
-    ("problems",),
-    ("asked",),
-    ("toml_file",),
-    ("law_registry", "imperfection_registry"),
-    (
-        "comparison",
-        "slips",
-        "verdict",
-        "plotting",
-        "colours",
-        "audit",
-        "audit_plots",
-        "constants_table",
-    ),
-    ("fit_plots", "fit_report", "certificate_table", "tightness"),
-    (
-        "margin_plots",
-        "run_plots",
-        "witness_plot",
-        "robustness_plots",
-        "design_plots",
-        "design_table",
-    ),
-    ("monte_carlo_table", "monte_carlo_plots", "paired"),
-    ("certificates_section",),
-    ("report", "problem_file"),
-    ("sweeps", "sweep_plots"),
-    ("study",),
-    ("app",),
-    ("cli",),
-    ("__main__",),
+CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
+# The picture of the rooms: | `room/` | one sentence | the rooms that it uses |
+PICTURE = re.findall(
+    r"^\| `(\w+)/` \| (.+?) \| (.*?) \|$", CONTRIBUTING.read_text("utf-8"), re.MULTILINE
 )
-RING_OF = {name: level for level, ring in enumerate(RINGS) for name in ring}
+ORDER = [name for name, _, _ in PICTURE]
+ROOMS = sorted(path.parent.name for path in SOURCE.glob("*/__init__.py"))
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {module_of(path): path for path in sorted(SOURCE.rglob("*.py"))}
 
 
 def imports_of(path: Path) -> set[str]:
-    """The parts of deadtime that a file imports, anywhere in it, but for type checking."""
-    found = set()
+    """The files of deadtime that a file imports, anywhere in it, but for type checking."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     hidden = {
         id(node)
@@ -72,37 +39,100 @@ def imports_of(path: Path) -> set[str]:
         if isinstance(block, ast.If) and getattr(block.test, "id", "") == "TYPE_CHECKING"
         for node in ast.walk(block)
     }
+    found = set()
     for node in ast.walk(tree):
-        if id(node) in hidden:
+        if isinstance(node, ast.Import) and id(node) not in hidden:
+            found |= {alias.name for alias in node.names if alias.name.startswith("deadtime")}
+        if not isinstance(node, ast.ImportFrom) or id(node) in hidden:
             continue
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("deadtime"):
-            parts = node.module.split(".")
-            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+        if (node.module or "").split(".")[0] == "deadtime":
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in FILES else str(node.module) for name in inner}
     return found
 
 
-def test_every_part_has_its_place_in_the_rings():
-    parts = {p.stem if p.is_file() else p.name for p in SOURCE.iterdir()}
-    assert parts - {"__init__", "__pycache__", "templates", "py"} <= set(RING_OF)
+IMPORTS = {name: imports_of(path) for name, path in FILES.items()}
 
 
-@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: str(p.name))
-def test_arrows_point_inwards(path):
-    part = path.relative_to(SOURCE).parts[0].removesuffix(".py")
-    if part == "__init__":
-        return
-    outward = {name for name in imports_of(path) if RING_OF.get(name, 0) > RING_OF[part]}
-    # A trajectory draws itself on request: its `plot` method is the one arrow that goes out.
-    allowed = {"plotting"} if path.name == "trajectory.py" else set()
-    assert outward <= allowed
+def room_of(name: str) -> str:
+    return (*name.split("."), "")[1]
 
 
-def test_import_loads_numpy_and_little_else():
+def uses() -> dict[str, set[str]]:
+    """The rooms that each room uses."""
+    found = defaultdict(set)
+    for name, imported in IMPORTS.items():
+        found[room_of(name)] |= {room_of(other) for other in imported} - {room_of(name)}
+    return found
+
+
+def test_rooms_form_a_partial_order():
+    graphlib.TopologicalSorter({room: uses()[room] for room in ROOMS}).prepare()
+
+
+def test_no_file_imports_itself_by_way_of_others():
+    graphlib.TopologicalSorter(IMPORTS).prepare()
+
+
+def test_no_room_uses_the_face_of_the_package():
+    assert not {name for name, imported in IMPORTS.items() if "deadtime" in imported}
+
+
+def test_the_picture_has_every_room_below_those_that_it_uses():
+    assert sorted(ORDER) == ROOMS
+    for room in ROOMS:
+        assert {ORDER.index(other) for other in uses()[room]} <= set(range(ORDER.index(room)))
+
+
+@pytest.mark.parametrize(("room", "sentence", "used"), PICTURE)
+def test_the_picture_says_what_a_room_is_and_uses(room, sentence, used):
+    text = ast.get_docstring(ast.parse((SOURCE / room / "__init__.py").read_text("utf-8")))
+    assert text.split("\n")[0] == sentence
+    assert used.split() == [other for other in ORDER if other in uses()[room]]
+
+
+def test_every_file_lies_in_a_room():
+    loose = {path.stem for path in SOURCE.glob("*.py")}
+    assert loose == {"__init__", "__main__"}
+
+
+def test_no_file_is_long():
+    long = {name: text.count("\n") for name, text in texts(SOURCE) if text.count("\n") > 400}
+    assert long == {}
+
+
+def test_no_test_file_is_long():
+    tests = Path(__file__).parent
+    long = {name: text.count("\n") for name, text in texts(tests) if text.count("\n") > 400}
+    assert long == {}
+
+
+def texts(folder: Path) -> list[tuple[str, str]]:
+    return [(str(path), path.read_text(encoding="utf-8")) for path in folder.rglob("*.py")]
+
+
+def test_tests_mirror_the_rooms():
+    folders = {path.parent.name for path in Path(__file__).parent.rglob("test_*.py")}
+    assert folders - {"tests", "documents", "browser"} <= set(ROOMS)
+
+
+def test_importing_the_package_loads_nothing_heavy():
     code = (
         "import sys, deadtime; "
         "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pandas', 'pydantic', 'rich', "
-        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'jax', "
+        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'numpy', "
         "'dask', 'distributed', 'zarr', 'panel', 'bokeh', 'tomlkit'}; "
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]", result.stderr
+
+
+def test_a_plant_and_a_law_load_numpy_and_little_else():
+    code = (
+        "import sys, deadtime as dt; plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], 0.5); "
+        "dt.AveragedPredictor(plant, [[[-2.0]]]); "
+        "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pydantic', 'cvxpy'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

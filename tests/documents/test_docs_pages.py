@@ -46,6 +46,7 @@ PAGES = {
     for path in sorted(DOCS.rglob("*.md"))
     if not built(path)
 }
+DOCUMENTS = ROOT / "tests/documents/test_documents.py"
 # Pages with tests of their own, which know what must come out.
 ELSEWHERE = set(
     re.findall(

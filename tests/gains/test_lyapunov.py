@@ -10,8 +10,8 @@ from scipy.linalg import solve_continuous_lyapunov
 import deadtime as dt
 import plants
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.feedback.law import checked_gains
 from deadtime.gains import CommonLyapunov, common_lyapunov, stabilize
+from deadtime.gains.checked import checked_gains
 from deadtime.gains.lyapunov import checked_lyapunov, decaying_lyapunov, growth_in_norm
 from deadtime.numerics import lmi
 

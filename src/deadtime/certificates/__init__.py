@@ -1,4 +1,4 @@
-"""Certificates: what can be proved about a loop, and what refutes it."""
+"""Every admissible signal: what can be proved about a loop, and what refutes it."""
 
 import lazy_loader
 

@@ -1,6 +1,7 @@
-"""The command line: `deadtime init`, `simulate`, `reproduce`; `certify`, `verify`, `bound`,
-`robustness`; `monte-carlo`, `study`, `sweep`, `plot`; `design`, `export`, `fit`; `schema`,
-`completion`.
+"""The command line, `deadtime`: one file per group of commands.
+
+`init`, `simulate`, `reproduce`; `certify`, `verify`, `bound`, `robustness`; `monte-carlo`, `study`,
+`sweep`, `plot`; `design`, `export`, `fit`; `schema`, `completion`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when the answer
 is no (`certify --law` proves nothing, `verify` finds that a file proves nothing, `design` does not

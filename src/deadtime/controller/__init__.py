@@ -1,4 +1,4 @@
-"""The law in a loop that runs: one period per call."""
+"""The law in real time, one period per call, and on a target: C, FMUs, python-control."""
 
 import lazy_loader
 

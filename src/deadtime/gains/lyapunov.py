@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.base.frozen import Frozen
-from deadtime.feedback.law import checked_gains, rightmost_eigenvalue
+from deadtime.gains.checked import checked_gains, rightmost_eigenvalue
 from deadtime.numerics.lmi import (
     Verdict,
     attempts,

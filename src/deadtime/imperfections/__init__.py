@@ -1,4 +1,4 @@
-"""What plants, sensors and actuators do to a law.
+"""What sensors, actuators and disturbances do to a loop.
 
 A run takes a list of imperfections (`simulate(..., imperfections=[...], seed=0)`): disturbances
 that act on the plant, and, in the order of the list, what the sensors do to what the law is told

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, shaped
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, checked_dwell_time, checked_gains, remembered
+from deadtime.feedback.law import TableLaw, checked_dwell_time, remembered
+from deadtime.gains.checked import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

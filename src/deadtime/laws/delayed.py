@@ -9,7 +9,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, checked_gains
+from deadtime.feedback.law import TableLaw
+from deadtime.gains.checked import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

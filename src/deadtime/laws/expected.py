@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, checked_gains, remembered, require_room, room
+from deadtime.feedback.law import TableLaw, remembered, require_room, room
+from deadtime.gains.checked import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
 

@@ -11,13 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, shaped
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import (
-    TableLaw,
-    checked_dwell_time,
-    checked_gains,
-    remembered,
-    require_hurwitz,
-)
+from deadtime.feedback.law import TableLaw, checked_dwell_time, remembered
+from deadtime.gains.checked import checked_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, checked_gains
+from deadtime.feedback.law import TableLaw
+from deadtime.gains.checked import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError, ChatteringError
 from deadtime.feedback import Feedback, Forecast, Law
-from deadtime.feedback.law import Update, checked_gains
+from deadtime.feedback.law import Update
+from deadtime.gains.checked import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal

@@ -1,4 +1,4 @@
-"""Many random signals: every law on the same ones."""
+"""Many signals, many cells: Monte Carlo, sweeps, paired statistics."""
 
 import lazy_loader
 

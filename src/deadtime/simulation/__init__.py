@@ -1,4 +1,4 @@
-"""Simulation of a plant under a law: exact for the digital loop."""
+"""One run of a plant under a law, exact between samples, and its figure."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Spectra: how fast the loop of a plant and a law grows in a constant mode."""
+"""One mode held: growth rates, characteristic roots and frequency responses of a loop."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Switching signals: what they are, how they are drawn at random, how logs are read."""
+"""Switching signals, random models and rules of the state; signals laid on samples."""
 
 import lazy_loader
 

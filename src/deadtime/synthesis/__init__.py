@@ -1,4 +1,4 @@
-"""Design for margin: laws with a requested delay margin, and what could be had at all."""
+"""Laws designed for a delay margin, a decay rate and a cost, and what could be had at all."""
 
 import lazy_loader
 

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.feedback import Law
-from deadtime.feedback.law import checked_gains
 from deadtime.gains import lqr
+from deadtime.gains.checked import checked_gains
 from deadtime.gains.state_feedback import require_controllable
 from deadtime.laws import AveragedPredictor
 from deadtime.margins.constant_modes import constant_delay_margin

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from deadtime.base.checks import shaped
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.feedback.law import checked_gains
+from deadtime.gains.checked import checked_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory

@@ -12,8 +12,8 @@ import numpy as np
 from deadtime.base.checks import positive, real_array, shaped
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
-from deadtime.feedback.law import checked_gains
 from deadtime.gains import lqr, place
+from deadtime.gains.checked import checked_gains
 from deadtime.imperfections import Imperfection, Sizes
 from deadtime.laws import LowPassPredictor
 from deadtime.plant import SwitchedSystem
