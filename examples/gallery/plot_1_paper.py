@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import deadtime as dt
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
-from deadtime.reports.figures.comparison import plot_norms
+from deadtime.reports import plot_norms
 
 # %%
 # Every law on one signal

@@ -18,7 +18,7 @@ from scipy import stats
 
 import deadtime as dt
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
-from deadtime.reports.figures.monte_carlo import plot_monte_carlo
+from deadtime.reports import plot_monte_carlo
 
 problem = dt.problems.three_mode()
 plant, gains = problem.plant, problem.gains

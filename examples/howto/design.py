@@ -11,7 +11,7 @@ knowing the mode; and the follower, whose plant has no unstable pole, has margin
 """
 
 import deadtime as dt
-from deadtime.reports.figures.design import plot_designs
+from deadtime.reports import plot_designs
 
 BUDGET = 150  # of designs to try; a few times as many find a little more
 

@@ -9,7 +9,7 @@ tells. The picture: ``|x|`` under laws that know nothing, the dwell time, and th
 from scipy import stats
 
 import deadtime as dt
-from deadtime.reports.figures.comparison import plot_norms
+from deadtime.reports import plot_norms
 
 problem = dt.problems.three_mode()
 plant, gains, mean = problem.plant, problem.gains, problem.laws["mean"]

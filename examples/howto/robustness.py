@@ -6,7 +6,7 @@ Three modes, two inputs, a delay that is no multiple of the period.
 """
 
 import deadtime as dt
-from deadtime.reports.figures.robustness import plot_robustness
+from deadtime.reports import plot_robustness
 
 A = [
     [[0.4, 1.0, 0.0], [0.0, -0.2, 0.5], [0.1, 0.0, -0.6]],

@@ -10,7 +10,7 @@ import numpy as np
 
 import deadtime as dt
 from deadtime.imperfections import Saturation
-from deadtime.reports.figures.robustness import plot_robustness
+from deadtime.reports import plot_robustness
 
 R, L, k, b = 1.0, 5e-3, 0.05, 1e-4
 A = [[[-b / J, k / J], [-k / L, -R / L]] for J in (2e-4, 6e-4)]

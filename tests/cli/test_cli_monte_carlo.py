@@ -102,7 +102,7 @@ def test_sojourns_are_those_asked_for(capsys, monkeypatch):
         asked.append(model)
         raise dt.ArgumentError("enough.")
 
-    monkeypatch.setattr(import_module("deadtime.monte_carlo"), "monte_carlo", stopped)
+    monkeypatch.setattr(import_module("deadtime.scenarios"), "monte_carlo", stopped)
     run(capsys, "three-mode", "--dwell-time", "0.5", "--mean-sojourn", "2")
     run(capsys, "follower")
     for model, (dwell, mean) in zip(asked, ((0.5, 2.0), (1.0, 2.0)), strict=True):
@@ -143,7 +143,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
 
 def test_interrupted_before_the_first_scenario_it_says_so(capsys, monkeypatch, data):
     nothing = data.isel(scenario=slice(0, 0)).assign_attrs(interrupted=1)
-    place = import_module("deadtime.monte_carlo")
+    place = import_module("deadtime.scenarios")
     monkeypatch.setattr(place, "monte_carlo", lambda *arguments, **options: nothing)
     assert run(capsys, "paper") == (130, "", "deadtime: interrupted\n")
 
@@ -201,7 +201,7 @@ def test_a_disk_that_fails_is_told_by_name(capsys, monkeypatch, data):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    place = import_module("deadtime.monte_carlo")
+    place = import_module("deadtime.scenarios")
     monkeypatch.setattr(place, "monte_carlo", lambda *arguments, **options: data)
     monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
     code, out, err = run(capsys, "paper", *COARSE, "--data", "all.nc")

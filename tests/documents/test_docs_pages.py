@@ -145,11 +145,11 @@ KNOWN_EVERYWHERE = """
 from deadtime.app.documents import open_named
 from deadtime.app.laws import offered
 from deadtime.app.script import script_of
-from deadtime.colours import colour_of
-from deadtime.law_registry import the_law
-from deadtime.palette import SLATE
-from deadtime.problem_file import json_schema, load_problem
-from deadtime.sweeps.laws import kinds_of
+from deadtime.reports.figures.colours import colour_of
+from deadtime.problems.law_registry import the_law
+from deadtime.base.palette import SLATE
+from deadtime.problems import json_schema, load_problem
+from deadtime.scenarios.sweeps.laws import kinds_of
 
 assert offered(open_named("paper"))[0]["current mode"] == {"kind": "current-mode"}
 assert colour_of("current mode") == SLATE
@@ -166,7 +166,7 @@ from deadtime.app.documents import open_named
 from deadtime.app.ranges import ranges_of
 from deadtime.app.script import script_of
 from deadtime.app.settings import Settings, draft_of
-from deadtime.problem_file import json_schema, load_problem
+from deadtime.problems import json_schema, load_problem
 
 paper = open_named("paper")
 assert [one.label for one in ranges_of(paper)][-1] == "Valve, slower to open (u/s)"

@@ -178,7 +178,7 @@ def test_a_chunk_of_no_scenarios_is_refused():
 def test_without_jax_the_import_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
     for module in ("jax_double", "jax_engine"):
-        monkeypatch.delitem(sys.modules, f"deadtime.monte_carlo.{module}")
+        monkeypatch.delitem(sys.modules, f"deadtime.scenarios.{module}")
     message = 'backend "jax" needs JAX: pip install "deadtime[jax]".'
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         importlib.import_module("deadtime.scenarios.jax_engine")

@@ -29,7 +29,7 @@ Written by the explorer of deadtime {version}.
 
 {imports}
 import deadtime as dt
-from deadtime.run_plots import plot_laws
+from deadtime.reports import plot_laws
 
 '''
 _TAIL = """

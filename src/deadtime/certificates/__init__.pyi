@@ -9,5 +9,6 @@ from .theorem.backstepping import (
 )
 from .theorem.bound import TheoremBound as TheoremBound, theorem_bound as theorem_bound
 from .verification import Verification as Verification, verify as verify
+from .worst_case import GrowthProof as GrowthProof
 from .worst_case.falsify import falsify as falsify
 from .worst_case.witness import WorstCase as WorstCase

@@ -1,4 +1,5 @@
 from .chart import StabilityChart as StabilityChart, stability_chart as stability_chart
+from .constant_modes import DelayMargin as DelayMargin
 from .delay import delay_margin as delay_margin
 from .dwell_time import LeastDwellTime as LeastDwellTime, least_dwell_time as least_dwell_time
 from .gain import GainMargin as GainMargin, gain_margin as gain_margin

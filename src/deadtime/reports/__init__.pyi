@@ -20,6 +20,7 @@ from .figures.sweeps import (
 from .figures.witness import plot_witness as plot_witness
 from .report import write_report as write_report
 from .study import run_study as run_study
+from .study.report import write_study as write_study
 from .tables.certificates import judge as judge
 from .tables.design import (
     design_record as design_record,

@@ -98,7 +98,7 @@ def monte_carlo(
     imperfections : sequence of Imperfection
         What sensors and actuators do, as in `simulate`; scenario i draws the same for every law,
         whatever the number of scenarios: what `simulate` draws with the seed
-        ``scenario_seed(seed, i)`` of `deadtime.monte_carlo`.
+        ``scenario_seed(seed, i)`` of `deadtime.scenarios`.
     trajectories : bool
         Keep states and inputs at the samples, and the modes.
     threads : int, optional
@@ -122,7 +122,7 @@ def monte_carlo(
     Examples
     --------
     >>> import deadtime as dt
-    >>> from deadtime.monte_carlo import monte_carlo
+    >>> from deadtime.scenarios import monte_carlo
     >>> problem = dt.problems.paper()
     >>> laws = [problem.laws["averaged"], problem.laws["mean"]]
     >>> signals = [dt.SwitchingSignal.random(2, 16, dwell_time=0.2, seed=i) for i in range(20)]
