@@ -55,6 +55,7 @@ from deadtime.switching import (
     SwitchingSignal,
 )
 from deadtime.synthesis import DelayLimit, Design, delay_limit, design
+from deadtime.weight import Weight
 
 if TYPE_CHECKING:
     from deadtime.certificates import (
@@ -120,6 +121,7 @@ __all__ = [
     "SwitchingSignal",
     "Trajectory",
     "Verification",
+    "Weight",
     "WorkerError",
     "WorstCase",
     "__version__",

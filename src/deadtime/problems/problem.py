@@ -34,6 +34,7 @@ from deadtime.laws import (
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Rule, SwitchingSignal
+from deadtime.weight import Weight
 
 _SIGNAL_NOTE = (
     "The source does not publish its switching signal. This one has sojourns of {dwell:g} s plus "
@@ -85,6 +86,8 @@ class Problem(Frozen):
         What gains and laws were made for, where `plant`, the truth, differs from it.
     imperfections, seed, predict
         As `simulate` takes them.
+    weight : Weight or None
+        Of the cost by which its laws are compared; None: the identity.
     """
 
     name: str
@@ -110,6 +113,7 @@ class Problem(Frozen):
     imperfections: tuple[Imperfection, ...] = ()
     seed: int = 0
     predict: str = "applied"
+    weight: Weight | None = None
 
     def __post_init__(self) -> None:
         if not self.states:

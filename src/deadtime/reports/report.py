@@ -28,6 +28,7 @@ from deadtime.reports.tables.constants import bound_rows, bound_sentence, bounds
 from deadtime.reports.verdict import HEADINGS, table, verdict
 from deadtime.simulation.outcome import Outcome
 from deadtime.switching import SwitchingSignal
+from deadtime.weight import record_of, text_of
 
 SCENARIOS = 1000
 
@@ -232,6 +233,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
     return {
         "problem": result.problem.name,
         "version": __version__,
+        **record_of(result.problem.weight),
         "laws": {
             name: {key: finite_or_none(value) for key, value in row.items()}
             | _ended(result.outcomes[name])
@@ -280,6 +282,7 @@ def _page(
         sentences=sentences,
         picture=picture,
         headings=HEADINGS,
+        cost=text_of(problem.weight),
         rows=table(result),
         figures=images,
         audited=audited,

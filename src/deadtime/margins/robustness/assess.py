@@ -25,6 +25,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation.initial_input import InitialInput
 from deadtime.spectrum.affordable import left_out
 from deadtime.switching import Rule, SwitchingSignal
+from deadtime.weight import Weight, weight_of
 
 _DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _FINE = 0.1  # of a probability, relative
@@ -56,6 +57,8 @@ class Robustness:
         What measurement noise costs.
     sentences : tuple of str
         All of it, in words.
+    weight : Weight or None
+        Of the cost; None for the identity.
     """
 
     plant: SwitchedSystem
@@ -68,6 +71,7 @@ class Robustness:
     lag: Tolerance | None
     noise: NoisePrice
     sentences: tuple[str, ...]
+    weight: Weight | None = None
 
 
 def robustness(
@@ -82,6 +86,7 @@ def robustness(
     seed: int = 0,
     imperfections: Sequence[Imperfection] = (),
     u0: InitialInput = None,
+    weight: Weight | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
     """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
@@ -105,6 +110,8 @@ def robustness(
         What every run has beside what is tried.
     u0 : optional
         Inputs before time 0, as `simulate` takes them.
+    weight : Weight, optional
+        Of the cost; the identity by default.
     progress : callable
         Called with a few words before each of `len(STEPS)` pieces of work.
 
@@ -138,8 +145,9 @@ def robustness(
             f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
             "then no input arrives."
         )
+    weight = weight_of(weight, plant)
     setting = Setting(
-        plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0
+        plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0, weight
     )
     if not setting.moves:
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
@@ -174,7 +182,7 @@ def robustness(
         sentences.append("The law does not read the mode, so that it may be told late.")
     sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))
-    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once)
+    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once, weight)
 
 
 def _future(signal: SwitchingSignal | Rule) -> tuple:

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 
 from deadtime.reports.figures.plotting import COLOURS, STYLE, WIDTH, plain
 from deadtime.synthesis.floors import DECAY
+from deadtime.weight import PLAIN, text_of
 
 if TYPE_CHECKING:
     from deadtime.synthesis import Design, TradeOff
@@ -61,8 +62,15 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
             loc="outside lower center",
             ncols=3 if columns > 1 else 2,
             handlelength=1.6,
+            title=_costs(designs),
         )
     return figure
+
+
+def _costs(designs: Mapping[str, Design]) -> str | None:
+    """What costs are, where they are not the usual ones."""
+    texts = dict.fromkeys(text_of(one.weight) for one in designs.values())
+    return None if set(texts) == {PLAIN} else plain(f"cost: {'; '.join(texts)}")
 
 
 def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:

@@ -10,8 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.feedback import Law
 from deadtime.gains import place
@@ -27,6 +25,7 @@ from deadtime.scenarios.sweeps.laws import COARSE, INPUT_WEIGHT, kinds_of
 from deadtime.scenarios.sweeps.study import Cell, Loop, Study
 from deadtime.switching import SemiMarkov
 from deadtime.switching.random import mean_or_twice
+from deadtime.weight import Weight
 
 _TRIES = 100  # cells that are looked at for one where every law can be built
 
@@ -110,6 +109,7 @@ class FileStudy(Study):
             problem.step,
             problem.imperfections,
             reasons,
+            problem.weight,
         )
 
     def _placed(
@@ -125,7 +125,7 @@ class FileStudy(Study):
             mean_gain=lambda _: mean_gain,
             period=max(problem.step or 0.0, plant.delay / COARSE),
             model=model,
-            weights=(np.eye(plant.states), INPUT_WEIGHT * np.eye(plant.inputs)),
+            weight=problem.weight or Weight(1.0, INPUT_WEIGHT),
         )
         laws, reasons = {}, {}
         kinds = kinds_of(plant.modes)
