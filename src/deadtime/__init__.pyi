@@ -58,7 +58,7 @@ from .margins import (
     stability_chart as stability_chart,
     stability_margin as stability_margin,
 )
-from .plant import SwitchedSystem as SwitchedSystem
+from .plant import SwitchedSystem as SwitchedSystem, Weight as Weight
 from .scenarios import (
     FunctionStudy as FunctionStudy,
     Study as Study,

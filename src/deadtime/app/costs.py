@@ -9,10 +9,11 @@ from html import escape
 from deadtime.app.outcome import Outcome
 from deadtime.app.style import dash_of
 from deadtime.base.wording import compact
+from deadtime.plant.weight import text_of
 from deadtime.reports.figures.colours import Look, looks_of
 
 _HEAD = (
-    "<table class='costs'><caption>Cost ∫ |x|² + |u|² dt, and against the oracle{more}</caption>"
+    "<table class='costs'><caption>Cost {cost}, and against the oracle{more}</caption>"
     "<thead><tr><th scope='col'>law</th><th scope='col'>cost</th><th scope='col'>× oracle</th>"
     "<th scope='col'>settles (s)</th><th scope='col'>max |x|</th></tr></thead><tbody>"
 )
@@ -41,7 +42,8 @@ def table_of(outcome: Outcome, laws: Sequence[str]) -> str:
             f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
         )
     more = ", on estimates of the same observer" if outcome.observed else ""
-    return f"{_HEAD.format(more=more)}{''.join(rows)}</tbody></table>"
+    head = _HEAD.format(cost=text_of(outcome.problem.weight), more=more)
+    return f"{head}{''.join(rows)}</tbody></table>"
 
 
 def _row(outcome: Outcome, law: str, look: Look) -> str:

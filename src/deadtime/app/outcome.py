@@ -39,7 +39,7 @@ class Outcome:
     reasons : mapping
         Why the other laws that were asked for could not run.
     oracle : float or None
-        The cost ∫ |x|² + |u|² of the law that knows the signal in advance, and measures what the
+        The cost of the law that knows the signal in advance, and measures what the
         others measure; None where no signal is known in advance.
     """
 
@@ -60,8 +60,8 @@ class Outcome:
 
     @cached_property
     def metrics(self) -> dict[str, dict[str, float]]:
-        """`Trajectory.metrics()` of every run."""
-        return {name: run.metrics() for name, run in self.runs.items()}
+        """`Trajectory.metrics` of every run, at the problem's cost."""
+        return {name: run.metrics(self.problem.weight) for name, run in self.runs.items()}
 
     @cached_property
     def endings(self) -> dict[str, Ending]:
@@ -162,12 +162,12 @@ def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | No
     for name, law in problem.laws.items():
         inner = law.law if isinstance(law, OutputFeedback) else law
         if isinstance(inner, ExactPredictor) and name in runs:
-            return runs[name].metrics()["cost"]
+            return runs[name].metrics(problem.weight)["cost"]
     try:
         run = problem.run(_oracle(problem))
     except ArgumentError:
         return None
-    return run.metrics()["cost"]
+    return run.metrics(problem.weight)["cost"]
 
 
 def _oracle(problem: Problem) -> Law:

@@ -43,7 +43,7 @@ runs = {{
     for name, law in laws.items()
 }}
 for name, run in runs.items():
-    print(name, run.metrics()["cost"], "diverged" if run.diverged else "")
+    print(name, run.metrics({weight})["cost"], "diverged" if run.diverged else "")
 plot_laws(
     runs,
     states={states},
@@ -82,6 +82,7 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
     lines = [f"{name}={writer.code(value)}," for name, value in arguments.items()]
     tail = _TAIL.format(
         arguments=_indented(lines, 8),
+        weight="" if problem.weight is None else writer.code(problem.weight),
         states=writer.code(list(problem.states)),
         modes=writer.code(list(problem.modes)),
         inputs=writer.code(list(problem.inputs)),

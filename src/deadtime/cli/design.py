@@ -94,6 +94,7 @@ def design(
         longest_step=longest_step,
         decay_rate=decay_rate,
         budget=budget,
+        weight=chosen.weight,
     )
     written = [out.with_name(f"{out.name}.toml"), out.with_name(f"{out.name}.png")]
     title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
@@ -122,10 +123,12 @@ def _write(path: Path, text: str) -> None:
 
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
+    from deadtime.plant.weight import text_of
     from deadtime.reports.tables.design import HEADINGS, LIMIT_HEADINGS, design_rows, limit_rows
 
     print_heading(problem.title, [f"{found.message}\n"])
     print_table(HEADINGS, design_rows(found))
+    print(f"Cost: {text_of(found.weight)}, each mode for ever, the mean over |x(0)| = 1.")
     print("\nWhat linear controllers of one mode alone can tolerate:")
     names = problem.modes if mode is None else (problem.modes[mode],)
     print_table(LIMIT_HEADINGS, limit_rows(found, names))

@@ -102,6 +102,7 @@ def monte_carlo(
         backend,
         progress=sys.stderr.isatty() and not json_output,
         imperfections=chosen.imperfections,
+        weight=chosen.weight,
     )
     if result.sizes["scenario"] == 0:
         raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
@@ -235,6 +236,7 @@ def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
 
 def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary) -> None:
     """Heading, remarks and tables on the terminal."""
+    from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
 
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
@@ -257,10 +259,10 @@ def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summar
         print(f"• Run one by one, which takes longer: {', '.join(data.attrs['one_by_one'])}.")
     if data.attrs["message"]:
         print(f"• {data.attrs['message']}")
-    print("\nCost, ∫|x|² + |u|² dt")
+    print(f"\nCost, {text_of(problem.weight)}")
     print_table(outcome.headings, outcome.rows())
     print(f"/ {outcome.reference}: the median of the ratio on the same signal.")
-    print("\n∫|x|² dt")
+    print("\n∫|x|²")
     print_table(outcome.headings[:4], outcome.rows_of_ise())
 
 
@@ -268,6 +270,8 @@ def _record(
     problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary
 ) -> dict[str, object]:
     """The results for JSON."""
+    from deadtime.plant.weight import record_of
+
     return {
         "problem": problem.name,
         "scenarios": outcome.scenarios,
@@ -277,5 +281,6 @@ def _record(
         **{name: data.attrs[name] for name in ("step", "seed", "backend", "message")},
         "interrupted": bool(data.attrs["interrupted"]),
         "reference": outcome.reference,
+        **record_of(problem.weight),
         "laws": outcome.records(),
     }

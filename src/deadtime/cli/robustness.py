@@ -72,6 +72,7 @@ def robustness(
             seed=seed,
             imperfections=chosen.imperfections,
             u0=chosen.u0,
+            weight=chosen.weight,
             progress=advance,
         )
     path = Path(f"{chosen.name}-robustness.png") if out is None else out
@@ -92,6 +93,7 @@ def robustness(
 def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
     """The figures for JSON, which knows no infinity: null where there is one."""
     from deadtime.base.wording import finite_or_none
+    from deadtime.plant.weight import record_of
 
     delay, gain, noise = result.delay, result.gain, result.noise
     return {
@@ -104,6 +106,7 @@ def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
         "detection_lag": None if result.lag is None else _tolerance(result.lag),
         "noise": {"base": finite_or_none(noise.base), "doubling": finite_or_none(noise.doubling)},
         "sentences": [*result.sentences, *slips],
+        **record_of(result.weight),
     }
 
 

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.observer import Observer, output_matrices
-from deadtime.gains.pole_placement import place_pair, pole_lists, reachable
-from deadtime.gains.state_feedback import weight_matrix
+from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, unseen_pole
 from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import held_pair, quotient, quotient_poles
+from deadtime.plant.weight import weight_matrix
 
 
 def luenberger(
@@ -182,17 +182,10 @@ def _require_observable(A: np.ndarray, C: np.ndarray, i: int) -> None:
 
 
 def _require_detectable(A: np.ndarray, C: np.ndarray, i: int) -> None:
-    """Refuse a mode that hides from C what does not decay (test of Popov, Belevitch, Hautus)."""
-    n, rank = len(A), reachable(A.T, C.T)
-    if rank == n:
-        return
-    size = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
-    rows = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), np.finfo(float).tiny)
-    for value in np.linalg.eigvals(A):
-        pencil = np.vstack(((A - value * np.eye(n)) / size, rows))
-        hidden = np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-9
-        if hidden and value.real >= -1e-12 * size:
-            raise ArgumentError(
-                f"mode {i} is not observable: {_rank_of(n, rank)}, and what C does not see "
-                f"(eigenvalue {value:.4g} 1/s) does not decay: measure more."
-            )
+    """Refuse a mode that hides from C what does not decay."""
+    value = unseen_pole(A, C)
+    if value is not None:
+        raise ArgumentError(
+            f"mode {i} is not observable: {_rank_of(len(A), reachable(A.T, C.T))}, and what C does "
+            f"not see (eigenvalue {value:.4g} 1/s) does not decay: measure more."
+        )

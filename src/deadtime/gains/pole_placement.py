@@ -141,6 +141,21 @@ def reachable(A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"]) -> int:
     return basis.shape[1]
 
 
+def unseen_pole(A: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"]) -> complex | None:
+    """A pole of A that does not decay and that C x does not show (Popov, Belevitch, Hautus)."""
+    n = len(A)
+    if reachable(A.T, C.T) == n:
+        return None
+    size = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    rows = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), np.finfo(float).tiny)
+    for value in np.linalg.eigvals(A):
+        pencil = np.vstack(((A - value * np.eye(n)) / size, rows))
+        hidden = np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-9
+        if hidden and value.real >= -1e-12 * size:
+            return value
+    return None
+
+
 def require_controllable(A: np.ndarray, B: np.ndarray, i: int) -> None:
     """Refuse a mode whose controllability matrix [B, AB, …] lacks rank."""
     n, rank = A.shape[0], reachable(A, B)

@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive, real_array
+from deadtime.base.checks import positive, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, require_controllable
-from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import held_pair, quotient, quotient_poles
+from deadtime.plant.weight import weight_matrix
 
 
 def place(
@@ -151,22 +151,6 @@ def lqr(
     return np.stack([_sampled_lqr_mode(plant, i, Q, R, step) for i in range(plant.modes)])
 
 
-def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
-    """A symmetric weight of a quadratic cost, positive semidefinite or (`strict`) definite."""
-    form = f"({letter}, {letter})"
-    weight = real_array(name, value, form, 2)
-    if weight.shape != (size, size):
-        raise ArgumentError(f"{name} must have shape {form} = {(size, size)}, got {weight.shape}.")
-    if not np.allclose(weight, weight.T, rtol=1e-12, atol=0.0):
-        raise ArgumentError(f"{name} must be symmetric: pass ({name} + {name}.T) / 2.")
-    eigenvalues = np.linalg.eigvalsh(weight)
-    floor = 0.0 if strict else -1e-12 * max(1.0, abs(eigenvalues).max())
-    if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
-        kind = "positive definite" if strict else "positive semidefinite"
-        raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {eigenvalues[0]:.4g}.")
-    return (weight + weight.T) / 2.0
-
-
 def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
     from scipy.linalg import solve_continuous_are
 
@@ -186,27 +170,19 @@ def _lqr_mode(plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray) -> np
     return K
 
 
-def held_cost(
-    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, step: float
-) -> Float[np.ndarray, "z z"]:
-    """M with ∫₀^h xᵀQx + uᵀRu dt = zᵀ M z, z = (x(0), u), the input held: dz/dt = Z z."""
-    n, m = B.shape
-    Z, weight = np.zeros((2, n + m, n + m))
-    Z[:n, :n], Z[:n, n:] = A, B
-    weight[:n, :n], weight[n:, n:] = Q, R
-    return noise_covariance(Z.T, weight, step)
-
-
 def _sampled_lqr_mode(
     plant: SwitchedSystem, i: int, Q: np.ndarray, R: np.ndarray, step: float
 ) -> np.ndarray:
     """The discrete Riccati equation with a cross term, put back."""
     from scipy.linalg import solve_discrete_are
 
+    from deadtime.numerics.exponential import energy_gramian
+
     A, B = plant.A[i], plant.B[i]
     n = A.shape[0]
     Phi, Gamma = held_pair(A, B, step)
-    M = held_cost(A, B, Q, R, step)
+    M = energy_gramian(A, B, step, read_only(Q))
+    M[n:, n:] += step * R
     try:
         X = solve_discrete_are(Phi, Gamma, M[:n, :n], M[n:, n:], s=M[:n, n:])
     except ValueError:  # LinAlgError among them

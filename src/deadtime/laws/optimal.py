@@ -12,9 +12,9 @@ from deadtime.base.checks import count, index, read_only, real_array, shaped
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw, require_room, room
-from deadtime.gains.state_feedback import weight_matrix
 from deadtime.laws.expected import require_model, table_ages
 from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
 
 MOST_MEMORY = 4e9
@@ -114,6 +114,11 @@ class OptimalPredictor(TableLaw):
     def label(self) -> str:
         return "optimal"
 
+    @property
+    def weight(self) -> Weight:
+        """The cost that it minimises, for those who measure it."""
+        return Weight(self.Q, self.R)
+
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
@@ -160,8 +165,7 @@ class OptimalPredictor(TableLaw):
         require_room("the lifted state", 1, h, most)
         hazard, transition = self._chain(h, most)
         ages = hazard.shape[1]
-        root = np.ascontiguousarray(np.linalg.cholesky(self.Q).T)
-        L, stage = period(plant.A, plant.B, root, h, window.phase)
+        L, stage = period(plant.A, plant.B, self.Q, h, window.phase)
         P, gain = solve(L, stage, h * self.R, hazard, transition, N, h)
         F = gain[..., :n].reshape(modes * ages, m, n).copy()
         G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()

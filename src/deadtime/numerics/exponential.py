@@ -10,11 +10,11 @@ badly scaled plant nor a badly scaled B costs accuracy, and no matrix is inverte
 singular A needs no special case. The tests hold it against the exponential of
 [[A, B], [0, 0]] computed by SciPy and in 50-digit arithmetic.
 
-The Gramian of a piece gives integrals of |x|² exactly: with z = (x, u), dz/dt = Z z,
-Z = [[A, B], [0, 0]], E = diag(I, 0),
+The Gramian of a piece gives integrals of xᵀQx exactly: with z = (x, u), dz/dt = Z z,
+Z = [[A, B], [0, 0]], E = diag(Q, 0),
 
-    ∫₀^τ |x|² dt = z(0)ᵀ Q z(0),    Q(τ) = ∫₀^τ e^{Zᵀs} E e^{Zs} ds,
-    Q(2τ) = Q(τ) + e^{Zᵀτ} Q(τ) e^{Zτ}:   a sum of positive terms, no cancellation.
+    ∫₀^τ xᵀQx dt = z(0)ᵀ M z(0),    M(τ) = ∫₀^τ e^{Zᵀs} E e^{Zs} ds,
+    M(2τ) = M(τ) + e^{Zᵀτ} M(τ) e^{Zτ}:   a sum of positive terms, no cancellation.
 
 This module needs Numba, so it is imported where it is used.
 """
@@ -144,11 +144,11 @@ def held_modes(A, B, tau):
 
 
 @njit(cache=True)
-def energy_gramian(A, B, tau):
-    """Q (n + m, n + m) with ∫₀^τ |x|² dt = zᵀ Q z, z = (x(0), u), the input held.
+def energy_gramian(A, B, tau, Q=None):
+    """M (n + m, n + m) with ∫₀^τ xᵀQx dt = zᵀ M z, z = (x(0), u), the input held; None: Q = I.
 
     States are measured in units in which A is balanced, inputs in units in which B is as large
-    as A, so that bad scaling does not ask for needless doublings. Q is NaN where |A|τ is beyond
+    as A, so that bad scaling does not ask for needless doublings. M is NaN where |A|τ is beyond
     what floats hold.
     """
     n, m = B.shape
@@ -172,21 +172,24 @@ def energy_gramian(A, B, tau):
         return np.full((n + m, n + m), np.nan)
     short = tau / 2.0**count
     term = np.zeros((n + m, n + m))
-    for i in range(n):
-        term[i, i] = short * unit[i] ** 2
-    Q = term.copy()
+    if Q is None:
+        for i in range(n):
+            term[i, i] = short * unit[i] ** 2
+    else:
+        term[:n, :n] = short * Q * np.outer(unit[:n], unit[:n])
+    M = term.copy()
     bound, k = 1.0, 1
     while bound > ROUND_OFF and k < 40:
         k += 1
         half = multiply(term, Z)
         term = (half + half.T) * (short / k)
-        Q += term
+        M += term
         bound *= size / 2.0**count / k
     transition = _extended(*held(balanced, scaled, short))
     for _ in range(count):
-        Q = Q + multiply(multiply(transition.T, Q), transition)
+        M = M + multiply(multiply(transition.T, M), transition)
         transition = multiply(transition, transition)
-    return Q / np.outer(unit, unit)
+    return M / np.outer(unit, unit)
 
 
 @njit(cache=True)
@@ -221,21 +224,21 @@ def between(A, B, mode, cut_offset, cut_mode, first, stop, a, b):
 
 
 @njit(cache=True)
-def energy_between(A, B, mode, cut_offset, cut_mode, first, stop, a, b):
-    """Q over [a, b) inside one step, cut as in `between`."""
+def energy_between(A, B, mode, cut_offset, cut_mode, first, stop, a, b, Q=None):
+    """M of `energy_gramian` over [a, b) inside one step, cut as in `between`."""
     n, m = B.shape[1:]
-    Q = np.zeros((n + m, n + m))
+    M = np.zeros((n + m, n + m))
     transition = np.eye(n + m)
     for p in range(first, stop + 1):
         end = min(cut_offset[p], b) if p < stop else b
         if end > a:
-            piece = energy_gramian(A[mode], B[mode], end - a)
-            Q += multiply(multiply(transition.T, piece), transition)
+            piece = energy_gramian(A[mode], B[mode], end - a, Q)
+            M += multiply(multiply(transition.T, piece), transition)
             transition = multiply(_extended(*held(A[mode], B[mode], end - a)), transition)
             a = end
         if p < stop:
             mode = cut_mode[p + 1]
-    return Q
+    return M
 
 
 @njit(cache=True)

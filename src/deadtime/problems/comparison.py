@@ -28,7 +28,7 @@ class Comparison:
     runs : mapping
         One run per law, on the problem's signal.
     metrics : mapping
-        `Trajectory.metrics()` of each run.
+        `Trajectory.metrics` of each run, at the problem's cost.
     held : tuple of Trajectory
         The problem's first law with mode 0, 1, … for ever.
     growth : tuple of float
@@ -91,7 +91,7 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
     for mode in range(problem.plant.modes):
         progress(f"simulating: {problem.modes[mode]} for ever")
         held.append(problem.hold(mode, horizon))
-    metrics = {name: run.metrics() for name, run in runs.items()}
+    metrics = {name: run.metrics(problem.weight) for name, run in runs.items()}
     measured = tuple(-run.metrics()["decay_rate"] for run in held)
     outcomes = {name: ended(problem, name, run) for name, run in runs.items()}
     growth = _growth(problem) or measured

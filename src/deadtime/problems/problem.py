@@ -18,7 +18,7 @@ from deadtime.laws import (
     ExactPredictor,
     StateDependentPredictor,
 )
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Rule, SwitchingSignal
 
@@ -66,6 +66,8 @@ class Problem(Frozen):
         What gains and laws were made for, where `plant`, the truth, differs from it.
     imperfections, seed, predict
         As `simulate` takes them.
+    weight : Weight or None
+        Of the cost by which its laws are compared; None: the identity.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Problem(Frozen):
     imperfections: tuple[Imperfection, ...] = ()
     seed: int = 0
     predict: str = "applied"
+    weight: Weight | None = None
 
     def __post_init__(self) -> None:
         if not self.states:

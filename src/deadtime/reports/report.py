@@ -17,6 +17,7 @@ from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.base.version import __version__
 from deadtime.base.wording import file_name, finite_or_none
 from deadtime.laws import DelayedStateFeedback
+from deadtime.plant.weight import record_of, text_of
 from deadtime.problems import Problem
 from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import Comparison, Progress, compare
@@ -233,6 +234,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
     return {
         "problem": result.problem.name,
         "version": __version__,
+        **record_of(result.problem.weight),
         "laws": {
             name: {key: finite_or_none(value) for key, value in row.items()}
             | _ended(result.outcomes[name])
@@ -284,6 +286,7 @@ def _page(
         sentences=sentences,
         picture=picture,
         headings=HEADINGS,
+        cost=text_of(problem.weight),
         rows=table(result),
         figures=images,
         audited=audited,

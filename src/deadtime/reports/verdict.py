@@ -15,6 +15,7 @@ from deadtime.laws import (
     MeanPredictor,
     SingleModePredictor,
 )
+from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import LAWS, LEVELS, the_law
@@ -36,7 +37,7 @@ def verdict(result: Comparison) -> list[str]:
     """
     lead = untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
-    sentences += _imperfections(result)
+    sentences += _imperfections(result) + _cost(result)
     early = [name for name, run in result.runs.items() if _ended_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
@@ -114,6 +115,12 @@ def _imperfections(result: Comparison) -> list[str]:
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
 
 
+def _cost(result: Comparison) -> list[str]:
+    """What the cost is, where that is not the usual one."""
+    weight = result.problem.weight
+    return [] if weight is None else [f"The cost is {weight.text}."]
+
+
 def _differ(problem: Problem, name: str) -> bool:
     mine, its = getattr(problem.plant, name), getattr(problem.model, name)
     return not np.array_equal(mine, its)
@@ -166,9 +173,9 @@ def _baseline(result: Comparison, name: str) -> str:
     ends = outcome.sentence
     if outcome.kind == "falls":
         ends = f"|x| falls to {amount(outcome.final)} here"
+    times, formula = _times(result, name, result.lead), text_of(result.problem.weight)
     return (
-        f"Even ignoring the delay, {ends}, at "
-        f"{_times(result, name, result.lead)} the cost (∫|x|² + ∫|u|²) of {_law(result.lead)}."
+        f"Even ignoring the delay, {ends}, at {times} the cost ({formula}) of {_law(result.lead)}."
     )
 
 

@@ -34,6 +34,8 @@ class Block:
     tables : mapping
         From the name of a law to its table for the engine; None for rows per sample, which each
         scenario has of its own. Laws without an entry are run one by one by `simulate`.
+    weighed : pair of Loop and Engine, or None
+        Of the cost's weight, where that is not the identity: runs are run again to measure it.
     """
 
     loop: Loop
@@ -44,6 +46,7 @@ class Block:
     imperfections: Sequence[Imperfection]
     seed: int
     results: Results
+    weighed: tuple[Loop, Engine] | None = None
 
     def run(self, first: int, count: int, stopped: Stopped) -> int:
         """Run scenarios first, …, first + count − 1; how many of their signals end early.
@@ -51,7 +54,10 @@ class Block:
         Where `stopped` says so in between, the block is left and counts as not done.
         """
         signals = self.source.batch(first, count)
-        laid = self.loop.lay(signals) if self.tables else None
+        laid = None
+        if self.tables:
+            loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
+            laid = [loop.lay(signals) for loop in loops]
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
             if laid is not None and isinstance(law, TableLaw) and name in self.tables:
@@ -76,7 +82,7 @@ class Block:
         law: TableLaw,
         table: Any,
         signals: SignalBatch,
-        laid: Laid,
+        laid: Sequence[Laid],
         first: int,
         stopped: Stopped,
     ) -> Sequence[int]:
@@ -90,9 +96,9 @@ class Block:
                 return []
             these = slice(first + start, first + min(start + size, count))
             figures = self._figures(row, law, table, signals, laid, start, these)
-            for metric, values in metrics_of(loop, figures).items():
+            for metric, values in metrics_of(loop, *figures).items():
                 results.metrics[metric][row, these] = values
-            left += (start + np.flatnonzero(needs_own_run(loop, figures))).tolist()
+            left += (start + np.flatnonzero(needs_own_run(loop, figures[0]))).tolist()
         return left
 
     def _figures(
@@ -101,21 +107,24 @@ class Block:
         law: TableLaw,
         table: Any,
         signals: SignalBatch,
-        laid: Laid,
+        laid: Sequence[Laid],
         start: int,
         these: slice,
-    ) -> Figures:
-        """Figures of a few scenarios; trajectories go where they are asked for."""
+    ) -> list[Figures]:
+        """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results, loop = these.stop - these.start, self.results, self.loop
         if table is None:
             step, samples = loop.window.step, loop.whole + 1
             futures = (signals[start + i] for i in range(count))
             table = self.engine.tables([law.digital(step, one, samples) for one in futures])
         if results.x is None or results.u is None:
-            return self.engine.run(table, laid, start, count)
-        figures, path = self.engine.path(table, laid, start, count)
-        results.x[row, these], results.u[row, these] = path
-        return figures
+            figures = self.engine.run(table, laid[0], start, count)
+        else:
+            figures, path = self.engine.path(table, laid[0], start, count)
+            results.x[row, these], results.u[row, these] = path
+        if self.weighed is None:
+            return [figures]
+        return [figures, self.weighed[1].run(table, laid[1], start, count)]
 
     def _size(self, law: TableLaw) -> int:
         """For how many scenarios rows per sample fit into memory at a time."""
@@ -137,7 +146,8 @@ class Block:
             seed=scenario_seed(self.seed, scenario),
         )
         results.diverged[row, scenario] = run.diverged
-        for metric, value in run.metrics().items():
+        weight = None if self.weighed is None else self.weighed[0].weight
+        for metric, value in run.metrics(weight).items():
             results.metrics[metric][row, scenario] = value
         if results.x is not None and results.u is not None:
             for target, found in ((results.x, run.states), (results.u, run.inputs)):

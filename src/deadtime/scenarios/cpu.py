@@ -32,6 +32,7 @@ class CpuEngine:
             limits[0],
             limits[1].ravel(),
             limits[2].ravel(),
+            loop.root.ravel(),
         )
 
     def table(self, feedback: Feedback) -> tuple[Shape, Rows]:

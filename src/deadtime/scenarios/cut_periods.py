@@ -1,7 +1,7 @@
 """Transitions over a period, whole or cut by switches.
 
 Over a period the plant sees z = (x, u_{k−N}, u_{k−N+1}), or (x, u_{k−N}) where N periods are the
-delay, and moves by x_{k+1} = M z with ∫|x|² = zᵀ E z. Where one switch from mode i to mode j cuts
+delay, and moves by x_{k+1} = M z with ∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts
 the period, M and E are analytic in the instant of the switch: series in it replace two
 exponentials by one short polynomial.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 
 WIDE = 8  # entries of a map come in vectors of so many
 _NODES, _ROUND_OFF = 20, 2e-15
@@ -24,7 +24,7 @@ _MOST_NUMBERS = 4e6  # of the series for all pairs of modes
 
 
 class Maps(NamedTuple):
-    """Whole periods, mode by mode: x_{k+1} = move z and ∫|x|² = zᵀ energy z."""
+    """Whole periods, mode by mode: x_{k+1} = move z and ∫xᵀQx = zᵀ energy z."""
 
     move: Float[np.ndarray, "mode n z"]
     energy: Float[np.ndarray, "mode z z"]
@@ -66,33 +66,37 @@ def balanced_norm(A: Float[np.ndarray, "n n"]) -> float:
 
 
 def composed(
-    pieces: Sequence[tuple[np.ndarray, np.ndarray, float]], inputs: Sequence[int] = (0, 1)
+    pieces: Sequence[tuple[np.ndarray, np.ndarray, float]],
+    weight: Weight | None = None,
+    inputs: Sequence[int] = (0, 1),
 ) -> tuple[Float[np.ndarray, "n z"], Float[np.ndarray, "z z"]]:
     """M and E over pieces (A, B, seconds), piece p seeing the block inputs[p] of the inputs."""
     from deadtime.numerics.exponential import energy_gramian, held
 
     n, m = pieces[0][1].shape
-    which = list(inputs)[: len(pieces)]
+    which, Q = list(inputs)[: len(pieces)], None if weight is None else weight.Q
     wide = n + m * (1 + max(which))
     move, energy = np.eye(n, wide), np.zeros((wide, wide))
     for (A, B, length), block in zip(pieces, which, strict=True):
         u = np.eye(m, wide, n + block * m)
         z = np.vstack((move, u))
         Phi, Gamma = held(A, B, length)
-        energy += z.T @ energy_gramian(A, B, length) @ z
+        energy += z.T @ energy_gramian(A, B, length, Q) @ z
         move = Phi @ move + Gamma @ u
     return move, energy
 
 
 @lru_cache(8)
-def tables_of(plant: SwitchedSystem, lengths: tuple[float, ...], cells: int) -> Tables:
+def tables_of(
+    plant: SwitchedSystem, lengths: tuple[float, ...], cells: int, weight: Weight | None = None
+) -> Tables:
     """The series of a plant, `lengths` being those for which one input acts at a time."""
     A, B, modes, step = plant.A, plant.B, plant.modes, sum(lengths)
     n, wide = plant.states, plant.states + plant.inputs * len(lengths)
 
     def piece(i: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
-            move, energy = composed([(A[i], B[i], t)])
+            move, energy = composed([(A[i], B[i], t)], weight)
             return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), packed(energy)))
 
         return at
@@ -106,7 +110,7 @@ def tables_of(plant: SwitchedSystem, lengths: tuple[float, ...], cells: int) -> 
                 blocks = [0, 1, 1]
             elif len(lengths) > 1:
                 both, blocks = [*both, (A[j], B[j], lengths[1])], [0, 0, 1]
-            move, energy = composed(both, blocks)
+            move, energy = composed(both, weight, blocks)
             return np.concatenate((move.ravel(), packed(energy)))
 
         return at

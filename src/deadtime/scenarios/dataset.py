@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.version import __version__
+from deadtime.plant.weight import PLAIN, Weight
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -25,6 +26,24 @@ METRICS = {
     "final_norm": ("x", "|x| at the end"),
 }
 DIVERGED = "|x| left 1e100 and the run ended there; its metrics are those up to that end"
+
+
+def attributes_of(metric: str, cost: str | None = None) -> dict[str, str]:
+    """What a dataset says of a metric; of the cost also what it is, where a weight says so.
+
+    Examples
+    --------
+    >>> attributes_of("ise", "∫xᵀQx + uᵀRu, …")
+    {'units': 'x^2 s', 'long_name': 'integral of |x|^2'}
+    """
+    if metric == "cost" and cost is not None:
+        return {"long_name": "weighted integral of x and u", "formula": cost}
+    return dict(zip(("units", "long_name"), METRICS[metric], strict=True))
+
+
+def formula_of(metric: xr.DataArray) -> str:
+    """The cost that a dataset holds, as labels say it."""
+    return str(metric.attrs.get("formula", PLAIN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +81,11 @@ class Results:
 
 
 def dataset_of(
-    names: Sequence[str], results: Results, step: float, attributes: Mapping[str, Any]
+    names: Sequence[str],
+    results: Results,
+    step: float,
+    attributes: Mapping[str, Any],
+    weight: Weight | None = None,
 ) -> xr.Dataset:
     """The scenarios that are done."""
     import xarray as xr
@@ -74,7 +97,7 @@ def dataset_of(
         return array if whole else np.take(array, done, axis)
 
     variables: dict[str, Any] = {
-        name: (dims, kept(value), {"units": METRICS[name][0], "long_name": METRICS[name][1]})
+        name: (dims, kept(value), attributes_of(name, None if weight is None else weight.text))
         for name, value in results.metrics.items()
     }
     variables["diverged"] = (dims, kept(results.diverged), {"long_name": DIVERGED})

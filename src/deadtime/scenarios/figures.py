@@ -40,22 +40,25 @@ class Path(NamedTuple):
 
 
 @np.errstate(all="ignore")  # of a scenario that diverges, which is run again
-def metrics_of(loop: Loop, figures: Figures) -> dict[str, Float[np.ndarray, " scenario"]]:
-    """The metrics of `Trajectory.metrics`, in its order.
+def metrics_of(
+    loop: Loop, figures: Figures, weighed: Figures | None = None
+) -> dict[str, Float[np.ndarray, " scenario"]]:
+    """The metrics of `Trajectory.metrics`, in its order; `weighed` are the figures of the cost.
 
     The peak of |x| so far never falls, and is the peak itself from where it is reached on; so the
     last sample above 2 % of the peak so far is the last one above 2 % of the peak.
     """
     step = loop.window.step
     peak = np.maximum(figures.peak, figures.final)
-    ise, energy = figures.ise, step * figures.energy
+    parts = figures.ise, step * figures.energy
+    cost = parts if weighed is None else (weighed.ise, step * weighed.energy)
     at_end = figures.final > 0.02**2 * peak
     time = step * (figures.outside + 1.0)
     time = np.where(figures.outside == loop.whole, loop.horizon, time)
     return {
-        "ise": ise,
-        "energy": energy,
-        "cost": ise + energy,
+        "ise": parts[0],
+        "energy": parts[1],
+        "cost": cost[0] + cost[1],
         "peak": np.sqrt(peak),
         "settling_time": np.where(at_end, np.inf, time),
         "decay_rate": _decay_rate(loop, figures),

@@ -106,9 +106,10 @@ class Plant(NamedTuple):
 
 
 class Run(NamedTuple):
-    """samples, the weight of the last one's input, where the late half begins, x0, actuators.
+    """samples, the weight of the last one's input, where the late half begins, x0, actuators, root.
 
-    Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`.
+    Energy is |root u|², root (m, m) flat, or |u|² where that is empty. Actuator
+    a clips to [low[a], high[a]], relative to the input before where `rate[a]`.
     """
 
     samples: int
@@ -118,6 +119,7 @@ class Run(NamedTuple):
     rate: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    root: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -335,7 +337,8 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
         ise = own_form(own, n * wide * LANES, z, ise)
         x = own_product(own, 0, z, same(0.0, shape.x))
         weight = run.rest if k == run.samples - 1 else 1.0
-        energy = times(same(weight, _ONE), squares(u, none), energy)
+        felt = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
+        energy = times(same(weight, _ONE), squares(felt, none), energy)
         now = 0 if now + 1 == period else now + 1
         old = 0 if old + 1 == period else old + 1
         new = 0 if new + 1 == period else new + 1

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.checks import read_only
 from deadtime.imperfections import Limiting, Sizes
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.numerics.covariance import square_root
+from deadtime.plant import SwitchedSystem, Weight, Window
 from deadtime.plant.steps import snap, snap_all
 from deadtime.scenarios.cut_periods import (
     WIDE,
@@ -62,6 +64,8 @@ class Loop:
     rest : float
         Seconds from t_K to the horizon, in [0, h).
     actuators : sequence of Limiting
+    weight : Weight or None
+        What engines measure: ∫xᵀQx as their ise, uᵀRu as their energy; None for the identity.
     """
 
     plant: SwitchedSystem
@@ -69,6 +73,7 @@ class Loop:
     x0: Float[np.ndarray, " n"]
     horizon: float
     actuators: Sequence[Limiting] = ()
+    weight: Weight | None = None
 
     @cached_property
     def whole(self) -> int:
@@ -86,6 +91,13 @@ class Loop:
         first = max(0, math.floor(half / step) - 1)
         return next(k for k in range(first, first + 4) if k * step >= half)
 
+    @cached_property
+    def root(self) -> Float[np.ndarray, "rows m"]:
+        """L with LᵀL = R, by which engines multiply the inputs that they measure; empty for I."""
+        if self.weight is None:
+            return np.zeros((0, self.plant.inputs))
+        return read_only(square_root(self.weight.R).T)
+
     @property
     def lengths(self) -> list[float]:
         """For how long one input acts at a time within a period, seconds."""
@@ -96,7 +108,8 @@ class Loop:
     def maps(self) -> Maps:
         """The uncut periods."""
         A, B = self.plant.A, self.plant.B
-        pairs = [composed([(A[i], B[i], t) for t in self.lengths]) for i in range(len(A))]
+        whole = [[(A[i], B[i], t) for t in self.lengths] for i in range(len(A))]
+        pairs = [composed(pieces, self.weight) for pieces in whole]
         return Maps(*(np.array(part) for part in zip(*pairs, strict=True)))
 
     @cached_property
@@ -105,7 +118,9 @@ class Loop:
         norms = [balanced_norm(A) for A in self.plant.A]
         size = max(norms) * self.window.step
         cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
-        return None if cells > _CELLS else tables_of(self.plant, tuple(self.lengths), cells)
+        if cells > _CELLS:
+            return None
+        return tables_of(self.plant, tuple(self.lengths), cells, self.weight)
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

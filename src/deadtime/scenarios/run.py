@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.imperfections import Imperfection, Limiting, streams
 from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
 from deadtime.scenarios.dataset import METRICS, Results, dataset_of
 from deadtime.scenarios.engine import BACKENDS, Engine, engine_of
@@ -54,6 +56,7 @@ def monte_carlo(
     imperfections: Sequence[Imperfection] = (),
     trajectories: bool = False,
     threads: int | None = None,
+    weight: Weight | None = None,
 ) -> xr.Dataset:
     """Run several laws over many switching signals, every law on the same ones.
 
@@ -103,6 +106,8 @@ def monte_carlo(
         Keep states and inputs at the samples, and the modes.
     threads : int, optional
         How many to use; by default one for each processor.
+    weight : Weight, optional
+        Of the cost, the identity by default; with another one every scenario runs twice.
 
     Returns
     -------
@@ -150,7 +155,11 @@ def monte_carlo(
     results = _room(loop, len(named), scenarios, trajectories)
     engine = engine_of(backend, loop)
     tables = _tables(engine, loop, named, imperfections)
-    block = Block(loop, source, named, tables, engine, imperfections, seed, results)
+    weight, weighed = weight_of(weight, plant), None
+    if weight is not None:
+        other = replace(loop, weight=weight)
+        weighed, tables = (other, engine_of(backend, other)), tables if backend == "numba" else {}
+    block = Block(loop, source, named, tables, engine, imperfections, seed, results, weighed)
     size = _block(loop, backend) if tables else 1
     with shown(progress, scenarios) as report:
         workers = min(threads, -(-scenarios // size)) if tables and backend == "numba" else 1
@@ -169,7 +178,7 @@ def monte_carlo(
         "interrupted": int(interrupted),
         "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
     }
-    return dataset_of(list(named), results, step, attributes)
+    return dataset_of(list(named), results, step, attributes, weight)
 
 
 def _block(loop: Loop, backend: str) -> int:

@@ -121,23 +121,23 @@ def states_at(A, B, phase, cut_step, cut_offset, cut_mode, step, offset, states,
 
 
 @njit(cache=True)
-def phase_gramians(A, B, step, phase, cut_offset, cut_mode, mode, first, stop):
-    """∫|x|² over each entry of the phase table as a quadratic form in (x, u) at its start."""
+def phase_gramians(A, B, step, phase, cut_offset, cut_mode, mode, first, stop, Q=None):
+    """∫xᵀQx over each entry of the phase table as a form in (x, u) at its start; None: Q = I."""
     modes, n, m = B.shape
-    Q = np.zeros((mode.size, n + m, n + m))
+    M = np.zeros((mode.size, n + m, n + m))
     for e in range(mode.size):
         early = e % 2 == 0 if e < 2 * modes else cut_offset[first[e]] < phase
         a, b = (0.0, phase) if early else (phase, step)
         if e < 2 * modes:
-            Q[e] = energy_gramian(A[mode[e]], B[mode[e]], b - a)
+            M[e] = energy_gramian(A[mode[e]], B[mode[e]], b - a, Q)
         else:
-            Q[e] = energy_between(A, B, mode[e], cut_offset, cut_mode, first[e], stop[e], a, b)
-    return Q
+            M[e] = energy_between(A, B, mode[e], cut_offset, cut_mode, first[e], stop[e], a, b, Q)
+    return M
 
 
 @njit(cache=True)
-def square_integral(Q, index, steps, states, at_phase, acting):
-    """∫|x|² over the steps 0, …, steps − 1."""
+def form_integral(M, index, steps, states, at_phase, acting):
+    """The sum of `phase_gramians`' forms over the steps 0, …, steps − 1."""
     n, m = states.shape[1], acting.shape[2]
     total = 0.0
     z = np.empty(n + m)
@@ -145,7 +145,7 @@ def square_integral(Q, index, steps, states, at_phase, acting):
         for f in range(2):
             z[:n] = states[k] if f == 0 else at_phase[k]
             z[n:] = acting[k, f]
-            form = Q[index[k, f]]
+            form = M[index[k, f]]
             for i in range(n + m):
                 total += z[i] * _dot(form[i], z)
     return total

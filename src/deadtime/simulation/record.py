@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant import SwitchedSystem, Weight, Window
 from deadtime.plant.steps import snap_all
 from deadtime.simulation.slides import Slides
 from deadtime.switching.grid import Cuts
@@ -160,23 +160,25 @@ class DigitalRecord(Frozen):
         step, _ = self.locate(times)
         return self.inputs[self.past + step]
 
-    def integrals(self, end: float) -> tuple[float, float]:
-        """∫|x|² and ∫|u|² over [0, end], exact."""
+    def integrals(self, end: float, weight: Weight | None = None) -> tuple[float, float]:
+        """∫xᵀQx and ∫uᵀRu over [0, end], exact."""
         step, rest = (part[0] for part in self.locate(np.array([end])))
-        ise = self._whole_steps(int(step))
+        Q, R = (None, None) if weight is None else (weight.Q, weight.R)
+        states = self._whole_steps(int(step), Q)
         held = self.inputs[self.past : self.past + step]
-        energy = self.window.step * float(np.vdot(held, held))
+        inputs = self.window.step * float(np.vdot(held, held if R is None else held @ R))
         if rest > 0.0:
             u = self.inputs[self.past + step]
-            energy += rest * float(u @ u)
-            ise += self._within_step(int(step), float(rest))
-        return ise, energy
+            inputs += rest * float(u @ u if R is None else u @ R @ u)
+            states += self._within_step(int(step), float(rest), Q)
+        return states, inputs
 
-    def _whole_steps(self, steps: int) -> float:
-        from deadtime.simulation.kernel import phase_gramians, square_integral
+    def _whole_steps(self, steps: int, Q: np.ndarray | None) -> float:
+        """∫xᵀQx over the steps 0, …, steps − 1."""
+        from deadtime.simulation.kernel import form_integral, phase_gramians
 
         table, window, (B, acting) = self.table, self.window, self.driven
-        Q = phase_gramians(
+        M = phase_gramians(
             self.plant.A,
             B,
             window.step,
@@ -186,29 +188,30 @@ class DigitalRecord(Frozen):
             table.mode,
             table.first,
             table.stop,
+            Q,
         )
         if self.slides is None:
-            return square_integral(Q, table.index, steps, self.states, self.at_phase, acting)
+            return form_integral(M, table.index, steps, self.states, self.at_phase, acting)
         slid = [k for k in self.slides.steps if k < steps]
         # Nothing moves in these steps as far as the quadratic forms go.
         still = [part.copy() for part in (self.states, self.at_phase, acting)]
         for part in still:
             part[slid] = 0.0
-        forms = float(square_integral(Q, table.index, steps, *map(read_only, still)))
-        return forms + sum(self._within_slide(k, window.step) for k in slid)
+        forms = float(form_integral(M, table.index, steps, *map(read_only, still)))
+        return forms + sum(self._within_slide(k, window.step, Q) for k in slid)
 
-    def _within_slide(self, k: int, end: float) -> float:
+    def _within_slide(self, k: int, end: float, Q: np.ndarray | None) -> float:
         """`_within_step`, of a step that slides."""
         assert self.slides is not None
         rate = float(np.abs(self.plant.A).sum(axis=2).max())
-        return self.slides.square_integral(k, end, self.driven[1][k], rate)
+        return self.slides.form_integral(k, end, self.driven[1][k], rate, Q)
 
-    def _within_step(self, k: int, end: float) -> float:
-        """∫|x|² over [t_k, t_k + end], end < h."""
+    def _within_step(self, k: int, end: float, Q: np.ndarray | None) -> float:
+        """∫xᵀQx over [t_k, t_k + end], end < h."""
         from deadtime.numerics.exponential import energy_between
 
         if self.slides is not None and k in self.slides.steps:
-            return self._within_slide(k, end)
+            return self._within_slide(k, end, Q)
         phase, cuts, (B, acting) = self.window.phase, self.cuts, self.driven
         stop = int(np.searchsorted(cuts.step, k + 1))
         total = 0.0
@@ -217,7 +220,7 @@ class DigitalRecord(Frozen):
                 continue
             first = int(np.searchsorted(cuts.step, k))
             first += int(np.sum((cuts.step == k) & (cuts.offset <= a)))
-            Q = energy_between(
+            M = energy_between(
                 self.plant.A,
                 B,
                 cuts.mode[first],
@@ -227,8 +230,9 @@ class DigitalRecord(Frozen):
                 stop,
                 a,
                 b,
+                Q,
             )
             x = self.at_phase[k] if start else self.states[k]
             z = np.concatenate((x, acting[k, start]))
-            total += float(z @ Q @ z)
+            total += float(z @ M @ z)
         return total

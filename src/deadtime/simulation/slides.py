@@ -52,8 +52,10 @@ class Slides:
         part = [part for part in self.steps[k] if part.begin <= offset][-1]
         return self.motion.along(part.leg, acting[part.phase], offset - part.begin)
 
-    def square_integral(self, k: int, end: float, acting: np.ndarray, rate: float) -> float:
-        """∫|x|² over [t_k, t_k + end] by Gauss quadrature; `rate` (1/s) is the modes' fastest."""
+    def form_integral(
+        self, k: int, end: float, acting: np.ndarray, rate: float, Q: np.ndarray | None
+    ) -> float:
+        """∫xᵀQx over [t_k, t_k + end] by Gauss quadrature; `rate` (1/s) is the modes' fastest."""
         nodes, total = gauss(_NODES), 0.0
         for part in self.steps[k]:
             length = min(part.end, end) - part.begin
@@ -64,7 +66,7 @@ class Slides:
             for i in range(count):
                 for point, weight in zip(nodes.points, nodes.weights, strict=True):
                     x = self.motion.along(part.leg, acting[part.phase], short * (i + point))
-                    total += short * weight * float(x @ x)
+                    total += short * weight * float(x @ x if Q is None else x @ Q @ x)
         return total
 
     def slides(self, step: float, end: float) -> list[Slide]:

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
@@ -82,20 +83,26 @@ class Trajectory(Frozen):
         """
         return self.record.history(self.end)
 
-    def metrics(self) -> dict[str, float]:
+    def metrics(self, weight: Weight | None = None) -> dict[str, float]:
         """Figures of the whole run, whatever `times` were asked for.
+
+        Parameters
+        ----------
+        weight : Weight, optional
+            Of the cost; the identity by default.
 
         Returns
         -------
         dict
-            ise ∫|x|² and energy ∫|u|² (exact, between samples too), cost = ise + energy, peak
+            ise ∫|x|², energy ∫|u|² and cost ∫xᵀQx + uᵀRu (exact, between samples too), peak
             max|x| over the samples, settling_time (s, from when on |x| stays within 2 % of the
             peak; inf if it does not), decay_rate (1/s, minus the least-squares slope of log|x|
             over the second half, at 11 times at least; inf if x is zero there, −inf if the run
             diverged at once), final_norm |x| at the end.
         """
         record, end = self.record, self.end
-        ise, energy = record.integrals(end)
+        weight = weight_of(weight, self.plant)
+        parts = costs(lambda one: record.integrals(end, one), weight)
         time = record.grid(end)
         norm = np.linalg.norm(record.states_at(time), axis=1)
         peak = float(norm.max())
@@ -103,9 +110,7 @@ class Trajectory(Frozen):
         settled = outside.size == 0 or outside[-1] + 1 < time.size
         settling = (0.0 if outside.size == 0 else time[outside[-1] + 1]) if settled else np.inf
         return {
-            "ise": ise,
-            "energy": energy,
-            "cost": ise + energy,
+            **parts,
             "peak": peak,
             "settling_time": float(settling),
             "decay_rate": self._decay_rate(time, norm),

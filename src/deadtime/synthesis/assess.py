@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from deadtime.feedback import Law
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.spectrum import LiftedLoop, aged_row
 from deadtime.synthesis.estimate import estimated_margin
 from deadtime.synthesis.price import BLOCKS, cost_and_growth
@@ -21,6 +21,7 @@ def assessed(
     worst: bool,
     blocks: int = BLOCKS,
     exact: bool = False,
+    weight: Weight | None = None,
 ) -> tuple[float, float, float]:
     """Estimated relative margin, cost, and growth of the fastest mode, 1/s.
 
@@ -32,7 +33,7 @@ def assessed(
     costs, margin, growth = [], math.inf, -math.inf
     for mode in range(plant.modes):
         table = law.digital(step, SwitchingSignal.constant(mode), 1)
-        cost, grows = cost_and_growth(plant, table, mode, blocks)
+        cost, grows = cost_and_growth(plant, table, mode, blocks, weight)
         if exact and math.isfinite(cost):
             row = aged_row(table, mode)
             grows = LiftedLoop.of(plant, table, mode, row).growth_rate(step, _DENSE)

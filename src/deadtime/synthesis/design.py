@@ -13,6 +13,7 @@ from deadtime.gains.state_feedback import require_controllable
 from deadtime.laws import AveragedPredictor
 from deadtime.margins.constant_modes import constant_delay_margin
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import Weight, weight_of
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
 from deadtime.synthesis.assess import WIDEST, assessed
@@ -21,7 +22,7 @@ from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.limits import DelayLimit, delay_limit
 from deadtime.synthesis.message import sentences
-from deadtime.synthesis.request import checked, decay_asked, required_table
+from deadtime.synthesis.request import checked, decay_asked, require_seen, required_table
 from deadtime.synthesis.result import Design, TradeOff
 from deadtime.synthesis.search import MakeLaw, Search, Tried
 from deadtime.synthesis.strategy import pairs_of, spend
@@ -43,6 +44,7 @@ def design(
     budget: int = 800,
     dearest: float = DEAREST,
     seed: int = 0,
+    weight: Weight | None = None,
 ) -> Design:
     """Gains and a law with a requested delay margin, at the least cost found.
 
@@ -64,7 +66,7 @@ def design(
         The law family: (plant, gains) → law; `AveragedPredictor` by default. For one mode's own
         exact law give a plant of that mode alone.
     gains : array_like, shape (modes, m, n), optional
-        The plain design to start from and to compare with; LQR of identity weights by default.
+        The plain design to start from and to compare with; LQR of the cost's weights by default.
     filtered : bool, optional
         True: only laws with a low-pass filter; False: only without; by default both.
     longest_step : float, optional
@@ -73,7 +75,7 @@ def design(
         How fast every constant mode must decay at least at the nominal delay, 1/s. A wide margin
         at a low cost is easily had by a loop that hardly moves.
     cost : "mean" or "worst"
-        The cost ∫ |x|² + |u|² of the mean or of the worst mode, each for ever.
+        The cost ∫ xᵀQx + uᵀRu of the mean or of the worst mode, each for ever.
     budget : int
         How many designs to try. A larger budget tries all that a smaller one does.
     dearest : float
@@ -81,6 +83,9 @@ def design(
         one apart.
     seed : int
         Of the samples that the search starts from; the answer depends on nothing else.
+    weight : Weight, optional
+        Of the cost, the identity by default. R must be definite and Q weigh the unstable states of
+        every mode, so that no loop is cheap because its growth is not seen.
 
     Returns
     -------
@@ -109,16 +114,20 @@ def design(
     asked = checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
     floors = Floors(asked, decay_asked(decay_rate))
     given = None if gains is None else checked_gains(plant, gains, True)
+    weight = weight_of(weight, plant)
+    if weight is not None:
+        require_seen(plant, weight)
     budget, seed = count("budget", budget, 20), count("seed", seed, 0)
     make = _averaged if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
-    start = lqr(plant, np.eye(plant.states), np.eye(plant.inputs)) if given is None else given
+    whole = (weight or Weight()).of(plant)
+    start = lqr(plant, whole.Q, whole.R) if given is None else given
     first = required_table(plant, make, start)
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
-    plain = _plain(plant, first, step, cost == "worst")
-    search = Search(plant, make, cost == "worst", budget, dearest, floors)
+    plain = _plain(plant, first, step, cost == "worst", weight)
+    search = Search(plant, make, cost == "worst", budget, dearest, floors, weight)
     pairs = pairs_of(search, filtered, step, longest_step)
     if not filtered:
         search.plain = _tried(plain, *pairs[0], start)
@@ -128,10 +137,12 @@ def design(
     return _result(plant, exact, exact.choose(), plain, start, limits)
 
 
-def _plain(plant: SwitchedSystem, law: Law, step: float, worst: bool) -> TradeOff:
+def _plain(
+    plant: SwitchedSystem, law: Law, step: float, worst: bool, weight: Weight | None
+) -> TradeOff:
     """The design to compare with."""
     margin = constant_delay_margin(plant, law, step)
-    cost = assessed(plant, law, step, worst)[1]
+    cost = assessed(plant, law, step, worst, weight=weight)[1]
     return TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
 
 
@@ -164,7 +175,8 @@ def _result(
     else:
         margin, gains = exact.margin(chosen), chosen.choice.gains
         law, step = chosen.law, chosen.step
-        cost = assessed(plant, law, step, exact.search.worst)[1]
+        search = exact.search
+        cost = assessed(plant, law, step, search.worst, weight=search.weight)[1]
     floors = exact.search.floors
     growth = _ends(plant, law, step, floors.margin)
     found = TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
@@ -187,6 +199,7 @@ def _result(
         points=exact.trade_off(offered),
         evaluated=exact.search.spent,
         message=sentences(floors, reached, offered, plain, limits, exact.search.spent),
+        weight=exact.search.weight,
     )
 
 

@@ -26,11 +26,11 @@ def _form(Q, x, u):
 
 
 @njit(cache=True)
-def cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, most, done):
-    """∫ |x|² + |u|² from x0 with no inputs in the past.
+def cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, most, done, R):
+    """∫ xᵀQx + uᵀRu from x0 with no inputs in the past.
 
-    `Phi`, `Gamma`, `Q` and `lags` (pieces, m) hold the pieces of a period; G (m, taps·m) has the
-    oldest tap first.
+    `Phi`, `Gamma`, the forms `Q` of ∫xᵀQx and `lags` (pieces, m) hold the pieces of a period;
+    G (m, taps·m) has the oldest tap first; an `R` of None is the identity.
     Blocks of `block` periods are run until one adds less than `done` of the sum, or `most` are;
     what is then missing is the tail of a geometric series. Returns the cost and the ratio of the
     last two blocks; a cost of ∞ where that is 1 or more.
@@ -51,7 +51,13 @@ def cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, most, done):
                 for j in range(n):
                     value += F[i, j] * x[j]
                 inputs[k * m + i] = value
-                added += step * value * value
+                if R is None:
+                    added += step * value * value
+            if R is not None:
+                u[:] = inputs[k * m : (k + 1) * m]
+                for i in range(m):
+                    for j in range(m):
+                        added += step * u[i] * R[i, j] * u[j]
             for piece in range(lags.shape[0]):
                 for i in range(m):
                     u[i] = inputs[(k - lags[piece, i]) * m + i]

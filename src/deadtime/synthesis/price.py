@@ -1,10 +1,10 @@
-"""What a loop costs: ∫ |x|² + |u|², the mean over initial states on the unit sphere.
+"""What a loop costs: ∫ xᵀQx + uᵀRu, the mean over initial states on the unit sphere.
 
 With one mode for ever, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
 `deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
-`numerics.exponential` give ∫|x|² over both phases of the period, the held input h |u_k|². So
+`numerics.exponential` give ∫xᵀQx over the pieces of the period, the held input h u_kᵀR u_k. So
 
-    ∫₀^∞ |x|² + |u|² dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
+    ∫₀^∞ xᵀQx + uᵀRu dt = z₀ᵀ X z₀,    X = S + Lᵀ X L.
 
 Only the block X_xx is wanted, whose trace over n is the mean over |x₀| = 1 without inputs in the
 past: that is n runs, summed period by period until nothing more comes, which costs less than the
@@ -19,7 +19,7 @@ import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
-from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.spectrum import aged_row
 
 _DONE = 1e-15  # of the cost: what the last block may add
@@ -27,8 +27,10 @@ BLOCKS = 4000  # of one delay each
 _SHORTEST = 16  # periods
 
 
-def loop_cost(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
-    """∫ |x|² + |u|² with one mode for ever, the mean over x₀ on the unit sphere; ∞ if unstable.
+def loop_cost(
+    plant: SwitchedSystem, feedback: Feedback, mode: int, weight: Weight | None = None
+) -> float:
+    """∫ xᵀQx + uᵀRu with one mode for ever, the mean over x₀ on the unit sphere; ∞ if unstable.
 
     Parameters
     ----------
@@ -38,6 +40,8 @@ def loop_cost(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
         The law's table; the row of a mode that has lasted for ever applies.
     mode : int
         The mode.
+    weight : Weight, optional
+        Of the cost, by `weight_of`.
 
     Examples
     --------
@@ -47,11 +51,15 @@ def loop_cost(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
     >>> round(loop_cost(plant, idle, 0), 12)                     # ∫ e^{−2t} dt
     0.5
     """
-    return cost_and_growth(plant, feedback, mode)[0]
+    return cost_and_growth(plant, feedback, mode, weight=weight)[0]
 
 
 def cost_and_growth(
-    plant: SwitchedSystem, feedback: Feedback, mode: int, blocks: int = BLOCKS
+    plant: SwitchedSystem,
+    feedback: Feedback,
+    mode: int,
+    blocks: int = BLOCKS,
+    weight: Weight | None = None,
 ) -> tuple[float, float]:
     """The cost; and how fast the loop grows, about, 1/s: negative where it decays.
 
@@ -65,7 +73,8 @@ def cost_and_growth(
     Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
     lags = np.stack([piece.stretch.lag for piece in pieces])
     lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
-    Q = np.stack([energy_gramian(A, B, length) for length in lengths])
+    Q, R = (None, None) if weight is None else (weight.Q, weight.R)
+    forms = np.stack([energy_gramian(A, B, length, Q) for length in lengths])
     row = aged_row(feedback, mode)
     F, G = np.ascontiguousarray(feedback.state_gain[row]), feedback.input_gain[row]
     taps, m, _ = G.shape
@@ -73,7 +82,7 @@ def cost_and_growth(
     block = max(taps, int(lags.max()), _SHORTEST)
     total, growth = 0.0, -math.inf
     for x0 in np.eye(plant.states):
-        cost, ratio = cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, blocks, _DONE)
+        cost, ratio = cost_of_run(Phi, Gamma, forms, lags, F, G, step, x0, block, blocks, _DONE, R)
         if math.isinf(cost):
             return cost, math.log(max(ratio, 1.0 + 1e-9)) / (2.0 * block * step)
         total += cost

@@ -9,8 +9,10 @@ import numpy as np
 from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.gains.pole_placement import unseen_pole
 from deadtime.laws import ExactPredictor
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.synthesis.search import MakeLaw
 
 
@@ -55,6 +57,17 @@ def decay_asked(decay_rate: float) -> float:
             "constant mode must decay."
         )
     return asked
+
+
+def require_seen(plant: SwitchedSystem, weight: Weight) -> None:
+    """Refuse a weight under which a loop that grows may cost little."""
+    weight_matrix("weight.R", weight.R, plant.inputs, "m", strict=True)
+    for i, A in enumerate(plant.A):
+        if (pole := unseen_pole(A, weight.Q)) is not None:
+            raise ArgumentError(
+                f"weight.Q must weigh what does not decay, but of mode {i} it does not see the "
+                f"eigenvalue {pole:.4g} 1/s: give the other states a weight, too."
+            )
 
 
 def required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:

@@ -11,6 +11,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
 from deadtime.laws import LowPassPredictor
 from deadtime.margins.constant_modes import DelayMargin
+from deadtime.plant import Weight
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.limits import DelayLimit
 
@@ -29,7 +30,7 @@ class TradeOff:
         The smallest error of the delay that loses a constant mode, relative to the delay; 0 where
         one is unstable.
     cost : float
-        ∫ |x|² + |u|² with one mode for ever, mean over |x₀| = 1, mean or worst over the modes; ∞
+        ∫ xᵀQx + uᵀRu with one mode for ever, mean over |x₀| = 1, mean or worst over the modes; ∞
         where one is unstable.
     decay_rate : float
         How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one
@@ -74,12 +75,12 @@ class Design(Frozen):
     growth : (2, modes)
         The growth rates at the true delays D (1 − asked) and D (1 + asked), 1/s.
     cost : float
-        ∫ |x|² + |u|², as in `TradeOff`.
+        ∫ xᵀQx + uᵀRu, as in `TradeOff`.
     decay_rate : float
         How fast the slowest constant mode decays at the nominal delay, 1/s, as in `TradeOff`.
     plain : TradeOff
-        The design to compare with: given gains, or LQR of identity weights, which are best for that
-        cost when the mode never changes and the delay is right.
+        The design to compare with: given gains, or LQR of the cost's weights, which are best for it
+        when the mode never changes and the delay is right.
     limits : tuple of DelayLimit
         Per mode, what any linear controller could reach.
     points : tuple of TradeOff
@@ -89,6 +90,8 @@ class Design(Frozen):
         How many designs were tried.
     message : str
         The same in sentences.
+    weight : Weight or None
+        Of the cost; None for the identity.
     """
 
     law: Law
@@ -107,6 +110,7 @@ class Design(Frozen):
     points: tuple[TradeOff, ...]
     evaluated: int
     message: str
+    weight: Weight | None = None
 
     def missed(self, point: TradeOff) -> tuple[str, ...]:
         """What a point falls short of: of "margin" and "decay rate" those asked for in vain."""

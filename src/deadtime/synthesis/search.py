@@ -14,7 +14,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.laws import LowPassPredictor
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.synthesis.assess import assessed
 from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
@@ -58,6 +58,7 @@ class Search:
     budget: int
     dearest: float
     floors: Floors
+    weight: Weight | None = None
     plain: Tried | None = None  # the design to compare with, where it may be chosen, too
     tried: list[Tried] = field(default_factory=list)
     spent: int = 0
@@ -87,7 +88,7 @@ class Search:
         except ArgumentError:  # the law's own rules for gains
             return None
         exact = self.floors.decay_rate > 0.0
-        one = assessed(self.plant, law, step, self.worst, _BLOCKS, exact)
+        one = assessed(self.plant, law, step, self.worst, _BLOCKS, exact, self.weight)
         tried = Tried(family, step, parameters, choice, law, *one)
         self.tried.append(tried)
         return tried

@@ -153,23 +153,21 @@ def sweep(P, gain, L, stage, weight, hazard, transition, visits):
     return moved, grown, shrunk
 
 
-def period(A, B, root, step, phase):
+def period(A, B, Q, step, phase):
     """L (modes, n, n + 2m), and the stage costs as forms in y = (x, u_{k−N}, u_{k−N+1}).
 
-    ∫ xᵀQx over a period with Q = rootᵀ root, the mode and both inputs held.
+    ∫ xᵀQx over a period, the mode and both inputs held.
     """
     modes, n, m = B.shape
     L, stage = np.zeros((modes, n, n + 2 * m)), np.zeros((modes, n + 2 * m, n + 2 * m))
-    inverse = np.linalg.inv(root)
     early, late = np.zeros((2, n + m, n + 2 * m))
-    early[:n, :n], early[n:, n : n + m], late[n:, n + m :] = root, np.eye(m), np.eye(m)
+    early[:n, :n], early[n:, n : n + m], late[n:, n + m :] = np.eye(n), np.eye(m), np.eye(m)
     for i in range(modes):
-        weighed_A, weighed_B = root @ A[i] @ inverse, root @ B[i]
         Phi, Gamma = held(A[i], B[i], phase)
         L[i, :, : n + m] = np.hstack((Phi, Gamma))
-        late[:n] = root @ L[i]
-        stage[i] = early.T @ energy_gramian(weighed_A, weighed_B, phase) @ early
-        stage[i] += late.T @ energy_gramian(weighed_A, weighed_B, step - phase) @ late
+        late[:n] = L[i]
+        stage[i] = early.T @ energy_gramian(A[i], B[i], phase, Q) @ early
+        stage[i] += late.T @ energy_gramian(A[i], B[i], step - phase, Q) @ late
         Phi, Gamma = held(A[i], B[i], step - phase)
         L[i] = Phi @ L[i]
         L[i, :, n + m :] = Gamma

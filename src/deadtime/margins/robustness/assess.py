@@ -26,6 +26,7 @@ from deadtime.margins.robustness.tolerance import (
     tolerance_of as _tolerance_of,
 )
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import Weight, weight_of
 from deadtime.simulation.initial_input import InitialInput
 from deadtime.spectrum.affordable import left_out
 from deadtime.switching import Rule, SwitchingSignal
@@ -60,6 +61,8 @@ class Robustness:
         What measurement noise costs.
     sentences : tuple of str
         All of it, in words.
+    weight : Weight or None
+        Of the cost; None for the identity.
     """
 
     plant: SwitchedSystem
@@ -72,6 +75,7 @@ class Robustness:
     lag: Tolerance | None
     noise: NoisePrice
     sentences: tuple[str, ...]
+    weight: Weight | None = None
 
 
 def robustness(
@@ -86,6 +90,7 @@ def robustness(
     seed: int = 0,
     imperfections: Sequence[Imperfection] = (),
     u0: InitialInput = None,
+    weight: Weight | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
     """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
@@ -109,6 +114,8 @@ def robustness(
         What every run has beside what is tried.
     u0 : optional
         Inputs before time 0, as `simulate` takes them.
+    weight : Weight, optional
+        Of the cost; the identity by default.
     progress : callable
         Called with a few words before each of `len(STEPS)` pieces of work.
 
@@ -142,8 +149,9 @@ def robustness(
             f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
             "then no input arrives."
         )
+    weight = weight_of(weight, plant)
     setting = Setting(
-        plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0
+        plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0, weight
     )
     if not setting.moves:
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
@@ -178,7 +186,7 @@ def robustness(
         sentences.append("The law does not read the mode, so that it may be told late.")
     sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))
-    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once)
+    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once, weight)
 
 
 def _future(signal: SwitchingSignal | Rule) -> tuple:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, Limiting
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.simulation.initial_input import InitialInput
 from deadtime.simulation.outcome import at_rest, elsewhere, keeps_up, outcome_of, pushed, pushes
@@ -42,6 +42,7 @@ class Setting:
     seed: int
     imperfections: tuple[Imperfection, ...]
     u0: InitialInput = None
+    weight: Weight | None = None
 
     @property
     def moves(self) -> bool:
@@ -63,7 +64,7 @@ class Setting:
         """The cost of every scenario with more imperfections."""
         whole = (*self.imperfections, *more)
         runs = (self._run(self.x0, whole, i) for i in range(self.scenarios))
-        return np.array([run.metrics()["cost"] for run in runs])
+        return np.array([run.metrics(self.weight)["cost"] for run in runs])
 
     def runs(self, more: Sequence[Imperfection], scenarios: int) -> tuple[Cost, np.ndarray]:
         """The cost of every scenario with more imperfections, and how it ends."""
@@ -71,7 +72,7 @@ class Setting:
         for i in range(scenarios):
             whole = (*self.imperfections, *more)
             run = self._run(self.x0, whole, i)
-            cost[i] = run.metrics()["cost"]
+            cost[i] = run.metrics(self.weight)["cost"]
             again = partial(self._run, elsewhere(self.x0), whole, i) if self.compared else None
             outcome = outcome_of(run, self.horizon, again)
             if self.compared:

@@ -29,7 +29,7 @@ class Tolerance(Frozen):
     values : (k,)
         What was tried, increasing from 0.
     cost : (k, scenarios)
-        ∫|x|² + ∫|u|² of each run.
+        The cost of each run.
     lost : (k, scenarios) bool
         Whether a run is lost, or no longer settles.
     bounded : (k, scenarios) bool

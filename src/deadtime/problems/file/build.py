@@ -17,6 +17,7 @@ from deadtime.gains.checked import checked_gains
 from deadtime.imperfections import Imperfection, Sizes
 from deadtime.laws import LowPassPredictor
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.imperfections import build_imperfections
 from deadtime.problems.file.observer import observed
@@ -43,7 +44,8 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         rule = build_rule(file.signal)
         if rule is not None:
             rule.require(plant)
-    laws = _laws(file, plant, gains, model, rule)
+    weight = _weight(file, plant)
+    laws = _laws(file, plant, gains, model, rule, weight)
     with _section("run"):
         run = file.run
         x0 = shaped("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
@@ -82,6 +84,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         imperfections=imperfections,
         seed=file.run.seed,
         predict=file.run.predict,
+        weight=weight,
         states=states,
         inputs=inputs,
         modes=modes,
@@ -105,6 +108,14 @@ def _imperfections(
     measured = None if outputs is None else outputs.shape[1]
     sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
     return build_imperfections(file.imperfection, sizes, measured)
+
+
+def _weight(file: schema.ProblemFile, plant: SwitchedSystem) -> Weight | None:
+    """The weight of the cost; None for the identity."""
+    if file.cost is None:
+        return None
+    with _section("cost"):
+        return weight_of(Weight(file.cost.Q, file.cost.R).of(plant, where=""), plant)
 
 
 def _names(what: str, names: list[str], count: int) -> tuple[str, ...]:
@@ -151,9 +162,12 @@ def _laws(
     gains: np.ndarray,
     model: Model | None,
     rule: Rule | None,
+    weight: Weight | None,
 ) -> dict[str, Law]:
     """The laws of the file by name, or all that apply if it lists none."""
-    weights = file.gains.lqr
+    design = file.gains.lqr
+    if weight is None and file.cost is None and design is not None:
+        weight = Weight(design.Q, design.R)
     setting = Setting(
         plant=plant,
         gains=gains,
@@ -161,7 +175,7 @@ def _laws(
         period=_period(file, plant),
         model=model,
         rule=rule,
-        weights=None if weights is None else (np.array(weights.Q), np.array(weights.R)),
+        weight=weight,
         allow_unstable=file.gains.allow_unstable,
     )
     laws: dict[str, Law] = {}

@@ -83,6 +83,17 @@ class GainsSection(Section):
         return self
 
 
+class CostSection(Section):
+    """Weights of the cost ∫ xᵀQx + uᵀRu by which laws are compared; ∫|x|² + |u|² without."""
+
+    Q: Annotated[float | Vector | Matrix, Shape("a number, (n,) or (n, n)", [1.0, 1.0])] = Field(
+        1.0, description="Of the states: a number, a diagonal or an n × n matrix."
+    )
+    R: Annotated[float | Vector | Matrix, Shape("a number, (m,) or (m, m)", [1.0])] = Field(
+        1.0, description="Of the inputs: a number, a diagonal or an m × m matrix."
+    )
+
+
 class SojournSection(Section):
     """A distribution of scipy.stats by its name there, with its parameters."""
 
@@ -269,6 +280,9 @@ class ProblemFile(Section):
     source: str = Field("", description="Where the numbers come from.")
     plant: PlantSection
     gains: GainsSection
+    cost: CostSection | None = Field(
+        None, description="What laws are compared by; ∫|x|² + |u|² by default."
+    )
     law: list[LawEntry] = Field(
         [], description="Laws to run, in order; all of the paper's by default."
     )

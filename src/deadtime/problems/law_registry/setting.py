@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.switching import Markov, Rule, SemiMarkov
 
 Model = Markov | SemiMarkov
@@ -33,8 +33,8 @@ class Setting:
         A model of the switching, for laws that need one.
     rule : Rule or None
         By which the state decides the mode; None where a signal does.
-    weights : pair of ndarray, or None
-        Q and R of ∫ xᵀQx + uᵀRu, for laws that minimise it; None: the identity.
+    weight : Weight or None
+        Of the cost, for laws that minimise it; None: the identity.
     allow_unstable : bool
         Whether gains may leave a mode unstable.
     """
@@ -45,7 +45,7 @@ class Setting:
     period: float
     model: Model | None = None
     rule: Rule | None = None
-    weights: tuple[np.ndarray, np.ndarray] | None = None
+    weight: Weight | None = None
     allow_unstable: bool = False
 
     def has(self, need: Need) -> bool:

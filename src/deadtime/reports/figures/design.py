@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
+from deadtime.plant.weight import PLAIN, text_of
 from deadtime.synthesis.floors import DECAY
 
 if TYPE_CHECKING:
@@ -61,8 +62,15 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
             loc="outside lower center",
             ncols=3 if columns > 1 else 2,
             handlelength=1.6,
+            title=_costs(designs),
         )
     return figure
+
+
+def _costs(designs: Mapping[str, Design]) -> str | None:
+    """What costs are, where they are not the usual ones."""
+    texts = dict.fromkeys(text_of(one.weight) for one in designs.values())
+    return None if set(texts) == {PLAIN} else plain(f"cost: {'; '.join(texts)}")
 
 
 def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:

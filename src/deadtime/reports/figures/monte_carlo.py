@@ -14,6 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_style import LINES, STYLE, WIDTH, plain
+from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.tables.monte_carlo import (
     losses,
@@ -22,6 +23,7 @@ from deadtime.reports.tables.monte_carlo import (
     reference_of,
     relative_costs,
 )
+from deadtime.scenarios.dataset import formula_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,7 +73,9 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
         ]
         seen = _panel(left, losses(data, "cost"), styles)
         seen |= _panel(right, relative_costs(data), styles)
-        left.set_xlabel("cost, ∫ |x|² + |u|² dt  (x² s + u² s)")
+        formula = formula_of(data["cost"])
+        unit = "  (x² s + u² s)" if formula == PLAIN else ""
+        left.set_xlabel(f"cost, {plain(formula)}{unit}")
         right.set_xlabel(f"cost / cost of “{plain(reference_of(data))}”  (–)")
         left.set_ylabel(f"share of {count:,} scenario{'s' * (count != 1)} (%)")
         left.set_ylim(0.0, 102.0)

@@ -51,6 +51,8 @@ def plot_robustness(
         keys += [Patch(color=GOOD, label="tolerated")]
         keys += [Line2D([], [], color=BAD, marker="x", linestyle="", label="lost, or not settling")]
         figure.legend(handles=keys, loc="outside lower center", ncols=6)
+        if result.weight is not None:
+            title = "\n".join([*([title] if title else []), f"Cost: {result.weight.text}"])
         if title:
             figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
     return figure

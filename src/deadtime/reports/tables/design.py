@@ -9,6 +9,7 @@ import numpy as np
 
 from deadtime.base.wording import compact, finite_or_none, signed
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import record_of
 from deadtime.synthesis import Design, TradeOff
 from deadtime.synthesis.message import percent
 
@@ -100,6 +101,7 @@ def design_record(design: Design) -> dict[str, Any]:
         "time_constant": None if design.time_constant is None else design.time_constant.tolist(),
         "step": design.step,
         "cost": finite_or_none(design.cost),
+        **record_of(design.weight),
         "decay_rate": finite_or_none(design.decay_rate),
         "plain": {
             "margin": finite_or_none(design.plain.margin),

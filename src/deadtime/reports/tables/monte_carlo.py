@@ -31,7 +31,7 @@ class LawSummary:
     ----------
     law : str
     cost, ise : tuple of float
-        5 % quantile, median and 95 % quantile of ∫|x|² + |u|² and of ∫|x|²; ∞ where diverged
+        5 % quantile, median and 95 % quantile of the cost and of ∫|x|²; ∞ where diverged
         scenarios reach into them.
     best : float
         Share of scenarios on which no law has a smaller cost, 0 to 1; ties count for each.

@@ -95,7 +95,15 @@ def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
 
 def _measured(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> xr.Dataset:
     """The metrics of every law on every signal, on one thread: cells run beside each other."""
-    run = partial(monte_carlo, loop.plant, laws, x0=loop.x0, horizon=loop.horizon, step=loop.step)
+    run = partial(
+        monte_carlo,
+        loop.plant,
+        laws,
+        x0=loop.x0,
+        horizon=loop.horizon,
+        step=loop.step,
+        weight=loop.weight,
+    )
     if loop.imperfections or scenarios > _FEW:
         chance = loop.imperfections  # equal signals do not make equal runs
         return run(loop.model, scenarios=scenarios, seed=seed, imperfections=chance, threads=1)

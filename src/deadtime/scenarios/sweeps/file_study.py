@@ -10,11 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.feedback import Law
 from deadtime.gains import place
+from deadtime.plant import Weight
 from deadtime.problems import Problem
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import as_numbers, build_problem
@@ -110,6 +109,7 @@ class FileStudy(Study):
             problem.step,
             problem.imperfections,
             reasons,
+            problem.weight,
         )
 
     def _placed(
@@ -125,7 +125,7 @@ class FileStudy(Study):
             mean_gain=lambda _: mean_gain,
             period=max(problem.step or 0.0, plant.delay / COARSE),
             model=model,
-            weights=(np.eye(plant.states), INPUT_WEIGHT * np.eye(plant.inputs)),
+            weight=problem.weight or Weight(1.0, INPUT_WEIGHT),
         )
         laws, reasons = {}, {}
         kinds = kinds_of(plant.modes)

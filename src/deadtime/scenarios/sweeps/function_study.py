@@ -15,6 +15,7 @@ import numpy as np
 from deadtime.base.checks import count, instance, positive, real_array, shaped
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import weight_of
 from deadtime.scenarios.dataset import METRICS
 from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel
@@ -62,9 +63,9 @@ def function_study(
     function : callable
         Called with a cell's values as keyword arguments (but for ``seed``); returns a mapping with
         ``plant``, ``laws`` (named alike in every cell), ``model``, ``x0``, ``horizon``, ``step``
-        and perhaps ``imperfections``, as `monte_carlo` takes them. It runs on the workers; its
-        source text, its defaults and the values around it are part of what tells studies apart,
-        globals that it reads are not.
+        and perhaps ``imperfections`` and ``weight``, as `monte_carlo` takes them. It
+        runs on the workers; its source text, its defaults and the values around it are part of
+        what tells studies apart, globals that it reads are not.
     grid : mapping
         From names to values, numbers or texts. ``seed`` stands for that of the signals.
     scenarios, seed : int
@@ -137,12 +138,12 @@ def _axis(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
 
 def _loop(made: Any) -> Loop:
     """What the function returned, by name."""
-    allowed = (*_KEYS, "imperfections")
+    allowed = (*_KEYS, "imperfections", "weight")
     if not isinstance(made, Mapping) or not set(_KEYS) <= set(made) <= set(allowed):
         got = sorted(made) if isinstance(made, Mapping) else type(made).__name__
         raise ArgumentError(
-            f"function must return a mapping with {', '.join(_KEYS)} and perhaps imperfections, "
-            f"got {got}."
+            f"function must return a mapping with {', '.join(_KEYS)} and perhaps imperfections "
+            f"and weight, got {got}."
         )
     parts = dict(made)
     instance("plant", parts["plant"], SwitchedSystem)
@@ -156,6 +157,7 @@ def _loop(made: Any) -> Loop:
     shaped("x0", parts["x0"], (parts["plant"].states,), "(n,)")
     parts["horizon"] = positive("horizon", parts["horizon"])
     parts["step"] = positive("step", parts["step"])
+    parts["weight"] = weight_of(parts.get("weight"), parts["plant"])
     return Loop(**parts)
 
 

@@ -19,6 +19,7 @@ from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Limiting
 from deadtime.laws import ExactPredictor
 from deadtime.plant import Window
+from deadtime.plant.weight import PLAIN, text_of
 from deadtime.scenarios.sweeps.study import Loop, Study
 from deadtime.switching import SwitchingSignal
 
@@ -151,9 +152,22 @@ def example_loop(study: Study, tries: int = 20) -> Loop | None:
 
 
 def facts_of(study: Study) -> dict[str, Any]:
-    """What the store's attributes say about the loops: the oracle's name, and |x(0)|."""
+    """What the store's attributes say about loops: the oracle's name, |x(0)|, and the cost."""
     loop = example_loop(study)
     if loop is None:
         return {"oracle": "", "start": float("nan")}
     oracles = [name for name in study.laws if isinstance(loop.laws.get(name), ExactPredictor)]
-    return {"oracle": oracles[0] if oracles else "", "start": float(np.linalg.norm(loop.x0))}
+    start = float(np.linalg.norm(loop.x0))
+    return {"oracle": oracles[0] if oracles else "", "start": start, **_cost_of(study, loop)}
+
+
+def _cost_of(study: Study, first: Loop) -> dict[str, str]:
+    """What the cost is, where it is not the usual one: cells may weigh differently."""
+    try:
+        last = study.loop(study.cell(tuple(size - 1 for size in study.shape)))
+    except DeadtimeError:
+        last = first
+    texts = {text_of(loop.weight) for loop in (first, last)}
+    if len(texts) > 1:
+        return {"cost": "∫xᵀQx + uᵀRu, Q and R by cell"}
+    return {} if texts == {PLAIN} else {"cost": texts.pop()}

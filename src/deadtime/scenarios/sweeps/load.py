@@ -91,6 +91,8 @@ def _base(file: StudyFile, source: Path) -> _Base:
         if file.poles is not None:
             # The laws are the study's own: one that costs nothing stands for the problem's.
             draft["gains"], draft["law"] = {"poles": file.poles}, [{"kind": "delayed"}]
+        if file.cost is not None:
+            draft["cost"] = file.cost.model_dump(exclude_unset=True)
         own = [section.model_dump(exclude_unset=True) for section in file.imperfection]
         if own:
             build_problem(_checked(draft), path)
@@ -107,6 +109,8 @@ def _own_fault(error: SectionError, file: StudyFile, before: int) -> SectionErro
     message, table = str(error), error.path[:1]
     if file.poles is not None and table == ("gains",):
         return SectionError(message if message.startswith("poles") else f"poles: {message}", ())
+    if file.cost is not None and table == ("cost",):
+        return SectionError(message, table)
     if table == ("imperfection",) and int(error.path[1]) >= before:
         return SectionError(message, ("imperfection", int(error.path[1]) - before))
     where = f"[{'.'.join(map(str, error.path))}] of " if error.path else ""

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, create_model
 
 from deadtime.problems.file.imperfections import ImperfectionEntry
+from deadtime.problems.file.schema import CostSection
 from deadtime.problems.imperfection_registry import SWEPT, Axis
 from deadtime.problems.toml.table import Count, First, NotNegative, Poles, Section
 from deadtime.scenarios.dataset import METRICS
@@ -130,6 +131,9 @@ class StudyFile(Section):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     metrics: Metrics = Field(list(METRICS), description="What to keep of every run.")
     grid: GridSection
+    cost: CostSection | None = Field(
+        None, description="What laws are compared by, instead of the problem's [cost]."
+    )
     imperfection: list[ImperfectionEntry] = Field(
         [], description="Disturbances, sensors and actuators, after those of the problem."
     )

@@ -26,7 +26,7 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError, StoreError
 from deadtime.base.version import __version__
-from deadtime.scenarios.dataset import DIVERGED, METRICS
+from deadtime.scenarios.dataset import DIVERGED, attributes_of
 from deadtime.scenarios.sweeps.axes import Axis, no_write
 from deadtime.scenarios.sweeps.cell import Outcome
 from deadtime.scenarios.sweeps.description import described
@@ -306,8 +306,7 @@ def _fill(url: str, study: Study, layout: Layout, facts: Mapping[str, Any]) -> N
         )
 
     for name in study.metrics:
-        unit, long = METRICS[name]
-        add(name, "f8", np.nan, 2, units=unit, long_name=long)
+        add(name, "f8", np.nan, 2, **attributes_of(name, facts.get("cost")))
     add("diverged", "bool", False, 2, long_name=DIVERGED)
     add("reason", str, "", 1, long_name="what went wrong")
     add("done", "bool", False, 0, long_name="cell is whole")

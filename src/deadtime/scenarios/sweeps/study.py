@@ -16,7 +16,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.version import __version__
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.scenarios.dataset import METRICS
 from deadtime.scenarios.sweeps.axes import Axis, axis_of
 
@@ -41,7 +41,7 @@ class Loop:
 
     Attributes
     ----------
-    plant, laws, model, x0, horizon, step, imperfections
+    plant, laws, model, x0, horizon, step, imperfections, weight
         As `monte_carlo` takes them, laws by name.
     reasons : mapping
         From the names of laws that could not be built to why.
@@ -55,6 +55,7 @@ class Loop:
     step: float
     imperfections: Sequence[Imperfection] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
+    weight: Weight | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

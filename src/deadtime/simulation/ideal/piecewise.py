@@ -53,8 +53,9 @@ class Piecewise(Frozen):
         )
         return result
 
-    def square_integral(self, start: float, end: float) -> float:
-        """∫|f|² over [start, end], both of them edges."""
+    def form_integral(self, start: float, end: float, Q: np.ndarray | None = None) -> float:
+        """∫fᵀQf over [start, end], both of them edges; None: Q = I."""
         inside = (self.edges[:-1] >= start - 1e-12) & (self.edges[1:] <= end + 1e-12)
         weights = np.diff(self.edges)[inside, None] * gauss(self.values.shape[1] - 2).weights
-        return float(np.sum(weights * np.sum(self.values[inside, 1:-1] ** 2, axis=2)))
+        f = self.values[inside, 1:-1]
+        return float(np.sum(weights * np.sum(f**2 if Q is None else f * (f @ Q), axis=2)))

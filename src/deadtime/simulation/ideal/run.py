@@ -12,7 +12,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Forecast
 from deadtime.numerics.collocation import gauss
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation.ideal.breakpoints import merged, shifted, subdivided
 from deadtime.simulation.ideal.piecewise import Piecewise
 from deadtime.simulation.initial_input import InputHistory
@@ -59,9 +59,10 @@ class IdealRecord:
         """u (right limits) at any times up to the end of the run, those before 0 included."""
         return self.inputs(times)
 
-    def integrals(self, end: float) -> tuple[float, float]:
-        """∫|x|² and ∫|u|² over [0, end], by Gauss quadrature on the segments."""
-        return self.states.square_integral(0.0, end), self.inputs.square_integral(0.0, end)
+    def integrals(self, end: float, weight: Weight | None = None) -> tuple[float, float]:
+        """∫xᵀQx and ∫uᵀRu over [0, end], by Gauss quadrature on the segments."""
+        Q, R = (None, None) if weight is None else (weight.Q, weight.R)
+        return self.states.form_integral(0.0, end, Q), self.inputs.form_integral(0.0, end, R)
 
     def history(self, end: float) -> InputHistory:
         """The inputs in the pipe at `end`, as the `u0` of a run that goes on from there."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
 from deadtime.base.palette import GREEN, OLIVE
 from deadtime.feedback import Law
 from deadtime.laws import ExpectedPredictor, OptimalPredictor
+from deadtime.plant import Weight
 from deadtime.problems.law_registry.entry import InputWeight, LawSection, Named, Square
 from deadtime.problems.law_registry.setting import Setting
 
@@ -53,11 +53,11 @@ class OptimalLaw(LawSection):
     quick: ClassVar = 100
 
     kind: Literal["optimal"]
-    Q: Square | None = Field(None, description="n × n; that of [gains.lqr], or I, by default.")
-    R: InputWeight | None = Field(None, description="m × m; that of [gains.lqr], or I, by default.")
+    Q: Square | None = Field(None, description="n × n; that of [cost] or [gains.lqr], or I.")
+    R: InputWeight | None = Field(None, description="m × m; that of [cost] or [gains.lqr], or I.")
 
     def law(self, setting: Setting) -> Law:
         assert setting.model is not None
         plant = setting.plant
-        Q, R = setting.weights or (np.eye(plant.states), np.eye(plant.inputs))
-        return OptimalPredictor(plant, setting.model, self.Q or Q, self.R or R)
+        weight = (setting.weight or Weight()).of(plant)
+        return OptimalPredictor(plant, setting.model, self.Q or weight.Q, self.R or weight.R)

@@ -129,7 +129,7 @@ def heat(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None)
 def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
     """`plot_regret` of what `reduced` gives."""
     ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", _LOST: "100"}
-    label = f"{symbol_of(metric)} over the oracle's"
+    label = f"{symbol_of(metric, found)} over the oracle's"
     scale = Scale(LogNorm(1.0, _LOST), "YlOrRd", "max", label, ticks)
     grid, values = grid_for(found, x, y), found["regret"].sel(law=law, drop=True)
     figure = coloured(found, grid, values, scale, waiting=found[NOT_RUN])

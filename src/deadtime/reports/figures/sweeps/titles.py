@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from deadtime.base.figure_style import plain
+from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.sweeps.panels import Grid
 from deadtime.reports.figures.sweeps.selection import axes_of
 from deadtime.reports.figures.sweeps.words import say, unbroken
+from deadtime.scenarios.dataset import formula_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,27 +20,29 @@ if TYPE_CHECKING:
 SYMBOLS = {
     "ise": "∫|x|²",
     "energy": "∫|u|²",
-    "cost": "∫|x|² + |u|²",
+    "cost": PLAIN,
     "peak": "peak of |x|",
     "final_norm": "|x| at the end",
 }
 
 
-def symbol_of(metric: str) -> str:
-    """What readers call a metric.
+def symbol_of(metric: str, found: xr.Dataset | None = None) -> str:
+    """What readers call a metric; the cost by the weight that the dataset was made with.
 
     Examples
     --------
     >>> symbol_of("ise"), symbol_of("settling_time")
     ('∫|x|²', 'settling time')
     """
+    if metric == "cost" and found is not None:
+        return formula_of(found["quantile"])
     return SYMBOLS.get(metric, metric.replace("_", " "))
 
 
 def measure_of(found: xr.Dataset, metric: str) -> str:
     """A metric with its unit."""
     attributes = found["quantile"].attrs
-    name = symbol_of(metric)
+    name = symbol_of(metric, found)
     unit = str(attributes.get("units", "")).replace("^2", "²")
     return f"{name} ({unit})" if unit else name
 

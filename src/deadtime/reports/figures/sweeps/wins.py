@@ -79,5 +79,6 @@ def wins(
     colours = colours_of(laws_of(found))
     grid = grid_for(found, x, y)
     figure = winners(found, grid, found, {law: colours[law] for law in rivals}, found[NOT_RUN])
-    lead = f"Least {symbol_of(metric)}" + ", and the runner-up's over it" * grid.has_figures(found)
+    second = ", and the runner-up's over it" * grid.has_figures(found)
+    lead = f"Least {symbol_of(metric, found)}{second}"
     return headed(figure, found, grid, lead)

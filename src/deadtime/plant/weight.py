@@ -1,0 +1,179 @@
+"""What a run costs: ∫ xᵀQx + uᵀRu, the one place that says so.
+
+A `Weight` is given as `weight` to whatever measures or minimises a cost. None stands for the
+identity, ∫|x|² + |u|², whose integrals are there in any case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import as_floats, brief, number, read_only, real_array
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.plant import SwitchedSystem
+
+PLAIN = "∫|x|² + |u|²"
+_MOST = 3  # rows of a matrix that is written out in a label
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Weight(Frozen):
+    """The weights of the cost ∫ xᵀQx + uᵀRu (immutable).
+
+    Parameters
+    ----------
+    Q : array_like, shape (n, n), (n,) or a number
+        Of the states: a symmetric matrix, positive semidefinite; its diagonal; or a number, times
+        the identity.
+    R : array_like, shape (m, m), (m,) or a number
+        Of the inputs, likewise. Laws and gains that minimise the cost ask for a definite one.
+
+    Raises
+    ------
+    ArgumentError
+        If one is not of such a shape, symmetric and semidefinite, or both are 0.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> run = dt.problems.paper().simulate("averaged")
+    >>> plain, costly = run.metrics(), run.metrics(dt.Weight([1, 1], 10))
+    >>> bool(np.isclose(costly["cost"], plain["ise"] + 10 * plain["energy"]))
+    True
+    """
+
+    Q: Float[np.ndarray, ...]
+    R: Float[np.ndarray, ...]
+
+    def __init__(self, Q: ArrayLike = 1.0, R: ArrayLike = 1.0) -> None:
+        parts = {"Q": _part("Q", Q, "n"), "R": _part("R", R, "m")}
+        if not any(part.any() for part in parts.values()):
+            raise ArgumentError("Q and R must not both be 0: every run would cost the same.")
+        vars(self).update(parts)
+
+    def __repr__(self) -> str:
+        return f"Weight(Q={self.Q.tolist()}, R={self.R.tolist()})"
+
+    @property
+    def text(self) -> str:
+        """The cost as labels and headings say it.
+
+        Examples
+        --------
+        >>> Weight([4, 1], 0.1).text
+        '∫xᵀQx + uᵀRu, Q = diag(4, 1), R = 0.1'
+        """
+        return f"∫xᵀQx + uᵀRu, Q = {_written(self.Q)}, R = {_written(self.R)}"
+
+    def of(self, plant: SwitchedSystem, where: str = "weight.") -> Weight:
+        """The same with matrices of the plant's sizes; `where` stands before names in messages.
+
+        Raises
+        ------
+        ArgumentError
+            If it is one for other sizes.
+        """
+        whole = Weight.__new__(Weight)
+        for name, letter, size in (("Q", "n", plant.states), ("R", "m", plant.inputs)):
+            part = getattr(self, name)
+            part = part * np.eye(size) if part.ndim == 0 else part
+            if part.shape != (size, size):
+                raise ArgumentError(
+                    f"{where}{name} must have shape ({letter}, {letter}) = {(size, size)}, got "
+                    f"{part.shape}."
+                )
+            vars(whole)[name] = read_only(part)
+        return whole
+
+
+def weight_of(weight: object, plant: SwitchedSystem) -> Weight | None:
+    """A weight as matrices of the plant's sizes; None for the identity, which needs none.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> weight_of(Weight([1, 1], [[1]]), dt.problems.paper().plant) is None
+    True
+    """
+    if weight is None:
+        return None
+    if not isinstance(weight, Weight):
+        raise ArgumentError(
+            f"weight must be a Weight(Q, R), got {brief(weight)}, a {type(weight).__name__}."
+        )
+    whole = weight.of(plant)
+    plain = all(np.array_equal(part, np.eye(len(part))) for part in (whole.Q, whole.R))
+    return None if plain else whole
+
+
+def text_of(weight: Weight | None) -> str:
+    """The cost as labels and headings say it."""
+    return PLAIN if weight is None else weight.text
+
+
+def record_of(weight: Weight | None) -> dict[str, dict[str, list]]:
+    """The weight for JSON: nothing for the identity."""
+    return {} if weight is None else {"weight": {"Q": weight.Q.tolist(), "R": weight.R.tolist()}}
+
+
+def costs(
+    integrals: Callable[[Weight | None], tuple[float, float]], weight: Weight | None
+) -> dict[str, float]:
+    """∫|x|² (ise), ∫|u|² (energy) and the cost, from a function that has the parts of a cost.
+
+    Examples
+    --------
+    >>> costs(lambda weight: (3.0, 2.0) if weight is None else (1.0, 0.5), Weight(2, 3))
+    {'ise': 3.0, 'energy': 2.0, 'cost': 1.5}
+    """
+    ise, energy = integrals(None)
+    states, inputs = (ise, energy) if weight is None else integrals(weight)
+    return {"ise": ise, "energy": energy, "cost": states + inputs}
+
+
+def weight_matrix(name: str, value: ArrayLike, size: int, letter: str, strict: bool) -> np.ndarray:
+    """A symmetric matrix (size, size), positive semidefinite or (`strict`) definite."""
+    form = f"({letter}, {letter})"
+    weight = real_array(name, value, form, 2)
+    if weight.shape != (size, size):
+        raise ArgumentError(f"{name} must have shape {form} = {(size, size)}, got {weight.shape}.")
+    if not np.allclose(weight, weight.T, rtol=1e-12, atol=0.0):
+        raise ArgumentError(f"{name} must be symmetric: pass ({name} + {name}.T) / 2.")
+    eigenvalues = np.linalg.eigvalsh(weight)
+    floor = 0.0 if strict else -1e-12 * max(1.0, abs(eigenvalues).max())
+    if eigenvalues[0] < floor or (strict and eigenvalues[0] <= 0.0):
+        kind = "positive definite" if strict else "positive semidefinite"
+        raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {eigenvalues[0]:.4g}.")
+    return (weight + weight.T) / 2.0
+
+
+def _part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
+    """Q or R: a number as it is, a diagonal or a matrix as a matrix."""
+    form = f"({letter}, {letter}), ({letter},) or ()"
+    ndim = as_floats(name, value, f"of shape {form}").ndim
+    if ndim not in (0, 1, 2):
+        raise ArgumentError(f"{name} must have shape {form}, got {ndim} axes.")
+    given = np.array([[number(name, value)]]) if ndim == 0 else real_array(name, value, form, ndim)
+    whole = np.diag(given) if ndim == 1 else given
+    whole = read_only(weight_matrix(name, whole, len(whole), letter, strict=False))
+    return whole if ndim else whole.reshape(())
+
+
+def _written(part: np.ndarray) -> str:
+    """A weight in a few letters."""
+    if part.size == 1:
+        return f"{part.item():g}"
+    diagonal = np.diag(part)
+    if np.array_equal(part, diagonal[0] * np.eye(len(part))):
+        return "I" if diagonal[0] == 1.0 else f"{diagonal[0]:g} I"
+    if len(part) > _MOST:
+        return f"a {len(part)} × {len(part)} matrix"
+    if np.array_equal(part, np.diag(diagonal)):
+        return f"diag({', '.join(f'{value:g}' for value in diagonal)})"
+    return f"[{', '.join('[' + ', '.join(f'{v:g}' for v in row) + ']' for row in part)}]"
