@@ -16,7 +16,7 @@ RINGS = (
     ("errors", "checks", "frozen", "text_files", "wording", "version", "palette"),
     (
         *("plant", "switching", "steps", "lanes", "exponential", "covariance", "sampled"),
-        "sampled_plant",
+        *("sampled_plant", "cut_pieces"),
         *("feedback", "forecast"),
     ),
     ("imperfections",),

@@ -93,8 +93,8 @@ class ExactPredictor(TableLaw):
     ) -> Feedback:
         from deadtime.laws.tables.known_signal import future_rows
 
-        window = self.window(step)
-        plant = self.plant
+        sampled = self.sampled(step)
+        window = sampled.window
         if steps is None:
             raise ArgumentError(
                 "steps must be given, the number of samples to make rows for, and the future "
@@ -105,7 +105,7 @@ class ExactPredictor(TableLaw):
         known = self._known(signal, (steps - 1) * step)
         cuts = Cuts.of(known, window)
         future = modes_at(known, np.arange(steps) * step + window.delay, step)
-        F, G = future_rows(plant.A, plant.B, self.gains[future], window, cuts)
+        F, G = future_rows(sampled, self.gains[future], cuts)
         return Feedback(F, G, "step", window.step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

@@ -12,13 +12,15 @@ and over a whole period, with the pieces' Φ and Γ,
 
     x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},    l over the lags of all pieces.
 
-Whoever needs to know what acts when reads pieces or periods, and works out neither.
+Along a switching signal pieces end at switches, too: a `PieceTable` has those of many periods, as
+arrays for compiled loops. Whoever needs to know what acts when reads pieces or periods, and works
+out neither.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -27,7 +29,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.plant.steps import Window
+from deadtime.plant.steps import Cuts, Window
 from deadtime.plant.switched_system import SwitchedSystem
 
 
@@ -55,6 +57,75 @@ class Period(NamedTuple):
     lags: tuple[int, ...]
 
 
+class Stretches(NamedTuple):
+    """The stretches of all modes as arrays; those of mode i are first[i], …, first[i + 1] − 1."""
+
+    first: Int[np.ndarray, " mode+1"]
+    start: Float[np.ndarray, " stretch"]
+    stop: Float[np.ndarray, " stretch"]
+    lag: Int[np.ndarray, "stretch m"]
+
+
+class Ahead(NamedTuple):
+    """The stretches of [t_k, t_k + D) in which the inputs in flight at t_k act, one of each.
+
+    start, stop : (stretches,), seconds from t_k on
+    lag : (stretches, m), j of the acting u_{k−j}
+    length : (kinds,), the lengths that there are, seconds; kind : (stretches,), which each has
+    """
+
+    start: Float[np.ndarray, " stretch"]
+    stop: Float[np.ndarray, " stretch"]
+    lag: Int[np.ndarray, "stretch m"]
+    length: Float[np.ndarray, " kind"]
+    kind: Int[np.ndarray, " stretch"]
+
+
+class PieceTable(NamedTuple):
+    """The pieces of many periods along a switching signal, each transition computed once.
+
+    Piece q, q = first[k], …, first[k + 1] − 1 in period k, is entry e = entry[q] and takes x to
+    Phi[e] x + Gamma[e] u. Where a switch leaves the acting inputs as they are, the piece goes on
+    over it: entry e begins in mode[e], and the switches cut[e, 0], …, cut[e, 1] − 1 are within it.
+
+    first : (periods + 1,)
+    entry : (pieces,)
+    Phi : (entries, n, n), Gamma : (entries, n, m)
+    lag : (entries, m), how many samples ago the acting inputs were computed
+    start, stop : (entries,), seconds from the period's sample on
+    mode : (entries,)
+    cut : (entries, 2)
+    """
+
+    first: Int[np.ndarray, " period+1"]
+    entry: Int[np.ndarray, " piece"]
+    Phi: Float[np.ndarray, "entry n n"]
+    Gamma: Float[np.ndarray, "entry n m"]
+    lag: Int[np.ndarray, "entry m"]
+    start: Float[np.ndarray, " entry"]
+    stop: Float[np.ndarray, " entry"]
+    mode: Int[np.ndarray, " entry"]
+    cut: Int[np.ndarray, "entry 2"]
+
+    @property
+    def period(self) -> Int[np.ndarray, " piece"]:
+        """The period of every piece."""
+        return np.repeat(np.arange(self.first.size - 1), np.diff(self.first))
+
+    @property
+    def sample(self) -> Int[np.ndarray, "piece m"]:
+        """The k of the u_k that act in every piece, input by input."""
+        return self.period[:, None] - self.lag[self.entry]
+
+    def parts(self, entry: int, cuts: Cuts) -> list[tuple[int, float, float]]:
+        """The mode and the times, start and stop, between the switches within an entry."""
+        first, stop = self.cut[entry]
+        modes = [self.mode[entry], *cuts.mode[first + 1 : stop + 1]]
+        times = [self.start[entry], *cuts.offset[first:stop], self.stop[entry]]
+        parts = zip(modes, times[:-1], times[1:], strict=True)
+        return [(int(mode), float(a), float(b)) for mode, a, b in parts if b > a]
+
+
 @dataclass(frozen=True, eq=False)
 class SampledPlant(Frozen):
     """A plant at a sampling period, its modes held over whole periods (immutable).
@@ -64,6 +135,13 @@ class SampledPlant(Frozen):
     plant : SwitchedSystem
     step : float
         Sampling period h, seconds.
+    window : Window
+        The inputs in flight.
+
+    Raises
+    ------
+    ArgumentError
+        If the step is not positive, or too short or too long for the plant.
 
     Examples
     --------
@@ -78,11 +156,12 @@ class SampledPlant(Frozen):
 
     plant: SwitchedSystem
     step: float
+    window: Window = field(init=False, repr=False)
 
-    @cached_property
-    def window(self) -> Window:
-        """The inputs in flight."""
-        return Window.of_plant(self.plant, self.step)
+    def __post_init__(self) -> None:
+        window = Window.of_plant(self.plant, self.step)
+        vars(self).update(window=window, step=window.step)
+        super().__post_init__()
 
     @property
     def longest_lag(self) -> int:
@@ -101,6 +180,32 @@ class SampledPlant(Frozen):
             Stretch(0.0, window.phase, older),
             Stretch(window.phase, window.step, newer),
         )
+
+    @cached_property
+    def every_stretch(self) -> Stretches:
+        """The stretches of all modes."""
+        parts = [self.stretches(mode) for mode in range(self.plant.modes)]
+        start, stop, lag = zip(*(part for mode in parts for part in mode), strict=True)
+        first = np.cumsum([0, *map(len, parts)])
+        return Stretches(*map(read_only, (first, np.array(start), np.array(stop), np.array(lag))))
+
+    @cached_property
+    def ahead(self) -> Ahead:
+        """What acts until an input computed now arrives."""
+        step, count, phase = self.window.step, self.window.count, self.window.phase
+        stop = phase + np.arange(count) * step
+        start = np.concatenate(([0.0], stop[:-1]))
+        lag = np.repeat(np.arange(count, 0, -1)[:, None], self.plant.inputs, axis=1)
+        kind = (np.arange(count) > 0).astype(np.int64)
+        return Ahead(*map(read_only, (start, stop, lag, np.array([phase, step]), kind)))
+
+    def along(self, cuts: Cuts, periods: int) -> PieceTable:
+        """The pieces of the periods 0, …, periods − 1 along a switching signal."""
+        from deadtime.cut_pieces import pieces_along
+
+        A, B = self.plant.A, self.plant.B
+        table = pieces_along(A, B, self.every_stretch, cuts.step, cuts.offset, cuts.mode, periods)
+        return PieceTable(*map(read_only, table))
 
     def pieces(self, mode: int) -> tuple[Piece, ...]:
         """The pieces of a period in which a mode is held, in order."""
