@@ -26,7 +26,7 @@ def by_periods(plant, law, signal, x0, horizon, step, kinds, predict, u0):
     others = [pair for pair in pairs if not isinstance(pair[0], Disturbance)]
     update = law.online(step, signal, grid.samples)
     imperfect = ImperfectLaw(plant, update, step, others, predict)
-    return run_online(plant, law, signal, x0, horizon, grid, imperfect, forces)
+    return run_online(law, signal, x0, horizon, grid, imperfect, forces)
 
 
 def same(value, reference):
@@ -46,7 +46,7 @@ def require_same(
     )  # fmt: skip
     assert run.diverged == reference.diverged
     assert run.end == (horizon if reference.end is None else reference.end)
-    for name in ("states", "at_phase", "inputs"):
+    for name in ("path", "inputs"):
         same(getattr(run.record, name), getattr(reference.record, name))
     assert run.record.samples == reference.record.samples
     same(run.measured, reference.told.measured.T)

@@ -3,10 +3,9 @@
 import mpmath
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import plants
-from deadtime.numerics.exponential import between, energy_between, energy_gramian, held, held_modes
+from deadtime.numerics.exponential import energy_gramian, held, held_modes
 
 rng = np.random.default_rng(3)
 NILPOTENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
@@ -114,56 +113,3 @@ def test_the_gramian_equals_van_loan_s_in_50_digits(case):
     scale = np.sqrt(np.outer(np.diag(reference), np.diag(reference)))
     assert (np.abs(Q - reference) <= 1e-12 * scale).all()
     assert np.array_equal(Q, Q.T) or np.abs(Q - Q.T).max() <= 1e-15 * np.abs(Q).max()
-
-
-def quadrature(A, B, z, a, b, nodes=40):
-    """(∫|x|² over a piece, z at its end), by Gauss-Legendre on SciPy's exponential."""
-    n = A.shape[0]
-    s, w = np.polynomial.legendre.leggauss(nodes)
-    points = [(expm(extended(A, B) * (s_i + 1) / 2 * (b - a)) @ z)[:n] for s_i in s]
-    return sum(w_i * x @ x for w_i, x in zip(w, points, strict=True)) * (b - a) / 2, expm(
-        extended(A, B) * (b - a)
-    ) @ z
-
-
-PLANT = plants.generic()
-OFFSET = np.array([0.0, 0.03, 0.03, 0.071, 0.2])  # the first four switch within [0, 0.1)
-MODE = np.array([2, 0, 1, 2, 1, 0])
-PIECES = [(0, 0.0, 0.03), (2, 0.03, 0.071), (1, 0.071, 0.1)]
-
-
-def test_between_is_the_product_over_the_cuts():
-    Phi, Gamma, before, mode = between(PLANT.A, PLANT.B, 2, OFFSET, MODE, 0, 5, 0.0, 0.1)
-    P, G = np.eye(3), np.zeros((3, 2))
-    for i, a, b in PIECES:
-        piece = plants.held(PLANT.A[i], PLANT.B[i], b - a)
-        P, G = piece[0] @ P, piece[0] @ G + piece[1]
-    plants.close(Phi, P, 1e-14)
-    plants.close(Gamma, G, 1e-14)
-    assert (before, mode) == (4, 1)
-
-
-def test_between_leaves_a_switch_at_its_end_to_the_next_piece():
-    Phi, _, before, mode = between(PLANT.A, PLANT.B, 0, OFFSET, MODE, 1, 5, 0.0, 0.03)
-    plants.close(Phi, plants.held(PLANT.A[0], PLANT.B[0], 0.03)[0], 1e-14)
-    assert (before, mode) == (1, 0)
-    Phi, _, before, mode = between(PLANT.A, PLANT.B, 0, OFFSET, MODE, 1, 5, 0.03, 0.05)
-    plants.close(Phi, plants.held(PLANT.A[2], PLANT.B[2], 0.02)[0], 1e-14)
-    assert (before, mode) == (3, 2)
-
-
-def test_energy_between_is_the_integral_of_x_squared_over_the_cuts():
-    z = np.array([0.3, -1.0, 2.0, 0.5, -0.7])
-    Q = energy_between(PLANT.A, PLANT.B, 2, OFFSET, MODE, 0, 4, 0.0, 0.1)
-    total, end = 0.0, z
-    for i, a, b in PIECES:
-        piece, end = quadrature(PLANT.A[i], PLANT.B[i], end, a, b)
-        total += piece
-    assert z @ Q @ z == pytest.approx(total, rel=1e-13)
-
-
-def test_energy_between_stops_at_its_end_when_switches_come_later():
-    z = np.array([0.3, -1.0, 2.0, 0.5, -0.7])
-    Q = energy_between(PLANT.A, PLANT.B, 2, OFFSET, MODE, 0, 5, 0.0, 0.02)
-    total, _ = quadrature(PLANT.A[0], PLANT.B[0], z, 0.0, 0.02)
-    assert z @ Q @ z == pytest.approx(total, rel=1e-13)

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 import deadtime as dt
 from deadtime.plant import Window
 from deadtime.plant.steps import snap, snap_all
-from deadtime.switching.grid import Cuts, modes_at
+from deadtime.switching.grid import cuts_of, modes_at
 
 quick = settings(max_examples=200, deadline=None, derandomize=True)
 
@@ -65,7 +65,7 @@ def test_snap_all_snaps_every_entry(ratios):
 
 
 def laid(times, window):
-    return Cuts.of(dt.SwitchingSignal([0.0, *times], np.arange(len(times) + 1)), window)
+    return cuts_of(dt.SwitchingSignal([0.0, *times], np.arange(len(times) + 1)), window)
 
 
 def test_switches_at_samples_have_offset_zero_whatever_the_float():

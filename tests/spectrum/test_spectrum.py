@@ -5,7 +5,7 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.plant.sampled_plant import Period
+from deadtime.plant.pieces import Period
 from deadtime.spectrum import LiftedLoop, growth_rate, lifted, lifted_loop
 
 DELAYS = [0.234, 0.3, 0.04, 1.75]

@@ -16,7 +16,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
 from deadtime.feedback.table import Feedback
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
 
 MOST_BYTES = 1e9  # of a table
@@ -101,9 +101,13 @@ class Law(Frozen, ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label}; model {self.plant!r})"
 
+    def sampled(self, step: float) -> SampledPlant:
+        """The model at a sampling period."""
+        return SampledPlant(self.plant, step)
+
     def window(self, step: float) -> Window:
         """The window of the model's delay at a sampling period."""
-        return Window.of_plant(self.plant, step)
+        return self.sampled(step).window
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -122,13 +122,13 @@ class Disturbance(Imperfection):
 
     @abstractmethod
     def draws(
-        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
-        """Numbers (steps, 2, r) that decide w over both phases of every step."""
+        """Numbers (steps, lengths, r) that decide w over stretches of these lengths, in steps."""
 
     @abstractmethod
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        """(n, r): from a phase's numbers to what w adds to x over these pieces of it."""
+        """(n, r): from a stretch's numbers to what w adds to x over these pieces of it."""
 
 
 def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.Generator]:

@@ -1,8 +1,8 @@
 """Disturbances of the plant: dx/dt = A_σ x + B_σ u(t − D) + w(t).
 
-Over each phase of a step (up to φ, where the next input arrives, and from there on) what w adds
-to x is drawn with its exact distribution, switches within the phase included. Between the ends of
-phases the constant force that adds as much is held, so that a run can be evaluated anywhere.
+Over each stretch of a period (from one arrival of an input to the next) what w adds to x is drawn
+with its exact distribution, switches within it included. Between the ends of stretches the constant
+force that adds as much is held, so that a run can be evaluated anywhere.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class WhiteDisturbance(Disturbance):
     """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s).
 
     The states at the samples and at the arrivals of inputs have exactly the distribution of the
-    stochastic differential equation. The roughness of a path within a phase is left out: it would
+    stochastic differential equation. The roughness of a path within a stretch is left out: it would
     add tr(W) h/6 a second to ∫|x|² on average.
 
     Parameters
@@ -41,10 +41,10 @@ class WhiteDisturbance(Disturbance):
     intensity: ArrayLike
 
     def draws(
-        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
         self._checked(sizes.states)
-        return rng.standard_normal((steps, 2, sizes.states))
+        return rng.standard_normal((steps, len(lengths), sizes.states))
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
         W = self._checked(sizes.states)
@@ -84,19 +84,19 @@ class ColouredDisturbance(Disturbance):
     force: ArrayLike
 
     def draws(
-        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
         _, std, T = self._checked(sizes.states)
-        q, n = std.size, sizes.states
-        normal = rng.standard_normal((2 * steps + 1, q))
-        c = np.empty((2 * steps + 1, q))
+        q, n, pieces = std.size, sizes.states, len(lengths) * steps
+        normal = rng.standard_normal((pieces + 1, q))
+        c = np.empty((pieces + 1, q))
         c[0] = std * normal[0]
         tau = np.tile(lengths, steps)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
-        for i in range(2 * steps):
+        for i in range(pieces):
             c[i + 1] = kept[i] * c[i] + fresh[i] * normal[i + 1]
-        rest = rng.standard_normal((2 * steps, n))
-        return np.hstack((c[:-1], c[1:], rest)).reshape(steps, 2, 2 * q + n)
+        rest = rng.standard_normal((pieces, n))
+        return np.hstack((c[:-1], c[1:], rest)).reshape(steps, len(lengths), 2 * q + n)
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
         """From c at both ends and n normal numbers: the mean given c, and what is left."""
@@ -153,7 +153,7 @@ class StepDisturbance(Disturbance):
     end: float = math.inf
 
     def draws(
-        self, sizes: Sizes, lengths: tuple[float, float], steps: int, rng: np.random.Generator
+        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
         start = number("StepDisturbance.start", self.start)
         try:
@@ -165,7 +165,7 @@ class StepDisturbance(Disturbance):
                 f"StepDisturbance must have 0 ≤ start < end, got {start:g} and {self.end}."
             )
         first, stop = (math.ceil(snap(min(t / sizes.step, steps))) for t in (start, end))
-        active = np.zeros((steps, 2, 1))
+        active = np.zeros((steps, len(lengths), 1))
         active[first:stop] = 1.0
         return active
 

@@ -161,14 +161,14 @@ class AveragedPredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, window = self.plant, self.window(step)
+        plant, sampled = self.plant, self.sampled(step)
         if self.dwell_time is not None:
             from deadtime.laws.tables.dwell_time import dwelling_table
 
-            return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, window)
+            return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, sampled)
         from deadtime.laws.tables.constant_mode import frozen_table
 
-        return frozen_table(plant.A, plant.B, self.gains, self.weights, window)
+        return frozen_table(plant.A, plant.B, self.gains, self.weights, sampled)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         if self.dwell_time is not None:

@@ -55,10 +55,10 @@ class DelayedStateFeedback(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        window = self.window(step)
+        sampled = self.sampled(step)
         modes, m, _ = self.gains.shape
-        taps = np.zeros((modes, window.count, m, m))
-        return Feedback(self.gains, taps, "mode", window.step)
+        taps = np.zeros((modes, sampled.longest_lag, m, m))
+        return Feedback(self.gains, taps, "mode", sampled.step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         plant = self.plant

@@ -15,7 +15,7 @@ from deadtime.feedback.law import TableLaw
 from deadtime.gains.checked import checked_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.grid import Cuts, modes_at
+from deadtime.switching.grid import cuts_of, modes_at
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -94,8 +94,8 @@ class ExactPredictor(TableLaw):
     ) -> Feedback:
         from deadtime.laws.tables.known_signal import future_rows
 
-        window = self.window(step)
-        plant = self.plant
+        sampled = self.sampled(step)
+        window = sampled.window
         if steps is None:
             raise ArgumentError(
                 "steps must be given, the number of samples to make rows for, and the future "
@@ -104,9 +104,9 @@ class ExactPredictor(TableLaw):
             )
         count("steps", steps)
         known = self._known(signal, (steps - 1) * step)
-        cuts = Cuts.of(known, window)
+        cuts = cuts_of(known, window)
         future = modes_at(known, np.arange(steps) * step + window.delay, step)
-        F, G = future_rows(plant.A, plant.B, self.gains[future], window, cuts)
+        F, G = future_rows(sampled, self.gains[future], cuts)
         return Feedback(F, G, "step", window.step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

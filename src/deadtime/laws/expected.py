@@ -104,13 +104,14 @@ class ExpectedPredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, model, window = self.plant, self.model, self.window(step)
+        plant, model, sampled = self.plant, self.model, self.sampled(step)
         if isinstance(model, Markov):
             from deadtime.laws.tables.markov import markov_table
 
-            return markov_table(plant.A, plant.B, self.gains, model.generator, window)
+            return markov_table(plant.A, plant.B, self.gains, model.generator, sampled)
         from deadtime.laws.tables.semi_markov import semi_markov_table
 
+        window = sampled.window
         most = room(8 * plant.modes * window.count * plant.inputs**2)
         ages = table_ages(model, window.step, self.ages, most)
         hazard = model.hazard(window.step, ages + window.count)

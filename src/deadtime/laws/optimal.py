@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw, require_room, room
 from deadtime.laws.expected import require_model, table_ages
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
 
@@ -153,19 +153,19 @@ class OptimalPredictor(TableLaw):
         """The table at a period, and the cost of x(0) in each mode just entered; the last kept."""
         kept = vars(self).get("_kept")
         if kept is None or kept[0].step != step:
-            kept = vars(self)["_kept"] = self._solve(self.window(step))
+            kept = vars(self)["_kept"] = self._solve(self.sampled(step))
         return kept
 
-    def _solve(self, window: Window) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
+    def _solve(self, sampled: SampledPlant) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:
         from deadtime.laws.tables.riccati import period, solve
 
-        plant, h, N = self.plant, window.step, window.count
+        plant, h, N = self.plant, sampled.step, sampled.longest_lag
         modes, n, m = plant.B.shape
         most = room(8.0 * modes * (n + N * m) ** 2, MOST_MEMORY)
         require_room("the lifted state", 1, h, most)
         hazard, transition = self._chain(h, most)
         ages = hazard.shape[1]
-        L, stage = period(plant.A, plant.B, self.Q, h, window.phase)
+        L, stage = period(sampled, self.Q)
         P, gain = solve(L, stage, h * self.R, hazard, transition, N, h)
         F = gain[..., :n].reshape(modes * ages, m, n).copy()
         G = gain[..., n:].reshape(modes * ages, m, N, m)[:, :, ::-1].transpose(0, 2, 1, 3).copy()

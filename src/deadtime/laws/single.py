@@ -69,7 +69,7 @@ class SingleModePredictor(TableLaw):
         one = slice(self.mode, self.mode + 1)
         plant = self.plant
         return frozen_table(
-            plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.window(step)
+            plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.sampled(step)
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

@@ -110,16 +110,16 @@ class StateDependentPredictor(Law):
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Update:
-        window = self.window(step)
+        ahead = self.sampled(step).ahead
         # A switch within 1e-9 h after an instant counts as at it: the last length looks ahead.
-        lengths = window.phase, window.step, TOLERANCE * window.step
+        lengths = *ahead.length.tolist(), TOLERANCE * step
         motion = self.rule.motion(self.plant, lengths)
-        kinds = np.array([0] + [1] * (window.count - 1))
+        inputs = np.arange(self.plant.inputs)
 
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
             if not np.isfinite(x).all():
                 return np.full(past.shape[1], np.nan)
-            arrival = motion.follow(kinds, past[-window.count :], x, mode)
+            arrival = motion.follow(ahead.kind, past[-ahead.lag, inputs], x, mode)
             if arrival.chatter is not None:
                 raise ChatteringError(
                     "chattering in the prediction of StateDependentPredictor, "
@@ -127,7 +127,7 @@ class StateDependentPredictor(Law):
                 )
             final = arrival
             if final.beside is None:
-                final = motion.advance(2, arrival.x, arrival.place, past[-1])
+                final = motion.advance(ahead.length.size, arrival.x, arrival.place, past[-1])
             place = final_place(motion, self.gains, arrival.x, final.place, final.beside)
             return self.gains[motion.mode_of(place)] @ arrival.x
 

@@ -1,4 +1,4 @@
-"""Φ and Γ over cut steps, compiled.
+"""Φ and Γ over a piece of time, compiled.
 
 A piece of length τ in mode i under a constant input u takes x to Φ x + Γ u,
 
@@ -185,7 +185,7 @@ def energy_gramian(A, B, tau, Q=None):
         term = (half + half.T) * (short / k)
         M += term
         bound *= size / 2.0**count / k
-    transition = _extended(*held(balanced, scaled, short))
+    transition = extended(*held(balanced, scaled, short))
     for _ in range(count):
         M = M + multiply(multiply(transition.T, M), transition)
         transition = multiply(transition, transition)
@@ -193,87 +193,10 @@ def energy_gramian(A, B, tau, Q=None):
 
 
 @njit(cache=True)
-def _extended(Phi, Gamma):
+def extended(Phi, Gamma):
     """[[Φ, Γ], [0, I]], the transition of z = (x, u)."""
     n, m = Gamma.shape
     result = np.eye(n + m)
     result[:n, :n] = Phi
     result[:n, n:] = Gamma
     return result
-
-
-@njit(cache=True)
-def between(A, B, mode, cut_offset, cut_mode, first, stop, a, b):
-    """Φ, Γ over [a, b) inside one step, cut at switches `first`, …, `stop` − 1 before b.
-
-    `mode` is the mode at a; switch p goes to `cut_mode[p + 1]`. Returns also how many switches
-    lie before b, and the mode there.
-    """
-    n, m = B.shape[1:]
-    Phi, Gamma = np.eye(n), np.zeros((n, m))
-    p = first
-    while p < stop and cut_offset[p] < b:
-        if cut_offset[p] > a:
-            piece_Phi, piece_Gamma = held(A[mode], B[mode], cut_offset[p] - a)
-            Phi, Gamma = multiply(piece_Phi, Phi), multiply(piece_Phi, Gamma) + piece_Gamma
-            a = cut_offset[p]
-        p += 1
-        mode = cut_mode[p]
-    piece_Phi, piece_Gamma = held(A[mode], B[mode], b - a)
-    return multiply(piece_Phi, Phi), multiply(piece_Phi, Gamma) + piece_Gamma, p, mode
-
-
-@njit(cache=True)
-def energy_between(A, B, mode, cut_offset, cut_mode, first, stop, a, b, Q=None):
-    """M of `energy_gramian` over [a, b) inside one step, cut as in `between`."""
-    n, m = B.shape[1:]
-    M = np.zeros((n + m, n + m))
-    transition = np.eye(n + m)
-    for p in range(first, stop + 1):
-        end = min(cut_offset[p], b) if p < stop else b
-        if end > a:
-            piece = energy_gramian(A[mode], B[mode], end - a, Q)
-            M += multiply(multiply(transition.T, piece), transition)
-            transition = multiply(_extended(*held(A[mode], B[mode], end - a)), transition)
-            a = end
-        if p < stop:
-            mode = cut_mode[p + 1]
-    return M
-
-
-@njit(cache=True)
-def phases(A, B, step, phase, cut_step, cut_offset, cut_mode, total):
-    """Transitions over both phases of the steps 0, …, total − 1, each computed once.
-
-    Returns (index, Phi, Gamma, mode, first, stop): phase f of step k takes x to
-    Phi[i] x + Gamma[i] u with i = index[k, f]. Entries 2·mode + f are uncut phases; entry i
-    after those starts in mode[i] and is cut by the switches first[i], …, stop[i] − 1.
-    """
-    modes, n, m = B.shape
-    switches = np.searchsorted(cut_step, total)
-    size = 2 * modes + 2 * switches
-    index = np.empty((total, 2), np.int64)
-    Phi, Gamma = np.empty((size, n, n)), np.empty((size, n, m))
-    mode_of = np.empty(size, np.int64)
-    first, stop = np.zeros(size, np.int64), np.zeros(size, np.int64)
-    for i in range(modes):
-        mode_of[2 * i] = mode_of[2 * i + 1] = i
-        Phi[2 * i], Gamma[2 * i] = held(A[i], B[i], phase)
-        Phi[2 * i + 1], Gamma[2 * i + 1] = held(A[i], B[i], step - phase)
-    entry, p, mode = 2 * modes, 0, cut_mode[0]
-    for k in range(total):
-        for f in range(2):
-            a, b = (0.0, phase) if f == 0 else (phase, step)
-            while p < switches and cut_step[p] == k and cut_offset[p] <= a:
-                p += 1
-                mode = cut_mode[p]
-            index[k, f] = 2 * mode + f
-            if p < switches and cut_step[p] == k and cut_offset[p] < b:
-                index[k, f], mode_of[entry], first[entry] = entry, mode, p
-                end = p + np.searchsorted(cut_step[p:switches], k + 1)
-                Phi[entry], Gamma[entry], p, mode = between(
-                    A, B, mode, cut_offset, cut_mode, p, end, a, b
-                )
-                stop[entry] = p
-                entry += 1
-    return index, Phi[:entry], Gamma[:entry], mode_of[:entry], first[:entry], stop[:entry]

@@ -12,47 +12,25 @@ and over a whole period, with the pieces' Φ and Γ,
 
     x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},    l over the lags of all pieces.
 
-Whoever needs to know what acts when reads pieces or periods, and works out neither.
+Along a switching signal pieces end at switches, too: a `PieceTable` has those of many periods, as
+arrays for compiled loops. Whoever needs to know what acts when reads pieces or periods, and works
+out neither.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.plant.steps import Window
+from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Stretches
+from deadtime.plant.steps import Cuts, Window
 from deadtime.plant.switched_system import SwitchedSystem
-
-
-class Stretch(NamedTuple):
-    """Seconds from the sample on between which input j is the one of `lag[j]` samples ago."""
-
-    start: float
-    stop: float
-    lag: Int[np.ndarray, " m"]
-
-
-class Piece(NamedTuple):
-    """What a stretch does to the state: x goes to Phi x + Gamma u, u the inputs that act."""
-
-    Phi: Float[np.ndarray, "n n"]
-    Gamma: Float[np.ndarray, "n m"]
-    stretch: Stretch
-
-
-class Period(NamedTuple):
-    """What a whole period does: x_{k+1} = Phi x_k + Σ_l Gamma[l] u_{k−lags[l]}, oldest first."""
-
-    Phi: Float[np.ndarray, "n n"]
-    Gamma: Float[np.ndarray, "lag n m"]
-    lags: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +42,13 @@ class SampledPlant(Frozen):
     plant : SwitchedSystem
     step : float
         Sampling period h, seconds.
+    window : Window
+        The inputs in flight.
+
+    Raises
+    ------
+    ArgumentError
+        If the step is not positive, or too short or too long for the plant.
 
     Examples
     --------
@@ -78,11 +63,12 @@ class SampledPlant(Frozen):
 
     plant: SwitchedSystem
     step: float
+    window: Window = field(init=False, repr=False)
 
-    @cached_property
-    def window(self) -> Window:
-        """The inputs in flight."""
-        return Window.of_plant(self.plant, self.step)
+    def __post_init__(self) -> None:
+        window = Window.of_plant(self.plant, self.step)
+        vars(self).update(window=window, step=window.step)
+        super().__post_init__()
 
     @property
     def longest_lag(self) -> int:
@@ -101,6 +87,32 @@ class SampledPlant(Frozen):
             Stretch(0.0, window.phase, older),
             Stretch(window.phase, window.step, newer),
         )
+
+    @cached_property
+    def every_stretch(self) -> Stretches:
+        """The stretches of all modes."""
+        parts = [self.stretches(mode) for mode in range(self.plant.modes)]
+        start, stop, lag = zip(*(part for mode in parts for part in mode), strict=True)
+        first = np.cumsum([0, *map(len, parts)])
+        return Stretches(*map(read_only, (first, np.array(start), np.array(stop), np.array(lag))))
+
+    @cached_property
+    def ahead(self) -> Ahead:
+        """What acts until an input computed now arrives."""
+        step, count, phase = self.window.step, self.window.count, self.window.phase
+        stop = phase + np.arange(count) * step
+        start = np.concatenate(([0.0], stop[:-1]))
+        lag = np.repeat(np.arange(count, 0, -1)[:, None], self.plant.inputs, axis=1)
+        kind = (np.arange(count) > 0).astype(np.int64)
+        return Ahead(*map(read_only, (start, stop, lag, np.array([phase, step]), kind)))
+
+    def along(self, cuts: Cuts, periods: int) -> PieceTable:
+        """The pieces of the periods 0, …, periods − 1 along a switching signal."""
+        from deadtime.plant.cut_pieces import pieces_along
+
+        A, B = self.plant.A, self.plant.B
+        table = pieces_along(A, B, self.every_stretch, cuts.step, cuts.offset, cuts.mode, periods)
+        return PieceTable(*map(read_only, table))
 
     def pieces(self, mode: int) -> tuple[Piece, ...]:
         """The pieces of a period in which a mode is held, in order."""

@@ -16,9 +16,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
 from deadtime.plant.discretisation import held_pair
 from deadtime.plant.switched_system import SwitchedSystem, require_exponential
 
@@ -90,3 +92,22 @@ class Window:
     def delay(self) -> float:
         """The delay (N − 1) h + φ, in seconds."""
         return (self.count - 1) * self.step + self.phase
+
+
+@dataclass(frozen=True, eq=False)
+class Cuts(Frozen):
+    """The switches of a plant, laid on the steps of a window.
+
+    Attributes
+    ----------
+    step : (switches,) int
+        Index k of the step that the switch falls in.
+    offset : (switches,) float
+        Time since t_k, in [0, h); exactly 0 or φ when the switch falls there.
+    mode : (switches + 1,) int
+        The initial mode, then the mode after each switch.
+    """
+
+    step: Int[np.ndarray, " switch"]
+    offset: Float[np.ndarray, " switch"]
+    mode: Int[np.ndarray, " switch+1"]

@@ -5,30 +5,54 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Feedback, Law
+from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Sizes
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Arrays
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
-from deadtime.simulation.record import DigitalRecord, PhaseTable
+from deadtime.simulation.record import DigitalRecord
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.grid import Cuts, modes_at
+from deadtime.switching.grid import cuts_of, modes_at
 
 ModeAt = Callable[[np.ndarray], np.ndarray]
 Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and their streams
 
 
+class Rows(NamedTuple):
+    """The rows of a law's table for the compiled loop: F (contexts, m, n), G (contexts, m, taps·m)
+    with the oldest input first, and the row of every sample.
+    """
+
+    F: np.ndarray
+    G: np.ndarray
+    row: np.ndarray
+
+
+class Line(NamedTuple):
+    """What goes into the delay line, (past + samples, m), u_k in row past + k.
+
+    The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
+    three are one array where what is asked for is applied.
+    """
+
+    past: int
+    inputs: np.ndarray
+    asked: np.ndarray
+    told: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The samples of a run: how many, the plant's window, and the inputs, history first.
+    """The samples of a run: how many, the plant at its period, and the inputs, history first.
 
     Attributes
     ----------
@@ -36,7 +60,7 @@ class Grid:
         u_k is inputs[past + k]; filled by the run from row `past` on.
     """
 
-    window: Window
+    sampled: SampledPlant
     samples: int
     past: int
     inputs: np.ndarray
@@ -46,13 +70,22 @@ class Grid:
         cls, plant: SwitchedSystem, law: Law, horizon: float, step: float, u0: InitialInput
     ) -> Grid:
         """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
-        window = Window.of_plant(plant, step)
+        sampled = SampledPlant(plant, step)
         samples = math.floor(snap(horizon / step)) + 1
-        past = max(window.count, law.window(step).count)
+        past = max(sampled.longest_lag, law.sampled(step).longest_lag)
         inputs = np.zeros((past + samples, plant.inputs))
         longest = max(plant.delay, law.plant.delay)
         inputs[:past] = held_samples(u0, plant.inputs, past, step, longest)
-        return cls(window, samples, past, inputs)
+        return cls(sampled, samples, past, inputs)
+
+    @property
+    def periods(self) -> int:
+        """How many periods the plant is moved: on until nothing that is in flight is left."""
+        return self.samples + self.sampled.longest_lag
+
+    def acting(self, k: int, lag: np.ndarray) -> np.ndarray:
+        """The inputs (m,) that act in period k, as many samples old as their lags say."""
+        return self.inputs[self.past + k - lag, np.arange(lag.size)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +116,6 @@ class Outcome:
 
 
 def run_table(
-    plant: SwitchedSystem,
     law: Law,
     signal: SwitchingSignal,
     x0: np.ndarray,
@@ -92,30 +124,32 @@ def run_table(
     disturbances: Drawn = (),
 ) -> Outcome:
     """Run a table law, or what imperfections make of it, along a signal."""
-    window, samples, past, inputs = grid.window, grid.samples, grid.past, grid.inputs
-    step = window.step
+    from deadtime.simulation.kernel import closed_loop
+
+    sampled, samples, past, inputs = grid.sampled, grid.samples, grid.past, grid.inputs
+    step = sampled.step
     feedback = law.digital(step, signal, samples)
-    cuts = Cuts.of(signal, window)
-    table = PhaseTable.of(plant, window, cuts, samples + window.count)
-    shift, forces = np.zeros((0, 2, plant.states)), None
+    cuts = cuts_of(signal, sampled.window)
+    table = sampled.along(cuts, grid.periods)
+    shift, forces = np.zeros((0, x0.size)), None
     if disturbances:
-        forcing = Forcing(plant, window, samples + window.count, disturbances)
+        forcing = Forcing(sampled, grid.periods, disturbances)
         shift, forces = forcing.along(table, cuts)
 
     def mode_at(time: np.ndarray) -> np.ndarray:
         return modes_at(signal, time, step)
 
-    rows = feedback.rows(mode_at(np.arange(samples) * step), initial_age(signal, step))
-    arrays = imperfect or Arrays.of((), Sizes.of(plant, step), samples, "applied")
+    row = feedback.rows(mode_at(np.arange(samples) * step), initial_age(signal, step))
+    rows = Rows(feedback.state_gain, read_only(feedback.oldest_first), row)
+    arrays = imperfect or Arrays.of((), Sizes.of(sampled.plant, step), samples, "applied")
     asked = inputs.copy() if arrays.relative.size else inputs
-    kept, states, at_phase = _run(table, feedback, rows, x0, grid, asked, arrays, shift)
+    line = Line(past, inputs, asked, asked if arrays.commanded else inputs)
+    kept, path = closed_loop(table, rows, line, arrays, shift, x0)
     record = DigitalRecord(
-        plant,
-        window,
+        sampled,
         cuts,
         table,
-        read_only(states),
-        read_only(at_phase),
+        read_only(path),
         read_only(inputs[: past + kept]),
         past,
         kept,
@@ -125,7 +159,7 @@ def run_table(
     end = (kept - 1) * step if diverged else None
     told = None
     if imperfect is not None:
-        measured = states[:kept] + (arrays.noise[:kept] if arrays.noise.size else 0.0)
+        measured = record.states[:kept] + (arrays.noise[:kept] if arrays.noise.size else 0.0)
         told = Told(measured, asked[past : past + kept])
     return Outcome(record, signal, mode_at, end, diverged, told=told)
 
@@ -133,35 +167,3 @@ def run_table(
 def initial_age(signal: SwitchingSignal, step: float) -> int:
     """The age of the first mode at time 0, in samples."""
     return math.floor(snap(signal.initial_age / step))
-
-
-def _run(
-    table: PhaseTable,
-    feedback: Feedback,
-    rows: np.ndarray,
-    x0: np.ndarray,
-    grid: Grid,
-    asked: np.ndarray,
-    imperfect: Arrays,
-    shift: np.ndarray,
-) -> tuple[int, np.ndarray, np.ndarray]:
-    """Call the compiled loop with the rows of the table laid out for it, oldest input first."""
-    from deadtime.simulation.kernel import closed_loop
-
-    return closed_loop(
-        table.index,
-        table.Phi,
-        table.Gamma,
-        grid.window.count,
-        feedback.state_gain,
-        read_only(feedback.oldest_first),
-        rows,
-        x0,
-        grid.past,
-        grid.inputs,
-        asked,
-        asked if imperfect.commanded else grid.inputs,
-        imperfect.noise,
-        (imperfect.low, imperfect.high, imperfect.relative),
-        shift,
-    )

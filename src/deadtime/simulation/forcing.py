@@ -1,8 +1,8 @@
-"""The disturbances of one run: how they push the state over each phase of each step.
+"""The disturbances of one run: how they push the state over each piece of each period.
 
-They are drawn before the run, for they do not depend on it. Over a phase, a disturbance adds ξ to
+They are drawn before the run, for they do not depend on it. Over a piece, a disturbance adds ξ to
 the state; the constant force d = Γ_I⁻¹ ξ with Γ_I = ∫₀^τ e^{As} ds adds as much, and is what a
-record evaluates between the ends of phases: an input beside u.
+record evaluates between the ends of pieces: an input beside u.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes
-from deadtime.plant import SwitchedSystem, Window
-from deadtime.simulation.record import PhaseTable
-from deadtime.switching.grid import Cuts
+from deadtime.plant import SampledPlant
+from deadtime.plant.pieces import PieceTable
+from deadtime.plant.steps import Cuts
 
-_SINGULAR = 1e-8  # of a phase
+_SINGULAR = 1e-8  # of a piece
 
 
 class Forcing:
@@ -27,54 +27,50 @@ class Forcing:
 
     def __init__(
         self,
-        plant: SwitchedSystem,
-        window: Window,
+        sampled: SampledPlant,
         steps: int,
         disturbances: Sequence[tuple[Disturbance, np.random.Generator]],
     ) -> None:
-        self._plant, self._window = plant, window
-        self._sizes = Sizes.of(plant, window.step)
-        self._lengths = window.phase, window.step - window.phase
+        plant = self._plant = sampled.plant
+        self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
+        # Of two stretches at least, so that a seed draws the same numbers for every delay.
+        lengths = [part.stop - part.start for part in sampled.stretches(0)] + [0.0]
+        lengths = tuple(lengths[: max(2, len(lengths) - 1)])
         self._kinds = [one for one, _ in disturbances]
-        self._draws = [
-            one.draws(self._sizes, self._lengths, steps, rng) for one, rng in disturbances
+        self._draws = [one.draws(self._sizes, lengths, steps, rng) for one, rng in disturbances]
+        self._held = [
+            [self._spreads([(A, part.stop - part.start)]) for part in sampled.stretches(mode)]
+            for mode, A in enumerate(plant.A)
         ]
-        self._uncut = [[self._spreads([(A, length)]) for length in self._lengths] for A in plant.A]
 
     def along(
-        self, table: PhaseTable, cuts: Cuts
-    ) -> tuple[Float[np.ndarray, "step 2 n"], Float[np.ndarray, "step 2 n"]]:
-        """ξ and d over the phases of a known signal."""
-        total, n = table.index.shape[0], self._plant.states
-        shift, force = np.zeros((2, total, 2, n))
-        for entry in range(table.mode.size):
-            k, f = np.nonzero(table.index == entry)
-            if k.size:
-                spreads, inverse = self._entry(entry, table, cuts)
-                for spread, draws in zip(spreads, self._draws, strict=True):
-                    shift[k, f] += draws[k, f] @ spread.T
-                force[k, f] = shift[k, f] @ inverse.T
+        self, table: PieceTable, cuts: Cuts
+    ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece n"]]:
+        """ξ and d over the pieces of a known signal."""
+        shift, force = np.zeros((2, table.entry.size, self._plant.states))
+        period = table.period
+        place = np.arange(period.size) - table.first[period]
+        entries = self._entries(table, cuts)
+        for entry in np.unique(table.entry):
+            of = table.entry == entry
+            spreads, inverse = entries[entry]
+            for spread, draws in zip(spreads, self._draws, strict=True):
+                shift[of] += draws[period[of], place[of]] @ spread.T
+            force[of] = shift[of] @ inverse.T
         return shift, force
 
-    def of_mode(self, k: int, phase: int, mode: int) -> Float[np.ndarray, " n"]:
-        """d over a phase that starts in a mode; a switch within it leaves d as it is."""
-        spreads, inverse = self._uncut[mode][phase]
+    def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " n"]:
+        """d over a piece that starts in a mode; a switch within it leaves d as it is."""
+        spreads, inverse = self._held[mode][piece]
         pairs = zip(spreads, self._draws, strict=True)
-        return inverse @ np.sum([spread @ draws[k, phase] for spread, draws in pairs], axis=0)
+        return inverse @ np.sum([spread @ draws[k, piece] for spread, draws in pairs], axis=0)
 
-    def _entry(
-        self, entry: int, table: PhaseTable, cuts: Cuts
-    ) -> tuple[list[np.ndarray], np.ndarray]:
-        if entry < 2 * self._plant.modes:
-            return self._uncut[entry // 2][entry % 2]
-        first, stop = table.first[entry], table.stop[entry]
-        early = cuts.offset[first] < self._window.phase
-        now, end = (0.0, self._window.phase) if early else (self._window.phase, self._window.step)
-        mode, pieces = table.mode[entry], []
-        for p in range(first, stop):
-            pieces.append((self._plant.A[mode], cuts.offset[p] - now))
-            now, mode = cuts.offset[p], cuts.mode[p + 1]
-        return self._spreads([*pieces, (self._plant.A[mode], end - now)])
+    def _entries(self, table: PieceTable, cuts: Cuts) -> list[tuple[list[np.ndarray], np.ndarray]]:
+        """What the numbers of every entry become; those of modes held come first."""
+        held = [piece for pieces in self._held for piece in pieces]
+        cut = [table.parts(entry, cuts) for entry in range(len(held), table.mode.size)]
+        A = self._plant.A
+        return held + [self._spreads([(A[i], b - a) for i, a, b in parts]) for parts in cut]
 
     def _spreads(
         self, pieces: list[tuple[np.ndarray, float]]
@@ -94,7 +90,7 @@ class Forcing:
             inverse = np.linalg.inv(Gamma)
         else:
             raise ArgumentError(
-                f"step = {self._window.step:g} s is too long for disturbances: a mode of the plant "
+                f"step = {self._step:g} s is too long for disturbances: a mode of the plant "
                 "oscillates a whole number of times within it; shorten it."
             )
         return [one.spread(self._sizes, pieces) for one in self._kinds], inverse

@@ -17,11 +17,10 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
 from deadtime.feedback.law import Update
-from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw, Lags
-from deadtime.simulation.record import DigitalRecord, PhaseTable
+from deadtime.simulation.record import DigitalRecord
 from deadtime.simulation.slides import told
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal
@@ -37,7 +36,6 @@ class _Stop(NamedTuple):
 
 
 def run_online(
-    plant: SwitchedSystem,
     law: Law,
     switching: SwitchingSignal | Rule,
     x0: np.ndarray,
@@ -47,27 +45,27 @@ def run_online(
     disturbances: Drawn = (),
 ) -> Outcome:
     """Run a law, or what imperfections make of it, along a signal or under a rule, by periods."""
-    window, steps = grid.window, grid.samples + grid.window.count
+    sampled, step = grid.sampled, grid.sampled.step
     if isinstance(switching, SwitchingSignal):
-        age = initial_age(switching, window.step)
-        truth = KnownTruth(plant, switching, window, steps, disturbances)
+        age = initial_age(switching, step)
+        truth = KnownTruth(sampled, switching, grid.periods, disturbances)
     else:
         age = 0
-        truth = RuleTruth(plant, switching, window, x0, steps, disturbances)
-    update = law.online(window.step) if imperfect is None else imperfect
+        truth = RuleTruth(sampled, switching, x0, grid.periods, disturbances)
+    update = law.online(step) if imperfect is None else imperfect
     lag = None if imperfect is None else imperfect.lag
     with np.errstate(over="ignore", invalid="ignore"):
-        kept, states, at_phase, stop = _run(truth, update, lag, age, x0, horizon, grid)
-    total = kept + window.count - 1
-    known = total * window.step + window.phase if truth.chatter is None else truth.chatter.time
+        kept, path, stop = _run(truth, update, lag, age, x0, horizon, grid)
+    total = kept + sampled.longest_lag - 1
+    known = total * step + sampled.window.phase
+    if truth.chatter is not None:
+        known = truth.chatter.time
     signal, cuts = truth.signal(known), truth.cuts()
     record = DigitalRecord(
-        plant,
-        window,
+        sampled,
         cuts,
-        PhaseTable.of(plant, window, cuts, total),
-        read_only(states),
-        read_only(at_phase),
+        sampled.along(cuts, total + 1),
+        read_only(np.array(path)),
         read_only(grid.inputs[: grid.past + kept]),
         grid.past,
         kept,
@@ -76,14 +74,14 @@ def run_online(
     )
     end, diverged, note = (None, False, "") if stop is None else stop
     if record.slides is not None:
-        slid = told(record.slides.slides(window.step, horizon if end is None else end))
+        slid = told(record.slides.slides(step, horizon if end is None else end))
         note = f"{note} {slid}".strip()
     if truth.chatter is not None:
         note = _joined(note, truth, end)
     return Outcome(
         record,
         signal,
-        lambda time: modes_at(signal, time, window.step),
+        lambda time: modes_at(signal, time, step),
         end,
         diverged,
         note,
@@ -99,57 +97,57 @@ def _run(
     x0: np.ndarray,
     horizon: float,
     grid: Grid,
-) -> tuple[int, np.ndarray, np.ndarray, _Stop | None]:
-    """Run over the samples and on until the pipe is empty, as `kernel.closed_loop` does."""
+) -> tuple[int, list[np.ndarray], _Stop | None]:
+    """Run over the samples and on until an input is missing, as `kernel.closed_loop` does."""
     from deadtime.simulation.kernel import LIMIT
 
-    h, ahead = grid.window.step, grid.window.count
-    kept, past, inputs = grid.samples, grid.past, grid.inputs
-    states = np.empty((kept + ahead, x0.size))
-    at_phase = np.empty_like(states)
-    states[0] = x0
-    stop, last, k = None, None, 0
-    while k < kept + ahead - 1:
-        x, now = states[k], past + k
+    h, kept, past, inputs = grid.sampled.step, grid.samples, grid.past, grid.inputs
+    path, first = [x0], [0]
+    stop, last = None, None
+    for k in range(grid.periods):
+        x, now = path[-1], past + k
         if 0 < k < kept and not x @ x <= LIMIT * LIMIT:
             kept, stop = k, _Stop((k - 1) * h, True, "")
-            continue
-        at_phase[k] = truth.move(k, 0, x, inputs[now - ahead])
-        if k < kept:
-            age = age if last is None else age + 1 if truth.mode == last else 0
-            last = truth.mode
-            seen = x if lag is None else _before(truth, k, *lag(), states, grid)
-            try:
-                inputs[now] = update(seen, inputs[:now], last, age)
-            except ChatteringError as error:
-                inputs[now] = inputs[now - 1]
-                note = f"{error} The run ends at t = {k * h:g} s, its last input held over."
-                kept, stop = k + 1, _Stop(k * h, False, note)
-        states[k + 1] = truth.move(k, 1, at_phase[k], inputs[now - ahead + 1])
+        for piece, lags in enumerate(truth.lags(k)):
+            if k - lags.min() >= kept:
+                return kept, path, stop
+            path.append(truth.move(k, piece, path[-1], grid.acting(k, lags)))
+            if piece == 0 and k < kept:
+                age = age if last is None else age + 1 if truth.mode == last else 0
+                last = truth.mode
+                seen = x if lag is None else _before(truth, k, *lag(), path, first, grid)
+                try:
+                    inputs[now] = update(seen, inputs[:now], last, age)
+                except ChatteringError as error:
+                    inputs[now] = inputs[now - 1]
+                    note = f"{error} The run ends at t = {k * h:g} s, its last input held over."
+                    kept, stop = k + 1, _Stop(k * h, False, note)
+        first.append(len(path) - 1)
         if k < kept and stop is None and truth.chatter and truth.chatter.time < horizon:
             # It may begin at the next sample, which then belongs to the run.
             last = int(snap(truth.chatter.time / h))
             kept, stop = min(kept, last + 1), _Stop(truth.chatter.time, False, "")
-        k += 1
-    # The run may end between samples: a delay later falls into one phase more.
-    truth.move(k, 0, states[k], inputs[past + k - ahead])
-    return kept, states[: kept + ahead], at_phase[: kept + ahead - 1], stop
+    return kept, path, stop
 
 
 def _before(
-    truth: Truth, k: int, late: float, early: float, states: np.ndarray, grid: Grid
+    truth: Truth,
+    k: int,
+    late: float,
+    early: float,
+    path: list[np.ndarray],
+    first: list[int],
+    grid: Grid,
 ) -> np.ndarray:
     """x(t_k − late − early), at time 0 at least; NaN while nothing has arrived."""
-    ratio = max(0.0, snap(k - (late + early) / grid.window.step))
-    if snap(k - late / grid.window.step) < 0.0:
-        return np.full(states.shape[1], np.nan)
+    h = grid.sampled.step
+    ratio = max(0.0, snap(k - (late + early) / h))
+    if snap(k - late / h) < 0.0:
+        return np.full(path[0].size, np.nan)
     j = int(np.floor(ratio))
     if ratio == j:
-        return states[j]
-    first = grid.past + j - grid.window.count
-    return truth.within(
-        j, (ratio - j) * grid.window.step, states[j], grid.inputs[first : first + 2]
-    )
+        return path[first[j]]
+    return truth.within(j, (ratio - j) * h, path, grid.acting)
 
 
 def _joined(note: str, truth: Truth, end: float | None) -> str:

@@ -7,44 +7,14 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.plant import SwitchedSystem, Weight, Window
-from deadtime.plant.steps import snap_all
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight
+from deadtime.plant.pieces import PieceTable
+from deadtime.plant.steps import Cuts, snap_all
 from deadtime.simulation.slides import Slides
-from deadtime.switching.grid import Cuts
-
-
-@dataclass(frozen=True, eq=False)
-class PhaseTable(Frozen):
-    """The transitions of the steps of a run, as `numerics.exponential.phases` returns them."""
-
-    index: Int[np.ndarray, "step 2"]
-    Phi: Float[np.ndarray, "entry n n"]
-    Gamma: Float[np.ndarray, "entry n m"]
-    mode: Int[np.ndarray, " entry"]
-    first: Int[np.ndarray, " entry"]
-    stop: Int[np.ndarray, " entry"]
-
-    @classmethod
-    def of(cls, plant: SwitchedSystem, window: Window, cuts: Cuts, total: int) -> PhaseTable:
-        """The table of the steps 0, …, total − 1."""
-        from deadtime.numerics.exponential import phases
-
-        return cls(
-            *phases(
-                plant.A,
-                plant.B,
-                window.step,
-                window.phase,
-                cuts.step,
-                cuts.offset,
-                cuts.mode,
-                total,
-            )
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,54 +23,65 @@ class DigitalRecord(Frozen):
 
     Attributes
     ----------
-    states : (samples + N, n)
-        x(t_k), the last N of them after the run's end, moved by the inputs still in the pipe.
-    at_phase : (samples + N − 1, n)
-        x(t_k + φ).
+    table : PieceTable
+        The pieces of the run and on, until the first input that is not known.
+    path : (pieces + 1, n)
+        x at the start of every piece, and at the end of the last.
     inputs : (past + samples, m)
         Held inputs; u_k is inputs[past + k], the first `past` rows are the history.
     samples : int
         Samples 0, …, samples − 1 belong to the run.
-    forces : (steps, 2, n) or None
-        The force that disturbances hold over each phase of each step.
+    forces : (pieces, n) or None
+        The force that disturbances hold over each piece.
     slides : Slides or None
         The steps in which the plant slid along a boundary, if it did.
     """
 
-    plant: SwitchedSystem
-    window: Window
+    sampled: SampledPlant
     cuts: Cuts
-    table: PhaseTable
-    states: Float[np.ndarray, "grid n"]
-    at_phase: Float[np.ndarray, "grid-1 n"]
+    table: PieceTable
+    path: Float[np.ndarray, "start n"]
     inputs: Float[np.ndarray, "held m"]
     past: int
     samples: int
-    forces: Float[np.ndarray, "step 2 n"] | None = None
+    forces: Float[np.ndarray, "piece n"] | None = None
     slides: Slides | None = None
     held: ClassVar[bool] = True
 
+    @property
+    def plant(self) -> SwitchedSystem:
+        """The plant that was run."""
+        return self.sampled.plant
+
+    @property
+    def step(self) -> float:
+        """The sampling period, seconds."""
+        return self.sampled.step
+
+    @cached_property
+    def states(self) -> Float[np.ndarray, "grid n"]:
+        """x(t_k), on past the run's end while inputs are in flight."""
+        first = self.table.first
+        return read_only(self.path[first[: np.searchsorted(first, self.path.shape[0])]])
+
     @cached_property
     def driven(self) -> tuple[np.ndarray, np.ndarray]:
-        """B (modes, n, q) and what acts through it, u and the forces, (steps, 2, q)."""
-        A, B, steps = self.plant.A, self.plant.B, self.at_phase.shape[0]
-        arriving = self.past - self.window.count
-        acting = np.empty((steps + 1, 2, B.shape[2]))
-        # The last phase 0 is that of a run that ends between samples, a delay later.
-        for f, more in ((0, 1), (1, 0)):
-            first = arriving + f
-            acting[: steps + more, f] = self.inputs[first : first + steps + more]
-        acting[steps, 1] = 0.0
+        """B (modes, n, q) and what acts through it, u and the forces, (pieces, q)."""
+        A, B, pieces = self.plant.A, self.plant.B, self.path.shape[0]
+        # The last piece may have begun only: it acts on nothing where an input is missing.
+        sample = self.past + self.table.sample[:pieces]
+        known = np.minimum(sample, self.inputs.shape[0] - 1)
+        acting = np.where(sample == known, self.inputs[known, np.arange(B.shape[2])], 0.0)
         if self.forces is None:
             return B, read_only(acting)
         unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
         forced = read_only(np.concatenate((B, unit), axis=2))
-        return forced, read_only(np.dstack((acting, self.forces[: steps + 1])))
+        return forced, read_only(np.hstack((acting, self.forces[: acting.shape[0]])))
 
     def grid(self, end: float) -> Float[np.ndarray, " T"]:
         """The samples, and the end of the run when that is no sample."""
-        time = np.arange(self.samples) * self.window.step
-        return time if end - time[-1] <= 1e-9 * self.window.step else np.append(time, end)
+        time = np.arange(self.samples) * self.step
+        return time if end - time[-1] <= 1e-9 * self.step else np.append(time, end)
 
     def history(self, end: float) -> Float[np.ndarray, "m N"]:
         """The inputs in the pipe at the last sample, oldest first."""
@@ -109,9 +90,9 @@ class DigitalRecord(Frozen):
 
     def locate(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Step index and offset of each time, snapped to the samples."""
-        ratio = snap_all(times / self.window.step)
+        ratio = snap_all(times / self.step)
         step = np.floor(ratio)
-        offset = np.where(ratio == step, 0.0, times - step * self.window.step)
+        offset = np.where(ratio == step, 0.0, times - step * self.step)
         return step.astype(np.int64), offset
 
     def states_at(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
@@ -123,36 +104,41 @@ class DigitalRecord(Frozen):
     def ahead_of(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         """x a delay after any times from 0 to the end of the run."""
         if self._at_samples(times):
-            return self.at_phase[self.window.count - 1 :][: times.size]
-        return self._propagated(times + self.window.delay)
+            return self.path[self._arrivals[: times.size]]
+        return self._propagated(times + self.sampled.window.delay)
+
+    @cached_property
+    def _arrivals(self) -> np.ndarray:
+        """The pieces in which the inputs of the run's samples begin to act."""
+        sample = self.table.sample[:, 0]
+        return read_only(np.searchsorted(sample, np.arange(self.samples)))
 
     def _at_samples(self, times: np.ndarray) -> bool:
         """Whether the times are the run's first samples, which are stored."""
         return times.size <= self.samples and np.array_equal(
-            times, np.arange(times.size) * self.window.step
+            times, np.arange(times.size) * self.step
         )
 
     def _propagated(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         from deadtime.simulation.kernel import states_at
 
         step, offset = self.locate(times)
-        cuts, (B, acting) = self.cuts, self.driven
+        B, acting = self.driven
         result = states_at(
             self.plant.A,
             B,
-            self.window.phase,
-            cuts.step,
-            cuts.offset,
-            cuts.mode,
+            self.table,
+            self.cuts.offset,
+            self.cuts.mode,
             step,
             offset,
-            self.states,
+            self.path,
             acting,
         )
         if self.slides is not None:
             for i in np.flatnonzero(np.isin(step, list(self.slides.steps))):
                 k = int(step[i])
-                result[i] = self.slides.state_at(k, float(offset[i]), acting[k])
+                result[i] = self.slides.state_at(k, float(offset[i]), acting[self._pieces(k)])
         return result
 
     def inputs_at(self, times: np.ndarray) -> Float[np.ndarray, "time m"]:
@@ -166,73 +152,55 @@ class DigitalRecord(Frozen):
         Q, R = (None, None) if weight is None else (weight.Q, weight.R)
         states = self._whole_steps(int(step), Q)
         held = self.inputs[self.past : self.past + step]
-        inputs = self.window.step * float(np.vdot(held, held if R is None else held @ R))
+        inputs = self.step * float(np.vdot(held, held if R is None else held @ R))
         if rest > 0.0:
             u = self.inputs[self.past + step]
             inputs += rest * float(u @ u if R is None else u @ R @ u)
             states += self._within_step(int(step), float(rest), Q)
         return states, inputs
 
+    def _pieces(self, k: int) -> slice:
+        """The pieces of a period."""
+        return slice(self.table.first[k], self.table.first[k + 1])
+
     def _whole_steps(self, steps: int, Q: np.ndarray | None) -> float:
         """∫xᵀQx over the steps 0, …, steps − 1."""
-        from deadtime.simulation.kernel import form_integral, phase_gramians
+        from deadtime.plant.cut_pieces import gramians
+        from deadtime.simulation.kernel import form_integral
 
-        table, window, (B, acting) = self.table, self.window, self.driven
-        M = phase_gramians(
-            self.plant.A,
-            B,
-            window.step,
-            window.phase,
-            self.cuts.offset,
-            self.cuts.mode,
-            table.mode,
-            table.first,
-            table.stop,
-            Q,
-        )
+        table, (B, acting) = self.table, self.driven
+        M = gramians(self.plant.A, B, table, self.cuts.offset, self.cuts.mode, Q)
+        pieces = int(table.first[steps])
         if self.slides is None:
-            return form_integral(M, table.index, steps, self.states, self.at_phase, acting)
+            return form_integral(M, table.entry, pieces, self.path, acting)
         slid = [k for k in self.slides.steps if k < steps]
         # Nothing moves in these steps as far as the quadratic forms go.
-        still = [part.copy() for part in (self.states, self.at_phase, acting)]
-        for part in still:
-            part[slid] = 0.0
-        forms = float(form_integral(M, table.index, steps, *map(read_only, still)))
-        return forms + sum(self._within_slide(k, window.step, Q) for k in slid)
+        path, acting = self.path.copy(), acting.copy()
+        for k in slid:
+            path[self._pieces(k)] = acting[self._pieces(k)] = 0.0
+        still = read_only(path), read_only(acting)
+        forms = float(form_integral(M, table.entry, pieces, *still))
+        return forms + sum(self._within_slide(k, self.step, Q) for k in slid)
 
     def _within_slide(self, k: int, end: float, Q: np.ndarray | None) -> float:
         """`_within_step`, of a step that slides."""
         assert self.slides is not None
         rate = float(np.abs(self.plant.A).sum(axis=2).max())
-        return self.slides.form_integral(k, end, self.driven[1][k], rate, Q)
+        return self.slides.form_integral(k, end, self.driven[1][self._pieces(k)], rate, Q)
 
     def _within_step(self, k: int, end: float, Q: np.ndarray | None) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""
-        from deadtime.numerics.exponential import energy_between
+        from deadtime.plant.cut_pieces import begun_gramian
 
         if self.slides is not None and k in self.slides.steps:
             return self._within_slide(k, end, Q)
-        phase, cuts, (B, acting) = self.window.phase, self.cuts, self.driven
-        stop = int(np.searchsorted(cuts.step, k + 1))
+        table, cuts, (B, acting) = self.table, self.cuts, self.driven
         total = 0.0
-        for start, a, b in ((0, 0.0, min(end, phase)), (1, phase, end)):
-            if b <= a:
-                continue
-            first = int(np.searchsorted(cuts.step, k))
-            first += int(np.sum((cuts.step == k) & (cuts.offset <= a)))
-            M = energy_between(
-                self.plant.A,
-                B,
-                cuts.mode[first],
-                cuts.offset,
-                cuts.mode,
-                first,
-                stop,
-                a,
-                b,
-                Q,
-            )
-            x = self.at_phase[k] if start else self.states[k]
-            z = np.concatenate((x, acting[k, start]))
-            total += float(z @ M @ z)
+        for q in range(table.first[k], table.first[k + 1]):
+            e = table.entry[q]
+            if table.start[e] < end:
+                until = min(end, table.stop[e])
+                M = begun_gramian(self.plant.A, B, table, cuts.offset, cuts.mode, e, until, Q)
+                z = np.concatenate((self.path[q], acting[q]))
+                total += float(z @ M @ z)
         return total

@@ -208,16 +208,16 @@ def _digital(
     disturbances: Drawn,
 ) -> Outcome:
     """The digital run: at once for a table law on a known signal, otherwise period by period."""
-    step, imperfect = grid.window.step, None
+    step, imperfect = grid.sampled.step, None
     known = switching if isinstance(switching, SwitchingSignal) else None
     if isinstance(law, TableLaw) and law.outputs is None and known is not None and takes(others):
         sizes = Sizes.of(plant, step)
         arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
-        return run_table(plant, law, known, x0, grid, arrays, disturbances)
+        return run_table(law, known, x0, grid, arrays, disturbances)
     if others or law.outputs is not None:
         update = law.online(step, known, None if known is None else grid.samples)
         imperfect = ImperfectLaw(plant, update, step, others, predict, law.outputs)
-    return run_online(plant, law, switching, x0, horizon, grid, imperfect, disturbances)
+    return run_online(law, switching, x0, horizon, grid, imperfect, disturbances)
 
 
 def require_steps(horizon: float, delay: float, step: float) -> None:

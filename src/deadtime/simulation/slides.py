@@ -21,11 +21,11 @@ _JOINED = 1e-6  # of a step: slides that close are one
 
 
 class Part(NamedTuple):
-    """A part of a step in one motion: seconds from the step's start, the phase, and the motion."""
+    """A part of a step in one motion: seconds from the step's start, the piece, and the motion."""
 
     begin: float
     end: float
-    phase: int
+    piece: int
     leg: Leg
 
 
@@ -41,7 +41,7 @@ class Slide(NamedTuple):
 class Slides:
     """The steps that slide, by number; filled by the run.
 
-    In what follows `acting` (2, q) are the inputs, and forces, of both phases of the step.
+    In what follows `acting` (pieces, q) are the inputs, and forces, of the pieces of the step.
     """
 
     motion: Motion
@@ -50,7 +50,7 @@ class Slides:
     def state_at(self, k: int, offset: float, acting: np.ndarray) -> Float[np.ndarray, " n"]:
         """x at t_k + offset."""
         part = [part for part in self.steps[k] if part.begin <= offset][-1]
-        return self.motion.along(part.leg, acting[part.phase], offset - part.begin)
+        return self.motion.along(part.leg, acting[part.piece], offset - part.begin)
 
     def form_integral(
         self, k: int, end: float, acting: np.ndarray, rate: float, Q: np.ndarray | None
@@ -65,7 +65,7 @@ class Slides:
             short = length / count
             for i in range(count):
                 for point, weight in zip(nodes.points, nodes.weights, strict=True):
-                    x = self.motion.along(part.leg, acting[part.phase], short * (i + point))
+                    x = self.motion.along(part.leg, acting[part.piece], short * (i + point))
                     total += short * weight * float(x @ x if Q is None else x @ Q @ x)
         return total
 

@@ -3,38 +3,41 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.steps import TOLERANCE, snap
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.steps import TOLERANCE, Cuts, snap
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
-from deadtime.simulation.record import PhaseTable
 from deadtime.simulation.slides import Part, Slides
 from deadtime.switching import Rule, SwitchingSignal
-from deadtime.switching.grid import Cuts, modes_at
+from deadtime.switching.grid import cuts_of, modes_at
 from deadtime.switching.rules.motion import Beside, Chatter, Leg
 
 _SAME = 1e-10  # of a step: switches that close are one
 _FAR = 1e200  # a diverged run is only moved on, whatever the rule says
 
 
+Acting = Callable[[int, np.ndarray], np.ndarray]  # the inputs that act in period k with these lags
+
+
 class Truth(ABC):
-    """The plant of a run, moved phase by phase.
+    """The plant of a run, moved piece by piece.
 
     Attributes
     ----------
     mode : int
-        σ(t_k), once phase 0 of step k is run.
+        σ(t_k), once the first piece of period k is run.
     chatter : Chatter or None
         When the plant began to chatter; from there on its mode is held.
-    forces : (steps, 2, n) or None
-        The force that disturbances hold over each phase.
+    forces : (pieces, n) or None
+        The force that disturbances hold over each piece.
     slides : Slides or None
-        The steps in which the plant slid along a boundary.
+        The periods in which the plant slid along a boundary.
     """
 
     mode: int
@@ -43,12 +46,16 @@ class Truth(ABC):
     slides: Slides | None = None
 
     @abstractmethod
-    def move(self, k: int, phase: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """x at the end of phase 0 or 1 of step k, from x at its start."""
+    def lags(self, k: int) -> list[np.ndarray]:
+        """The lags (m,) of the inputs that act in the pieces of period k, in order."""
 
     @abstractmethod
-    def within(self, k: int, offset: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """x at t_k + offset, 0 < offset < h, from x(t_k) and the inputs (2, m) of both phases."""
+    def move(self, k: int, piece: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """x at the end of a piece of period k, from x at its start."""
+
+    @abstractmethod
+    def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
+        """x at t_k + offset, 0 < offset < h; `path` is x at the start of every piece so far."""
 
     @abstractmethod
     def signal(self, end: float) -> SwitchingSignal:
@@ -63,41 +70,41 @@ class KnownTruth(Truth):
     """A plant along a given signal."""
 
     def __init__(
-        self,
-        plant: SwitchedSystem,
-        signal: SwitchingSignal,
-        window: Window,
-        steps: int,
-        disturbances: Drawn,
+        self, sampled: SampledPlant, signal: SwitchingSignal, steps: int, disturbances: Drawn
     ) -> None:
-        self._plant, self._window = plant, window
-        self._signal, self._cuts = signal, Cuts.of(signal, window)
-        self._table = PhaseTable.of(plant, window, self._cuts, steps)
-        self._modes = modes_at(signal, np.arange(steps) * window.step, window.step)
-        self._shift = np.zeros((steps, 2, plant.states))
+        self._plant, self._signal = sampled.plant, signal
+        self._cuts = cuts_of(signal, sampled.window)
+        self._table = sampled.along(self._cuts, steps)
+        self._modes = modes_at(signal, np.arange(steps) * sampled.step, sampled.step)
+        self._shift = np.zeros((self._table.entry.size, sampled.plant.states))
         if disturbances:
-            forcing = Forcing(plant, window, steps, disturbances)
+            forcing = Forcing(sampled, steps, disturbances)
             self._shift, self.forces = forcing.along(self._table, self._cuts)
 
-    def move(self, k: int, phase: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def lags(self, k: int) -> list[np.ndarray]:
+        first, stop = self._table.first[k : k + 2]
+        return list(self._table.lag[self._table.entry[first:stop]])
+
+    def move(self, k: int, piece: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         self.mode = int(self._modes[k])
-        entry = self._table.index[k, phase]
-        return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[k, phase]
+        q = self._table.first[k] + piece
+        entry = self._table.entry[q]
+        return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[q]
 
-    def within(self, k: int, offset: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        from deadtime.numerics.exponential import between
+    def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
+        from deadtime.plant.cut_pieces import begun
 
-        A, B, cuts, phase = self._plant.A, self._plant.B, self._cuts, self._window.phase
+        A, B, table, cuts = self._plant.A, self._plant.B, self._table, self._cuts
+        entries = table.entry[table.first[k] : table.first[k + 1]]
+        piece = int(np.searchsorted(table.start[entries], offset, "right")) - 1
+        q, entry = table.first[k] + piece, entries[piece]
+        u = acting(k, table.lag[entry])
         if self.forces is not None:
-            u = np.hstack((u, self.forces[k]))
-            B = read_only(np.concatenate((B, np.broadcast_to(np.eye(x.size), A.shape)), axis=2))
-        p, stop = np.searchsorted(cuts.step, k), np.searchsorted(cuts.step, k + 1)
-        mode = cuts.mode[p]
-        for f, a, b in ((0, 0.0, min(offset, phase)), (1, phase, offset)):
-            if b > a:
-                Phi, Gamma, p, mode = between(A, B, mode, cuts.offset, cuts.mode, p, stop, a, b)
-                x = Phi @ x + Gamma @ u[f]
-        return x
+            u = np.concatenate((u, self.forces[q]))
+            unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
+            B = read_only(np.concatenate((B, unit), axis=2))
+        Phi, Gamma = begun(A, B, table, cuts.offset, cuts.mode, entry, offset)
+        return Phi @ path[q] + Gamma @ u
 
     def signal(self, end: float) -> SwitchingSignal:
         return self._signal
@@ -111,20 +118,21 @@ class RuleTruth(Truth):
 
     def __init__(
         self,
-        plant: SwitchedSystem,
+        sampled: SampledPlant,
         rule: Rule,
-        window: Window,
         x0: np.ndarray,
         steps: int,
         disturbances: Drawn,
     ) -> None:
-        self._window, self._forcing = window, None
+        plant, self._forcing = sampled.plant, None
+        self._step, self._stretches = sampled.step, sampled.stretches(0)
         if disturbances:
-            self._forcing = Forcing(plant, window, steps, disturbances)
-            self.forces = np.zeros((steps, 2, plant.states))
+            self._forcing = Forcing(sampled, steps, disturbances)
+            self.forces = np.zeros((steps * len(self._stretches), plant.states))
             unit = np.broadcast_to(np.eye(plant.states), plant.A.shape)
             plant = SwitchedSystem(plant.A, np.concatenate((plant.B, unit), axis=2), plant.delay)
-        self._motion = rule.motion(plant, (window.phase, window.step - window.phase))
+        lengths = tuple(part.stop - part.start for part in self._stretches)
+        self._motion = rule.motion(plant, lengths)
         self._place = self._motion.place_of(x0)
         self._steps: list[int] = []
         self._offsets: list[float] = []
@@ -133,19 +141,21 @@ class RuleTruth(Truth):
         self._parts: list[Part] = []
         self.slides = Slides(self._motion, {})
 
-    def move(self, k: int, phase: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        h, begin = self._window.step, self._window.phase if phase else 0.0
-        if phase == 0:
+    def lags(self, k: int) -> list[np.ndarray]:
+        return [part.lag for part in self._stretches]
+
+    def move(self, k: int, piece: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        h, begin = self._step, self._stretches[piece].start
+        if piece == 0:
             self.mode, self._parts = self._modes[-1], []
-        elif begin == h:
-            return x
         if self._forcing is not None and self.forces is not None:
-            self.forces[k, phase] = self._forcing.of_mode(k, phase, self._modes[-1])
-            u = np.concatenate((u, self.forces[k, phase]))
+            force = self._forcing.of_mode(k, piece, self._modes[-1])
+            self.forces[k * len(self._stretches) + piece] = force
+            u = np.concatenate((u, force))
         if self.chatter is not None or not np.abs(x).max() <= _FAR:
-            return self._motion.hold(phase, x, self._place, u)
-        move = self._motion.advance(phase, x, self._place, u, self._beside)
-        self._keep(k, phase, begin, move.legs)
+            return self._motion.hold(piece, x, self._place, u)
+        move = self._motion.advance(piece, x, self._place, u, self._beside)
+        self._keep(k, piece, move.legs)
         self._place, self._beside = move.place, move.beside
         for leg in move.legs:
             mode, offset = self._motion.mode_of(leg.place), begin + leg.time
@@ -155,7 +165,7 @@ class RuleTruth(Truth):
             self._offsets.append(offset if offset < h else 0.0)
             self._modes.append(mode)
             # A switch within 1e-9 h after a sample counts as at it.
-            if phase == 0 and offset <= TOLERANCE * h:
+            if piece == 0 and offset <= TOLERANCE * h:
                 self.mode = mode
         if move.chatter is not None:
             # Within 1e-9 h of a sample it begins there, as `DigitalRecord.locate` has it.
@@ -165,25 +175,25 @@ class RuleTruth(Truth):
             self.chatter = move.chatter._replace(time=time)
         return move.x
 
-    def _keep(self, k: int, phase: int, begin: float, legs: list[Leg]) -> None:
-        """Keep the parts of a step if it slides in one of them."""
-        h = self._window.step
-        ends = [leg.time for leg in legs[1:]] + [(h if phase else self._window.phase) - begin]
+    def _keep(self, k: int, piece: int, legs: list[Leg]) -> None:
+        """Keep the parts of a period if it slides in one of them."""
+        begin, stop, _ = self._stretches[piece]
+        ends = [leg.time for leg in legs[1:]] + [stop - begin]
         self._parts += [
-            Part(begin + leg.time, begin + end, phase, leg)
+            Part(begin + leg.time, begin + end, piece, leg)
             for leg, end in zip(legs, ends, strict=True)
         ]
         if self.slides is not None and any(leg.beside for leg in legs):
             self.slides.steps[k] = self._parts
 
-    def within(self, k: int, offset: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
         raise ArgumentError(
             "imperfections must measure at samples where a rule switches the plant: make the "
-            f"measurement delay a multiple of the step, {self._window.step:g} s, without jitter."
+            f"measurement delay a multiple of the step, {self._step:g} s, without jitter."
         )
 
     def signal(self, end: float) -> SwitchingSignal:
-        h = self._window.step
+        h = self._step
         times, modes = [0.0], self._modes[:1]
         for k, offset, mode in zip(self._steps, self._offsets, self._modes[1:], strict=True):
             time = k * h + offset

@@ -22,6 +22,7 @@ References: M. Fujiwara, Tohoku Math. J. 10 (1916) 167–171; V. Pan, SIAM Revie
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -71,26 +72,31 @@ def exact_held(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, Any]:
     return arb_mat([row[:n] for row in whole]), arb_mat([row[n:] for row in whole])
 
 
-def _period(plant: SwitchedSystem, step: float, mode: int) -> tuple[Any, dict[int, Any]]:
-    """Balls of Φ, and of Γ by lag, over a period of one mode; see `plant.sampled_plant`."""
+def exact_period(
+    plant: SwitchedSystem, parts: Iterable[tuple[int, float, float, np.ndarray]]
+) -> tuple[Any, dict[int, Any]]:
+    """Balls of Φ, and of Γ by lag, over parts of a period: mode, start, stop and lags of each."""
     from flint import arb, arb_mat
 
     n, m = plant.B.shape[1:]
     whole, arrived = exact_matrix(np.eye(n)), dict[int, Any]()
-    for start, stop, lags in SampledPlant(plant, step).stretches(mode):
+    for mode, start, stop, lags in parts:
         Phi, Gamma = exact_held(plant.A[mode], plant.B[mode], arb(stop) - arb(start))
         whole, arrived = Phi * whole, {lag: Phi * old for lag, old in arrived.items()}
         for lag in set(lags.tolist()):
             own = exact_matrix(np.diag((lags == lag).astype(float)))
             arrived[lag] = arrived.get(lag, arb_mat(n, m)) + Gamma * own
-    return whole.tolist(), {lag: one.tolist() for lag, one in arrived.items()}
+    return whole, arrived
 
 
 def _coefficients(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> list[Any]:
     """p_0 = 1, p_1, …, p_d in balls."""
     from flint import acb, acb_mat, arb
 
-    Phi, arriving = _period(plant, feedback.step, mode)
+    stretches = SampledPlant(plant, feedback.step).stretches(mode)
+    parts = [(mode, start, stop, lags) for start, stop, lags in stretches]
+    whole, arrived = exact_period(plant, parts)
+    Phi, arriving = whole.tolist(), {lag: part.tolist() for lag, part in arrived.items()}
     F, G = feedback.state_gain[row], feedback.input_gain[row]
     n, m = plant.B.shape[1:]
     order = n + max(*arriving, feedback.taps) * m

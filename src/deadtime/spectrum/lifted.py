@@ -24,7 +24,7 @@ from jaxtyping import Complex, Float
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampled_plant import Period
+from deadtime.plant.pieces import Period
 from deadtime.spectrum.input_units import in_units, units_of
 
 # Up to this order all eigenvalues are computed, in 0.2 to 1 s there and as its cube beyond.

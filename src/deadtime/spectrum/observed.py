@@ -20,7 +20,7 @@ from jaxtyping import Float
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampled_plant import Period
+from deadtime.plant.pieces import Period
 from deadtime.spectrum.lifted import LiftedLoop
 
 

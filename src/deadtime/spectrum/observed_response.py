@@ -9,7 +9,7 @@ import numpy as np
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.sampled_plant import Period
+from deadtime.plant.pieces import Period
 from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row

@@ -2,48 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Float, Int
 
-from deadtime.base.frozen import Frozen
-from deadtime.plant.steps import TOLERANCE, Window, snap_all
+from deadtime.plant.steps import TOLERANCE, Cuts, Window, snap_all
 from deadtime.switching.signal import SwitchingSignal
 
 
-@dataclass(frozen=True, eq=False)
-class Cuts(Frozen):
-    """The switches of a signal, laid on the steps of a window.
-
-    Attributes
-    ----------
-    step : (switches,) int
-        Index k of the step that the switch falls in.
-    offset : (switches,) float
-        Time since t_k, in [0, h); exactly 0 or φ when the switch falls there.
-    mode : (switches + 1,) int
-        The initial mode, then the mode after each switch.
-    """
-
-    step: Int[np.ndarray, " switch"]
-    offset: Float[np.ndarray, " switch"]
-    mode: Int[np.ndarray, " switch+1"]
-
-    @classmethod
-    def of(cls, signal: SwitchingSignal, window: Window) -> Cuts:
-        """Lay the switches of `signal` on the steps of `window`."""
-        h, phase = window.step, window.phase
-        times = signal.times[1:]
-        ratio = snap_all(times / h)
-        step = np.floor(ratio)
-        offset = np.where(ratio == step, 0.0, times - step * h)
-        if phase < h:
-            late = snap_all((times - window.delay) / h)
-            on_phase = (late == np.rint(late)) & (ratio != step)
-            step = np.where(on_phase, late + (window.count - 1), step)
-            offset = np.where(on_phase, phase, offset)
-        return cls(step.astype(np.int64), offset, signal.modes)
+def cuts_of(signal: SwitchingSignal, window: Window) -> Cuts:
+    """Lay the switches of `signal` on the steps of `window`."""
+    h, phase = window.step, window.phase
+    times = signal.times[1:]
+    ratio = snap_all(times / h)
+    step = np.floor(ratio)
+    offset = np.where(ratio == step, 0.0, times - step * h)
+    if phase < h:
+        late = snap_all((times - window.delay) / h)
+        on_phase = (late == np.rint(late)) & (ratio != step)
+        step = np.where(on_phase, late + (window.count - 1), step)
+        offset = np.where(on_phase, phase, offset)
+    return Cuts(step.astype(np.int64), offset, signal.modes)
 
 
 def modes_at(signal: SwitchingSignal, times: np.ndarray, step: float) -> np.ndarray:

@@ -50,7 +50,7 @@ def candidates(
     lengths = _lengths(loop, constants, dwell)
     if lengths.size == 0:
         return Candidates(list(_without_grid(loop.plant.modes, dwell)), None, 0)
-    step, modes = loop.window.step, loop.plant.modes
+    step, modes = loop.step, loop.plant.modes
     floor = max(growth.rate for _, growth in constants) - loop.shift
     floor = -math.inf if math.isfinite(dwell.most) else floor * step
     late, mixed = dwell.late

@@ -39,7 +39,7 @@ def polished(
     No cycle of more than `longest` periods is looked at.
     """
     evaluated, scale = 0, 2.0 ** max(0, round(math.log2(max(cycle.gaps) * REACH)))
-    gain = GAIN / loop.window.step
+    gain = GAIN / loop.step
     seen = {_key(cycle)}
     while scale >= FINEST:
         better = False
@@ -88,7 +88,7 @@ def refined(
         return cycle, growth, evaluated
     better, faster, looked = polished(loop, dwell, *best, most)
     evaluated += looked
-    if (faster.rate - growth.rate) * cycle.periods * loop.window.step < WORTH:
+    if (faster.rate - growth.rate) * cycle.periods * loop.step < WORTH:
         return cycle, growth, evaluated
     return better, faster, evaluated
 

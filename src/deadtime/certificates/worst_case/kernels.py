@@ -4,12 +4,12 @@ Both run the weighted loop, x̃_k = w^k x_k and ũ_k = w^k u_k, so that a long c
 overflows nor underflows when w is near 1/(growth over a period):
 
     ũ_k = F x̃_k + Σ_j w^j G_j ũ_{k−j},
-    x̃_{k+1} = w (Φ₁ (Φ₀ x̃_k + w^N Γ₀ ũ_{k−N}) + w^{N−1} Γ₁ ũ_{k−N+1}).
+    x̃ ← Φ x̃ + Σ_j w^{lag_j} Γ_j ũ_{k−lag_j, j} over each piece of a period,
+    x̃_{k+1} = w x̃.
 
-A period begins with its sample.
-`index`, Φ, Γ are a phase table (`numerics.exponential.phases`); row c of the law is F[c] and
-G[c] (m, taps·m), weighted, the oldest input first. This module needs Numba, so it is imported
-where it is used.
+A period begins with its sample. A `loop` is a `Table` of `deadtime.certificates.worst_case.loop`:
+its pieces, and the rows of the law, weighted, the oldest input first. This module needs Numba, so
+it is imported where it is used.
 """
 
 from __future__ import annotations
@@ -36,49 +36,60 @@ def _control(F, G, x, pipe, now):
 
 
 @njit(cache=True)
-def forward(index, Phi, Gamma, count, weight, F, G, rows, repeats, x, inputs, states):
+def _powers(table, weight):
+    """w^lag of the first input of every entry, and what those of the others are times that."""
+    size, m = table.lag.shape
+    power, others = np.empty(size), np.empty((size, m))
+    for e in range(size):
+        power[e] = weight ** table.lag[e, 0]
+        for j in range(m):
+            others[e, j] = weight ** (table.lag[e, j] - table.lag[e, 0])
+    return power, others
+
+
+@njit(cache=True)
+def forward(loop, repeats, x, inputs, states):
     """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
 
     `states` (samples, n) gets x̃ at the end of every period.
     """
-    n, m, cycle = x.size, G.shape[1], rows.size
-    first, second = weight**count, weight ** (count - 1)
+    table, weight = loop.pieces, loop.weight
+    n, m, cycle = x.size, loop.G.shape[1], loop.rows.size
     past = inputs.shape[0] - repeats * cycle
     pipe = inputs.reshape(-1)
-    middle = np.empty(n)
+    moved, acting = np.empty(n), np.empty(m)
+    power, others = _powers(table, weight)
     for k in range(repeats * cycle):
         step = k % cycle
-        row, now = rows[step], past + k
-        _control(F[row], G[row], x, pipe, now * m)
-        acts = now - count
-        e, f = index[step]
-        for i in range(n):
-            total = 0.0
+        row, now = loop.rows[step], past + k
+        _control(loop.F[row], loop.G[row], x, pipe, now * m)
+        for q in range(table.first[step], table.first[step + 1]):
+            e = table.entry[q]
             for j in range(m):
-                total += Gamma[e, i, j] * inputs[acts, j]
-            total *= first
-            for j in range(n):
-                total += Phi[e, i, j] * x[j]
-            middle[i] = total
+                acting[j] = others[e, j] * inputs[now - table.lag[e, j], j]
+            for i in range(n):
+                total = 0.0
+                for j in range(m):
+                    total += table.Gamma[e, i, j] * acting[j]
+                total *= power[e]
+                for j in range(n):
+                    total += table.Phi[e, i, j] * x[j]
+                moved[i] = total
+            x[:] = moved
         for i in range(n):
-            total = 0.0
-            for j in range(m):
-                total += Gamma[f, i, j] * inputs[acts + 1, j]
-            total *= second
-            for j in range(n):
-                total += Phi[f, i, j] * middle[j]
-            x[i] = weight * total
+            x[i] *= weight
             states[k, i] = x[i]
 
 
 @njit(cache=True)
-def after(index, Phi, Gamma, count, weight, F, G, rows, repeats, held, z):
+def after(loop, repeats, held, z):
     """The lifted state z = (x, the `held` last inputs, the oldest first) after some cycles."""
-    n, m, samples = F.shape[2], F.shape[1], repeats * rows.size
+    m, n = loop.F.shape[1:]
+    samples = repeats * loop.rows.size
     x, result = z[:n].copy(), np.empty(z.size)
     inputs, states = np.empty((held + samples, m)), np.empty((samples, n))
     inputs[:held] = z[n:].copy().reshape(held, m)
-    forward(index, Phi, Gamma, count, weight, F, G, rows, repeats, x, inputs, states)
+    forward(loop, repeats, x, inputs, states)
     result[:n] = x
     result[n:] = inputs[samples:].reshape(-1)
     return result
@@ -97,33 +108,30 @@ def _felt(F, G, p, pipe, now):
 
 
 @njit(cache=True)
-def transposed(index, Phi, Gamma, count, weight, F, G, rows, p, inputs):
+def transposed(loop, p, inputs):
     """Carry a functional of the lifted state back over one cycle, in place.
 
     It is (p, the last W rows of `inputs` (W + samples, m)) at the end, and (p, the first W) at
     the start; the other rows of `inputs` must be 0 at first.
     """
-    n, m, cycle = p.size, G.shape[1], rows.size
-    first, second = weight**count, weight ** (count - 1)
+    table, weight = loop.pieces, loop.weight
+    n, m, cycle = p.size, loop.G.shape[1], loop.rows.size
     past = inputs.shape[0] - cycle
     pipe = inputs.reshape(-1)
-    middle = np.empty(n)
+    moved = np.empty(n)
+    power, others = _powers(table, weight)
     for k in range(cycle - 1, -1, -1):
-        row, now = rows[k], past + k
-        acts = now - count
-        e, f = index[k]
-        for j in range(m):
-            for i in range(n):
-                inputs[acts + 1, j] += weight * second * Gamma[f, i, j] * p[i]
-        for j in range(n):
-            middle[j] = 0.0
-            for i in range(n):
-                middle[j] += weight * Phi[f, i, j] * p[i]
-        for j in range(m):
-            for i in range(n):
-                inputs[acts, j] += first * Gamma[e, i, j] * middle[i]
-        for j in range(n):
-            p[j] = 0.0
-            for i in range(n):
-                p[j] += Phi[e, i, j] * middle[i]
-        _felt(F[row], G[row], p, pipe, now * m)
+        row, now = loop.rows[k], past + k
+        for q in range(table.first[k + 1] - 1, table.first[k] - 1, -1):
+            e = table.entry[q]
+            end = weight if q == table.first[k + 1] - 1 else 1.0
+            for j in range(m):
+                acts, own = now - table.lag[e, j], end * power[e] * others[e, j]
+                for i in range(n):
+                    inputs[acts, j] += own * table.Gamma[e, i, j] * p[i]
+            for j in range(n):
+                moved[j] = 0.0
+                for i in range(n):
+                    moved[j] += end * table.Phi[e, i, j] * p[i]
+            p[:] = moved
+        _felt(loop.F[row], loop.G[row], p, pipe, now * m)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,10 +19,10 @@ from jaxtyping import Float
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import side_by_side
-from deadtime.plant import SwitchedSystem, Window
-from deadtime.simulation.record import PhaseTable
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.pieces import PieceTable
 from deadtime.spectrum import aged_row
-from deadtime.switching.grid import Cuts, modes_at
+from deadtime.switching.grid import cuts_of, modes_at
 
 WINDOWS = 3  # of the delay in one application
 TOLERANCE = 1e-9
@@ -31,15 +31,29 @@ DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's met
 
 
 class Table(NamedTuple):
-    """What happens in each period of a cycle: the plant's transitions and the law's rows."""
+    """What happens in each period of a cycle, for the compiled loop.
 
-    phases: PhaseTable
+    pieces : the plant's, without entries that no period has
+    rows : (periods,), of the law's table
+    F : (contexts, m, n), G : (contexts, m, taps·m), that table, weighted, the oldest input first
+    weight : of one period
+    """
+
+    pieces: PieceTable
     rows: np.ndarray
+    F: np.ndarray
+    G: np.ndarray
+    weight: float
 
     @property
     def periods(self) -> int:
         """The length of the cycle."""
         return self.rows.size
+
+    def until(self, periods: int) -> Table:
+        """The first periods."""
+        first = self.pieces.first[: periods + 1]
+        return self._replace(pieces=self.pieces._replace(first=first), rows=self.rows[:periods])
 
 
 class Growth(NamedTuple):
@@ -63,7 +77,7 @@ class SampledLoop:
 
     plant: SwitchedSystem
     feedback: Feedback
-    window: Window
+    sampled: SampledPlant
     G: Float[np.ndarray, "context m window"]
     shift: float
 
@@ -73,17 +87,22 @@ class SampledLoop:
         decay = math.exp(-shift * feedback.step) ** np.arange(1, feedback.taps + 1)
         weighted = (feedback.input_gain * decay[:, None, None])[:, ::-1]
         G = np.ascontiguousarray(side_by_side(weighted))
-        return cls(plant, feedback, Window.of_plant(plant, feedback.step), G, shift)
+        return cls(plant, feedback, SampledPlant(plant, feedback.step), G, shift)
 
     @property
     def weight(self) -> float:
         """The weight of one period, e^{−shift h}."""
-        return math.exp(-self.shift * self.feedback.step)
+        return math.exp(-self.shift * self.step)
+
+    @property
+    def step(self) -> float:
+        """The period h, seconds."""
+        return self.feedback.step
 
     @property
     def held(self) -> int:
         """W, the number of past inputs in ζ."""
-        return max(self.window.count, self.feedback.taps)
+        return max(self.sampled.longest_lag, self.feedback.taps)
 
     @property
     def order(self) -> int:
@@ -92,13 +111,15 @@ class SampledLoop:
 
     def table(self, cycle: Cycle) -> Table:
         """The periods of a cycle that has been going on without a beginning."""
-        step, feedback = self.window.step, self.feedback
+        step, feedback = self.step, self.feedback
         signal, periods = cycle.signal(step), cycle.periods
-        phases = PhaseTable.of(self.plant, self.window, Cuts.of(signal, self.window), periods)
         if cycle.constant:
-            return Table(phases, np.full(periods, aged_row(feedback, cycle.modes[0])))
-        seen = modes_at(signal, np.arange(periods) * step, step)
-        return Table(phases, feedback.rows(np.tile(seen, 2))[periods:])
+            rows = np.full(periods, aged_row(feedback, cycle.modes[0]))
+        else:
+            seen = modes_at(signal, np.arange(periods) * step, step)
+            rows = feedback.rows(np.tile(seen, 2))[periods:]
+        pieces = self.sampled.along(cuts_of(signal, self.sampled.window), periods)
+        return Table(pieces, rows, feedback.state_gain, self.G, self.weight)
 
     def run(self, table: Table, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs
@@ -109,14 +130,14 @@ class SampledLoop:
         samples = repeats * table.periods
         inputs, states = np.empty((W + samples, m)), np.empty((samples, n))
         inputs[:W] = z[n:].reshape(W, m)
-        forward(*[*self._arguments(table), repeats, z[:n].copy(), inputs, states])
+        forward(table, repeats, z[:n].copy(), inputs, states)
         return states, inputs
 
     def after(self, table: Table, repeats: int, z: np.ndarray) -> np.ndarray:
         """ζ (order,) after some cycles, weighted."""
         from deadtime.certificates.worst_case.kernels import after
 
-        return after(*[*self._arguments(table), repeats, self.held, z])
+        return after(table, repeats, self.held, z)
 
     def before(self, table: Table, y: np.ndarray) -> np.ndarray:
         """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
@@ -126,16 +147,8 @@ class SampledLoop:
         inputs = np.zeros((W + table.periods, self.plant.inputs))
         inputs[-W:] = y[n:].reshape(W, -1)
         p = y[:n].copy()
-        transposed(*[*self._arguments(table), p, inputs])
+        transposed(table, p, inputs)
         return np.concatenate((p, inputs[:W].ravel()))
-
-    def _arguments(self, table: Table) -> tuple[Any, ...]:
-        phases, F = table.phases, self.feedback.state_gain
-        window = self.window
-        return (
-            phases.index, phases.Phi, phases.Gamma, window.count, self.weight, F, self.G,
-            table.rows,
-        )  # fmt: skip
 
     def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:
         """The growth rate of a cycle and the direction that grows; None where it is not found.
@@ -148,10 +161,9 @@ class SampledLoop:
         start = np.random.default_rng(0).normal(size=self.order)
         spanning = max(1, -(-WINDOWS * self.held // table.periods))
         found, repeats = None, 1
-        arguments, held = self._arguments(table), self.held
         with np.errstate(over="ignore", invalid="ignore"):
             for repeats in (spanning, 3 * spanning, 1):
-                apply = partial(after, *arguments, repeats, held)
+                apply = partial(after, table, repeats, self.held)
                 found = _largest(apply, start, tolerance)
                 if found is not None:
                     break
@@ -160,7 +172,7 @@ class SampledLoop:
         if found is None:
             return None
         value, vector = found
-        time = repeats * table.periods * self.window.step
+        time = repeats * table.periods * self.step
         rate = math.log(abs(value)) / time if value else -math.inf
         n, m, W = self.plant.states, self.plant.inputs, self.held
         back = self.weight ** np.arange(W, 0, -1)  # ũ_{−j} = w^{−j} u_{−j}

@@ -87,20 +87,11 @@ def compressed(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Ki
 
 def _entered(loop: SampledLoop, mode: int, before: int, shortest: int, periods: int) -> Table:
     """The periods of a mode that has just been entered; see `Kinds` for `before`."""
-    phases = loop.table(Cycle((mode,), (float(periods),))).phases
     rows = loop.feedback.rows(np.full(periods, mode))
     if before >= 0:
         old = loop.feedback.rows(np.full(shortest + 1, before))[-1:]
         rows = np.concatenate((old, rows[:-1]))
-    return Table(phases, rows)
-
-
-def _first(table: Table, periods: int) -> Table:
-    """The first periods of a table."""
-    phases = table.phases
-    index = phases.index[:periods]
-    short = type(phases)(index, phases.Phi, phases.Gamma, phases.mode, phases.first, phases.stop)
-    return Table(short, table.rows[:periods])
+    return loop.table(Cycle((mode,), (float(periods),)))._replace(rows=rows)
 
 
 def _projection(
@@ -136,7 +127,7 @@ def _snapshots(
         while True:
             wanted = lengths[0] + rng.exponential(W) * rng.integers(2)
             k = int(lengths[min(np.searchsorted(lengths, wanted), lengths.size - 1)])
-            part = _first(tables[kind], k)
+            part = tables[kind].until(k)
             z = loop.before(part, z) if back else loop.after(part, 1, z)
             size = float(np.abs(z).max())
             if not 0.0 < size < math.inf:

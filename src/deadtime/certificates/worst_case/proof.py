@@ -17,15 +17,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
 
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import SampledLoop
+from deadtime.plant.pieces import PieceTable
+from deadtime.plant.steps import Cuts
 from deadtime.spectrum import aged_row
-from deadtime.spectrum.enclosure import LARGEST, enclosed_growth, exact_held, exact_matrix
-from deadtime.switching.grid import Cuts
+from deadtime.spectrum.enclosure import LARGEST, enclosed_growth, exact_matrix, exact_period
+from deadtime.switching.grid import cuts_of
 
 BITS = (192, 384, 768, 1536)
 BEYOND = 3.0  # ln of what a trace is carried on beyond d
@@ -61,7 +64,7 @@ def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
         return GrowthProof(False, reason="no growth was computed")
     if cycle.constant:
         return _constant(loop, cycle.modes[0])
-    order, step = loop.order, loop.window.step
+    order, step = loop.order, loop.step
     time = cycle.periods * step
     squarings = max(1, math.ceil(math.log2((math.log(order) + BEYOND) / (rate * time))) + TURNS)
     seconds = PERIOD * cycle.periods * order**2 + SQUARING * squarings * order**3
@@ -96,7 +99,7 @@ def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> Gr
     best, worn = 0.0, False
     with ctx.workprec(bits):
         M, d = _over(loop, cycle), loop.order
-        time = arb(cycle.periods) * loop.window.step
+        time = arb(cycle.periods) * loop.step
         for k in range(squarings + 1):
             trace = abs(M.trace())
             if trace > d:
@@ -146,7 +149,7 @@ def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) ->
     """x after some periods, and their inputs, as rows over ζ at the beginning."""
     from flint import arb_mat
 
-    n, m, N, d = loop.plant.states, loop.plant.inputs, loop.window.count, loop.order
+    n, m, N, d = loop.plant.states, loop.plant.inputs, loop.sampled.longest_lag, loop.order
     unit = exact_matrix(np.eye(d)).tolist()
     x, line = unit[:n], unit[n:]
     for count, (gain, move) in enumerate(zip(gains, moves, strict=True)):
@@ -159,42 +162,33 @@ def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) ->
                 row[d - older + j] += full[n + j]
         line = line + u
         first = len(line) - (N + 1) * m
-        x = (move * arb_mat(x + line[first : first + 2 * m])).tolist()
+        x = (move * arb_mat(x + line[first : first + move.ncols() - n])).tolist()
     return x, line[d - n :]
 
 
 def _moves(loop: SampledLoop, cycle: Cycle) -> list[Any]:
-    """[Φ, early, late] of x⁺ = Φ x + early u_{k−N} + late u_{k−N+1} of every period, in balls."""
-    window = loop.window
-    cuts = Cuts.of(cycle.signal(window.step), window)
-    known: dict[tuple, Any] = {}
-    moves, mode, p = [], int(cuts.mode[0]), 0
-    for k in range(cycle.periods):
-        key: list[tuple[float, int]] = [(0.0, mode)]
-        while p < cuts.step.size and cuts.step[p] == k:
-            p += 1
-            mode = int(cuts.mode[p])
-            key.append((float(cuts.offset[p - 1]), mode))
-        if tuple(key) not in known:
-            known[tuple(key)] = _move(loop, key)
-        moves.append(known[tuple(key)])
+    """[Φ, Γ_N, Γ_{N−1}, …] of x⁺ = Φ x + Σ_l Γ_l u_{k−l} of every period, in balls."""
+    cuts = cuts_of(cycle.signal(loop.step), loop.sampled.window)
+    table = loop.sampled.along(cuts, cycle.periods)
+    lags = range(loop.sampled.longest_lag, int(table.lag.min()) - 1, -1)
+    known: dict[tuple[int, ...], Any] = {}
+    moves = []
+    for first, stop in pairwise(table.first):
+        entries = tuple(table.entry[first:stop].tolist())
+        if entries not in known:
+            known[entries] = _move(loop, table, cuts, entries, lags)
+        moves.append(known[entries])
     return moves
 
 
-def _move(loop: SampledLoop, parts: list[tuple[float, int]]) -> Any:
-    """[Φ, early, late] of a period with these modes from these times on."""
-    from flint import arb, arb_mat
+def _move(
+    loop: SampledLoop, table: PieceTable, cuts: Cuts, entries: tuple[int, ...], lags: range
+) -> Any:
+    """`_moves`, of the period with these pieces."""
+    from flint import arb_mat
 
-    (n, m), (h, phase) = loop.plant.B.shape[1:], (loop.window.step, loop.window.phase)
-    Phi, inputs = exact_matrix(np.eye(n)), [arb_mat(n, m), arb_mat(n, m)]
-    ends = [start for start, _ in parts[1:]] + [h]
-    for (start, mode), end in zip(parts, ends, strict=True):
-        for a, b in ((start, min(end, phase)), (max(start, phase), end)):
-            if b <= a:
-                continue
-            over, held = exact_held(loop.plant.A[mode], loop.plant.B[mode], arb(b) - arb(a))
-            Phi, inputs = over * Phi, [over * part for part in inputs]
-            which = 0 if a < phase else 1
-            inputs[which] = inputs[which] + held
-    columns = zip(Phi.tolist(), inputs[0].tolist(), inputs[1].tolist(), strict=True)
-    return arb_mat([[*state, *early, *late] for state, early, late in columns])
+    parts = [(*part, table.lag[e]) for e in entries for part in table.parts(e, cuts)]
+    Phi, arrived = exact_period(loop.plant, parts)
+    none = arb_mat(*loop.plant.B.shape[1:])
+    columns = [Phi.tolist(), *(arrived.get(lag, none).tolist() for lag in lags)]
+    return arb_mat([list(chain(*rows)) for rows in zip(*columns, strict=True)])

@@ -73,7 +73,7 @@ def _starts(rated: list[Rated], loop: SampledLoop) -> tuple[list[Rated], int]:
 
 def worst_of(found: list[Rated], loop: SampledLoop) -> Rated:
     """The fastest growth: a constant signal, or the simplest cycle, where little is lost."""
-    step = loop.window.step
+    step = loop.step
     cycles = sorted((pair for pair in found if not pair[0].constant), key=lambda p: -p[1].rate)
     constants = [pair for pair in found if pair[0].constant]
     best = max(constants, key=lambda pair: pair[1].rate, default=None)

@@ -110,7 +110,7 @@ def worst_case(
     upper_estimate: float | None,
 ) -> WorstCase:
     """The result for the worst cycle."""
-    plant, feedback, step = loop.plant, loop.feedback, loop.window.step
+    plant, feedback, step = loop.plant, loop.feedback, loop.step
     x0, u0 = _direction(growth.vector, plant.states, plant.inputs)
     if cycle.constant:
         aged = feedback.ages * step if feedback.context == "mode_age" else 0.0

@@ -17,23 +17,34 @@ from numba import njit
 from deadtime.base.checks import read_only
 from deadtime.feedback import Factor, Feedback
 from deadtime.numerics.exponential import held, held_modes, multiply
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
 
 
 @njit(cache=True)
-def _rows(A, B, K, weights, count, delay, step, phase):
-    """Σ_i w_i of the rows above: F (m, n), G (N, m, m), and Φ(h), Γ(h) of every mode."""
+def place(tap, lag, G):
+    """Add what a stretch gives its inputs to their taps, G (N, m, m), the youngest first."""
+    m = tap.shape[0]
+    for j in range(m):
+        for i in range(m):
+            G[lag[j] - 1, i, j] += tap[i, j]
+
+
+@njit(cache=True)
+def _rows(A, B, K, weights, ahead, delay):
+    """Σ_i w_i of the rows above: F (m, n), G (N, m, m)."""
     m, n = K.shape[1:]
-    F, G = np.zeros((m, n)), np.zeros((count, m, m))
-    Phi, Gamma = held_modes(A, B, step)
+    kinds, stretches = ahead.length.size, ahead.kind.size
+    F, G = np.zeros((m, n)), np.zeros((ahead.lag.max(), m, m))
+    Phi, Gamma = np.empty((kinds, n, n)), np.empty((kinds, n, m))
     for i in range(A.shape[0]):
+        for kind in range(kinds):
+            Phi[kind], Gamma[kind] = held(A[i], B[i], ahead.length[kind])
         row = weights[i] * K[i]
         F += multiply(row, held(A[i], B[i], delay)[0])
-        for j in range(count - 1):
-            G[j] += multiply(row, Gamma[i])
-            row = multiply(row, Phi[i])
-        G[count - 1] += multiply(row, held(A[i], B[i], phase)[1])
-    return F, G, Phi, Gamma
+        for p in range(stretches - 1, -1, -1):
+            place(multiply(row, Gamma[ahead.kind[p]]), ahead.lag[p], G)
+            row = multiply(row, Phi[ahead.kind[p]])
+    return F, G
 
 
 def frozen_table(
@@ -41,15 +52,15 @@ def frozen_table(
     B: Float[np.ndarray, "mode n m"],
     K: Float[np.ndarray, "mode m n"],
     weights: Float[np.ndarray, " mode"],
-    window: Window,
+    sampled: SampledPlant,
 ) -> Feedback:
     """The one-row table Σ_i w_i K_i P_i, with its factorisation (S block-diagonal over modes)."""
-    count, step = window.count, window.step
-    F, G, Phi, Gamma = _rows(A, B, K, read_only(weights), count, window.delay, step, window.phase)
+    F, G = _rows(A, B, K, read_only(weights), sampled.ahead, sampled.window.delay)
+    Phi, Gamma = held_modes(A, B, sampled.step)
     modes, n, m = B.shape
     H = (weights[:, None, None] * K).transpose(1, 0, 2).reshape(1, m, modes * n)
     S = np.zeros((modes * n, modes * n))
     for i in range(modes):
         S[i * n : (i + 1) * n, i * n : (i + 1) * n] = Phi[i]
     factor = Factor(H, S, Gamma.reshape(modes * n, m), G[None, -1])
-    return Feedback(F[None], G[None], "none", step, factor=factor)
+    return Feedback(F[None], G[None], "none", sampled.step, factor=factor)

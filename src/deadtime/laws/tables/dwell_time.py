@@ -1,11 +1,11 @@
 """The table of a law that trusts the current mode for the rest of its guaranteed dwell.
 
 At age a of mode i its forecast is: mode i for r_a seconds more, then for ever one of the
-systems (A_s, B_s), gain K_s. With the window cut into the pieces over which an input is held,
+systems (A_s, B_s), gain K_s. With [0, D) cut into the stretches in which inputs in flight act,
 [0, φ), [φ, φ + h), …, [D − h, D), the functional Σ_s K_s P_s is carried backwards from D: in
 every system by itself down to r_a, where all branches join into R = Σ_s K_s e^{A_s (D − r_a)},
-and from there in mode i down to 0. Over a piece, R adds R Γ to the tap of its input and becomes
-R Φ. The piece that r_a cuts is propagated in two parts, so any real dwell time is exact.
+and from there in mode i down to 0. Over a stretch, R adds R Γ to the taps of its inputs and
+becomes R Φ. The stretch that r_a cuts is propagated in two parts, so any real dwell time is exact.
 """
 
 from __future__ import annotations
@@ -18,59 +18,71 @@ from numba import njit
 
 from deadtime.feedback import Feedback
 from deadtime.feedback.law import require_room, room
+from deadtime.laws.tables.constant_mode import place
 from deadtime.numerics.exponential import held, held_modes, multiply
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
 from deadtime.plant.steps import snap
 
 
 @njit(cache=True)
-def _branches(A, B, K, step, phase, count):
-    """Σ_s of the functionals at the start of every piece, apart per system, and their taps.
+def _branches(A, B, K, ahead):
+    """Σ_s of the functionals at the start of every stretch, apart per system, and their taps.
 
-    R (count + 1, systems, m, n): piece p starts with R[p]; R[count] = K. taps (count, m, m).
+    R (stretches + 1, systems, m, n): stretch p starts with R[p]; the last is K. taps (stretches,
+    m, m).
     """
     systems, m, n = K.shape
-    R, taps = np.empty((count + 1, systems, m, n)), np.zeros((count, m, m))
-    R[count] = K
-    Phi, Gamma = held_modes(A, B, step)
-    for p in range(count - 1, -1, -1):
-        if p == 0:
-            Phi, Gamma = held_modes(A, B, phase)
+    stretches = ahead.kind.size
+    R, taps = np.empty((stretches + 1, systems, m, n)), np.zeros((stretches, m, m))
+    R[stretches] = K
+    Phi, Gamma = _kinds(A, B, ahead.length)
+    for p in range(stretches - 1, -1, -1):
+        kind = ahead.kind[p]
         for s in range(systems):
-            taps[p] += multiply(R[p + 1, s], Gamma[s])
-            R[p, s] = multiply(R[p + 1, s], Phi[s])
+            taps[p] += multiply(R[p + 1, s], Gamma[kind, s])
+            R[p, s] = multiply(R[p + 1, s], Phi[kind, s])
     return R, taps
 
 
 @njit(cache=True)
-def _rows(A, B, fA, fB, fK, step, phase, count, rest):
+def _kinds(A, B, length):
+    """Φ (kinds, modes, n, n) and Γ (kinds, modes, n, m) over stretches of these lengths."""
+    Phi, Gamma = np.empty((length.size, *A.shape)), np.empty((length.size, *B.shape))
+    for kind in range(length.size):
+        Phi[kind], Gamma[kind] = held_modes(A, B, length[kind])
+    return Phi, Gamma
+
+
+@njit(cache=True)
+def _rows(A, B, fA, fB, fK, ahead, rest):
     """F (modes·ages, m, n) and G (modes·ages, N, m, m); `rest` (ages,) are the r_a < D."""
     modes, n, m = B.shape
-    ages = rest.size
+    ages, stretches = rest.size, ahead.kind.size
     F = np.empty((modes * ages, m, n))
-    G = np.zeros((modes * ages, count, m, m))
-    R, taps = _branches(fA, fB, fK, step, phase, count)
-    Phi, Gamma = held_modes(A, B, step)
-    Phi_first, Gamma_first = held_modes(A, B, phase)
+    G = np.zeros((modes * ages, ahead.lag.max(), m, m))
+    R, taps = _branches(fA, fB, fK, ahead)
+    Phi, Gamma = _kinds(A, B, ahead.length)
     for a in range(ages):
-        cut = 0 if rest[a] < phase else min(1 + int((rest[a] - phase) / step), count - 1)
-        begin = 0.0 if cut == 0 else phase + (cut - 1) * step
-        end = phase + cut * step
-        inside = max(rest[a] - begin, 0.0)
+        cut = 0
+        while cut < stretches - 1 and ahead.stop[cut] <= rest[a]:
+            cut += 1
+        inside = max(rest[a] - ahead.start[cut], 0.0)
         joined, tap = np.zeros((m, n)), np.zeros((m, m))
         for s in range(fK.shape[0]):
-            after, forced = held(fA[s], fB[s], end - begin - inside)
+            after, forced = held(fA[s], fB[s], ahead.stop[cut] - ahead.start[cut] - inside)
             tap += multiply(R[cut + 1, s], forced)
             joined += multiply(R[cut + 1, s], after)
         for i in range(modes):
             row = i * ages + a
-            G[row, : count - cut - 1] = taps[:cut:-1]
+            for p in range(cut + 1, stretches):
+                place(taps[p], ahead.lag[p], G[row])
             before, forced = held(A[i], B[i], inside)
-            G[row, count - 1 - cut] = tap + multiply(joined, forced)
+            place(tap + multiply(joined, forced), ahead.lag[cut], G[row])
             now = multiply(joined, before)
             for p in range(cut - 1, -1, -1):
-                G[row, count - 1 - p] = multiply(now, Gamma_first[i] if p == 0 else Gamma[i])
-                now = multiply(now, Phi_first[i] if p == 0 else Phi[i])
+                kind = ahead.kind[p]
+                place(multiply(now, Gamma[kind, i]), ahead.lag[p], G[row])
+                now = multiply(now, Phi[kind, i])
             F[row] = now
     return F, G
 
@@ -80,16 +92,16 @@ def dwelling_table(
     B: Float[np.ndarray, "mode n m"],
     after: tuple[np.ndarray, np.ndarray, np.ndarray],
     dwell_time: float,
-    window: Window,
+    sampled: SampledPlant,
 ) -> Feedback:
     """The (mode, age) table; `after` are the A, B and (weighted) K of the systems that follow."""
-    periods = snap(dwell_time / window.step)
+    periods = snap(dwell_time / sampled.step)
     modes, _, m = B.shape
-    most = room(8 * modes * window.count * m * m)
-    require_room("dwell_time", periods, window.step, most)
+    most = room(8 * modes * sampled.longest_lag * m * m)
+    require_room("dwell_time", periods, sampled.step, most)
     ages = math.ceil(periods) + 1
-    rest = np.maximum(0.0, periods - np.arange(ages)) * window.step
+    rest = np.maximum(0.0, periods - np.arange(ages)) * sampled.step
     fA, fB, fK = (np.array(M, order="C") for M in after)
-    rest = np.minimum(rest, window.delay)
-    F, G = _rows(A, B, fA, fB, fK, window.step, window.phase, window.count, rest)
-    return Feedback(F, G, "mode_age", window.step, ages)
+    rest = np.minimum(rest, sampled.window.delay)
+    F, G = _rows(A, B, fA, fB, fK, sampled.ahead, rest)
+    return Feedback(F, G, "mode_age", sampled.step, ages)

@@ -15,47 +15,35 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.numerics.exponential import phases
 from deadtime.numerics.lanes import LANES, gather, same, spread, table_product
-from deadtime.plant import Window
-from deadtime.switching.grid import Cuts
+from deadtime.plant import SampledPlant
+from deadtime.plant.steps import Cuts
 
 
 def future_rows(
-    A: np.ndarray,
-    B: np.ndarray,
-    final_gain: np.ndarray,
-    window: Window,
-    cuts: Cuts,
+    sampled: SampledPlant, final_gain: np.ndarray, cuts: Cuts
 ) -> tuple[np.ndarray, np.ndarray]:
     """F (steps, m, n) and G (steps, N, m, m) along a known signal.
 
     `final_gain` (steps, m, n) is K_σ(t_k + D) for every sample.
     """
     steps, m, n = final_gain.shape
-    whole = -(-steps // LANES) * LANES
-    index, Phi, Gamma, _, _, _ = phases(
-        A,
-        B,
-        window.step,
-        window.phase,
-        cuts.step,
-        cuts.offset,
-        cuts.mode,
-        whole + window.count - 1,
-    )
+    whole, count = -(-steps // LANES) * LANES, sampled.longest_lag
+    table = sampled.along(cuts, whole + count - 1)
+    # Of one delay all periods have as many pieces.
+    index = table.entry.reshape(table.first.size - 1, -1)
     gains = np.concatenate((final_gain, np.zeros((whole - steps, m, n))))
     shape = (0.0,) * (m * n), (0.0,) * (m * m), (0.0,) * (n * m), (0.0,) * (n * n)
     F, G = _carried_back(
         gains.reshape(-1),
         index,
-        Phi.reshape(-1),
-        Gamma.reshape(-1),
-        window.count,
-        window.phase < window.step,
+        table.Phi.reshape(-1),
+        table.Gamma.reshape(-1),
+        count,
+        index.shape[1] > 1,
         *shape,
     )
-    return F.reshape(whole, m, n)[:steps], G.reshape(whole, window.count, m, m)[:steps]
+    return F.reshape(whole, m, n)[:steps], G.reshape(whole, count, m, m)[:steps]
 
 
 @njit(cache=True, nogil=True)

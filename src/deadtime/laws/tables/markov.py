@@ -42,7 +42,7 @@ from scipy.linalg import block_diag
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback, Forecast
 from deadtime.numerics.covariance import transition
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant, Window
 from deadtime.switching import SwitchingSignal
 
 _AGREEMENT = 1e-13
@@ -55,32 +55,34 @@ def markov_table(
     B: Float[np.ndarray, "mode n m"],
     K: Float[np.ndarray, "mode m n"],
     generator: Float[np.ndarray, "mode mode"],
-    window: Window,
+    sampled: SampledPlant,
 ) -> Feedback:
     """One row per current mode."""
     modes, n, m = B.shape
-    count, h = window.count, window.step
+    ahead, h = sampled.ahead, sampled.step
     states = modes * n
     Z = np.zeros((states + modes * m, states + modes * m))
     Z[:states, :states], Z[:states, states:] = _expected_system(A, B, generator)
     Z[states:, states:] = np.kron(generator.T, np.eye(m))
     _require_precision(generator, h)
-    whole, first = transition(Z, h), transition(Z, window.phase)
-    E, forced = whole[:states, :states], whole[:states, states:]
+    whole = [transition(Z, length) for length in ahead.length.tolist()]
+    moved = [transition(generator.T, length) for length in ahead.length.tolist()]
+    spread = [np.eye(modes)]  # the modes' probabilities at the start of every stretch
+    for kind in ahead.kind[:-1]:
+        spread.append(moved[kind] @ spread[-1])
 
-    G = np.empty((modes, count, m, m))
-    row = K.transpose(1, 0, 2).reshape(m, states)
-    spread = [transition(generator.T, window.phase)]
-    for _ in range(count - 2):
-        spread.append(transition(generator.T, h) @ spread[-1])
-    for j in range(1, count):
-        taps = (row @ forced).reshape(m, modes, m)
-        G[:, j - 1] = np.einsum("asb,sc->cab", taps, spread[count - 1 - j])
-        row = row @ E
-    G[:, -1] = (row @ first[:states, states:]).reshape(m, modes, m).transpose(1, 0, 2)
-    F = (row @ first[:states, :states]).reshape(m, modes, n).transpose(1, 0, 2)
+    G = np.zeros((modes, sampled.longest_lag, m, m))
+    row, inputs = K.transpose(1, 0, 2).reshape(m, states), np.arange(m)
+    for p in range(ahead.kind.size - 1, -1, -1):
+        over = whole[ahead.kind[p]]
+        taps = (row @ over[:states, states:]).reshape(m, modes, m)
+        tap = np.einsum("asb,sc->cab", taps, spread[p])
+        G[:, ahead.lag[p] - 1, :, inputs] += tap.transpose(2, 0, 1)
+        row = row @ over[:states, :states]
+    F = row.reshape(m, modes, n).transpose(1, 0, 2)
 
-    factor = _factor(K, generator, E, forced, G, window)
+    E = transition(Z, h)
+    factor = _factor(K, generator, E[:states, :states], E[:states, states:], G, sampled.window)
     return Feedback(np.ascontiguousarray(F), G, "mode", h, factor=factor)
 
 

@@ -6,9 +6,9 @@ the oldest input first, and η = (ξ, u_k), the cost to go is ξᵀP_θ ξ with
     P_θ = W / W_uu,    W = stage + (M_i η)ᵀ E_θ(P) (M_i η),    E_θ(P) = Σ_θ' P(θ → θ') P_θ',
 
 W / W_uu the Schur complement W_ξξ − W_ξu W_uu⁻¹ W_uξ, and u_k = −W_uu⁻¹ W_uξ ξ. M_i drops the
-oldest input and moves the state by x' = L_i (x, u_{k−N}, u_{k−N+1}), so the blocks of W are those
-of E, shifted, but for the rows and columns of y = (x, u_{k−N}, u_{k−N+1}): a backup takes O(d²)
-operations, d = n + N m. Of symmetric matrices the lower triangle is kept.
+oldest input and moves the state by x' = L_i y, y = (x, u_{k−N}, u_{k−N+1}, …) with the inputs that
+act in a period, so the blocks of W are those of E, shifted, but for the rows and columns of y: a
+backup takes O(d²) operations, d = n + N m. Of symmetric matrices the lower triangle is kept.
 
 Starting from P = 0 backups in any order increase P towards its least solution, the optimal
 cost, or without bound where no causal law has a finite one. A sweep lets the last age of every
@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from deadtime.base.errors import ArgumentError, InfeasibleError
-from deadtime.numerics.exponential import energy_gramian, held
+from deadtime.numerics.exponential import energy_gramian
 
 # A sweep that changes no gain and no trace by more than this, relatively, is the last one.
 TOLERANCE = 1e-11
@@ -36,7 +36,7 @@ ROUGH = 1e-6
 def _pieces(E, L, stage, weight, cross, quad, forced, uu):
     """What the state's motion adds to the shifted E, and the rows of W that belong to u_k.
 
-    cross (N m, n + 2m) is [E_ux L], quad LᵀE_xx L + stage; forced W_uξ, and uu W_uu.
+    cross (N m, y) is [E_ux L], quad LᵀE_xx L + stage; forced W_uξ, and uu W_uu.
     """
     m, d = forced.shape
     n, near = L.shape
@@ -153,24 +153,25 @@ def sweep(P, gain, L, stage, weight, hazard, transition, visits):
     return moved, grown, shrunk
 
 
-def period(A, B, Q, step, phase):
-    """L (modes, n, n + 2m), and the stage costs as forms in y = (x, u_{k−N}, u_{k−N+1}).
+def period(sampled, Q):
+    """L (modes, n, y), and the stage costs as forms in y = (x, u_{k−N}, u_{k−N+1}, …).
 
-    ∫ xᵀQx over a period, the mode and both inputs held.
+    ∫ xᵀQx over a period, the mode and all inputs held.
     """
-    modes, n, m = B.shape
-    L, stage = np.zeros((modes, n, n + 2 * m)), np.zeros((modes, n + 2 * m, n + 2 * m))
-    early, late = np.zeros((2, n + m, n + 2 * m))
-    early[:n, :n], early[n:, n : n + m], late[n:, n + m :] = np.eye(n), np.eye(m), np.eye(m)
+    modes, n, m = sampled.plant.B.shape
+    oldest, newest = sampled.longest_lag, int(sampled.every_stretch.lag.min())
+    width = n + (oldest - newest + 1) * m
+    L, stage = np.zeros((modes, n, width)), np.zeros((modes, width, width))
+    inputs = np.arange(m)
     for i in range(modes):
-        Phi, Gamma = held(A[i], B[i], phase)
-        L[i, :, : n + m] = np.hstack((Phi, Gamma))
-        late[:n] = L[i]
-        stage[i] = early.T @ energy_gramian(A[i], B[i], phase, Q) @ early
-        stage[i] += late.T @ energy_gramian(A[i], B[i], step - phase, Q) @ late
-        Phi, Gamma = held(A[i], B[i], step - phase)
-        L[i] = Phi @ L[i]
-        L[i, :, n + m :] = Gamma
+        A, B = sampled.plant.A[i], sampled.plant.B[i]
+        L[i, :, :n] = np.eye(n)
+        for Phi, Gamma, (start, stop, lag) in sampled.pieces(i):
+            acting = np.zeros((m, width))
+            acting[inputs, n + (oldest - lag) * m + inputs] = 1.0
+            z = np.concatenate((L[i], acting))
+            stage[i] += z.T @ energy_gramian(A, B, stop - start, Q) @ z
+            L[i] = Phi @ L[i] + Gamma @ acting
     return L, stage
 
 

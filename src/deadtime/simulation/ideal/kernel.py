@@ -123,14 +123,16 @@ def convolve_whole(flow, B, length, weights, u):
 
 
 @njit(cache=True)
-def convolve_part(A, B, start, end, edges, inputs, segment, points, weights, support, barycentric):
+def convolve_part(A, B, start, end, edges, inputs, segment, nodes):
     """∫ e^{A(end − θ)} B u(θ) dθ over [start, end] within one segment."""
+    points = nodes.points
     u = np.empty((points.size, B.shape[1]))
     length = edges[segment + 1] - edges[segment]
     for k in range(points.size):
         c = (start + points[k] * (end - start) - edges[segment]) / length
-        interpolate(inputs[segment], support, barycentric, min(max(c, 0.0), 1.0), u[k])
-    return convolve_whole(flows(A, end - start, points), B, end - start, weights, u)
+        place = min(max(c, 0.0), 1.0)
+        interpolate(inputs[segment], nodes.support, nodes.barycentric, place, u[k])
+    return convolve_whole(flows(A, end - start, points), B, end - start, nodes.weights, u)
 
 
 @njit(cache=True)
@@ -172,7 +174,7 @@ def solve_state(A, B, x, delayed, length, integral, weights):
 
 
 @njit(cache=True)
-def solve_input(starts, shifts, ends, A, B, gains, length, integral, weights):
+def solve_input(starts, shifts, ends, A, B, gains, length, nodes):
     """u at the support nodes: u = Σ_b K_b P_b with every P_b collocated.
 
     starts (branches, n): P_b(a); shifts (branches, p, n): M_b r_b at the nodes; ends: the
@@ -190,7 +192,7 @@ def solve_input(starts, shifts, ends, A, B, gains, length, integral, weights):
         for k in range(p):
             forced[k, :, 0] = shifts[b, k]
             forced[k, :, 1 + k * m : 1 + (k + 1) * m] = B[ends[b]]
-        inner[b] = integrate(A[ends[b]], start, forced, length, integral)
+        inner[b] = integrate(A[ends[b]], start, forced, length, nodes.integral)
         for k in range(p):
             value = multiply(gains[b], inner[b, k])
             for i in range(m):
@@ -210,7 +212,7 @@ def solve_input(starts, shifts, ends, A, B, gains, length, integral, weights):
                     P[i] += inner[b, k, i, 1 + q] * u[q]
             add_product(A[ends[b]], P, slope)
             add_product(B[ends[b]], u[k * m : (k + 1) * m], slope)
-            last += length * weights[k] * slope
+            last += length * nodes.weights[k] * slope
         add_product(gains[b], starts[b], result[0])
         add_product(gains[b], last, result[p + 1])
     return result

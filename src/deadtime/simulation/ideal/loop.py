@@ -20,25 +20,25 @@ from deadtime.simulation.kernel import LIMIT
 
 
 @njit(cache=True)
-def _prediction(y, start, segment, lead, until, now, end_system, path, flow, moved, edges, inputs,
-                fA, fB, points, weights, support, barycentric):  # fmt: skip
-    """P_b at the start of a segment and its transition M_b, summed over the inputs in the pipe.
+def _prediction(y, g, end_system, flow, moved, line, ahead, nodes):
+    """P_b at the start of segment g and its transition M_b, summed over the inputs in the pipe.
 
-    It starts from y = L x. Up to `until` the system is `now`, or where that is negative the one
-    that `path` foresees.
+    It starts from y = L x. Up to `until` the system is the one in force, or the one that `path`
+    foresees.
     """
-    q = locate(edges, start - lead, segment - 1)
+    start, lead, until, edges = line.edges[g], ahead.lead, ahead.until[g], line.edges
+    now = -1 if ahead.foresees else ahead.here[g]
+    q = locate(edges, start - lead, g - 1)
     last = edges[q + 1]
     middle = (start - lead + last) / 2.0 + lead
-    s = (now if now >= 0 else path[q]) if middle < until else end_system
-    M, _ = held(fA[s], fB[s], last - (start - lead))
-    P = convolve_part(
-        fA[s], fB[s], start - lead, last, edges, inputs, q, points, weights, support, barycentric
-    )
+    s = (now if now >= 0 else ahead.path[q]) if middle < until else end_system
+    A, B = ahead.A[s], ahead.B[s]
+    M, _ = held(A, B, last - (start - lead))
+    P = convolve_part(A, B, start - lead, last, edges, line.inputs, q, nodes)
     add_product(M, y, P)
-    for j in range(q + 1, segment):
+    for j in range(q + 1, g):
         middle = (edges[j] + edges[j + 1]) / 2.0 + lead
-        s = (now if now >= 0 else path[j]) if middle < until else end_system
+        s = (now if now >= 0 else ahead.path[j]) if middle < until else end_system
         following = moved[j, s].copy()
         add_product(flow[j, s], P, following)
         P = following
@@ -47,34 +47,34 @@ def _prediction(y, start, segment, lead, until, now, end_system, path, flow, mov
 
 
 @njit(cache=True)
-def _shift(A, B, lift, x, delayed, A_first, B_first, recent, M, back, ahead):
+def _shift(A, B, first, x, delayed, recent, ahead, M, back, onward):
     """M_b r_b at the nodes of a segment; see the module `ideal_kernel`."""
-    p, q = recent.shape[0], lift.shape[0]
+    p, q = recent.shape[0], ahead.lift.shape[0]
     result = np.zeros((p, q))
-    difference = multiply(lift, A) - multiply(A_first, lift)
-    forced = multiply(lift, B)
+    difference = multiply(ahead.lift, A) - multiply(ahead.A[first], ahead.lift)
+    forced = multiply(ahead.lift, B)
     for k in range(p):
         r, sent, moved = np.zeros(q), np.zeros(q), np.zeros(q)
-        add_product(B_first, -recent[k], r)
+        add_product(ahead.B[first], -recent[k], r)
         add_product(forced, delayed[k], r)
         add_product(difference, x[k + 1], r)
         add_product(back[k], r, sent)
         add_product(M, sent, moved)
-        add_product(ahead[k], moved, result[k])
+        add_product(onward[k], moved, result[k])
     return result
 
 
 @njit(cache=True)
-def march(edges, begin, stop, mode, A, B, delay, fA, fB, lead, branches, gains, here, path, until,
-          foresees, lift, x0, inputs, points, integral, weights, support, barycentric):  # fmt: skip
+def march(plant, line, ahead, x0, nodes):
     """Solve the segments from `begin` on; u is sought before segment `stop`, x on all.
 
-    `inputs` (segments, p + 2, m) holds the history and receives u. `here` and `path` are the
-    forecast's systems at the middle of a segment and a lead after it. Returns x (segments,
-    p + 2, n) and the number of segments done before |x| left the limit.
+    `plant`, `line` and `ahead` are those of `deadtime.simulation.ideal.run`, `nodes` those of
+    `collocation`. line.inputs (segments, p + 2, m) holds the history and receives u. Returns x
+    (segments, p + 2, n) and the number of segments done before |x| left the limit.
     """
-    n, count, q = x0.size, branches.size, fA.shape[1]
-    segments, p, systems = edges.size - 1, points.size, fA.shape[0]
+    edges, inputs, branches, points = line.edges, line.inputs, ahead.branches, nodes.points
+    n, count, q = x0.size, branches.size, ahead.A.shape[1]
+    segments, p, systems = edges.size - 1, points.size, ahead.A.shape[0]
     states = np.zeros((segments, p + 2, n))
     flow = np.zeros((segments, systems, q, q))
     moved = np.zeros((segments, systems, q))
@@ -84,47 +84,48 @@ def march(edges, begin, stop, mode, A, B, delay, fA, fB, lead, branches, gains, 
     x = x0.copy()
     for g in range(segments):
         start, length = edges[g], edges[g + 1] - edges[g]
-        predicts = g < stop and lead > 0.0
+        predicts = g < line.stop and ahead.lead > 0.0
         if predicts:
             for s in range(systems):
-                flow[g, s], _ = held(fA[s], fB[s], length)
-                inner[s] = flows(fA[s], length, points)
+                flow[g, s], _ = held(ahead.A[s], ahead.B[s], length)
+                inner[s] = flows(ahead.A[s], length, points)
                 # e^{−A c_k} = e^{−A} e^{A (1 − c_k)}, and the nodes are symmetric.
-                undo, _ = held(-fA[s], fB[s], length)
+                undo, _ = held(-ahead.A[s], ahead.B[s], length)
                 for k in range(p):
                     back[s, k] = multiply(undo, inner[s, p - 1 - k])
-        if g >= begin:
-            times, i = start + length * points, mode[g]
-            delayed = sample(edges, inputs, support, barycentric, times - delay, g - 1)
-            states[g] = solve_state(A[i], B[i], x, delayed, length, integral, weights)
+        if g >= line.begin:
+            times, i = start + length * points, line.mode[g]
+            A, B = plant.A[i], plant.B[i]
+            known = inputs, nodes.support, nodes.barycentric
+            delayed = sample(edges, *known, times - plant.delay, g - 1)
+            states[g] = solve_state(A, B, x, delayed, length, nodes.integral, nodes.weights)
             if predicts:
-                recent = sample(edges, inputs, support, barycentric, times - lead, g - 1)
-                now, middle = -1 if foresees else here[g], start + length / 2.0
-                last = path[g] if foresees else here[g]
+                recent = sample(edges, *known, times - ahead.lead, g - 1)
+                here, until, middle = ahead.here[g], ahead.until[g], start + length / 2.0
+                last = ahead.path[g] if ahead.foresees else here
                 lifted = np.zeros(q)
-                add_product(lift, x, lifted)
+                add_product(ahead.lift, x, lifted)
                 for b in range(count):
-                    first = here[g] if middle < until[g] else branches[b]
-                    ends[b] = last if middle + lead < until[g] else branches[b]
+                    first = here if middle < until else branches[b]
+                    ends[b] = last if middle + ahead.lead < until else branches[b]
                     starts[b], M = _prediction(
-                        lifted, start, g, lead, until[g], now, branches[b], path, flow, moved,
-                        edges, inputs, fA, fB, points, weights, support, barycentric,
-                    )  # fmt: skip
+                        lifted, g, branches[b], flow, moved, line, ahead, nodes
+                    )
                     shifts[b] = _shift(
-                        A[i], B[i], lift, states[g], delayed, fA[first], fB[first], recent, M,
-                        back[first], inner[ends[b]],
+                        A, B, first, states[g], delayed, recent, ahead, M, back[first],
+                        inner[ends[b]],
                     )  # fmt: skip
                 inputs[g] = solve_input(
-                    starts, shifts, ends, fA, fB, gains[g], length, integral, weights
+                    starts, shifts, ends, ahead.A, ahead.B, ahead.gains[g], length, nodes
                 )
-            elif g < stop:
+            elif g < line.stop:
                 for k in range(p + 2):
-                    add_product(gains[g, 0], states[g, k], inputs[g, k])
+                    add_product(ahead.gains[g, 0], states[g, k], inputs[g, k])
             x = states[g, p + 1].copy()
             if not np.abs(x).max() <= LIMIT:
                 return states, g
         if predicts:
             for s in range(systems):
                 u = inputs[g, 1 : p + 1]
-                moved[g, s] = convolve_whole(inner[s], fB[s], length, weights, u)
+                moved[g, s] = convolve_whole(inner[s], ahead.B[s], length, nodes.weights, u)
     return states, segments

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -71,6 +71,43 @@ class IdealRecord:
         return InputHistory(lambda s: self.inputs(s + end), jumps)
 
 
+class Plant(NamedTuple):
+    """The plant, for the compiled march."""
+
+    A: np.ndarray
+    B: np.ndarray
+    delay: float
+
+
+class Line(NamedTuple):
+    """The segments, for the compiled march: the run begins with segment `begin`, u ends with
+    segment `stop`; the plant's mode on each, and the inputs sent (segments, p + 2, m).
+    """
+
+    edges: np.ndarray
+    begin: int
+    stop: int
+    mode: np.ndarray
+    inputs: np.ndarray
+
+
+class Believed(NamedTuple):
+    """A `Forecast` on the segments, for the compiled march: `here` and `path` are its systems at
+    the middle of a segment and a lead after it.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    lead: float
+    branches: np.ndarray
+    gains: np.ndarray
+    here: np.ndarray
+    path: np.ndarray
+    until: np.ndarray
+    foresees: bool
+    lift: np.ndarray
+
+
 def run_ideal(
     plant: SwitchedSystem,
     forecast: Forecast,
@@ -97,14 +134,8 @@ def run_ideal(
     inputs = np.zeros((middles.size, NODES + 2, plant.inputs))
     inputs[:begin] = history.on(edges[: begin + 1], nodes)
     run = np.maximum(middles, 0.0)
-    states, done = march(
-        edges,
-        begin,
-        stop,
-        signal(run),
-        plant.A,
-        plant.B,
-        plant.delay,
+    line = Line(edges, begin, stop, signal(run), inputs)
+    believed = Believed(
         *_contiguous(forecast),
         forecast.lead,
         forecast.branches,
@@ -114,14 +145,8 @@ def run_ideal(
         forecast.until(run),
         forecast.foresees,
         np.eye(plant.states) if forecast.lift is None else forecast.lift,
-        x0,
-        inputs,
-        nodes.points,
-        nodes.integral,
-        nodes.weights,
-        nodes.support,
-        nodes.barycentric,
     )
+    states, done = march(Plant(plant.A, plant.B, plant.delay), line, believed, x0, nodes)
     # The states of the pipe's last inputs may leave the limit after the run's end.
     end = float(edges[done]) if done < stop else None
     kept = done if end is not None else stop
