@@ -3,11 +3,14 @@
 Compiled ones cannot; in modules without shapes the checks would only bind arguments at every call.
 """
 
+from importlib import import_module
 from pathlib import Path
 
+import pytest
 from jaxtyping import install_import_hook
 
 SOURCE = Path(__file__).parent / "src"
+ROOMS = sorted(SOURCE.glob("deadtime/*/__init__.pyi"))
 
 
 def _checked_modules() -> list[str]:
@@ -20,3 +23,11 @@ def _checked_modules() -> list[str]:
 
 
 install_import_hook(_checked_modules(), "typecheck.checked")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _filled_faces() -> None:
+    """Faces load their names on first use: not while a test has replaced one of them."""
+    for face in ("deadtime", *(f"deadtime.{path.parent.name}" for path in ROOMS)):
+        for name in import_module(face).__all__:
+            getattr(import_module(face), name)

@@ -5,9 +5,10 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.controller import law_to_control, loop_to_control, plant_to_control
 
 control = pytest.importorskip("control")
-interop = pytest.importorskip("deadtime.controller.interop")
+pytest.importorskip("control")
 
 GENERIC = plants.generic()
 STEP = 0.05
@@ -20,7 +21,7 @@ def test_python_control_closes_the_loop_as_simulate_does(name):
     plant = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, 0.251)
     law = plants.LAWS[name](GENERIC)
     signal = dt.SwitchingSignal([0.0, 0.45, 0.6, 1.1, 1.9], [0, 2, 1, 0, 2])
-    loop, initial = interop.loop_to_control(plant, law, STEP)
+    loop, initial = loop_to_control(plant, law, STEP)
     initial[:3] = 1.0, -1.0, 0.5
     modes = np.array([signal(t + 1e-9) for t in TIMES], float)
     found = control.input_output_response(loop, TIMES, modes, initial)
@@ -32,7 +33,7 @@ def test_python_control_closes_the_loop_as_simulate_does(name):
 def test_the_age_of_the_first_mode_is_the_one_given():
     law = plants.LAWS["mean, dwell-aware"](GENERIC)
     signal = dt.SwitchingSignal([0.0], [1], initial_age=0.2)
-    loop, initial = interop.loop_to_control(GENERIC, law, STEP, mode_age=4)
+    loop, initial = loop_to_control(GENERIC, law, STEP, mode_age=4)
     initial[:3] = 1.0, -1.0, 0.5
     found = control.input_output_response(loop, TIMES, np.ones(TIMES.size), initial)
     run = dt.simulate(GENERIC, law, signal, initial[:3], TIMES[-1], STEP)
@@ -42,7 +43,7 @@ def test_the_age_of_the_first_mode_is_the_one_given():
 def test_without_an_input_the_plant_is_its_exponential():
     from scipy.linalg import expm
 
-    system = interop.plant_to_control(GENERIC, 0.1)
+    system = plant_to_control(GENERIC, 0.1)
     given = np.vstack((np.zeros((2, 11)), np.full((1, 11), 1.0)))
     initial = np.concatenate(([1.0, -1.0, 0.5], np.zeros(6)))
     found = control.input_output_response(system, 0.1 * np.arange(11), given, initial)
@@ -53,8 +54,8 @@ def test_what_is_no_table_and_what_is_no_mode_are_refused_by_name():
     rule = dt.StateDependentPredictor(GENERIC, plants.gains(GENERIC), lambda x: int(x[0] > 0.0))
     for law, why in ((plants.LAWS["exact"](GENERIC), "foresees"), (rule, "is no table")):
         with pytest.raises(dt.ArgumentError, match=why):
-            interop.law_to_control(law, STEP)
-    system = interop.plant_to_control(GENERIC, STEP)
+            law_to_control(law, STEP)
+    system = plant_to_control(GENERIC, STEP)
     with pytest.raises(dt.ArgumentError, match=r"mode must be in 0\.\.2 at every sample, got 7"):
         system.dynamics(0.0, np.zeros(system.nstates), np.array([0.0, 0.0, 7.0]))
 
@@ -62,4 +63,4 @@ def test_what_is_no_table_and_what_is_no_mode_are_refused_by_name():
 def test_a_law_of_another_plant_is_refused_before_anything_runs():
     law = plants.LAWS["averaged"](GENERIC)
     with pytest.raises(dt.ArgumentError, match="law"):
-        interop.loop_to_control(plants.scalar([0.3, 0.2, 0.1]), law, STEP)
+        loop_to_control(plants.scalar([0.3, 0.2, 0.1]), law, STEP)

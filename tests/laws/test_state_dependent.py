@@ -482,7 +482,7 @@ def test_a_prediction_that_chatters_ends_the_run_and_says_so():
     assert one.inputs[0, -1] == one.inputs[0, -2]
     assert not one.diverged
     assert one.metrics()["final_norm"] == pytest.approx(np.hypot(0.237, 1.0))
-    with pytest.raises(dt.errors.ChatteringError, match=r"0\.237 s ahead"):
+    with pytest.raises(dt.ChatteringError, match=r"0\.237 s ahead"):
         law.online(H)(np.array([-0.237, 1.0]), np.zeros((3, 1)), 0, 0)
 
 

@@ -127,7 +127,7 @@ def made_up(monkeypatch):
         message = f"{law.label}: proved from 0.75 s."
         return SimpleNamespace(certified=0.75, refuted=0.5, message=message)
 
-    monkeypatch.setattr("deadtime.certificates.least_dwell_time", answer)
+    monkeypatch.setattr("deadtime.margins.least_dwell_time", answer)
 
 
 def test_the_command_line_prints_the_bracket_of_every_law(capsys, made_up):

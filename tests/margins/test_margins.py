@@ -173,10 +173,10 @@ def made_up(monkeypatch):
             return called
 
         def replaced(module, name, function):
-            monkeypatch.setattr(import_module(f"deadtime.certificates.{module}"), name, function)
+            monkeypatch.setattr(import_module(f"deadtime.{module}"), name, function)
 
-        replaced("certify", "certify", of(ask.certify))
-        replaced("worst_case", "falsify", of(ask.falsify))
+        replaced("certificates", "certify", of(ask.certify))
+        replaced("certificates", "falsify", of(ask.falsify))
         replaced("margins.stability", "growth_rate", of(lambda v: 1.0 if ask.grows(v) else -1.0))
         replaced("margins.stability", "growth_bounds", of(lambda v: (1.0, 1.0)))
         return asked

@@ -71,12 +71,12 @@ def made_up(monkeypatch):
         return 0.28 if distance_of(plant) > LIMIT else -0.4
 
     for module, function in (
-        ("certificates.margins.stability", growth_rate),
+        ("margins.stability", growth_rate),
         ("certificates.certify", certify),
         ("certificates", certify),
         ("certificates.worst_case", falsify),
         ("certificates", falsify),
-        ("spectrum.margin", constant_delay_margin),
+        ("margins.constant_modes", constant_delay_margin),
     ):
         monkeypatch.setattr(import_module(f"deadtime.{module}"), function.__name__, function)
 

@@ -132,7 +132,7 @@ BAD = [
 @pytest.mark.parametrize(("old", "new", "message"), BAD, ids=range(len(BAD)))
 def test_bad_file_is_refused_by_line_and_key(tmp_path, old, new, message):
     assert old in PLAIN
-    with pytest.raises(dt.errors.StudyFileError, match=message) as caught:
+    with pytest.raises(dt.StudyFileError, match=message) as caught:
         load(tmp_path, PLAIN.replace(old, new, 1))
     assert "\n" not in str(caught.value)
 
@@ -143,15 +143,15 @@ def test_problems_that_no_study_can_use_are_refused(tmp_path):
     text = (tmp_path / "own.toml").read_text(encoding="utf-8")
     own, study = tmp_path / "own.toml", PLAIN.replace('"paper"', '"own.toml"')
     own.write_text(text.replace("x0 = [-1.0, 1.0]", "x0 = [0.0, 0.0]"), encoding="utf-8")
-    with pytest.raises(dt.errors.StudyFileError, match="its x0 is 0"):
+    with pytest.raises(dt.StudyFileError, match="its x0 is 0"):
         load(tmp_path, study)
     own.write_text(text.replace("step = 0.01 ", 'step = "ideal" '), encoding="utf-8")
-    with pytest.raises(dt.errors.StudyFileError, match="step must be given"):
+    with pytest.raises(dt.StudyFileError, match="step must be given"):
         load(tmp_path, study.replace("step = 0.05\n", ""))
     single = text.replace("  [[2.3, 1.1], [0.05, 1.2]],\n", "").replace("  [[0.0], [1.02]],\n", "")
     single = single.split("[signal]")[0] + '[signal]\nkind = "constant"\nmode = 0\n[run]\n'
     own.write_text(single + "x0 = [-1.0, 1.0]\nhorizon = 5.0\n", encoding="utf-8")
-    with pytest.raises(dt.errors.StudyFileError, match="its plant has one mode"):
+    with pytest.raises(dt.StudyFileError, match="its plant has one mode"):
         load(tmp_path, study)
 
 

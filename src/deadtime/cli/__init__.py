@@ -11,15 +11,22 @@ done), 141 when nobody reads what is printed any more. Errors are one line on st
 stdout then stays empty.
 """
 
-from deadtime.cli import certificates, explorer, files, models, runs, theorem
-from deadtime.cli.completion import completion
-from deadtime.cli.design import design
+from deadtime.cli import (
+    certificates,
+    completion,
+    design,
+    explorer,
+    export,
+    files,
+    models,
+    monte_carlo,
+    plot,
+    robustness,
+    runs,
+    sweep,
+    theorem,
+)
 from deadtime.cli.entry import app, main
-from deadtime.cli.export import export
-from deadtime.cli.monte_carlo import monte_carlo
-from deadtime.cli.plot import plot
-from deadtime.cli.robustness import robustness
-from deadtime.cli.sweep import sweep
 
 __all__ = [
     "app",

@@ -129,7 +129,8 @@ def costs(
 
     Examples
     --------
-    >>> costs(lambda weight: (3.0, 2.0) if weight is None else (1.0, 0.5), Weight(2, 3))
+    >>> import deadtime as dt
+    >>> costs(lambda weight: (3.0, 2.0) if weight is None else (1.0, 0.5), dt.Weight(2, 3))
     {'ise': 3.0, 'energy': 2.0, 'cost': 1.5}
     """
     ise, energy = integrals(None)
