@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 import deadtime as dt
 import plants
 from deadtime.base.wording import amount
-from deadtime.reports.audit import STEPS, Claim, Proportion, audit
+from deadtime.reports.audit import STEPS, Claim, audit
 from deadtime.reports.audit.measure import (
     LEAD,
     MEAN,
@@ -21,6 +21,7 @@ from deadtime.reports.audit.measure import (
 )
 from deadtime.reports.audit.sweeps import moved, stretched
 from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
+from deadtime.scenarios.paired.proportion import Proportion
 
 PROBLEM = dt.problems.paper()
 SCENARIOS = 40

@@ -160,8 +160,7 @@ def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | No
     if not isinstance(problem.signal, SwitchingSignal):
         return None
     for name, law in problem.laws.items():
-        inner = law.law if isinstance(law, OutputFeedback) else law
-        if isinstance(inner, ExactPredictor) and name in runs:
+        if law.foresees and name in runs:
             return runs[name].metrics(problem.weight)["cost"]
     try:
         run = problem.run(_oracle(problem))

@@ -304,12 +304,10 @@ def _out_of_reach(
     if not isinstance(law, TableLaw):
         kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
         return f"{type(law).__name__} is no table but {kind}: no certificate of this kind."
-    from deadtime.laws import ExactPredictor
-
-    if isinstance(law, ExactPredictor):
+    if law.foresees:
         return (
-            "ExactPredictor foresees the signal, so its table is one for each signal: there is no "
-            "one loop to certify."
+            f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
+            "is no one loop to certify."
         )
     if plants[0].modes > 1 and shortest(dwell_time, step, tolerance)[0] < 0:
         return (

@@ -16,7 +16,6 @@ from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
-from deadtime.laws import ExactPredictor
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.sampled_plant import acting
 
@@ -58,7 +57,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     import control
 
     instance("law", law, Law)
-    if not isinstance(law, TableLaw) or isinstance(law, ExactPredictor):
+    if not isinstance(law, TableLaw) or law.foresees:
         why = "foresees the signal" if isinstance(law, TableLaw) else "is no table of the state"
         raise ArgumentError(f"law must be a table that can run; {type(law).__name__} {why}.")
     table = law.digital(positive("step", step))

@@ -17,7 +17,6 @@ from deadtime.controller.status import Clock, Status
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.laws import ExactPredictor
 from deadtime.simulation.initial_input import InitialInput, held_samples
 
 
@@ -35,7 +34,7 @@ class RunningLaw:
     ) -> None:
         instance("law", law, Law)
         inner = law.law if isinstance(law, OutputFeedback) else law
-        if not isinstance(inner, TableLaw) or isinstance(inner, ExactPredictor):
+        if not isinstance(inner, TableLaw) or inner.foresees:
             why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
             raise ArgumentError(
                 f"law must be a table that a controller can run; {type(inner).__name__} {why}."

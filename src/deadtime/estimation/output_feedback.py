@@ -113,6 +113,14 @@ class OutputFeedback(Law):
     def label(self) -> str:
         return f"{self.law.label}, observed"
 
+    @property
+    def foresees(self) -> bool:
+        return self.law.foresees
+
+    @property
+    def foreseen(self) -> SwitchingSignal | None:
+        return self.law.foreseen
+
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:

@@ -65,6 +65,16 @@ class Law(Frozen, ABC):
     def label(self) -> str:
         """A few words for legends and tables."""
 
+    @property
+    def foresees(self) -> bool:
+        """Whether it must know how the mode will switch, and so cannot run in real time."""
+        return False
+
+    @property
+    def foreseen(self) -> SwitchingSignal | None:
+        """The signal that it foresees, where that is one of its own and not the run's."""
+        return None
+
     @abstractmethod
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

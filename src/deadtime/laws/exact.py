@@ -71,6 +71,14 @@ class ExactPredictor(TableLaw):
     def label(self) -> str:
         return "oracle"
 
+    @property
+    def foresees(self) -> bool:
+        return True
+
+    @property
+    def foreseen(self) -> SwitchingSignal | None:
+        return self.signal
+
     def _known(self, signal: SwitchingSignal | None, last: float) -> SwitchingSignal:
         """The signal that the law believes in, which must reach a delay past the last time."""
         known = signal if self.signal is None else self.signal

@@ -77,6 +77,14 @@ class LowPassPredictor(TableLaw):
     def label(self) -> str:
         return f"{self.law.label}, low-pass"
 
+    @property
+    def foresees(self) -> bool:
+        return self.law.foresees
+
+    @property
+    def foreseen(self) -> SwitchingSignal | None:
+        return self.law.foreseen
+
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:

@@ -6,7 +6,6 @@ from deadtime.base.checks import index, instance
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
-from deadtime.laws import ExactPredictor, LowPassPredictor
 from deadtime.plant import SwitchedSystem
 
 
@@ -15,9 +14,7 @@ def require_constant(plant: SwitchedSystem, law: Law) -> None:
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    if isinstance(law, LowPassPredictor):
-        law = law.law
-    if isinstance(law, ExactPredictor) and law.signal is not None and law.signal.switches:
+    if law.foreseen is not None and law.foreseen.switches:
         raise ArgumentError(
             "law must not foresee a signal of its own that switches, when the mode stays the "
             "same for ever: build the ExactPredictor without one."

@@ -10,7 +10,6 @@ from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.gains.pole_placement import unseen_pole
-from deadtime.laws import ExactPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.synthesis.search import MakeLaw
@@ -82,9 +81,9 @@ def required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> T
             f"law must make laws that are tables, got {kind}: a delay margin is that of a linear "
             "loop."
         )
-    if isinstance(law, ExactPredictor):
+    if law.foresees:
         raise ArgumentError(
-            "law must make laws that can run, but ExactPredictor foresees the signal: for a mode's "
+            f"law must make laws that can run, but {kind} foresees the signal: for a mode's "
             "own exact law give a plant of that mode alone."
         )
     require_match(plant, law)

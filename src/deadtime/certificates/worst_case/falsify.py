@@ -16,7 +16,6 @@ from deadtime.certificates.worst_case.selection import Rated, improved, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import TableLaw, require_match
-from deadtime.laws import ExactPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import aged_row, constant_growth
 from deadtime.switching import SwitchingSignal
@@ -121,7 +120,7 @@ def _checked(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    if isinstance(law, ExactPredictor) or not isinstance(law, TableLaw):
+    if law.foresees or not isinstance(law, TableLaw):
         kind = type(law).__name__
         raise ArgumentError(
             f"law must be a table whose rows do not depend on the future, got {kind}: it "

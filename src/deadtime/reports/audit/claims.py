@@ -9,8 +9,9 @@ import numpy as np
 
 from deadtime.base.wording import amount, signed
 from deadtime.problems import Problem
-from deadtime.reports.audit.claim import Claim, Proportion
+from deadtime.reports.audit.claim import Claim
 from deadtime.reports.audit.measure import LEAD, MEAN, TRANSIENT, Evidence, stabilised
+from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.switching import SwitchingSignal
 
 NUMBER = {LEAD: "(2)", MEAN: "(80)"}

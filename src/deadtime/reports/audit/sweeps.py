@@ -12,9 +12,10 @@ from deadtime.gains import place
 from deadtime.laws import AveragedPredictor, MeanPredictor
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Progress
-from deadtime.reports.audit.claim import Claim, Proportion, Sweep
+from deadtime.reports.audit.claim import Claim, Sweep
 from deadtime.reports.audit.measure import LEAD, MEAN, Evidence, random_signals, stabilised
 from deadtime.scenarios import monte_carlo
+from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.switching import SwitchingSignal
 
 STRETCH = (0.5, 1.0, 2.0, 4.0)  # dwell times, as multiples of the example's

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH
-from deadtime.reports.audit import Claim, Proportion, Sweep
+from deadtime.reports.audit import Claim, Sweep
+from deadtime.scenarios.paired.proportion import Proportion
 
 VERDICTS = {
     "holds": (COLOURS[2], "o"),

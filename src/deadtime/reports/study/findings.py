@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deadtime.reports.audit import Proportion
+from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.scenarios.paired.ranking import Ranking, picked, ranking_of, verdict_of
 from deadtime.scenarios.paired.statistics import (
     mean_interval,

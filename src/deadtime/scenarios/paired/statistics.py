@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.reports.audit import Proportion
+from deadtime.scenarios.paired.proportion import Proportion
 
 SAME = 1e-6  # relative difference below which two runs count as equally good
 MOST = 1e12  # a quotient that counts as no worse than any larger one, such as that of a divergence

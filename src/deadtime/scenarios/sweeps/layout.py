@@ -17,7 +17,6 @@ from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Limiting
-from deadtime.laws import ExactPredictor
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
 from deadtime.scenarios.sweeps.study import Loop, Study
@@ -131,7 +130,7 @@ def _of_law(loop: Loop, law: Law) -> float:
     if alone or not isinstance(law, TableLaw):
         return _ALONE
     taps = Window.of(law.plant.delay, loop.step).count
-    if isinstance(law, ExactPredictor):
+    if law.foresees:
         return _FORESEEN * taps
     try:
         table = law.digital(loop.step, SwitchingSignal.constant(0), 1)
@@ -156,7 +155,7 @@ def facts_of(study: Study) -> dict[str, Any]:
     loop = example_loop(study)
     if loop is None:
         return {"oracle": "", "start": float("nan")}
-    oracles = [name for name in study.laws if isinstance(loop.laws.get(name), ExactPredictor)]
+    oracles = [name for name in study.laws if name in loop.laws and loop.laws[name].foresees]
     start = float(np.linalg.norm(loop.x0))
     return {"oracle": oracles[0] if oracles else "", "start": start, **_cost_of(study, loop)}
 
