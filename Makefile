@@ -59,7 +59,7 @@ lowest:
 	$(PYTHON) -m venv --clear build/lowest
 	$(PYTHON) scripts/lowest.py > build/lowest/constraints.txt
 	PIP_CONSTRAINT=build/lowest/constraints.txt build/lowest/bin/python -m pip install --quiet \
-		--editable ".[app,control,fmi,jax,sweep]" $(TOOLS)
+		--editable ".[app,control,fmi,sweep]" $(TOOLS)
 	NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/build/lowest/numba \
 		build/lowest/bin/python -m pytest $(QUIET) $(FAST)
 
@@ -70,7 +70,7 @@ pythons:
 	for python in $(PYTHONS); do \
 		place=build/$$($$python -c 'import sys; print("python3.%d" % sys.version_info[1])'); \
 		echo "== $$($$python --version)" && $$python -m venv --clear $$place && \
-		$$place/bin/python -m pip install --quiet --editable ".[app,control,fmi,jax,sweep]" $(TOOLS) && \
+		$$place/bin/python -m pip install --quiet --editable ".[app,control,fmi,sweep]" $(TOOLS) && \
 		NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/$$place/numba $$place/bin/python -m pytest $(FAST) || exit 1; \
 	done
 

@@ -108,23 +108,6 @@ def ours() -> list[Row]:
     return rows
 
 
-def jax_rows() -> list[Row]:
-    """The JAX engine on this machine; none where it is missing."""
-    rows = []
-    for name, size in (("averaged", 8192), ("averaged, dwell-aware", 2048)):
-        law, batch = LAWS[name], on_grid(USUAL, fewer(size))
-        try:
-            require_accuracy(law, batch, USUAL, backend="jax")
-        except (ImportError, dt.ArgumentError):
-            return []
-        run(law, batch, USUAL, backend="jax")
-        spent = median_of(lambda law=law, batch=batch: run(law, batch, USUAL, backend="jax"), 3)
-        rate = len(batch) * USUAL.periods / spent
-        what = f'deadtime, {name}, N = 100, backend="jax"'
-        rows.append(Row(what, rate, fmas_of(law, USUAL), processors()))
-    return rows
-
-
 def peer_error(law: dt.Law, figures: np.ndarray, batch: SignalBatch, setting: Setting) -> float:
     """The largest relative difference to deadtime, of three figures over the first scenarios."""
     few = min(64, len(batch), figures.shape[1])
@@ -143,7 +126,7 @@ def peer_rows() -> list[Row]:
     averaged, aware = LAWS["averaged"], LAWS["averaged, dwell-aware"]
     semi, same = LAWS["expected, semi-Markov"], peers.problem_of(LAWS["averaged"])
     numbers = peers.numbers_of(same)
-    plan: list[tuple[str, dt.Law, int, float, Work | None]] = [
+    plan: list[tuple[str, dt.Law, int, float, Work]] = [
         ("plain recursion", averaged, 65_536, 1e-3, lambda modes: peers.plain(same, modes)),
         ("plain recursion, 64 scenarios side by side", averaged, 65_536, 1e-3,
          lambda modes: peers.side_by_side(numbers, USUAL.taps, modes)),
@@ -152,11 +135,8 @@ def peer_rows() -> list[Row]:
         ("dense, expected", semi, 16_384, 1e-9, _dense_work(semi)),
         ("ring buffer, dwell-aware", aware, 8192, 1e-9, _dense_work(aware, peers.ring_buffer)),
         ("ring buffer, expected", semi, 8192, 1e-9, _dense_work(semi, peers.ring_buffer)),
-        ("JAX, vmap of scan, window rolled", averaged, 512, 1e-9, peers.jax_scan(same)),
     ]  # fmt: skip
     for name, law, scenarios, allowed, work in plan:
-        if work is None:
-            continue
         batch = on_grid(USUAL, fewer(scenarios))
         modes = modes_of(batch, USUAL)
         given = peers.blocks_of(modes) if "side by side" in name else modes
@@ -294,7 +274,7 @@ def million() -> str:
 
 def main() -> None:
     before = measured(QUICK)
-    rows = [*ours(), *jax_rows(), *peer_rows()]
+    rows = [*ours(), *peer_rows()]
     machine = Machine(*map(max, before, measured(QUICK)))
     print(f"{heading()}\n\n{bounds(machine)}\n")
     table(rows, machine)

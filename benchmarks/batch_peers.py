@@ -7,7 +7,6 @@ leave out settling time and decay rate, which deadtime has, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -253,32 +252,3 @@ def side_by_side(numbers, N, modes):
             for figure in range(3):
                 result[figure, block * WIDTH + j] = z[(6 + figure) * WIDTH + j]
     return result
-
-
-def jax_scan(problem: Problem) -> Callable[[np.ndarray], np.ndarray] | None:
-    """The usual JAX code: vmap of lax.scan over a rolled window; None without JAX."""
-    try:
-        import jax
-        import jax.numpy as jnp
-    except ImportError:
-        return None
-    jax.config.update("jax_enable_x64", True)
-    move, energy = jnp.asarray(problem.move), jnp.asarray(problem.energy)
-    F, G = jnp.asarray(problem.F[0]), jnp.asarray(problem.G[0])
-
-    def period(carry, mode):
-        x, window, ise, effort, peak = carry
-        u = F @ x + G @ window
-        z = jnp.append(x, window[0])
-        x = move[mode] @ z
-        ise = ise + z @ energy[mode] @ z
-        window = jnp.roll(window, -1).at[-1].set(u)
-        return (x, window, ise, effort + u * u, jnp.maximum(peak, x @ x)), None
-
-    def scenario(modes):
-        x = jnp.asarray(problem.x0)
-        carry, _ = jax.lax.scan(period, (x, jnp.zeros(G.size), 0.0, 0.0, x @ x), modes)
-        return jnp.stack(carry[2:])
-
-    compiled = jax.jit(jax.vmap(scenario, out_axes=1))
-    return lambda modes: np.asarray(compiled(modes.astype(np.int32)))

@@ -7,7 +7,7 @@ import re
 import tomllib
 from pathlib import Path
 
-OF_USERS = ("app", "control", "fmi", "jax", "sweep")
+OF_USERS = ("app", "control", "fmi", "sweep")
 
 
 def lowest(project: dict) -> list[str]:

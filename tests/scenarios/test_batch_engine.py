@@ -14,7 +14,7 @@ import plants
 import reference
 from deadtime.plant import Window
 from deadtime.scenarios import draw_signals
-from deadtime.scenarios.cpu import CpuEngine
+from deadtime.scenarios.engine import Engine
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.window_form import window_form
 from deadtime.switching import SignalBatch
@@ -133,7 +133,7 @@ def test_window_sums_are_exact_after_millions_of_periods(periods):
     signals = dt.Markov([[0, 30.0], [30.0, 0]]).draw(2e3, seed=3, count=8)
     signals = [dt.SwitchingSignal(one.times, one.modes) for one in signals]
     loop = Loop(plant, Window.of(0.75, step), np.array([0.1, 0.0, 1.0, 0.0]), periods * step)
-    engine, table = CpuEngine(loop), law.digital(step)
+    engine, table = Engine(loop), law.digital(step)
     taps = table.taps
     assert window_form(table) is not None
     keep = periods - 2 * taps

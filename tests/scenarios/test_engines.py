@@ -1,27 +1,23 @@
-"""Both engines against `simulate` and each other: every law, limits, odd sizes."""
+"""The batch engine against `simulate` and a plain loop: every law, limits, odd sizes."""
 
-import importlib
 import itertools
-import re
-import sys
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import deadtime as dt
 import plants
 from deadtime.imperfections import RateLimit, Saturation
 from deadtime.plant import Window
-from deadtime.scenarios.cpu import CpuEngine
-from deadtime.scenarios.figures import metrics_of, needs_own_run
-from deadtime.scenarios.jax_engine import JaxEngine
-from deadtime.scenarios.jax_kernel import run_scenarios
+from deadtime.scenarios.engine import Engine
+from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.loop import Loop
 from deadtime.switching import SignalBatch
 
 X0 = np.array([0.3, -0.6, 0.9])
 H, HORIZON, COUNT = 0.1, 6.03, 7
-CHUNK = 4  # the last one is not full
 TRUTH, BELIEVED = plants.generic(), plants.generic(0.3, seed=5)
 LIMITS = (Saturation([-2.0, -1.0], 1.5), RateLimit([9.0, 12.0]))
 
@@ -52,13 +48,9 @@ def table_of(engine, loop, law, own=SIGNALS):
     return engine.table(feedback)
 
 
-ENGINES = {"numba": CpuEngine, "jax": lambda loop: JaxEngine(loop, CHUNK)}
-both_engines = pytest.mark.parametrize("backend", ENGINES)
-
-
-def check_as_simulated(backend, loop, law, scenarios=(3, 6)):
+def check_as_simulated(loop, law, scenarios=(3, 6)):
     """Metrics, states and inputs of some scenarios are those of `simulate`, to 1e-11 of each."""
-    engine = ENGINES[backend](loop)
+    engine = Engine(loop)
     figures, path = engine.path(
         table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)), 0, COUNT
     )
@@ -77,108 +69,116 @@ def check_as_simulated(backend, loop, law, scenarios=(3, 6)):
 
 
 def every_law():
-    """All laws on both engines; those that add no kind of row to the others take `make long`."""
-    kinds = "averaged", "weighted", "expected", "averaged, dwell-aware", "exact"
-    free = {"numba": ("mean, dwell-aware",), "jax": ("single", "delayed")}
-    for backend, name in itertools.product(ENGINES, plants.LAWS):
-        marks = () if name in (*kinds, *free[backend]) else pytest.mark.long
-        yield pytest.param(name, backend, marks=marks)
+    """All laws; those that add no kind of row to the others take `make long`."""
+    kinds = "averaged", "weighted", "expected", "single", "delayed", "exact"
+    aware = "averaged, dwell-aware", "mean, dwell-aware"
+    for name in plants.LAWS:
+        yield pytest.param(name, marks=() if name in (*kinds, *aware) else pytest.mark.long)
 
 
-@pytest.mark.parametrize(("name", "backend"), list(every_law()))
-def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name, backend):
+@pytest.mark.parametrize("name", list(every_law()))
+def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name):
     assert TRUTH.delay % H > 0.0
     assert HORIZON % H > 0.0
-    check_as_simulated(backend, loop_of(), plants.LAWS[name](BELIEVED))
+    check_as_simulated(loop_of(), plants.LAWS[name](BELIEVED))
 
 
-@pytest.mark.parametrize(
-    ("name", "backend"),
-    [
-        ("averaged", "jax"),
-        pytest.param("mean, dwell-aware", "jax", marks=pytest.mark.long),
-        ("averaged", "numba"),
-    ],
-)
-def test_limited_inputs_are_as_simulated(name, backend):
-    check_as_simulated(backend, loop_of(actuators=LIMITS), plants.LAWS[name](BELIEVED))
+@pytest.mark.parametrize("name", ["averaged", "mean, dwell-aware"])
+def test_limited_inputs_are_as_simulated(name):
+    check_as_simulated(loop_of(actuators=LIMITS), plants.LAWS[name](BELIEVED))
 
 
-@both_engines
 @pytest.mark.parametrize("name", ["averaged", "exact"])
-def test_a_window_longer_than_the_run_is_as_simulated(name, backend):
+def test_a_window_longer_than_the_run_is_as_simulated(name):
     loop = loop_of(plants.generic(8.04))
     assert loop.window.count > loop.whole + 1
-    check_as_simulated(
-        backend, loop, plants.LAWS[name](plants.generic(8.5, seed=5)), scenarios=(3,)
-    )
+    check_as_simulated(loop, plants.LAWS[name](plants.generic(8.5, seed=5)), scenarios=(3,))
 
 
-@pytest.mark.parametrize("backend", [pytest.param("numba", marks=pytest.mark.long), "jax"])
-def test_a_window_of_one_input_is_as_simulated(backend):
-    check_as_simulated(
-        backend, loop_of(plants.generic(H)), plants.LAWS["averaged"](plants.generic(0.06))
-    )
+def test_a_window_of_one_input_is_as_simulated():
+    check_as_simulated(loop_of(plants.generic(H)), plants.LAWS["averaged"](plants.generic(0.06)))
 
 
-# -- against the CPU engine --------------------------------------------------------------------
+# -- against a plain loop ----------------------------------------------------------------------
+
+
+def held(A, B, length):
+    """Over a time with the input held: e^{Ml} of M = [[A, B], [0, 0]], and ∫|x|² = zᵀ E z."""
+    n, m = B.shape
+    M, C = np.zeros((n + m, n + m)), np.zeros((n + m, n + m))
+    M[:n, :n], M[:n, n:], C[:n, :n] = A, B, np.eye(n)
+    # Van Loan, IEEE Trans. Automatic Control 1978.
+    both = scipy.linalg.expm(np.block([[-M.T, C], [np.zeros_like(M), M]]) * length)
+    move = both[n + m :, n + m :]
+    return move, move.T @ both[: n + m, n + m :]
+
+
+def plain_figures(plant, law, signal):
+    """What `Figures` says it holds, from dense rows and an exponential for every stretch."""
+    feedback, m = law.digital(H), plant.inputs
+    samples, taps = int(HORIZON / H) + 1, feedback.taps
+    back = int(np.ceil(plant.delay / H))
+    phase = plant.delay - (back - 1) * H
+    u, x = np.zeros((samples + back + taps, m)), X0.copy()  # inputs from before time 0 lie behind
+    mode, age = int(signal(0.0)), int(signal.initial_age / H) - 1
+    squares, ise = [], 0.0
+    for k in range(samples):
+        squares.append(x @ x)
+        age = age + 1 if int(signal(k * H)) == mode else 0
+        mode = int(signal(k * H))
+        row = 0
+        if feedback.context == "mode_age":
+            row = mode * feedback.ages + min(age, feedback.ages - 1)
+        u[k] = feedback.state_gain[row] @ x
+        for j in range(1, taps + 1):
+            u[k] += feedback.input_gain[row, j - 1] @ u[k - j]
+        end = min(H, HORIZON - k * H)
+        edges = {0.0, min(phase, end), end, *(signal.times - k * H)}
+        for low, high in itertools.pairwise(sorted(t for t in edges if 0.0 <= t <= end)):
+            now = int(signal(k * H + 0.5 * (low + high)))
+            z = np.concatenate((x, u[k - back if high <= phase else k - back + 1]))
+            move, energy = held(plant.A[now], plant.B[now], high - low)
+            ise, x = ise + z @ energy @ z, (move @ z)[:3]
+    squares, spent = np.array(squares), (u[:samples] ** 2).sum(axis=1)
+    late = np.log(squares[np.arange(samples) * H >= HORIZON / 2])
+    outside = np.flatnonzero(squares > 0.02**2 * squares.max())[-1]
+    energy = spent[:-1].sum() + spent[-1] * (HORIZON / H - (samples - 1))
+    sums = late.sum(), np.cumsum(late).sum()
+    return Figures(ise, energy, squares.max(), outside, np.exp(late.min()), *sums, x @ x)
 
 
 @pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
-def test_figures_of_all_scenarios_are_those_of_the_cpu_engine(name):
+def test_figures_of_all_scenarios_are_those_of_a_plain_loop(name):
     loop, law = loop_of(), plants.LAWS[name](BELIEVED)
-    laid, engines = loop.lay(SignalBatch.of(SIGNALS)), (CpuEngine(loop), JaxEngine(loop, CHUNK))
-    one, other = (engine.run(table_of(engine, loop, law), laid) for engine in engines)
-    for mine, theirs, field in zip(one, other, one._fields, strict=True):
-        assert mine == pytest.approx(theirs, rel=1e-11), field
+    engine = Engine(loop)
+    figures = engine.run(table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)))
+    plain = np.array([plain_figures(TRUTH, law, signal) for signal in SIGNALS])
+    for field, found, wanted in zip(Figures._fields, figures, plain.T, strict=True):
+        assert found == pytest.approx(wanted, rel=1e-10), field
 
 
 # -- what it promises --------------------------------------------------------------------------
 
 
-def test_chunks_and_the_part_that_is_asked_for_change_nothing():
+def test_the_part_that_is_asked_for_changes_nothing():
     loop = loop_of()
-    laid, law = loop.lay(SignalBatch.of(SIGNALS)), plants.LAWS["averaged"](BELIEVED)
-    whole, parts = JaxEngine(loop), JaxEngine(loop, CHUNK)
-    table = table_of(whole, loop, law)
-    all_at_once, some = whole.run(table, laid), parts.run(table, laid, 1, 6)
-    assert some.ise == pytest.approx(all_at_once.ise[1:], rel=1e-12)
-    late = parts.path(table, laid, 1, 6, keep=40)[1]
-    assert late.u == pytest.approx(parts.path(table, laid, 0, COUNT)[1].u[1:, :, 40:], rel=1e-12)
+    engine, laid = Engine(loop), loop.lay(SignalBatch.of(SIGNALS))
+    table = table_of(engine, loop, plants.LAWS["averaged"](BELIEVED))
+    whole, some = engine.run(table, laid), engine.run(table, laid, 1, 6)
+    for mine, theirs in zip(some, whole, strict=True):
+        np.testing.assert_array_equal(mine, theirs[1:])
+    late, path = engine.path(table, laid, 1, 6, keep=40)[1], engine.path(table, laid, 0, COUNT)[1]
+    np.testing.assert_array_equal(late.u, path.u[1:, :, 40:])
+    np.testing.assert_array_equal(late.x, path.x[1:, :, 40:])
 
 
 def test_laws_and_signals_of_one_shape_are_compiled_once():
     loop = loop_of()
-    engine, other = JaxEngine(loop, CHUNK), [*SIGNALS[::-1], SIGNALS[3]]
+    engine, other = Engine(loop), [*SIGNALS[::-1], SIGNALS[3]]
     laid = [loop.lay(SignalBatch.of(some)) for some in (SIGNALS, other)]
     engine.run(table_of(engine, loop, plants.LAWS["averaged"](BELIEVED)), laid[0])
-    compiled = run_scenarios._cache_size()
+    compiled = len(run_scenarios.signatures)
     for law in (plants.LAWS["weighted"](BELIEVED), plants.LAWS["averaged"](BELIEVED.apart(0.5))):
         for one in laid:
             engine.run(table_of(engine, loop, law), one)
-    assert run_scenarios._cache_size() == compiled
-
-
-def test_double_precision_stays_within_the_engine():
-    import jax.numpy as jnp
-
-    loop = loop_of()
-    engine = JaxEngine(loop, CHUNK)
-    law = plants.LAWS["averaged"](BELIEVED)
-    figures = engine.run(table_of(engine, loop, law), loop.lay(SignalBatch.of(SIGNALS)))
-    assert figures.ise.dtype == np.float64
-    assert jnp.ones(1).dtype == jnp.float32
-
-
-def test_a_chunk_of_no_scenarios_is_refused():
-    with pytest.raises(dt.ArgumentError, match="chunk must be an integer of at least 1, got 0"):
-        JaxEngine(loop_of(), 0)
-
-
-def test_without_jax_the_import_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "jax", None)
-    for module in ("jax_double", "jax_engine"):
-        monkeypatch.delitem(sys.modules, f"deadtime.scenarios.{module}")
-    message = 'backend "jax" needs JAX: pip install "deadtime[jax]".'
-    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
-        importlib.import_module("deadtime.scenarios.jax_engine")
+    assert len(run_scenarios.signatures) == compiled

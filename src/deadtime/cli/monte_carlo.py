@@ -67,7 +67,7 @@ def monte_carlo(
     seed
         Of the signals.
     backend
-        numba, or jax, which uses a GPU where there is one.
+        numba, the compiled engine and the only one.
     step
         Sampling period in seconds; the problem's by default.
     out

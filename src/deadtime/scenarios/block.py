@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Imperfection
 from deadtime.scenarios.dataset import Results
-from deadtime.scenarios.engine import LANES, Engine
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.loop import Laid, Loop
 from deadtime.scenarios.source import Source, scenario_seed
@@ -20,7 +19,11 @@ from deadtime.simulation import simulate
 from deadtime.switching import SignalBatch, SwitchingSignal
 from deadtime.switching.grid import modes_at
 
+if TYPE_CHECKING:
+    from deadtime.scenarios.engine import Engine
+
 _ROWS_BYTES = 5e7  # of rows per sample that are held at a time
+_FEW = 8  # scenarios whose rows per sample, or whose trajectories, the engine takes at a time
 
 Stopped = Callable[[], bool]
 
@@ -89,7 +92,7 @@ class Block:
         """Run a law by the engine; which scenarios are left to `simulate`."""
         results, loop, count = self.results, self.loop, len(signals)
         size = self._size(law) if table is None else count
-        size = size if results.x is None else min(size, LANES)
+        size = size if results.x is None else min(size, _FEW)
         left: list[int] = []
         for start in range(0, count, size):
             if stopped():
@@ -130,7 +133,7 @@ class Block:
         """For how many scenarios rows per sample fit into memory at a time."""
         taps, inputs = law.window(self.loop.window.step).count, self.loop.plant.inputs
         rows = 8.0 * (self.loop.whole + 1) * taps * inputs**2
-        return int(np.clip(_ROWS_BYTES / rows, 1, LANES))
+        return int(np.clip(_ROWS_BYTES / rows, 1, _FEW))
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""

@@ -18,7 +18,6 @@ from deadtime.plant import SwitchedSystem, Window
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
 from deadtime.scenarios.dataset import METRICS, Results, dataset_of
-from deadtime.scenarios.engine import BACKENDS, Engine, engine_of
 from deadtime.scenarios.figures import few_late
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory import require_memory
@@ -31,13 +30,14 @@ from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 if TYPE_CHECKING:
     import xarray as xr
 
+    from deadtime.scenarios.engine import Engine
+
     Laws = Sequence[Law] | Mapping[str, Law]
     Model = SwitchingModel | Sequence[SwitchingSignal] | SignalBatch
 else:
     Laws = Model = object  # `named_laws` and `source_of` check them, with better messages
 
 _BLOCK_STEPS, _BLOCK = 4e6, 2048  # periods in a block, and scenarios
-_LARGER = 16  # so many times as much for a device that wants much to do at a time
 _MOST_TERMS = 1500  # of straight-line code for a period of the plant
 _NAMED = 10  # scenarios that a message names
 
@@ -61,7 +61,7 @@ def monte_carlo(
     """Run several laws over many switching signals, every law on the same ones.
 
     The signal of scenario i depends on the model, on `seed` and on i only: not on the number
-    of scenarios or of laws, on the backend, or on how many threads there are; `draw_signals`
+    of scenarios or of laws, or on how many threads there are; `draw_signals`
     gives it. Inputs before time 0 are 0. The loops are those of `simulate`: switches anywhere,
     any delay, a law whose model is not the plant.
 
@@ -92,9 +92,8 @@ def monte_carlo(
         Number of signals to draw, ≥ 1; with a list of signals its length counts instead.
     seed : int
         At least 0. The same seed gives the same signals.
-    backend : "numba" or "jax"
-        The compiled loop for processors, or JAX, which uses a GPU where there is one
-        (``pip install "deadtime[jax]"``).
+    backend : "numba"
+        The compiled loop for processors, the only engine that there is.
     progress : bool or callable, optional
         True for a bar on the terminal; or called as ``progress(done, total)`` after each block
         of scenarios.
@@ -122,7 +121,7 @@ def monte_carlo(
     ------
     ArgumentError
         If an argument is malformed, laws, plant and signals do not belong together, the results
-        would not fit into memory, or the backend is not installed.
+        would not fit into memory, or there is no such backend.
 
     Examples
     --------
@@ -137,6 +136,8 @@ def monte_carlo(
     >>> data.ise.median("scenario").sel(law="mean").item() < 1000
     True
     """
+    from deadtime.scenarios.engine import Engine
+
     horizon, step = positive("horizon", horizon), positive("step", step)
     instance("plant", plant, SwitchedSystem)
     named = named_laws(laws)
@@ -144,8 +145,8 @@ def monte_carlo(
         require_match(plant, law)
     scenarios, seed = _whole("scenarios", scenarios, 1), _whole("seed", seed, 0)
     threads = processors() if threads is None else _whole("threads", threads, 1)
-    if backend not in BACKENDS:
-        raise ArgumentError(f"backend must be one of {list(BACKENDS)}, got {backend!r}.")
+    if backend != "numba":
+        raise ArgumentError(f"backend must be 'numba', the only engine there is, got {backend!r}.")
     x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     delay = max(plant.delay, *(law.plant.delay for law in named.values()))
     require_steps(horizon, delay, step)
@@ -153,16 +154,16 @@ def monte_carlo(
     streams(imperfections, seed)
     loop = Loop(plant, Window.of_plant(plant, step), x0, horizon, _actuators(imperfections))
     results = _room(loop, len(named), scenarios, trajectories)
-    engine = engine_of(backend, loop)
+    engine = Engine(loop)
     tables = _tables(engine, loop, named, imperfections)
     weight, weighed = weight_of(weight, plant), None
     if weight is not None:
         other = replace(loop, weight=weight)
-        weighed, tables = (other, engine_of(backend, other)), tables if backend == "numba" else {}
+        weighed = other, Engine(other)
     block = Block(loop, source, named, tables, engine, imperfections, seed, results, weighed)
-    size = _block(loop, backend) if tables else 1
+    size = _block(loop) if tables else 1
     with shown(progress, scenarios) as report:
-        workers = min(threads, -(-scenarios // size)) if tables and backend == "numba" else 1
+        workers = min(threads, -(-scenarios // size)) if tables else 1
         continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
     attributes = {
         "seed": seed,
@@ -181,10 +182,9 @@ def monte_carlo(
     return dataset_of(list(named), results, step, attributes, weight)
 
 
-def _block(loop: Loop, backend: str) -> int:
+def _block(loop: Loop) -> int:
     """Scenarios in a block, in whole vectors of eight."""
-    larger = _LARGER if backend == "jax" else 1
-    return 8 * int(np.clip(larger * _BLOCK_STEPS / 8 / (loop.whole + 1), 1, larger * _BLOCK / 8))
+    return 8 * int(np.clip(_BLOCK_STEPS / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 
 def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
