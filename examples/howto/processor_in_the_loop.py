@@ -26,7 +26,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import deadtime as dt
-from deadtime.numerics.exponential import held
+from deadtime.numerics.exponential import discretise
 
 SERVER = """
 #define _POSIX_C_SOURCE 200112L
@@ -140,7 +140,7 @@ with tempfile.TemporaryDirectory() as place:
         edges = np.unique(np.concatenate(([now], inside, [now + step])))
         for a, b in pairwise(edges):
             mode = int(signal(a))
-            Phi, Gamma = held(plant.A[mode], plant.B[mode], b - a)
+            Phi, Gamma = discretise(plant.A[mode], plant.B[mode], b - a)
             x = Phi @ x + Gamma @ inputs[np.searchsorted(arrivals, a, side="right") - 1]
         states.append(x)
     wire.sendto(np.full(4 + plant.states + plant.inputs, -1.0).tobytes(), address)

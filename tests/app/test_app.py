@@ -19,8 +19,8 @@ import deadtime as dt
 from deadtime.app import jobs
 from deadtime.app.costs import table_of
 from deadtime.app.documents import MOST_BYTES, open_named, open_upload, to_toml
-from deadtime.app.drawing import MOST, switched
-from deadtime.app.laws import offered
+from deadtime.app.drawing import MOST, switch_at
+from deadtime.app.laws import laws_on_offer
 from deadtime.app.outcome import run_draft
 from deadtime.app.page import Page
 from deadtime.app.ranges import ranges_of, steps_of
@@ -91,12 +91,12 @@ def shown(page, law):
 @pytest.mark.parametrize("name", list(dt.problems.NAMED))
 def test_an_untouched_problem_is_saved_as_it_was_opened(name):
     document = open_named(name)
-    offer, _ = offered(document)
+    offer, _ = laws_on_offer(document)
     assert to_toml(document, draft_of(document, offer, Settings())) == document.text
 
 
 def test_what_is_saved_is_what_is_shown_and_keeps_comments(own, tmp_path):
-    offer, _ = offered(own)
+    offer, _ = laws_on_offer(own)
     settings = Settings(
         {"delay": 0.4, "noise": 0.01, "dwell_time": 0.3, "run.x0.1": 0.25, "step": 0.04},
         laws=("averaged", "middle", "expected", "oracle"),
@@ -254,7 +254,7 @@ def test_the_costs_on_the_page_are_those_of_simulate(own):
 
 
 def test_the_oracle_is_compared_with_though_it_is_not_chosen(own):
-    offer, _ = offered(own)
+    offer, _ = laws_on_offer(own)
     without = run_draft(draft_of(own, offer, Settings()), own.source)
     among = run_draft(draft_of(own, offer, Settings(laws=("averaged", "oracle"))), own.source)
     assert without.oracle == among.metrics["oracle"]["cost"]
@@ -392,7 +392,7 @@ def test_scripts_of_rules_and_observers_run(more, tmp_path, monkeypatch):
 
 def test_a_law_that_diverges_is_shown_as_growing():
     paper = open_named("paper")
-    offer, chosen = offered(paper)
+    offer, chosen = laws_on_offer(paper)
     outcome = run_draft(draft_of(paper, offer, Settings()), paper.source)
     assert math.isinf(outcome.ratio("delay ignored"))
     assert ">grows<" in table_of(outcome, list(offer))
@@ -412,7 +412,7 @@ def test_the_csv_holds_every_sample_of_every_law(own):
 @pytest.mark.parametrize("name", ["own", "paper"])
 def test_the_script_makes_the_same_runs_and_a_figure(name, own, tmp_path, monkeypatch, capsys):
     document = own if name == "own" else open_named("paper")
-    offer, _ = offered(document)
+    offer, _ = laws_on_offer(document)
     settings = Settings({"noise": 0.01, "saturation": 30.0}, tuple(offer), Drawn(1))
     outcome = run_draft(draft_of(document, offer, settings), document.source)
     monkeypatch.chdir(tmp_path)
@@ -442,17 +442,17 @@ def test_a_signal_drawn_by_hand_is_the_one_that_runs(own):
 
 def test_drawing_refuses_what_is_no_switch():
     with pytest.raises(dt.ArgumentError, match=r"mode must be in 0\.\.1, got 2"):
-        switched([0.0], [0], 1.0, 2, 2)
+        switch_at([0.0], [0], 1.0, 2, 2)
     with pytest.raises(dt.ArgumentError, match="time of a switch must be ≥ 0"):
-        switched([0.0], [0], -1.0, 1, 2)
+        switch_at([0.0], [0], -1.0, 1, 2)
     with pytest.raises(dt.ArgumentError, match="time of a switch must be ≥ 0"):
-        switched([0.0], [0], float("nan"), 1, 2)
+        switch_at([0.0], [0], float("nan"), 1, 2)
     with pytest.raises(dt.ArgumentError, match=f"at most {MOST} sojourns"):
-        switched(np.arange(MOST) * 1.0, np.arange(MOST) % 2, 5.5, 2, 3)
+        switch_at(np.arange(MOST) * 1.0, np.arange(MOST) % 2, 5.5, 2, 3)
 
 
 def test_the_worst_signal_of_the_page_is_that_of_falsify(own):
-    offer, _ = offered(own)
+    offer, _ = laws_on_offer(own)
     draft = draft_of(own, offer, Settings({"distance": 1.5}))
     found = jobs.worst_signal(draft, own.source, "averaged", 0.6)
     problem = run_draft(draft, own.source).problem

@@ -168,7 +168,7 @@ def test_an_object_takes_its_own_copy_of_what_can_be_written_to():
 def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(again):
     from deadtime import cut_pieces
     from deadtime.laws.tables import constant_mode as rows
-    from deadtime.numerics.exponential import held
+    from deadtime.numerics.exponential import discretise
     from deadtime.simulation import kernel
 
     compiled = [
@@ -176,7 +176,7 @@ def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(again):
         for module in (kernel, rows, cut_pieces)
         for function in vars(module).values()
         if hasattr(function, "signatures")
-    ] + [held]
+    ] + [discretise]
 
     def ask(plant, law, signal):
         run = dt.simulate(plant, law, signal, [-1, 1], 1.25, step=H, times=[0.07, 1.0, 1.21])

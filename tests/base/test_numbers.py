@@ -9,7 +9,7 @@ import pytest
 import deadtime as dt
 from deadtime.base.checks import as_floats, brief, count, index, number, real_array
 from deadtime.numerics.covariance import noise_covariance
-from deadtime.numerics.exponential import energy_gramian, held
+from deadtime.numerics.exponential import discretise, energy_gramian
 from deadtime.spectrum import characteristic_roots
 
 PAPER = dt.problems.paper()
@@ -29,7 +29,7 @@ def test_an_exponential_of_any_size_comes_to_an_end_and_what_it_does_not_know_is
     A, B = np.array([[size, size], [0.0, size]]), np.ones((2, 1))
     for array in (A, B):
         array.flags.writeable = False
-    for result in (*held(A, B, tau), energy_gramian(A, B, tau)):
+    for result in (*discretise(A, B, tau), energy_gramian(A, B, tau)):
         assert not np.isfinite(result).all()
     assert not np.isfinite(noise_covariance(A, np.eye(2), tau)).all()
 
@@ -38,7 +38,7 @@ def test_a_stable_exponential_over_1e300_seconds_is_its_limit():
     A, B = np.array([[-1.0]]), np.array([[2.0]])
     for array in (A, B):
         array.flags.writeable = False
-    Phi, Gamma = held(A, B, 1e300)
+    Phi, Gamma = discretise(A, B, 1e300)
     assert Phi[0, 0] == 0.0
     assert Gamma[0, 0] == pytest.approx(2.0, rel=1e-12)
 

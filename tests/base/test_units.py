@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.numerics.exponential import energy_gramian, held
+from deadtime.numerics.exponential import discretise, energy_gramian
 
 # A hydraulic axis in pascals, a two-mass drive, a rotation with far-apart units.
 BADLY_SCALED = {
@@ -31,7 +31,7 @@ def test_transition_is_accurate_entry_by_entry_on_badly_scaled_plants(name):
     with mpmath.workdps(60):
         exact = mpmath.expm(mpmath.matrix(block.tolist()) * mpmath.mpf(tau), method="taylor")
         exact = np.array(exact.tolist(), dtype=float)
-    Phi, Gamma = held(A, B, tau)
+    Phi, Gamma = discretise(A, B, tau)
     computed = np.hstack((Phi, Gamma))
     assert (np.abs(computed - exact[:n]) <= 1e-12 * np.abs(exact[:n])).all()
 

@@ -147,7 +147,7 @@ def test_every_step_decreases_the_lyapunov_function_in_floats_and_in_fifty_digit
 def assert_runs_decrease(certificate, plant, law, signal, samples, ages=reference.ages):
     """V falls at every sample of a run from random states and inputs; `ages` of sampled modes."""
     rng, setting = np.random.default_rng(2), certificate.evidence.setting
-    x0, u0 = rng.normal(size=plant.states), rng.normal(size=(plant.inputs, setting.held))
+    x0, u0 = rng.normal(size=plant.states), rng.normal(size=(plant.inputs, setting.past))
     if not setting.inputs:  # V is of the loop once past inputs have arrived
         u0[:] = 0.0
     run = dt.simulate(plant, law, signal, x0, samples * setting.step, setting.step, u0)
@@ -155,7 +155,7 @@ def assert_runs_decrease(certificate, plant, law, signal, samples, ages=referenc
     sampled = signal(np.arange(samples + 1) * setting.step + 1e-12)
     values = []
     for k, age in enumerate(ages(sampled.tolist())):
-        past = inputs[k : k + setting.held][::-1]
+        past = inputs[k : k + setting.past][::-1]
         xi = np.concatenate((run.states[:, k], past.ravel()))
         xi = xi[: certificate.evidence.setting.order]  # without input the state alone
         values.append(xi @ certificate.lyapunov(int(sampled[k]), age) @ xi)

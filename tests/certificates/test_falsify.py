@@ -14,8 +14,8 @@ import reference
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import SampledLoop
-from deadtime.certificates.worst_case.products import compressed
-from deadtime.certificates.worst_case.witness import repeated
+from deadtime.certificates.worst_case.products import compress
+from deadtime.certificates.worst_case.witness import repeat
 from deadtime.spectrum import lifted_loop
 
 H = 0.1
@@ -326,7 +326,7 @@ def test_the_witness_grows_in_an_independent_simulation_of_another_plant(name):
     law = plants.LAWS[name](model)
     worst = dt.falsify(plant, law, 0.17, H, maximum_dwell=0.63, budget=QUICK)
     assert len(worst.modes) > 1
-    signal = repeated(worst.cycle, 2, 0.17, H)
+    signal = repeat(worst.cycle, 2, 0.17, H)
     near = [round(t / H) for t in signal.times]  # within 1e-9 periods of a sample is at it
     cuts = [
         Fraction(k, 10) if abs(t / H - k) < 1e-9 else Fraction(t)
@@ -357,7 +357,7 @@ def test_a_dwell_time_is_kept_to_the_last_digit():
         r = Dwell.of(dwell, None, H).least
         for offset in (0.0, 0.3, 0.999):
             gaps = (r, r, np.ceil(4 * r) - 2 * r)
-            signal = repeated(Cycle((0, 1, 2), gaps, offset), 200, dwell, H)
+            signal = repeat(Cycle((0, 1, 2), gaps, offset), 200, dwell, H)
             assert dwell <= signal.dwell_time <= dwell * (1.0 + 1e-12)
 
 
@@ -429,7 +429,7 @@ def test_the_compressed_loop_ranks_cycles_as_the_loop_does_whatever_is_late():
     loop = SampledLoop.of(plant, law.digital(0.02), 0.0)
     lengths = np.arange(10, 120)
     kinds = Kinds.of(loop.feedback, 2, mixed=True)
-    sojourns = compressed(loop, lengths, kinds)
+    sojourns = compress(loop, lengths, kinds)
     assert sojourns.matrix.shape[2] < loop.order / 3
     rng = np.random.default_rng(1)
     for count in (2, 4, 6):

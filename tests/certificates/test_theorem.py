@@ -19,7 +19,7 @@ from deadtime.certificates.theorem.sharp import (
     closed_loop_mismatch,
     euclidean,
     logarithmic_norm,
-    weighted,
+    weighted_norm,
 )
 from deadtime.gains import common_lyapunov, stabilize
 from deadtime.numerics.logs import log_integral, log_inverse, log_one_plus, log_sum
@@ -283,7 +283,7 @@ def test_the_mismatch_along_the_closed_loop_is_within_its_kernel(seed, name, pie
     pair = known(name, "sharp").lyapunov
     for norm, S in (
         (euclidean(plant, gains, pair), np.eye(plant.states)),
-        (weighted(plant, gains, pair), pair.P),
+        (weighted_norm(plant, gains, pair), pair.P),
     ):
         log_c1, kernel = closed_loop_mismatch(plant, gains, norm)
         k = sum(np.exp(coefficient + exponent * ages) for coefficient, exponent in kernel)
@@ -299,7 +299,7 @@ def test_both_routes_split_the_derivative_of_v_as_the_theory_says(case):
     P, H = pair.P, plant.A + plant.B @ gains
     for norm, S in (
         (euclidean(plant, gains, pair), np.eye(plant.states)),
-        (weighted(plant, gains, pair), P),
+        (weighted_norm(plant, gains, pair), P),
     ):
         b, share = math.exp(norm.log_b), math.exp(norm.log_b - norm.log_gamma2)
         for h, B in zip(H, plant.B, strict=True):

@@ -143,7 +143,7 @@ def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monke
 
 KNOWN_EVERYWHERE = """
 from deadtime.app.documents import open_named
-from deadtime.app.laws import offered
+from deadtime.app.laws import laws_on_offer
 from deadtime.app.script import script_of
 from deadtime.reports.figures.colours import colour_of
 from deadtime.problems.law_registry import the_law
@@ -151,7 +151,7 @@ from deadtime.base.palette import SLATE
 from deadtime.problems import json_schema, load_problem
 from deadtime.scenarios.sweeps.laws import kinds_of
 
-assert offered(open_named("paper"))[0]["current mode"] == {"kind": "current-mode"}
+assert laws_on_offer(open_named("paper"))[0]["current mode"] == {"kind": "current-mode"}
 assert colour_of("current mode") == SLATE
 assert the_law("current mode") == "the current-mode law"
 assert "CurrentModeLaw" in json_schema()["$defs"]

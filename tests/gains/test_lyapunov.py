@@ -11,8 +11,8 @@ import deadtime as dt
 import plants
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.gains import CommonLyapunov, common_lyapunov, stabilize
-from deadtime.gains.checked import checked_gains
-from deadtime.gains.lyapunov import checked_lyapunov, decaying_lyapunov, growth_in_norm
+from deadtime.gains.checked import check_gains
+from deadtime.gains.lyapunov import check_lyapunov, decaying_lyapunov, growth_in_norm
 from deadtime.numerics import lmi
 
 PROBLEM = dt.problems.paper()
@@ -20,7 +20,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def given_gains(plant, value):
-    return checked_gains(plant, value, allow_unstable=True)
+    return check_gains(plant, value, allow_unstable=True)
 
 
 def without_common_p(a=8.0):
@@ -187,13 +187,13 @@ def test_ctrl_c_still_stops_a_solver(monkeypatch):
 def test_a_user_s_pair_is_accepted_and_still_holds_exactly():
     K = given_gains(PROBLEM.plant, PROBLEM.gains)
     found = common_lyapunov(PROBLEM.plant, K)
-    again = checked_lyapunov(PROBLEM.plant, K, found)
+    again = check_lyapunov(PROBLEM.plant, K, found)
     assert holds_exactly(PROBLEM.plant, K, again.P, again.Q)
     # A Lyapunov equation satisfies the inequality with equality, up to rounding.
     plant = dt.SwitchedSystem(PROBLEM.plant.A[:1], PROBLEM.plant.B[:1], 1.0)
     H = plant.A[0] + plant.B[0] @ K[0]
     P = solve_continuous_lyapunov(H.T, -np.eye(2))
-    pair = checked_lyapunov(plant, K[:1], (P, np.eye(2)))
+    pair = check_lyapunov(plant, K[:1], (P, np.eye(2)))
     assert holds_exactly(plant, K[:1], pair.P, pair.Q)
     plants.close(pair.Q, np.eye(2), 1e-10)
 
@@ -212,14 +212,14 @@ def test_a_user_s_pair_is_accepted_and_still_holds_exactly():
 )
 def test_a_user_s_pair_is_refused_by_name(lyapunov, message):
     with pytest.raises(ArgumentError, match=message):
-        checked_lyapunov(PROBLEM.plant, given_gains(PROBLEM.plant, PROBLEM.gains), lyapunov)
+        check_lyapunov(PROBLEM.plant, given_gains(PROBLEM.plant, PROBLEM.gains), lyapunov)
 
 
 def test_a_q_too_small_for_rounding_is_refused():
     plant = dt.SwitchedSystem([np.diag([-1.0, -1e-16])], [[[0.0], [1.0]]], 1.0)
     pair = CommonLyapunov(np.eye(2), np.diag([1e-16, 1e-16]))
     with pytest.raises(ArgumentError, match="only up to rounding errors"):
-        checked_lyapunov(plant, given_gains(plant, np.zeros((1, 1, 2))), pair)
+        check_lyapunov(plant, given_gains(plant, np.zeros((1, 1, 2))), pair)
 
 
 def test_growth_in_the_norm_of_p_bounds_products_of_exponentials():

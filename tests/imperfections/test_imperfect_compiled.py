@@ -83,7 +83,7 @@ def test_noise_and_limits_alone_never_call_the_law_by_periods(monkeypatch):
 
 def test_noise_is_the_same_in_blocks_and_one_by_one():
     sizes = Sizes.of(PLANT, 0.1)
-    one, block = (NOISE.added(sizes, np.random.default_rng(3)) for _ in range(2))
+    one, block = (NOISE.sampler(sizes, np.random.default_rng(3)) for _ in range(2))
     assert (block(5) == np.vstack([one(1) for _ in range(5)])).all()
 
 

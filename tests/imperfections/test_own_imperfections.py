@@ -18,7 +18,7 @@ from deadtime.imperfections import (
     Saturation,
     SensorImperfection,
 )
-from deadtime.simulation.outcome import pushed
+from deadtime.simulation.outcome import is_pushed
 
 LAW = plants.LAWS["averaged"](MODEL)
 
@@ -66,7 +66,7 @@ class Drift(Additive, SensorImperfection):
     kind: ClassVar[int] = 104
     std: float
 
-    def added(self, sizes, rng):
+    def sampler(self, sizes, rng):
         offset = np.zeros(sizes.states)
 
         def draw(count):
@@ -126,8 +126,8 @@ def test_an_actuator_that_is_no_limit_runs_one_by_one():
 
 
 def test_a_loop_with_noise_of_ones_own_is_pushed():
-    assert pushed(LAW, [Drift(0.1)])
-    assert not pushed(LAW, [Fuse(1.0)])
+    assert is_pushed(LAW, [Drift(0.1)])
+    assert not is_pushed(LAW, [Fuse(1.0)])
 
 
 def test_an_exported_controller_clips_within_own_limits():

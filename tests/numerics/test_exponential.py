@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import plants
-from deadtime.numerics.exponential import energy_gramian, held, held_modes
+from deadtime.numerics.exponential import discretise, discretise_modes, energy_gramian
 
 rng = np.random.default_rng(3)
 NILPOTENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
@@ -54,7 +54,7 @@ def test_held_equals_50_digit_arithmetic(case):
     A, B, tau = case
     n = A.shape[0]
     whole = rounded(precise(extended(A, B), tau))
-    Phi, Gamma = held(A, B, tau)
+    Phi, Gamma = discretise(A, B, tau)
     tolerance = 2e-16 * (20 + 4 * np.linalg.norm(A, 2) * tau)
     plants.close(Phi, whole[:n, :n], tolerance)
     for column, reference in zip(Gamma.T, whole[:n, n:].T, strict=True):
@@ -63,7 +63,7 @@ def test_held_equals_50_digit_arithmetic(case):
 
 def test_held_equals_scipy_s_exponential_of_the_extended_matrix(case):
     A, B, tau = case
-    Phi, Gamma = held(A, B, tau)
+    Phi, Gamma = discretise(A, B, tau)
     # SciPy itself loses digits on a badly scaled B: compare in units in which it is not.
     unit = np.maximum(np.abs(B).max(axis=0), 1e-300)
     tolerance = 1e-13 * (10 + np.linalg.norm(A, 2) * tau)
@@ -72,7 +72,7 @@ def test_held_equals_scipy_s_exponential_of_the_extended_matrix(case):
 
 
 def test_nothing_happens_in_no_time():
-    Phi, Gamma = held(*CASES["random"][:2], 0.0)
+    Phi, Gamma = discretise(*CASES["random"][:2], 0.0)
     assert np.array_equal(Phi, np.eye(4))
     assert not Gamma.any()
     assert not energy_gramian(*CASES["random"][:2], 0.0).any()
@@ -80,24 +80,24 @@ def test_nothing_happens_in_no_time():
 
 def test_a_nilpotent_plant_has_polynomials():
     B = np.array([[0.0], [0.0], [1.0]])
-    Phi, Gamma = held(NILPOTENT, B, 2.0)
+    Phi, Gamma = discretise(NILPOTENT, B, 2.0)
     plants.close(Phi, [[1, 2, 2], [0, 1, 2], [0, 0, 1]], 1e-15)
     plants.close(Gamma, [[4 / 3], [2], [2]], 1e-15)
 
 
 def test_two_pieces_make_the_whole(case):
     A, B, tau = case
-    (P, G), (P1, G1), (P2, G2) = (held(A, B, t) for t in (tau, 0.3 * tau, 0.7 * tau))
+    (P, G), (P1, G1), (P2, G2) = (discretise(A, B, t) for t in (tau, 0.3 * tau, 0.7 * tau))
     plants.close(P2 @ P1, P, 1e-12)
     plants.close(P2 @ G1 + G2, G, 1e-12)
 
 
 def test_held_modes_is_held_for_every_mode():
     plant = plants.generic()
-    Phi, Gamma = held_modes(plant.A, plant.B, 0.1)
+    Phi, Gamma = discretise_modes(plant.A, plant.B, 0.1)
     for i in range(3):
-        assert np.array_equal(Phi[i], held(plant.A[i], plant.B[i], 0.1)[0])
-        assert np.array_equal(Gamma[i], held(plant.A[i], plant.B[i], 0.1)[1])
+        assert np.array_equal(Phi[i], discretise(plant.A[i], plant.B[i], 0.1)[0])
+        assert np.array_equal(Gamma[i], discretise(plant.A[i], plant.B[i], 0.1)[1])
 
 
 def test_the_gramian_equals_van_loan_s_in_50_digits(case):

@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 import plants
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import begun, gramians, pieces_along
+from deadtime.plant.cut_pieces import gramians, pieces_along, up_to
 from deadtime.plant.pieces import Stretches
-from deadtime.plant.sampled_plant import acting
+from deadtime.plant.sampled_plant import acting_inputs
 from deadtime.switching.grid import cuts_of
 
 STEP = 0.1
@@ -39,7 +39,7 @@ def test_a_period_is_what_its_pieces_and_the_plant_itself_do(delay, mode):
     moved = Phi @ x + sum(part @ inputs[lag] for part, lag in zip(Gamma, lags, strict=True))
     plants.close(moved, reference, 1e-12)
     for piece in sampled.pieces(mode):
-        x = piece.Phi @ x + piece.Gamma @ acting(piece.stretch.lag, inputs)
+        x = piece.Phi @ x + piece.Gamma @ acting_inputs(piece.stretch.lag, inputs)
     plants.close(x, reference, 1e-12)
     assert max(lags) == sampled.longest_lag == int(np.ceil(round(delay / STEP, 9)))
 
@@ -144,7 +144,7 @@ def test_a_piece_begun_is_its_parts_up_to_there():
             if a < end:
                 P, G = plants.held(A[mode], B[mode], min(b, end) - a)
                 Phi, Gamma = P @ Phi, P @ Gamma + G
-        found = begun(A, B, table, cuts.offset, cuts.mode, entry, end)
+        found = up_to(A, B, table, cuts.offset, cuts.mode, entry, end)
         plants.close(found[0], Phi, 1e-13)
         plants.close(found[1], Gamma, 1e-13)
     plants.close(found[0], table.Phi[entry], 1e-15)

@@ -10,7 +10,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.app.documents import open_named
-from deadtime.app.laws import offered
+from deadtime.app.laws import laws_on_offer
 from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.named import template
 from deadtime.problems.file.schema import ProblemFile
@@ -159,7 +159,7 @@ def test_laws_of_files_studies_and_pages_come_in_their_order():
     singles = ["mode 0 only", "mode 1 only"]
     laws = list(build_problem(file, open_named("paper").source).laws)
     assert laws == ["averaged", *singles, "mean", "oracle", "delay ignored"]
-    assert list(offered(open_named("paper"))[0]) == [
+    assert list(laws_on_offer(open_named("paper"))[0]) == [
         *laws,
         *("expected", "optimal", "averaged, dwell-aware", "mean, dwell-aware"),
     ]

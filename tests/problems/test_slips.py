@@ -12,7 +12,7 @@ from deadtime.problems.comparison import compare
 from deadtime.problems.slips import disagreement_of, slips_of
 from deadtime.reports.tables.certificates import delay_sentence, judge
 from deadtime.reports.verdict import verdict
-from deadtime.spectrum.affordable import MOST, left_out, seconds_of
+from deadtime.spectrum.affordable import MOST, seconds_of, why_left_out
 
 PAPER = dt.problems.paper()
 
@@ -93,11 +93,11 @@ def test_the_step_that_is_proposed_is_affordable(asked):
     for delay, modes in ((250.0, 2), (90.0, 5), (1e5, 1)):
         plant = plants.scalar([-0.2] * modes, delay=delay)
         law = dt.DelayedStateFeedback(plant, np.full((modes, 1, 1), -0.1))
-        why = left_out(asked, plant, law, 0.01)
+        why = why_left_out(asked, plant, law, 0.01)
         step = float(why.split("longer step, ")[1].split(" s")[0])
-        assert left_out(asked, plant, law, step) == ""
+        assert why_left_out(asked, plant, law, step) == ""
         assert seconds_of(asked, plant, law, 0.5 * step) > MOST
-    assert left_out(asked, plant, law, None) == ""
+    assert why_left_out(asked, plant, law, None) == ""
 
 
 @pytest.mark.parametrize(

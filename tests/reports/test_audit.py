@@ -19,7 +19,7 @@ from deadtime.reports.audit.measure import (
     gather,
     random_signals,
 )
-from deadtime.reports.audit.sweeps import moved, stretched
+from deadtime.reports.audit.sweeps import move_modes, stretch
 from deadtime.reports.figures.audit import plot_claims, plot_distances, plot_dwell_times
 from deadtime.scenarios.paired.proportion import Proportion
 
@@ -85,7 +85,7 @@ def test_the_verdict_follows_from_the_numbers(count, trials, verdict):
 def test_signals_of_other_dwell_times_are_the_same_ones_stretched():
     short, long = (random_signals(PROBLEM, tau, 5, seed=2) for tau in (0.2, 0.8))
     for one, other in zip(short, long, strict=True):
-        slower = stretched(one, 4.0)
+        slower = stretch(one, 4.0)
         count = other.times.size
         assert slower.times[:count] == pytest.approx(other.times, rel=1e-12)
         assert np.array_equal(slower.modes[:count], other.modes)
@@ -131,11 +131,11 @@ def test_figures_are_those_of_plain_runs():
 
 
 def test_modes_moved_by_1_are_the_example_and_by_0_all_the_same():
-    same, epsilon = moved(PROBLEM, 1.0)
+    same, epsilon = move_modes(PROBLEM, 1.0)
     assert epsilon == pytest.approx(0.7895, abs=5e-5)
     plants.close(same.plant.A, PROBLEM.plant.A, 1e-15)
     plants.close(same.gains, PROBLEM.gains, 1e-12)
-    none, epsilon = moved(PROBLEM, 0.0)
+    none, epsilon = move_modes(PROBLEM, 0.0)
     assert epsilon == 0.0
     runs = [none.simulate(name) for name in (LEAD, MEAN)]
     plants.close(runs[0].states, runs[1].states, 1e-9)

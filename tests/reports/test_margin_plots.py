@@ -10,7 +10,7 @@ from deadtime.certificates import theorem_bound
 from deadtime.certificates.theorem.constants import distance
 from deadtime.margins import StabilityChart, StabilityMargin
 from deadtime.reports.figures.margins import plot_chart, plot_tightness
-from deadtime.reports.tightness import Reach, Tightness, moved, reach_of
+from deadtime.reports.tightness import Reach, Tightness, move_modes, reach_of
 
 
 def chart():
@@ -72,7 +72,7 @@ def test_the_theorem_reaches_where_the_distance_meets_what_it_allows(name, form)
     problem = dt.problems.NAMED[name]()
     reach = reach_of(problem, problem.signal.dwell_time, form)
     for factor, holds in ((0.99, True), (1.01, False)):
-        plant, gains = moved(problem, factor * max(reach.alpha, 1e-6))
+        plant, gains = move_modes(problem, factor * max(reach.alpha, 1e-6))
         bound = theorem_bound(plant, gains, problem.signal.dwell_time, form=form)
         if reach.alpha > 1e-6:
             assert bound.holds is holds
@@ -83,11 +83,11 @@ def test_the_theorem_reaches_where_the_distance_meets_what_it_allows(name, form)
 def test_moved_gains_place_the_same_poles_or_move_along_their_own_difference():
     problem = dt.problems.three_mode()
     for alpha in (0.0, 0.3, 1.0):
-        plant, gains = moved(problem, alpha)
+        plant, gains = move_modes(problem, alpha)
         for A, B, K in zip(plant.A, plant.B, gains, strict=True):
             assert np.sort(np.linalg.eigvals(A + B @ K)) == pytest.approx([-3.0, -2.0])
     assert gains == pytest.approx(problem.gains)
     other = dt.lqr(problem.plant, np.eye(2), np.eye(1))
     changed = replace(problem, gains=other)
-    assert moved(changed, 0.0)[1] == pytest.approx(np.stack([other[0]] * 3))
-    assert moved(changed, 0.5)[1][2] == pytest.approx((other[0] + other[2]) / 2)
+    assert move_modes(changed, 0.0)[1] == pytest.approx(np.stack([other[0]] * 3))
+    assert move_modes(changed, 0.5)[1][2] == pytest.approx((other[0] + other[2]) / 2)

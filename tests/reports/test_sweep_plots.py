@@ -15,8 +15,8 @@ from deadtime.cli.entry import main
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps import plot_bands, plot_heat, plot_regret, plot_wins
 from deadtime.reports.figures.sweeps.panels import NOT_BUILT, NOT_RUN
-from deadtime.reports.figures.sweeps.reduction import LEVELS, quantiles, reduced
-from deadtime.reports.figures.sweeps.selection import selected
+from deadtime.reports.figures.sweeps.reduction import LEVELS, quantiles, reduce
+from deadtime.reports.figures.sweeps.selection import select
 
 LAWS = ("averaged", "mean", "oracle")
 AXES = {
@@ -201,12 +201,12 @@ def test_a_tie_is_pale_and_hatched_and_nothing_else_is():
 def test_the_winner_does_not_depend_on_whether_the_oracle_is_there():
     data = sweep("delay", "dwell_time", laws=("a", "b", "c", "oracle"), scenarios=5)
     data.diverged[0, 0, :2, 0] = True
-    kept = selected(data, "ise")
+    kept = select(data, "ise")
     ise = kept.ise.where(~kept.diverged, 1e300).values
     means = np.log(ise[..., :3, :] / ise[..., 3:, :]).clip(max=np.log(1e12)).mean(axis=-1)
-    found = reduced(kept, "ise", ["a", "b", "c"], "oracle")
+    found = reduce(kept, "ise", ["a", "b", "c"], "oracle")
     np.testing.assert_array_equal(found.winner, means.argmin(axis=-1))
-    alone = reduced(selected(data.drop_sel(law="oracle"), "ise"), "ise", ["a", "b", "c"])
+    alone = reduce(select(data.drop_sel(law="oracle"), "ise"), "ise", ["a", "b", "c"])
     xr.testing.assert_equal(found[["winner", "ratio"]], alone[["winner", "ratio"]])
     assert "oracle" not in {text.get_text() for text in plot_wins(data).legends[0].get_texts()}
 
@@ -281,14 +281,14 @@ def test_chunks_change_nothing():
     lazy = data.chunk({"delay": 1, "dwell_time": 2})
     arguments = ("ise", ["averaged", "mean"], "oracle")
     xr.testing.assert_identical(
-        reduced(selected(lazy, "ise"), *arguments), reduced(selected(data, "ise"), *arguments)
+        reduce(select(lazy, "ise"), *arguments), reduce(select(data, "ise"), *arguments)
     )
 
 
 @pytest.mark.parametrize("value", [0.5, 0.5 * (1.0 + 1e-10), "0.5", "0.50"])
 def test_where_finds_a_value_by_its_number_or_its_text(value):
     data = sweep("delay", "dwell_time")
-    kept = selected(data, "ise", {"delay": value})
+    kept = select(data, "ise", {"delay": value})
     xr.testing.assert_identical(kept.ise, data.ise.isel(delay=[1]))
 
 

@@ -134,4 +134,4 @@ def test_the_legend_says_what_every_mark_is_and_nothing_else(short):
 def test_a_shortfall_counts_only_what_is_asked_for():
     assert Floors(0.1).shortfall(math.inf, -1.0) == 0.0
     assert Floors(0.1, 1.0).shortfall(0.05, 0.5) == pytest.approx(2.0 * math.log(2.0))
-    assert Floors(0.1, 1.0).missed(0.05, 0.5) == ("margin", "decay rate")
+    assert Floors(0.1, 1.0).shortfalls(0.05, 0.5) == ("margin", "decay rate")

@@ -19,7 +19,7 @@ from deadtime.app.outcome import Outcome
 from deadtime.app.script import SCRIPT, script_of
 from deadtime.app.settings import Given
 from deadtime.app.table import csv_of
-from deadtime.base.wording import file_name, signed
+from deadtime.base.wording import as_rate, file_name
 from deadtime.reports.figures.runs import plot_laws
 
 _LIMIT = 120.0  # seconds that a search may take
@@ -137,7 +137,7 @@ class Actions:
 
     # -- what happens ----------------------------------------------------------------------
 
-    def opened(self) -> None:
+    def on_opened(self) -> None:
         """Another problem was opened."""
         page = self.page
         called = file_name(page.document.name) or "problem"
@@ -152,12 +152,12 @@ class Actions:
             self.chart.clear(page.controls.value("dwell_time"))
         self.state.object = ""
 
-    def drawn(self) -> None:
+    def on_drawn(self) -> None:
         """The panels were made anew."""
         figures = self.page.figures
         self.play.js_on_click(code=_PLAY, args={"cursor": figures.cursor, "range": figures.x_range})
 
-    def shown(self) -> None:
+    def on_shown(self) -> None:
         """Something else is shown: the point moves, the verdict follows when the hand rests."""
         page = self.page
         names = list(page.outcome.problem.laws)
@@ -187,7 +187,7 @@ class Actions:
         page, law = self.page, self.law.value
         problem = page.outcome.problem
 
-        def grown(rates: list[float]) -> None:
+        def on_grown(rates: list[float]) -> None:
             if mine == self._moves:
                 self.verdict.object = verdict(law, problem.modes, rates)
 
@@ -197,11 +197,11 @@ class Actions:
 
         if lifted_order(problem) <= _AT_ONCE:
             rates = growth_rates(problem, law)
-            grown(rates) if rates else unknown("")
+            on_grown(rates) if rates else unknown("")
         else:
             unknown("")
             page.elsewhere(
-                _LIMIT, grown, unknown, growth_elsewhere, page.draft(), page.document.source, law
+                _LIMIT, on_grown, unknown, growth_elsewhere, page.draft(), page.document.source, law
             )
 
     def _switch(self, _: Any) -> None:
@@ -211,13 +211,13 @@ class Actions:
     def _find_worst(self, _: Any) -> None:
         page, law = self.page, self.law.value
 
-        def found(result: dict[str, Any]) -> None:
+        def on_found(result: dict[str, Any]) -> None:
             self.state.object = html.escape(result["message"])
-            about = f"the worst found for {law} ({signed(result['growth_rate'])} /s)"
+            about = f"the worst found for {law} ({as_rate(result['growth_rate'])} /s)"
             page.controls.choose(Given(tuple(result["times"]), tuple(result["modes"]), about))
 
         self._search(
-            self.worst, f"Looking for the worst signal of {law} …", found,
+            self.worst, f"Looking for the worst signal of {law} …", on_found,
             worst_signal, page.draft(), page.document.source, law, self._dwell_time(),
         )  # fmt: skip
 
@@ -238,7 +238,7 @@ class Actions:
         """
         i = len(before)
 
-        def found(margin: tuple[float, float, str]) -> None:
+        def on_found(margin: tuple[float, float, str]) -> None:
             if mine != self._round:
                 return
             certified, refuted, reason = margin
@@ -252,24 +252,24 @@ class Actions:
             self.state.object = html.escape(f"{law}: the chart is complete." + "".join(missing))
 
         text = f"{law}: column {i + 1} of {len(times)}, τ_d = {times[i]:.3g} s …"
-        self._search(self.fill, text, found, margin, *given, times[i])
+        self._search(self.fill, text, on_found, margin, *given, times[i])
 
     def _search(
         self, button: Any, text: str, found: Callable[[Any], None], job: Any, *given: Any
     ) -> None:
         """Run a job elsewhere, its button busy until it is done."""
 
-        def failed(error: str) -> None:
+        def on_failed(error: str) -> None:
             button.loading = False
             self.state.object = html.escape(error)
 
-        def done(result: Any) -> None:
+        def on_done(result: Any) -> None:
             button.loading = False
             found(result)
 
         button.loading = True
         self.state.object = html.escape(text)
-        self.page.elsewhere(_LIMIT, done, failed, job, *given)
+        self.page.elsewhere(_LIMIT, on_done, on_failed, job, *given)
 
     def _dwell_time(self) -> float:
         page = self.page
@@ -283,7 +283,7 @@ def verdict(law: str, modes: Sequence[str], rates: Sequence[float]) -> str:
     if not rates:
         return ""
     said = ", ".join(
-        f"{html.escape(name)} {signed(rate)} /s" for name, rate in zip(modes, rates, strict=True)
+        f"{html.escape(name)} {as_rate(rate)} /s" for name, rate in zip(modes, rates, strict=True)
     )
     judged = "stable" if max(rates) < 0.0 else "<b>unstable</b>"
     return (

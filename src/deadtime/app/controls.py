@@ -58,11 +58,11 @@ class Controls:
         self.redraw = pmui.Button(label="Another signal", variant="outlined", **WIDE)
         self.original = pmui.Button(label="The file's signal", variant="outlined", **WIDE)
         for widget in [*self.sliders.values(), self.step, self.laws]:
-            widget.param.watch(self._moved, "value")
+            widget.param.watch(self._on_moved, "value")
         drawing = [self.sojourn, self.seed]
         drawing += [self.sliders["dwell_time"]] if "dwell_time" in self.sliders else []
         for widget in drawing:
-            widget.param.watch(self._drawn, "value")
+            widget.param.watch(self._on_drawn, "value")
         self.redraw.on_click(self._next)
         self.original.on_click(lambda _: self.choose(None))
 
@@ -99,11 +99,11 @@ class Controls:
             return [*found, self.sojourn, self.seed, row]
         return [*found, self.step] if group == "Run" else found
 
-    def _moved(self, _: Any) -> None:
+    def _on_moved(self, _: Any) -> None:
         if not self._quiet:
             self._changed()
 
-    def _drawn(self, _: Any) -> None:
+    def _on_drawn(self, _: Any) -> None:
         """What the switching is drawn from was moved: the signal is drawn again."""
         if not self._quiet:
             self.choose(Drawn(int(self.seed.value or 0)))

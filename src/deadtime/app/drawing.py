@@ -10,7 +10,7 @@ from deadtime.base.errors import ArgumentError
 MOST = 500  # switches
 
 
-def switched(
+def switch_at(
     times: Sequence[float], modes: Sequence[int], at: float, mode: int, count: int
 ) -> Given:
     """The signal that is in a mode from an instant on, up to its next switch.
@@ -34,9 +34,9 @@ def switched(
 
     Examples
     --------
-    >>> switched([0.0], [0], 1.5, 1, 2)
+    >>> switch_at([0.0], [0], 1.5, 1, 2)
     Given(times=(0.0, 1.5), modes=(0, 1), about='drawn by hand')
-    >>> switched([0.0, 1.5], [0, 1], 2.0, 1, 2)
+    >>> switch_at([0.0, 1.5], [0, 1], 2.0, 1, 2)
     Given(times=(0.0,), modes=(0,), about='drawn by hand')
     """
     if not 0 <= mode < count:

@@ -78,11 +78,11 @@ class Figures:
     def on_draw(self, act: Callable[[float, int], None]) -> None:
         """Call act(time, mode) where the strip of modes is clicked."""
 
-        def tapped(event: Tap) -> None:
+        def on_tap(event: Tap) -> None:
             if event.x is not None and event.y is not None:
                 act(float(event.x), round(event.y))
 
-        self.strip.on_event(Tap, tapped)
+        self.strip.on_event(Tap, on_tap)
 
     def show(self, outcome: Outcome) -> None:
         """Draw what the laws did."""
@@ -108,7 +108,7 @@ class Figures:
     def _columns(self, run: Trajectory) -> dict[str, np.ndarray]:
         """What the panels read, of at most so many samples as can be told apart."""
         rows = {row: _values(run, row) for row in self._rows}
-        kept = _kept(run.time.size, [row for row in rows.values() if row is not None])
+        kept = _samples_to_draw(run.time.size, [row for row in rows.values() if row is not None])
         columns = {"t": run.time[kept]}
         for name, values in rows.items():
             whole = np.full(run.time.size, np.nan) if values is None else values
@@ -172,7 +172,7 @@ def _values(run: Trajectory, row: str) -> np.ndarray | None:
     return (run.states if row[0] == "x" else run.inputs)[int(row[1:])]
 
 
-def _kept(count: int, rows: Sequence[np.ndarray]) -> np.ndarray:
+def _samples_to_draw(count: int, rows: Sequence[np.ndarray]) -> np.ndarray:
     """Which samples to draw: all, or per piece of time the ends and every row's least and most."""
     if count <= MOST_POINTS:
         return np.arange(count)

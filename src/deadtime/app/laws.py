@@ -14,7 +14,7 @@ from deadtime.switching import SwitchingSignal
 Section = dict[str, Any]
 
 
-def offered(document: Document) -> tuple[dict[str, Section], tuple[str, ...]]:
+def laws_on_offer(document: Document) -> tuple[dict[str, Section], tuple[str, ...]]:
     """Laws by name, as sections of a problem file; and the names of those that the file runs.
 
     Laws of the file that cannot be built are offered under their names too: a page says why they
@@ -26,7 +26,7 @@ def offered(document: Document) -> tuple[dict[str, Section], tuple[str, ...]]:
     _, problem, _ = build_what_can(document.draft, document.source)
     rule = not isinstance(problem.signal, SwitchingSignal)
     others = _standard(modes, dwell_time_of(document.draft), rule)
-    found = _named(document, {**draft, "law": [*own, *others]})
+    found = _sections_by_name(document, {**draft, "law": [*own, *others]})
     names = [name for name, _ in found]
     chosen = tuple(names[: len(own)] if own else [n for n in problem.laws if n in names])
     laws = dict(found[: len(own)])
@@ -53,7 +53,7 @@ def _standard(modes: int, dwell_time: float, rule: bool) -> list[Section]:
     return sections
 
 
-def _named(document: Document, draft: Mapping[str, Any]) -> list[tuple[str, Section]]:
+def _sections_by_name(document: Document, draft: Mapping[str, Any]) -> list[tuple[str, Section]]:
     """Every section with the name that its law goes by; sections that name no law are left out."""
     found = []
     for i, section in enumerate(draft["law"]):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deadtime.app.documents import Document
-from deadtime.app.laws import Section, offered
+from deadtime.app.laws import Section, laws_on_offer
 from deadtime.app.outcome import Outcome, run_draft
 from deadtime.app.settings import Settings, draft_of
 
@@ -34,6 +34,6 @@ class Opening:
     @classmethod
     def of(cls, document: Document) -> Opening:
         """Run the laws of a document as it stands."""
-        offer, chosen = offered(document)
+        offer, chosen = laws_on_offer(document)
         outcome = run_draft(draft_of(document, offer, Settings()), document.source)
         return cls(document, offer, chosen, outcome)

@@ -13,12 +13,12 @@ from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
 from deadtime.laws import ExactPredictor
 from deadtime.problems import Problem
-from deadtime.problems.comparison import ended
+from deadtime.problems.comparison import ending
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.law_registry import QUICK
 from deadtime.problems.slips import slips_of
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import Outcome as Ending, untested
+from deadtime.simulation.outcome import Outcome as Ending, why_untested
 from deadtime.switching import SwitchingSignal
 
 MOST_SAMPLES = 20_000
@@ -66,13 +66,13 @@ class Outcome:
     @cached_property
     def endings(self) -> dict[str, Ending]:
         """How every run ends."""
-        return {name: ended(self.problem, name, run) for name, run in self.runs.items()}
+        return {name: ending(self.problem, name, run) for name, run in self.runs.items()}
 
     @cached_property
     def notes(self) -> list[str]:
         """What to look at: a signal that tests nothing, numbers that do not fit each other."""
         law, run = next(iter(self.runs.items()))
-        said = untested(run, self.endings[law])
+        said = why_untested(run, self.endings[law])
         return [*([said] if said else []), *slips_of(self.problem)]
 
     def ratio(self, law: str) -> float | None:

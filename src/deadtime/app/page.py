@@ -17,7 +17,7 @@ from deadtime.app.actions import Actions
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.costs import CSS, table_of
 from deadtime.app.documents import MOST_BYTES, Document, open_named, to_toml, too_large
-from deadtime.app.drawing import switched
+from deadtime.app.drawing import switch_at
 from deadtime.app.figures import MOST_PANELS, Figures
 from deadtime.app.jobs import try_upload
 from deadtime.app.opening import Opening
@@ -86,7 +86,7 @@ class Page:
         for name, group in self.groups.items():
             group.objects = controls.widgets(name)
         self.laws.objects = [controls.laws, *self._state_choice(outcome)]
-        self.actions.opened()
+        self.actions.on_opened()
         self._show(outcome)
 
     def _draw(self, outcome: Outcome, states: list[int]) -> None:
@@ -95,7 +95,7 @@ class Page:
         self.figures.show(outcome)  # what a browser is still laying out had better not change
         panels = column(*self.figures.all, sizing_mode="stretch_width")
         self.panels.objects = [pn.pane.Bokeh(panels, sizing_mode="stretch_width", margin=0)]
-        self.actions.drawn()
+        self.actions.on_drawn()
 
     def _state_choice(self, outcome: Outcome) -> list[Any]:
         """Which states have a panel, where there are too many for all."""
@@ -106,10 +106,10 @@ class Page:
             label="States shown", options=names, value=names[:MOST_PANELS], **WIDE
         )
 
-        def chosen(event: Any) -> None:
+        def on_chosen(event: Any) -> None:
             self._draw(self.outcome, [names.index(name) for name in event.new])
 
-        choice.param.watch(chosen, "value")
+        choice.param.watch(on_chosen, "value")
         return [choice]
 
     def open_named(self, name: str) -> None:
@@ -123,7 +123,7 @@ class Page:
             self.refuse(str(too_large(name, len(content))))
             return
 
-        def tried(result: tuple[Document, float]) -> None:
+        def on_tried(result: tuple[Document, float]) -> None:
             document, seconds = result
             if seconds > _SLOW:
                 self.refuse(
@@ -134,7 +134,7 @@ class Page:
                 self.say(f"Opened {document.name}.toml.")
 
         self.say("Trying the file …")
-        self.elsewhere(_TRIAL, tried, self.refuse, try_upload, name, content)
+        self.elsewhere(_TRIAL, on_tried, self.refuse, try_upload, name, content)
 
     def elsewhere(
         self,
@@ -150,7 +150,7 @@ class Page:
         """
         browser, problem = pn.state.curdoc, self._opened
 
-        def finished(future: Future[Any]) -> None:
+        def on_finished(future: Future[Any]) -> None:
             self._pending.discard(future)
             if future.cancelled() or self._closed:
                 return
@@ -168,7 +168,7 @@ class Page:
 
         future = self.workers.submit(limit, job, *given)
         self._pending.add(future)
-        future.add_done_callback(finished)
+        future.add_done_callback(on_finished)
 
     def _forget(self) -> None:
         """Drop what is still to be done for the problem shown until now."""
@@ -251,7 +251,7 @@ class Page:
         self.outcome = outcome
         self.costs.object = table_of(outcome, list(self.offer))
         self.about.object = self._about(outcome)
-        self.actions.shown()
+        self.actions.on_shown()
 
     def _about(self, outcome: Outcome) -> str:
         """A line on what is shown."""
@@ -274,14 +274,14 @@ class Page:
     # -- drawing ---------------------------------------------------------------------------
 
     def draw_by_hand(self, at: float, mode: int) -> None:
-        """Switch to a mode at an instant, as `drawing.switched` does."""
+        """Switch to a mode at an instant, as `drawing.switch_at` does."""
         problem, signal = self.outcome.problem, self.outcome.signal
         at = round(min(max(at, 0.0), problem.horizon), 3)
         mode = min(max(mode, 0), problem.plant.modes - 1)
         inside = signal.times < problem.horizon
         times, modes = signal.times[inside].tolist(), signal.modes[inside].tolist()
         self.attempt(
-            lambda: self.controls.choose(switched(times, modes, at, mode, problem.plant.modes))
+            lambda: self.controls.choose(switch_at(times, modes, at, mode, problem.plant.modes))
         )
 
     # -- layout ----------------------------------------------------------------------------
@@ -297,11 +297,11 @@ class Page:
             **WIDE,
         )  # fmt: skip
 
-        def uploaded(event: Any) -> None:
+        def on_uploaded(event: Any) -> None:
             if event.new is not None:
                 self.upload(upload.filename or "problem.toml", event.new)
 
-        upload.param.watch(uploaded, "value", onlychanged=False)
+        upload.param.watch(on_uploaded, "value", onlychanged=False)
         groups = pmui.Accordion(
             ("Laws", self.laws),
             *self.groups.items(),

@@ -81,13 +81,13 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
         }
     lines = [f"{name}={writer.code(value)}," for name, value in arguments.items()]
     tail = _TAIL.format(
-        arguments=_indented(lines, 8),
+        arguments=_indent(lines, 8),
         weight="" if problem.weight is None else writer.code(problem.weight),
         states=writer.code(list(problem.states)),
         modes=writer.code(list(problem.modes)),
         inputs=writer.code(list(problem.inputs)),
         colours=f"    laws={writer.code(list(laws))},\n" if laws else "",
-        file=_quoted(f"{file_name(problem.name) or 'problem'}.png"),
+        file=_quote(f"{file_name(problem.name) or 'problem'}.png"),
     )
     title = one_line(problem.title).replace("\\", " ").replace('"', "'")
     imports = "\n".join([*sorted(writer.imports), ""])
@@ -108,7 +108,7 @@ def _definitions(problem: Problem, writer: _Writer) -> Iterator[str]:
     yield writer.define("signal", problem.signal)
     yield "laws = {}\n"
     for name, law in problem.laws.items():
-        yield f"laws[{_quoted(name)}] = {writer.code(law)}\n"
+        yield f"laws[{_quote(name)}] = {writer.code(law)}\n"
 
 
 class _Writer:
@@ -143,7 +143,7 @@ class _Writer:
         if isinstance(value, float) and np.isinf(value):
             return 'float("inf")' if value > 0 else 'float("-inf")'
         if isinstance(value, str):
-            return _quoted(value)
+            return _quote(value)
         if isinstance(value, Fixed):
             return repr(value.length)
         if type(value).__module__.startswith("deadtime."):
@@ -170,7 +170,7 @@ class _Writer:
         if len(code) <= _LINE - 10:
             return code
         lines = "".join(f"{line},\n" for line in arguments)
-        return f"{call}(\n{_indented(lines.splitlines(), 4)}\n)"
+        return f"{call}(\n{_indent(lines.splitlines(), 4)}\n)"
 
     def _callable(self, kind: type) -> str:
         """A class by its public name, or else by its own, imported."""
@@ -181,7 +181,7 @@ class _Writer:
         return kind.__name__
 
 
-def _indented(lines: list[str], columns: int) -> str:
+def _indent(lines: list[str], columns: int) -> str:
     """Lines moved to the right, those inside them too."""
     space = " " * columns
     return "\n".join(space + line.replace("\n", "\n" + space) for line in lines)
@@ -193,7 +193,7 @@ def _is_default(value: Any, default: Any) -> bool:
     return value is None or value == default
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """As Python writes it; characters that do not print, or turn the text around, as escapes."""
     plain = one_line(text) == text
     return json.dumps(text, ensure_ascii=False) if plain else ascii(text)

@@ -110,7 +110,7 @@ def as_floats(name: str, value: ArrayLike, form: str) -> np.ndarray:
 
 def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
     """`value` as an array of real numbers; messages say that it must `reals` and `shape`."""
-    unmasked(name, value)
+    require_unmasked(name, value)
     try:
         raw = np.asarray(value)
         if raw.dtype.kind == "O" and raw.size and all(isinstance(x, Real) for x in raw.flat):
@@ -130,9 +130,9 @@ def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
     return raw
 
 
-def unmasked(name: str, value: Any) -> Any:
+def require_unmasked(name: str, value: Any) -> Any:
     """A value without masked entries, which `numpy.asarray` would take as if they were there."""
-    if _masked(value):
+    if _is_masked(value):
         raise ArgumentError(f"{name} must be whole, got masked entries: {_FILL}.")
     return value
 
@@ -143,10 +143,10 @@ def _floats(raw: np.ndarray) -> np.ndarray:
         return np.array(raw, dtype=np.float64, order="C")
 
 
-def _masked(value: object) -> bool:
+def _is_masked(value: object) -> bool:
     """Whether entries are masked, those of lists of arrays included."""
     if isinstance(value, (list, tuple)):
-        return any(map(_masked, value))
+        return any(map(_is_masked, value))
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
@@ -170,7 +170,7 @@ def bound(name: str, value: ArrayLike, size: int) -> np.ndarray:
     """A limit for each of m = `size` inputs, a number for all; infinite for none."""
     array = as_floats(name, value, f"one or (m,) = ({size},)")
     whole = np.full(size, array) if array.ndim == 0 else array
-    return shaped(name, not_nan(name, whole), (size,), "(m,)")
+    return require_shape(name, not_nan(name, whole), (size,), "(m,)")
 
 
 def not_nan(name: str, array: np.ndarray) -> np.ndarray:
@@ -197,7 +197,7 @@ def _hint(raw: np.ndarray, ndim: int, form: str) -> str:
     return ""
 
 
-def shaped(name: str, array: np.ndarray, shape: tuple[int, ...], form: str) -> np.ndarray:
+def require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], form: str) -> np.ndarray:
     """The same array, when its shape is the expected one."""
     if array.shape != shape:
         hint = ""

@@ -36,20 +36,20 @@ class Frozen:
     def __post_init__(self) -> None:
         own = vars(self)
         for name, value in own.items():
-            own[name] = _frozen(value)
+            own[name] = _freeze(value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         _lock(state)
 
 
-def _frozen(value: Any) -> Any:
+def _freeze(value: Any) -> Any:
     """The same value, of arrays and of those in tuples a copy that cannot be written to."""
     if isinstance(value, np.ndarray) and value.flags.writeable:
         value = value.copy(order="K")
         value.flags.writeable = False
     elif isinstance(value, tuple):
-        parts = [_frozen(part) for part in value]
+        parts = [_freeze(part) for part in value]
         if any(new is not old for new, old in zip(parts, value, strict=True)):
             value = type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     return value

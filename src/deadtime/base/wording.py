@@ -95,12 +95,12 @@ def sentence_of(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def signed(value: float) -> str:
+def as_rate(value: float) -> str:
     """A rate with its sign and two decimals.
 
     Examples
     --------
-    >>> signed(-0.5)
+    >>> as_rate(-0.5)
     '−0.50'
     """
     return f"{value:+.2f}".replace("-", "−")
@@ -120,12 +120,12 @@ def compact(value: float) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
-def counted(number: int, noun: str) -> str:
+def number_of(number: int, noun: str) -> str:
     """A number of things, of which the noun is one.
 
     Examples
     --------
-    >>> counted(1, "input"), counted(2, "input")
+    >>> number_of(1, "input"), number_of(2, "input")
     ('1 input', '2 inputs')
     """
     return f"{number} {noun}{'s' * (number != 1)}"

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
-from deadtime.certificates.proof.statement import decay_rate, rounded_down, statement
+from deadtime.certificates.proof.statement import decay_rate, round_down, statement
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,7 +51,7 @@ class Certificate:
     def of(cls, evidence: Evidence | StretchEvidence, cells: int) -> Certificate:
         """A certificate of stability from evidence that passed the check."""
         rate = decay_rate(evidence)
-        pace = f"decays at least like exp(−{rounded_down(rate)} t)" if rate else "decays"
+        pace = f"decays at least like exp(−{round_down(rate)} t)" if rate else "decays"
         message = f"Stable for every admissible signal{_also(evidence)}, proved: the loop {pace}."
         return cls(True, message, rate, True, statement(evidence, cells), None, evidence)
 

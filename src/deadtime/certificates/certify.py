@@ -25,7 +25,7 @@ from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import shortest
-from deadtime.certificates.unmoved import neutral, unmoved
+from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SwitchedSystem
@@ -124,7 +124,7 @@ def certify(
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
     require_periods(dwell_time, step, maximum_dwell, chatter)
-    reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or unmoved(plants)
+    reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or why_unmoved(plants)
     if reason:
         return Certificate(None, reason)
     table = law.digital(step)
@@ -167,7 +167,7 @@ def _decide(
         if slowest > GROWS and not search_signals:
             return Certificate(None, f"Held in mode {mode} it grows at {slowest:+.4g} 1/s.")
         if slowest > GROWS:
-            refuted = _refuted(corner, law, setting, f"held in mode {mode} it grows")
+            refuted = _refute(corner, law, setting, f"held in mode {mode} it grows")
             if refuted.stable is False:
                 return refuted
         if wanted is not None and slowest > -wanted:
@@ -179,7 +179,7 @@ def _decide(
         if abs(slowest) <= GROWS:
             # No Lyapunov function decreases: only a signal that grows is left.
             kept = neutral(mode, slowest)
-            found = _refuted(corner, law, setting, "") if search_signals else None
+            found = _refute(corner, law, setting, "") if search_signals else None
             return found if found is not None and found.stable is False else Certificate(None, kept)
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
@@ -191,7 +191,7 @@ def _decide(
         return Certificate(None, f"Inconclusive: {outcome.reason}.")
     searched = []
     for corner in corners:
-        searched.append(_refuted(corner, law, setting, ""))
+        searched.append(_refute(corner, law, setting, ""))
         if searched[-1].stable is False:
             return searched[-1]
     return Certificate(
@@ -244,7 +244,7 @@ def _rates(wanted: float | None, fastest: float) -> list[float]:
     return [part * fastest for part in PARTS if fastest > 0.0] + [0.0]
 
 
-def _refuted(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:
+def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Certificate:
     """The worst signal: False if the loop provably grows under it, else None with the signal."""
     from deadtime.certificates.worst_case import falsify
 

@@ -16,7 +16,7 @@ from deadtime.plant import SwitchedSystem
 _NOTHING = 1e-12  # relative to the largest singular value
 
 
-def unmoved(plants: Sequence[SwitchedSystem]) -> str:
+def why_unmoved(plants: Sequence[SwitchedSystem]) -> str:
     """Why nothing can be certified where a part of the state never changes; empty elsewhere.
 
     That part are the v with vᵀA_i = 0 and vᵀB_i = 0 in every mode: vᵀx is constant.

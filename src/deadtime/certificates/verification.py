@@ -13,12 +13,12 @@ import numpy as np
 
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import DeadtimeError
-from deadtime.base.wording import counted
+from deadtime.base.wording import number_of
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
-from deadtime.certificates.proof.validate import malformed
+from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.plant import SwitchedSystem
@@ -187,23 +187,23 @@ def verify(
     archived = load_evidence(Path(path))
     evidence, setting = archived.evidence, archived.evidence.setting
 
-    def rejected(why: str, about: tuple[str, ...] = ()) -> Verification:
+    def rejection(why: str, about: tuple[str, ...] = ()) -> Verification:
         seconds = time.perf_counter() - began
         return Verification(False, f"Rejected: {why}", (), None, seconds, about)
 
-    reason = malformed(evidence)
+    reason = why_malformed(evidence)
     if reason:
-        return rejected(f"{reason}.")
+        return rejection(f"{reason}.")
     about = in_first_numbers(setting, archived.digest)
     other = asked.missing_from(setting)
     if other:
-        return rejected(other, about)
+        return rejection(other, about)
     excess = claims_too_much(archived)
     if excess:
-        return rejected(f"{excess}.", about)
+        return rejection(f"{excess}.", about)
     outcome = check(evidence)
     if not outcome.proven:
-        return rejected(f"{outcome.reason}.", about)
+        return rejection(f"{outcome.reason}.", about)
     sentences, seconds = statement(evidence, outcome.cells), time.perf_counter() - began
     message = f"Proved: {sentences[0]}"
     return Verification(True, message, sentences, decay_rate(evidence), seconds, about)
@@ -235,11 +235,11 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     rows, taps = setting.G.shape[:2]
     return (
         f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: "
-        f"{counted(modes, 'mode')}, {counted(n, 'state')}, {counted(m, 'input')}, "
+        f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
         f"delay {delay}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
         f"B[0] = {_first(setting.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
-        f"{setting.context}, {counted(rows, 'row')} of {counted(taps, 'past input')}; "
+        f"{setting.context}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}; "
         f"state gain {_first(setting.F[0])}",
         f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",

@@ -64,7 +64,7 @@ def certify(
     json_output
         Print the results as JSON instead of text.
     """
-    from deadtime.reports.tables.certificates import judge, judged_record
+    from deadtime.reports.tables.certificates import certificate_record, judge
 
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
@@ -74,14 +74,14 @@ def certify(
                 "--decay-rate and --out."
             )
         return _least_dwell_times(chosen, law, json_output)
-    asked, period = _asked(chosen, dwell_time)
+    asked, period = _dwell_time_and_step(chosen, dwell_time)
     dwell, names = asked.value, None if law is None else [law]
     with progress_bar(len(names or chosen.laws), quiet=json_output) as advance:
         judged = judge(chosen, dwell, period, names, decay_rate, advance)
     saved = [] if out is None else _save(judged, out)
     if json_output:
         record = {"problem": chosen.name, "dwell_time": dwell, "step": period}
-        record["laws"] = judged_record(judged)
+        record["laws"] = certificate_record(judged)
         print_json(record, saved)
     else:
         _print_judged(chosen, judged, asked, period, law is not None)
@@ -138,7 +138,7 @@ def verify(
     else:
         chosen = _with_step(problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = _asked(chosen, dwell_time)
+        asked, period = _dwell_time_and_step(chosen, dwell_time)
         dwell = asked.value
         only = None if law is None else laws[law]
         result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period)
@@ -202,7 +202,7 @@ def _with_step(problem: Problem, step: float | None) -> Problem:
     return problem if step is None else replace(problem, step=positive("step", step))
 
 
-def _asked(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
+def _dwell_time_and_step(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
     """The dwell time and the period that a problem asks about, in seconds."""
     from deadtime.problems.asked import dwell_time_of, step_of
 
@@ -232,7 +232,12 @@ def _print_judged(
     problem: Problem, judged: list[Judged], dwell: Given, step: float, in_full: bool
 ) -> None:
     from deadtime.cli.console import Terminal
-    from deadtime.reports.tables.certificates import HEADINGS, LEGEND, judged_rows, judged_sentences
+    from deadtime.reports.tables.certificates import (
+        HEADINGS,
+        LEGEND,
+        certificate_rows,
+        certificate_sentences,
+    )
 
     console = Terminal()
     console.print(problem.title, style="bold", markup=False)
@@ -241,9 +246,9 @@ def _print_judged(
         f"switches at any time; sampling period {step:g} s.\n",
         markup=False,
     )
-    print_table(HEADINGS, judged_rows(judged))
+    print_table(HEADINGS, certificate_rows(judged))
     console.print(f"{LEGEND}\n", style="dim", markup=False)
-    for sentence in judged_sentences(judged):
+    for sentence in certificate_sentences(judged):
         console.print(f"• {sentence}", markup=False)
     if not in_full:
         return

@@ -58,7 +58,7 @@ def app(
             f"the explorer needs {error.name}: pip install 'deadtime[app]', or in a clone '.[app]'."
         ) from None
 
-    def started(url: str) -> None:
+    def on_started(url: str) -> None:
         alone = is_loopback(address)
         if json_output:
             print_json({"url": url, "only_this_machine": alone})
@@ -71,4 +71,4 @@ def app(
                 print("Everyone who can reach this machine can use it; there is no password.")
             print("Ctrl-C ends it.", flush=True)
 
-    serve(str(problem), address, port, browser, origin, sessions=sessions, started=started)
+    serve(str(problem), address, port, browser, origin, sessions=sessions, started=on_started)

@@ -117,7 +117,7 @@ def export(
         record |= {kind: one for kind, one in made.items() if one is not None}
         print_json(record, _files_of(record))
     else:
-        print(f"{chosen.title}: law {called}, {_limited(controller)}")
+        print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}")
         print("\n".join(_lines(code, precision, law_fmu, model)))
     return 1 if code is not None and code.check.passed is False else 0
 
@@ -188,7 +188,7 @@ def _controller(problem: Problem, law: str | None, step: float | None) -> Contro
     return Controller(chosen, period, limits=limits)
 
 
-def _limited(controller: Controller) -> str:
+def _limits_in_words(controller: Controller) -> str:
     import numpy as np
 
     if np.isinf(controller.low).all() and np.isinf(controller.high).all():

@@ -120,7 +120,7 @@ def plot(
         raise ArgumentError(
             f"out {str(folder)!r} cannot be written ({error.strerror}): choose another folder."
         ) from None
-    paths = _written(plan, out, single, quiet=json_output)
+    paths = _write(plan, out, single, quiet=json_output)
     if json_output:
         print_json({"store": store, "metric": metric, "left_out": plan.left_out or None}, paths)
         return
@@ -164,7 +164,7 @@ def _plan(
     from deadtime.reports.figures.sweeps.bands import panes
     from deadtime.reports.figures.sweeps.heat import grid_for
 
-    kept = selection.selected(data, metric, held)
+    kept = selection.select(data, metric, held)
     laws = selection.named_laws(kept, None if law is None else [law], selection.laws_of(kept))
     if kind in ("wins", "regret"):
         selection.quotients_of(metric)
@@ -195,7 +195,7 @@ def _is_figure(out: Path) -> bool:
     return out.suffix[1:].lower() in known and not out.is_dir()
 
 
-def _written(plan: Plan, out: Path, single: bool, quiet: bool) -> list[Path]:
+def _write(plan: Plan, out: Path, single: bool, quiet: bool) -> list[Path]:
     """Draw and save, in a file or into a folder; the paths."""
     paths = []
     with progress_bar(plan.count, quiet) as advance:
@@ -210,11 +210,11 @@ def _figures(plan: Plan) -> Iterator[tuple[str, Figure]]:
     """Figures with the names of their files, from one pass over the store."""
     from deadtime.reports.figures.sweeps.bands import bands
     from deadtime.reports.figures.sweeps.heat import heat, regret
-    from deadtime.reports.figures.sweeps.reduction import reduced
+    from deadtime.reports.figures.sweeps.reduction import reduce
     from deadtime.reports.figures.sweeps.wins import wins
 
     metric, names = plan.metric, _file_names(plan.laws)
-    found = reduced(plan.data, metric, plan.rivals, plan.oracle)
+    found = reduce(plan.data, metric, plan.rivals, plan.oracle)
     if plan.kind in ("heat", "all"):
         for law in plan.laws:
             yield f"heat-{metric}-{names[law]}", heat(found, law, metric, *plan.sides)

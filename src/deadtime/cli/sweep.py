@@ -83,7 +83,7 @@ def sweep(
     if status or dry_run:
         _say(chosen, plan, dry_run, json_output)
         return 0
-    damaged = _verified(place) if verify and plan.exists else []
+    damaged = _verify(place) if verify and plan.exists else []
     for one in damaged:
         print(f"deadtime: {one}", file=sys.stderr)
     try:
@@ -118,7 +118,7 @@ def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
     return dataclasses.replace(study, scenarios=count("scenarios", scenarios))
 
 
-def _verified(place: str) -> list[str]:
+def _verify(place: str) -> list[str]:
     """What of the store is damaged, now absent; coordinates are written anew."""
     from deadtime.scenarios.sweeps.store import open_store, place_of
 

@@ -17,7 +17,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.sampled_plant import acting
+from deadtime.plant.sampled_plant import acting_inputs
 
 
 def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
@@ -64,18 +64,18 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     taps, m, G = table.taps, law.plant.inputs, table.latest_first
     n, modes, last = law.plant.states, law.plant.modes, taps * m
 
-    def seen(state: np.ndarray, mode: int) -> int:
+    def age_at(state: np.ndarray, mode: int) -> int:
         before, age = int(state[last]), int(state[last + 1])
         return age if before < 0 else age + 1 if before == mode else 0
 
     def output(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         mode = _mode(given[n], modes)
-        row = table.row(mode, seen(state, mode))
+        row = table.row(mode, age_at(state, mode))
         return table.state_gain[row] @ given[:n] + G[row] @ state[:last]
 
     def update(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
         u, mode = output(t, state, given, params), _mode(given[n], modes)
-        return np.concatenate((u, state[: last - m], [mode, seen(state, mode)]))
+        return np.concatenate((u, state[: last - m], [mode, age_at(state, mode)]))
 
     return control.NonlinearIOSystem(
         update,
@@ -114,7 +114,7 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
         inputs = np.concatenate((u, state[n:])).reshape(N + 1, m)  # u_k, …, u_{k−N}
         x = state[:n]
         for piece in pieces[i]:
-            x = piece.Phi @ x + piece.Gamma @ acting(piece.stretch.lag, inputs)
+            x = piece.Phi @ x + piece.Gamma @ acting_inputs(piece.stretch.lag, inputs)
         return np.concatenate((x, inputs[:N].ravel()))
 
     return control.NonlinearIOSystem(

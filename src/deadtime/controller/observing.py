@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, shaped
+from deadtime.base.checks import as_floats, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import OutputFeedback
 
@@ -60,19 +60,19 @@ class Observing:
         if self._reference is None:
             raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
         r = as_floats("reference", reference, f"shape {self._r.shape}")
-        return shaped("reference", r, self._r.shape, "(tracked,)")
+        return require_shape("reference", r, self._r.shape, "(tracked,)")
 
     def note(self, asked: Float[np.ndarray, " m"]) -> None:
         """What the law asked for, to be compared with what is applied."""
         self._estimator.asked[:] = asked
 
-    def saved(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""
-        own = {f"observer_{name}": value for name, value in self._estimator.saved().items()}
+        own = {f"observer_{name}": value for name, value in self._estimator.snapshot().items()}
         return {**own, "reference": self._r.copy()}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `saved`."""
+        """The opposite of `snapshot`."""
         own = {name: saved[f"observer_{name}"] for name in self._estimator.arrays}
         self._estimator.load(own)
         self._r[:] = saved["reference"]

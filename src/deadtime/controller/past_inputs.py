@@ -42,12 +42,12 @@ class DensePast:
 
         dense_row(self.table.state_gain[row], self.G[row], x, self.place, self.ring, u)
 
-    def saved(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""
         return {name: getattr(self, name).copy() for name in self.arrays}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `saved`."""
+        """The opposite of `snapshot`."""
         for name in self.arrays:
             getattr(self, name)[...] = saved[name]
 

@@ -223,8 +223,8 @@ class RunningLaw:
             "late": self.late,
             "clock": self._clock.state.copy(),
             "input": self._u.copy(),
-            **self._past.saved(),
-            **(self._observing.saved() if self._observing else {}),
+            **self._past.snapshot(),
+            **(self._observing.snapshot() if self._observing else {}),
         }
 
     def restore(self, state: dict[str, Any]) -> None:

@@ -93,7 +93,7 @@ class Estimator:
         A y that is None or not finite corrects nothing. `mode` is the sampled mode; below 0 it is
         not known, and the last one goes on, mode 0 before any was known.
         """
-        from deadtime.estimation.kernel import correct, integrate, seen
+        from deadtime.estimation.kernel import correct, integrate, measure
 
         samples, place, before = self.counters
         self.ring[place], self.counters[1] = latest, (place + 1) % len(self.ring)
@@ -106,7 +106,7 @@ class Estimator:
         use = correct(C, gain, y, self._x, self._spare, self._innovation)
         self.corrected = use
         if self.tracked is not None:
-            seen(C, self.tracked.H, self._x, y, use, self._now)
+            measure(C, self.tracked.H, self._x, y, use, self._now)
             if samples and self._q.size:
                 push = self.tracked.push[mode]
                 integrate(
@@ -134,11 +134,11 @@ class Estimator:
             advance(Phi, Gamma, self._x, acting, self._spare)
             self._x[:] = self._spare
 
-    def saved(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""
         return {name: getattr(self, name).copy() for name in self.arrays}
 
     def load(self, saved: dict[str, Any]) -> None:
-        """The opposite of `saved`."""
+        """The opposite of `snapshot`."""
         for name in self.arrays:
             getattr(self, name)[...] = saved[name]

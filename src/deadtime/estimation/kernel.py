@@ -29,7 +29,7 @@ def correct(C, L, y, x, spare, innovation):
 
 
 @njit(cache=True)
-def seen(C, H, x, y, use, value):
+def measure(C, H, x, y, use, value):
     """value = H y, or H C x where y is of no use."""
     for i in range(H.shape[0]):
         value[i] = 0.0

@@ -25,11 +25,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, instance, positive, read_only, real_array, shaped
+from deadtime.base.checks import as_floats, instance, positive, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem, Window
-from deadtime.plant.discretisation import held_pair
+from deadtime.plant.discretisation import finite_discretisation
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -115,7 +115,7 @@ class Observer(Frozen):
         """Φ_i (I − L_i C_i), what a period in mode i does to x − x̄."""
         n = self.plant.states
         pairs = zip(self.plant.A, self.plant.B, strict=True)
-        Phi = np.stack([held_pair(A, B, self.step)[0] for A, B in pairs])
+        Phi = np.stack([finite_discretisation(A, B, self.step)[0] for A, B in pairs])
         return read_only(Phi @ (np.eye(n) - self.gain @ self.C))
 
     @cached_property
@@ -169,8 +169,8 @@ def per_mode(
     given = as_floats(name, value, f"shape {form}")
     if given.ndim == 3:
         array = real_array(name, given, f"(modes, {form[1:]}", 3)
-        return shaped(name, array, (modes, *shape), f"(modes, {form[1:]}")
-    array = shaped(name, real_array(name, given, form, 2), shape, form)
+        return require_shape(name, array, (modes, *shape), f"(modes, {form[1:]}")
+    array = require_shape(name, real_array(name, given, form, 2), shape, form)
     whole = np.tile(array, (modes, 1, 1))
     whole.flags.writeable = False
     return whole

@@ -14,7 +14,7 @@ from deadtime.estimation.observer import Observer, output_matrices
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, unseen_pole
 from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import held_pair, quotient, quotient_poles
+from deadtime.plant.discretisation import finite_discretisation, quotient, quotient_poles
 from deadtime.plant.weight import weight_matrix
 
 
@@ -69,7 +69,7 @@ def luenberger(
                 "look alike; change the step a little."
             )
         M = -step * place_pair(slope.T, C[i].T, asked, i, "C", wanted[i]).T
-        gain.append(np.linalg.solve(held_pair(A, B, step)[0], M))
+        gain.append(np.linalg.solve(finite_discretisation(A, B, step)[0], M))
     return Observer(plant, C, np.stack(gain), step)
 
 
@@ -142,7 +142,7 @@ def _filter(
 
     _require_detectable(A, C, i)
     identity = np.eye(len(A))
-    Phi, noise = held_pair(A, identity, step)[0], noise_covariance(A, W, step)
+    Phi, noise = finite_discretisation(A, identity, step)[0], noise_covariance(A, W, step)
     try:
         P = solve_discrete_are(Phi.T, C.T, noise, R)
     except ValueError:  # LinAlgError among them

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, shaped
+from deadtime.base.checks import instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.estimator import Estimator, Tracked
 from deadtime.estimation.observer import Observer
@@ -96,7 +96,7 @@ class OutputFeedback(Law):
             _same("observer", model, "servo.model", servo.model)
             followed = Reference.of(reference, servo.tracked.shape[0])
         first = np.zeros(n) if estimate is None else estimate
-        first = shaped("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
+        first = require_shape("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
         states = n if servo is None else servo.base.states
         vars(self).update(
             plant=model if servo is None else servo.base,

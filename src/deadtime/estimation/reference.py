@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import as_floats, real_array, shaped, unmasked
+from deadtime.base.checks import as_floats, real_array, require_shape, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.plant.steps import TOLERANCE
 
@@ -22,7 +22,7 @@ class Reference:
     size: int
 
     def __call__(self, time: float) -> Float[np.ndarray, " size"]:
-        return checked_reference(self.function(time), self.size)
+        return check_reference(self.function(time), self.size)
 
     @classmethod
     def of(cls, value: Any, size: int) -> Reference:
@@ -33,16 +33,16 @@ class Reference:
             return cls(value, size)
         if isinstance(value, tuple) and len(value) == 2 and np.ndim(value[0]) == 1:
             return cls(_schedule(*value, size), size)
-        constant = checked_reference(value, size)
+        constant = check_reference(value, size)
         return cls(lambda time: constant, size)
 
 
-def checked_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
+def check_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
     """A number for every output, or one for each."""
-    given = unmasked("reference", value)
+    given = require_unmasked("reference", value)
     whole = [given] * size if np.ndim(given) == 0 else given
     array = real_array("reference", whole, "(tracked,)", 1)
-    return shaped("reference", array, (size,), "(tracked,)")
+    return require_shape("reference", array, (size,), "(tracked,)")
 
 
 def _schedule(times: Any, values: Any, size: int) -> Callable[[float], np.ndarray]:
@@ -51,7 +51,7 @@ def _schedule(times: Any, values: Any, size: int) -> Callable[[float], np.ndarra
     values = as_floats("reference, values", values, "(T,) or (T, tracked)")
     values = np.tile(values[:, None], size) if values.ndim == 1 else values
     values = real_array("reference, values", values, "(T,) or (T, tracked)", 2)
-    shaped("reference, values", values, (times.size, size), "(T, tracked)")
+    require_shape("reference, values", values, (times.size, size), "(T, tracked)")
     if (np.diff(times) <= 0.0).any():
         raise ArgumentError(f"reference, times must increase, got {times.tolist()}.")
     slack = TOLERANCE * max(1.0, float(np.abs(times).max()))

@@ -43,7 +43,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.estimation.observer import output_matrices, per_mode
 from deadtime.gains import state_feedback as design
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import held_pair
+from deadtime.plant.discretisation import finite_discretisation
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -129,7 +129,7 @@ class Servo(Frozen):
         if disturbance is not None:
             columns = np.shape(disturbance)[-1] if np.ndim(disturbance) else 0
             E = per_mode("disturbance", disturbance, modes, (n, columns), "(n, k)")
-        model = _extended(plant, E)
+        model = _extend(plant, E)
         seen = np.concatenate((C, np.zeros((modes, C.shape[1], E.shape[2]))), axis=2)
         vars(self).update(
             base=plant, model=model, C=seen, tracked=H, integral=bool(integral), disturbance=E
@@ -147,13 +147,13 @@ class Servo(Frozen):
         self, poles: ArrayLike | Sequence[ArrayLike], step: float | None = None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z with the poles of (x, q), n plus the size of q, given as for `place`."""
-        return self._completed(design.place(self.driven, poles, step), step)
+        return self._complete(design.place(self.driven, poles, step), step)
 
     def lqr(
         self, Q: ArrayLike, R: ArrayLike, step: float | None = None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z whose part on (x, q) is that of `lqr`, with Q of the size of (x, q)."""
-        return self._completed(design.lqr(self.driven, Q, R, step), step)
+        return self._complete(design.lqr(self.driven, Q, R, step), step)
 
     @property
     def moving(self) -> Int[np.ndarray, " xq"]:
@@ -171,7 +171,7 @@ class Servo(Frozen):
         A, B = self.plant.A[:, keep][:, :, keep], self.plant.B[:, keep]
         return SwitchedSystem(A, B, self.plant.delay)
 
-    def _completed(
+    def _complete(
         self, K: Float[np.ndarray, "mode m xq"], step: float | None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z from gains on (x, q)."""
@@ -229,7 +229,7 @@ class Servo(Frozen):
                 F = driven.A[i] + driven.B[i] @ K[i]
                 G = solve_continuous_lyapunov(F.T, -weight)
             else:
-                Phi, Gamma = held_pair(driven.A[i], driven.B[i], step)
+                Phi, Gamma = finite_discretisation(driven.A[i], driven.B[i], step)
                 G = solve_discrete_lyapunov((Phi + Gamma @ K[i]).T, weight * step)
             qq += G[n:, n:]
             qx += G[n:, :n] @ X
@@ -248,7 +248,7 @@ def _require_decay(
         if step is None:
             rate = np.linalg.eigvals(A + B @ K[i]).real.max()
         else:
-            Phi, Gamma = held_pair(A, B, step)
+            Phi, Gamma = finite_discretisation(A, B, step)
             rate = np.log(np.abs(np.linalg.eigvals(Phi + Gamma @ K[i])).max()) / step
         if rate >= 0.0:
             raise ArgumentError(
@@ -257,7 +257,7 @@ def _require_decay(
             )
 
 
-def _extended(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> SwitchedSystem:
+def _extend(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> SwitchedSystem:
     """The plant with the states (x, d)."""
     modes, n, k = E.shape
     A, B = np.zeros((modes, n + k, n + k)), np.zeros((modes, n + k, plant.inputs))

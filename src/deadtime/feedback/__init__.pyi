@@ -1,3 +1,3 @@
 from .forecast import Forecast as Forecast
-from .law import Law as Law, TableLaw as TableLaw, remembered as remembered
+from .law import Law as Law, TableLaw as TableLaw, remember_table as remember_table
 from .table import Factor as Factor, Feedback as Feedback

@@ -63,7 +63,7 @@ class Forecast:
     lift: Float[np.ndarray, "q n"] | None = None
 
     @classmethod
-    def frozen(
+    def constant(
         cls,
         A: Float[np.ndarray, "system n n"],
         B: Float[np.ndarray, "system n m"],
@@ -92,7 +92,7 @@ class Forecast:
     ) -> Forecast:
         """The current mode up to a dwell time after its start, then the systems `after`.
 
-        `after` are the A, B and (weighted) K of these systems, as in `frozen`.
+        `after` are the A, B and (weighted) K of these systems, as in `constant`.
         """
         A, B, K = after
         return cls(

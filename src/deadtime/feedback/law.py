@@ -111,13 +111,13 @@ class Law(Frozen, ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label}; model {self.plant!r})"
 
-    def sampled(self, step: float) -> SampledPlant:
+    def sampled_plant(self, step: float) -> SampledPlant:
         """The model at a sampling period."""
         return SampledPlant(self.plant, step)
 
     def window(self, step: float) -> Window:
         """The window of the model's delay at a sampling period."""
-        return self.sampled(step).window
+        return self.sampled_plant(step).window
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,7 +141,7 @@ class TableLaw(Law):
 Digital = Callable[..., Feedback]
 
 
-def remembered(digital: Digital) -> Digital:
+def remember_table(digital: Digital) -> Digital:
     """Keep the last table of a law whose table depends on the step only and takes long to fill."""
 
     @wraps(digital)
@@ -182,6 +182,6 @@ def require_match(plant: SwitchedSystem, law: Law) -> None:
             )
 
 
-def checked_dwell_time(dwell_time: float | None) -> float | None:
+def check_dwell_time(dwell_time: float | None) -> float | None:
     """A dwell time in seconds, or None for a law that knows of none."""
     return None if dwell_time is None else positive("dwell_time", dwell_time)

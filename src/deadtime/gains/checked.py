@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import real_array, shaped
+from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 
 
-def checked_gains(
+def check_gains(
     plant: SwitchedSystem, gains: object, allow_unstable: bool
 ) -> Float[np.ndarray, "mode m n"]:
     """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz, unless that is waived."""
@@ -21,7 +21,7 @@ def checked_gains(
             "they may be the gains of another plant."
         )
     for i in range(plant.modes):
-        shaped(f"gains[{i}]", K[i], (plant.inputs, plant.states), "(m, n)")
+        require_shape(f"gains[{i}]", K[i], (plant.inputs, plant.states), "(m, n)")
         require_hurwitz(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i], allow_unstable)
     return K
 

@@ -19,15 +19,15 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.base.frozen import Frozen
-from deadtime.gains.checked import checked_gains, rightmost_eigenvalue
+from deadtime.gains.checked import check_gains, rightmost_eigenvalue
 from deadtime.numerics.lmi import (
     Verdict,
+    answers_of,
     attempts,
     balanced_units,
     library,
     require_answer,
     symmetric_value,
-    told,
 )
 from deadtime.plant import SwitchedSystem
 
@@ -119,14 +119,14 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
     require_answer(verdicts)
     raise InfeasibleError(
         "no common P: no P > 0, Q > 0 found with (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −Q for "
-        f"all {plant.modes} modes at once ({told(verdicts)}): choose gains and P together "
+        f"all {plant.modes} modes at once ({answers_of(verdicts)}): choose gains and P together "
         "(stabilize), or rescale states whose units differ by many powers of ten."
     )
 
 
 def hurwitz_gains(plant: SwitchedSystem, gains: ArrayLike) -> Float[np.ndarray, "mode m n"]:
     """`gains` as a (modes, m, n) array with every A_i + B_i K_i Hurwitz."""
-    K = checked_gains(plant, gains, allow_unstable=True)
+    K = check_gains(plant, gains, allow_unstable=True)
     rightmost = [
         rightmost_eigenvalue(f"gains[{i}]", f"mode {i}", plant.A[i], plant.B[i], K[i])
         for i in range(plant.modes)
@@ -160,7 +160,7 @@ def decaying_lyapunov(
     return put_back(plant, gains, symmetric_value(P))
 
 
-def checked_lyapunov(
+def check_lyapunov(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], lyapunov: object
 ) -> CommonLyapunov:
     """A user's P and Q, put into the inequality; Q is lowered by what rounding takes.
@@ -194,7 +194,7 @@ def checked_lyapunov(
             "lyapunov: Q is positive definite only up to rounding errors of the inequality "
             f"({excess:.1e}): give a better conditioned pair."
         )
-    return _frozen(P, Q)
+    return _read_only_pair(P, Q)
 
 
 def closed_loops(
@@ -218,7 +218,7 @@ def put_back(
     if np.linalg.eigvalsh(P)[0] <= SMALLEST:
         return None
     q = min(np.linalg.eigvalsh(-(h.T @ P + P @ h))[0] for h in closed_loops(plant, gains)) - floor
-    return _frozen(P, q * np.eye(plant.states)) if q > 0.0 else None
+    return _read_only_pair(P, q * np.eye(plant.states)) if q > 0.0 else None
 
 
 def growth_in_norm(
@@ -286,6 +286,6 @@ def _definite(name: str, value: ArrayLike, n: int) -> np.ndarray:
     return (matrix + matrix.T) / 2.0
 
 
-def _frozen(P: np.ndarray, Q: np.ndarray) -> CommonLyapunov:
+def _read_only_pair(P: np.ndarray, Q: np.ndarray) -> CommonLyapunov:
     P.flags.writeable = Q.flags.writeable = False
     return CommonLyapunov(P, Q)

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import brief, unmasked
+from deadtime.base.checks import brief, require_unmasked
 from deadtime.base.errors import ArgumentError
 
 
 def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
     """One list of n poles per mode, (modes, n) complex, each closed under conjugation."""
-    unmasked("poles", poles)
+    require_unmasked("poles", poles)
     wanted = f"poles must be {n} numbers, or one list of {n} per mode, got {brief(poles)}."
     try:
         if np.asarray(poles).dtype.kind in "US":  # NumPy would read some of them
@@ -71,7 +71,7 @@ def place_pair(
         with warnings.catch_warnings():
             # It warns when its search for robust gains stops early; the answer is checked below.
             warnings.simplefilter("ignore", UserWarning)
-            balanced, inputs, t, c = _balanced(A, B)
+            balanced, inputs, t, c = _balance(A, B)
             wanted = poles if np.iscomplex(poles).any() else np.real(poles)
             result: Any = place_poles(balanced, inputs, wanted)
     except ValueError as error:
@@ -81,12 +81,12 @@ def place_pair(
         ) from None
     K = -np.real(result.gain_matrix)
     if K.shape[0] == 1:
-        K = _refined(balanced, inputs, K, poles)
+        K = _refine(balanced, inputs, K, poles)
     _require_poles(balanced + inputs @ K, poles, i)
     return c[:, None] * K / t
 
 
-def _refined(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> np.ndarray:
+def _refine(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """K corrected for one input, where the characteristic polynomial is affine in K."""
     unit = float(np.abs(poles).max()) or 1.0
 
@@ -128,7 +128,7 @@ def reachable(A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"]) -> int:
     the answer does not depend on units.
     """
     n = A.shape[0]
-    balanced, fresh, _, _ = _balanced(A, B)
+    balanced, fresh, _, _ = _balance(A, B)
     size = max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
     basis = np.zeros((n, 0))
     while fresh.size and basis.shape[1] < n:
@@ -167,7 +167,7 @@ def require_controllable(A: np.ndarray, B: np.ndarray, i: int) -> None:
         )
 
 
-def _balanced(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
+def _balance(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
     """A and B in units in which A is balanced and B's columns have length 1, and those units.
 
     With units t of the states and c of the inputs, A/t·t and B·c/t are returned.

@@ -14,12 +14,12 @@ from deadtime.base.frozen import Frozen
 from deadtime.gains.lyapunov import SMALLEST, growth_in_norm
 from deadtime.numerics.lmi import (
     Verdict,
+    answers_of,
     attempts,
     balanced_units,
     library,
     require_answer,
     symmetric_value,
-    told,
 )
 from deadtime.plant import SwitchedSystem
 
@@ -106,7 +106,7 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     require_answer(verdicts)
     raise InfeasibleError(
         f"no gains with a common P and a decay rate of {rate:g} 1/s found for all {plant.modes} "
-        f"modes at once ({told(verdicts)}): lower `decay_rate` (every mode must be "
+        f"modes at once ({answers_of(verdicts)}): lower `decay_rate` (every mode must be "
         "stabilisable with it), or rescale states whose units differ by many powers of ten."
     )
 

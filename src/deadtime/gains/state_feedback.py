@@ -23,7 +23,7 @@ from deadtime.base.checks import positive, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.gains.pole_placement import place_pair, pole_lists, reachable, require_controllable
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import held_pair, quotient, quotient_poles
+from deadtime.plant.discretisation import finite_discretisation, quotient, quotient_poles
 from deadtime.plant.weight import weight_matrix
 
 
@@ -76,16 +76,16 @@ def place(
     wanted = pole_lists(poles, plant.modes, plant.states)
     for i, row in enumerate(wanted):
         if (fastest := row[np.argmax(row.real)]).real >= 0.0 and not allow_unstable:
-            hint = f"; write {_written(-fastest)} for one that does" if fastest.real else ""
+            hint = f"; write {_text_of(-fastest)} for one that does" if fastest.real else ""
             raise ArgumentError(
-                f"poles of mode {i} must have negative real parts, got {_written(fastest)}: a loop "
+                f"poles of mode {i} must have negative real parts, got {_text_of(fastest)}: a loop "
                 f"with this pole does not decay{hint}."
             )
     step = None if step is None else positive("step", step)
     return np.stack([_place_mode(plant, i, wanted[i], step) for i in range(plant.modes)])
 
 
-def _written(pole: complex) -> str:
+def _text_of(pole: complex) -> str:
     """A pole as it is written, a real one without its imaginary part."""
     return f"{pole.real:g}" if pole.imag == 0.0 else f"{pole:g}"
 
@@ -180,7 +180,7 @@ def _sampled_lqr_mode(
 
     A, B = plant.A[i], plant.B[i]
     n = A.shape[0]
-    Phi, Gamma = held_pair(A, B, step)
+    Phi, Gamma = finite_discretisation(A, B, step)
     M = energy_gramian(A, B, step, read_only(Q))
     M[n:, n:] += step * R
     try:

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, instance, number, real_array, shaped
+from deadtime.base.checks import as_floats, instance, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
@@ -72,12 +72,12 @@ class Additive(ABC):
     """
 
     @abstractmethod
-    def added(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
+    def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
         """A function of a count that draws (count, n), the same numbers in blocks or one by one."""
 
     @final
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        draw = self.added(sizes, rng)
+        draw = self.sampler(sizes, rng)
         return lambda seen: Seen(seen.x + draw(1)[0], seen.mode)
 
 
@@ -167,7 +167,7 @@ def require(one: Imperfection, sizes: Sizes) -> None:
 def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:
     array = as_floats(name, value, f"one or ({size},)")
     whole = np.full(size, array) if array.ndim == 0 else array
-    return shaped(name, real_array(name, whole, "(size,)", 1), (size,), "(size,)")
+    return require_shape(name, real_array(name, whole, "(size,)", 1), (size,), "(size,)")
 
 
 def probability_of(name: str, value: float) -> float:

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, read_only, real_array, shaped
+from deadtime.base.checks import as_floats, number, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
 from deadtime.numerics.covariance import noise_covariance, square_root, transition
@@ -43,19 +43,19 @@ class WhiteDisturbance(Disturbance):
     def draws(
         self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
-        self._checked(sizes.states)
+        self._check(sizes.states)
         return rng.standard_normal((steps, len(lengths), sizes.states))
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        W = self._checked(sizes.states)
-        return square_root(_accumulated(pieces, lambda A: (A, W), sizes.states))
+        W = self._check(sizes.states)
+        return square_root(_accumulate(pieces, lambda A: (A, W), sizes.states))
 
-    def _checked(self, n: int) -> np.ndarray:
+    def _check(self, n: int) -> np.ndarray:
         name = "WhiteDisturbance.intensity"
         given = as_floats(name, self.intensity, "one, (n,) or (n, n)")
         if given.ndim < 2:
             given = np.diag(per_signal(name, given, n))
-        W = shaped(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
+        W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
         size = np.abs(W).max()
         if np.abs(W - W.T).max() > 1e-9 * size or np.linalg.eigvalsh(W)[0] < -1e-9 * size:
             raise ArgumentError(
@@ -86,7 +86,7 @@ class ColouredDisturbance(Disturbance):
     def draws(
         self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
-        _, std, T = self._checked(sizes.states)
+        _, std, T = self._check(sizes.states)
         q, n, pieces = std.size, sizes.states, len(lengths) * steps
         normal = rng.standard_normal((pieces + 1, q))
         c = np.empty((pieces + 1, q))
@@ -100,7 +100,7 @@ class ColouredDisturbance(Disturbance):
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
         """From c at both ends and n normal numbers: the mean given c, and what is left."""
-        E, std, T = self._checked(sizes.states)
+        E, std, T = self._check(sizes.states)
         n, q = E.shape
         total = sum(tau for _, tau in pieces)
         if total == 0.0:
@@ -114,17 +114,17 @@ class ColouredDisturbance(Disturbance):
         M = np.eye(n + q)
         for A, tau in pieces:
             M = transition(joint(A)[0], tau) @ M
-        Q = _accumulated(pieces, joint, n + q)
+        Q = _accumulate(pieces, joint, n + q)
         kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
         slope = Q[:n, n:] / np.where(variance > 0.0, variance, 1.0)
         left = square_root(Q[:n, :n] - slope @ Q[n:, :n])
         return np.hstack((M[:n, n:] - slope * kept, slope, left))
 
-    def _checked(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _check(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         given = as_floats("ColouredDisturbance.force", self.force, "(n, q)")
         given = given[:, None] if given.ndim == 1 else given
         E = real_array("ColouredDisturbance.force", given, "(n, q)", 2)
-        shaped("ColouredDisturbance.force", E, (n, E.shape[1]), "(n, q)")
+        require_shape("ColouredDisturbance.force", E, (n, E.shape[1]), "(n, q)")
         std = per_signal("ColouredDisturbance.std", self.std, E.shape[1])
         T = per_signal("ColouredDisturbance.time_constant", self.time_constant, E.shape[1])
         if (std < 0.0).any() or (T <= 0.0).any():
@@ -170,19 +170,19 @@ class StepDisturbance(Disturbance):
         return active
 
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        from deadtime.numerics.exponential import held
+        from deadtime.numerics.exponential import discretise
 
         name = "StepDisturbance.force"
         force = real_array(name, self.force, "(n,)", 1)
-        shaped(name, force, (sizes.states,), "(n,)")
+        require_shape(name, force, (sizes.states,), "(n,)")
         total = np.zeros((sizes.states, 1))
         for A, tau in pieces:
-            Phi, Gamma = held(read_only(A), read_only(force[:, None]), tau)
+            Phi, Gamma = discretise(read_only(A), read_only(force[:, None]), tau)
             total = Phi @ total + Gamma
         return total
 
 
-def _accumulated(pieces: Sequence[Piece], system, order: int) -> np.ndarray:
+def _accumulate(pieces: Sequence[Piece], system, order: int) -> np.ndarray:
     """The covariance over pieces, each under its own (A, W) = system(A of the plant)."""
     Q = np.zeros((order, order))
     for A, tau in pieces:

@@ -40,7 +40,7 @@ class Noise(Additive, SensorImperfection):
     kind: ClassVar[int] = 1
     std: ArrayLike
 
-    def added(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
+    def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
         std = per_signal("Noise.std", self.std, sizes.states)
         if (std < 0.0).any():
             raise ArgumentError(f"Noise.std must be ≥ 0, got {std.tolist()}.")

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array, shaped
+from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, checked_dwell_time, remembered
-from deadtime.gains.checked import checked_gains
+from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -76,10 +76,10 @@ class AveragedPredictor(TableLaw):
         allow_unstable: bool = False,
     ) -> None:
         modes = plant.modes
-        gains = checked_gains(plant, gains, allow_unstable)
+        gains = check_gains(plant, gains, allow_unstable)
         given = np.full(modes, 1.0 / modes) if weights is None else weights
         weights = real_array("weights", given, "(modes,)", 1)
-        shaped("weights", weights, (modes,), "(modes,)")
+        require_shape("weights", weights, (modes,), "(modes,)")
         if weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-9:
             raise ArgumentError(
                 f"weights must be ≥ 0 and sum to 1, got {weights.tolist()} with sum "
@@ -90,7 +90,7 @@ class AveragedPredictor(TableLaw):
             plant=plant,
             gains=gains,
             weights=weights,
-            dwell_time=checked_dwell_time(dwell_time),
+            dwell_time=check_dwell_time(dwell_time),
             allow_unstable=allow_unstable,
             tuned=False,
         )
@@ -157,20 +157,20 @@ class AveragedPredictor(TableLaw):
         """A, B and weighted gain of the systems that may follow."""
         return self.plant.A, self.plant.B, self.weights[:, None, None] * self.gains
 
-    @remembered
+    @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, sampled = self.plant, self.sampled(step)
+        plant, sampled = self.plant, self.sampled_plant(step)
         if self.dwell_time is not None:
             from deadtime.laws.tables.dwell_time import dwelling_table
 
             return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, sampled)
-        from deadtime.laws.tables.constant_mode import frozen_table
+        from deadtime.laws.tables.constant_mode import constant_table
 
-        return frozen_table(plant.A, plant.B, self.gains, self.weights, sampled)
+        return constant_table(plant.A, plant.B, self.gains, self.weights, sampled)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         if self.dwell_time is not None:
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        return Forecast.frozen(*self._after, self.plant.delay)
+        return Forecast.constant(*self._after, self.plant.delay)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -45,7 +45,7 @@ class DelayedStateFeedback(TableLaw):
     def __init__(
         self, plant: SwitchedSystem, gains: ArrayLike, *, allow_unstable: bool = False
     ) -> None:
-        gains = checked_gains(plant, gains, allow_unstable)
+        gains = check_gains(plant, gains, allow_unstable)
         vars(self).update(plant=plant, gains=gains, allow_unstable=allow_unstable)
 
     @property
@@ -55,7 +55,7 @@ class DelayedStateFeedback(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        sampled = self.sampled(step)
+        sampled = self.sampled_plant(step)
         modes, m, _ = self.gains.shape
         taps = np.zeros((modes, sampled.longest_lag, m, m))
         return Feedback(self.gains, taps, "mode", sampled.step)

@@ -12,7 +12,7 @@ from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
@@ -62,7 +62,7 @@ class ExactPredictor(TableLaw):
         *,
         allow_unstable: bool = False,
     ) -> None:
-        gains = checked_gains(plant, gains, allow_unstable)
+        gains = check_gains(plant, gains, allow_unstable)
         if signal is not None:
             signal.require_modes(plant.modes)
         vars(self).update(plant=plant, gains=gains, signal=signal, allow_unstable=allow_unstable)
@@ -79,7 +79,7 @@ class ExactPredictor(TableLaw):
     def foreseen(self) -> SwitchingSignal | None:
         return self.signal
 
-    def _known(self, signal: SwitchingSignal | None, last: float) -> SwitchingSignal:
+    def _require_signal(self, signal: SwitchingSignal | None, last: float) -> SwitchingSignal:
         """The signal that the law believes in, which must reach a delay past the last time."""
         known = signal if self.signal is None else self.signal
         if known is None:
@@ -102,7 +102,7 @@ class ExactPredictor(TableLaw):
     ) -> Feedback:
         from deadtime.laws.tables.known_signal import future_rows
 
-        sampled = self.sampled(step)
+        sampled = self.sampled_plant(step)
         window = sampled.window
         if steps is None:
             raise ArgumentError(
@@ -111,7 +111,7 @@ class ExactPredictor(TableLaw):
                 "a rule switches the plant by its state, use StateDependentPredictor."
             )
         count("steps", steps)
-        known = self._known(signal, (steps - 1) * step)
+        known = self._require_signal(signal, (steps - 1) * step)
         cuts = cuts_of(known, window)
         future = modes_at(known, np.arange(steps) * step + window.delay, step)
         F, G = future_rows(sampled, self.gains[future], cuts)
@@ -119,7 +119,7 @@ class ExactPredictor(TableLaw):
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         plant = self.plant
-        known = self._known(signal, horizon)
+        known = self._require_signal(signal, horizon)
         return Forecast(
             plant.A,
             plant.B,

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, remembered, require_room, room
-from deadtime.gains.checked import checked_gains
+from deadtime.feedback.law import TableLaw, remember_table, require_room, room
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
 
@@ -89,7 +89,7 @@ class ExpectedPredictor(TableLaw):
         ages: int | None = None,
         allow_unstable: bool = False,
     ) -> None:
-        gains = checked_gains(plant, gains, allow_unstable)
+        gains = check_gains(plant, gains, allow_unstable)
         require_model(model, plant.modes)
         ages = None if ages is None else count("ages", ages)
         vars(self).update(
@@ -100,11 +100,11 @@ class ExpectedPredictor(TableLaw):
     def label(self) -> str:
         return "expected"
 
-    @remembered
+    @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, model, sampled = self.plant, self.model, self.sampled(step)
+        plant, model, sampled = self.plant, self.model, self.sampled_plant(step)
         if isinstance(model, Markov):
             from deadtime.laws.tables.markov import markov_table
 

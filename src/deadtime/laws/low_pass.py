@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, real_array, unmasked
+from deadtime.base.checks import instance, real_array, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback, Forecast, Law
 from deadtime.feedback.law import TableLaw
@@ -107,7 +107,7 @@ class LowPassPredictor(TableLaw):
 
 def _matrix(value: ArrayLike, m: int) -> Float[np.ndarray, "m m"]:
     """T as an (m, m) matrix whose eigenvalues have positive real parts."""
-    unmasked("time_constant", value)
+    require_unmasked("time_constant", value)
     try:
         array = np.asarray(value)
     except ValueError:

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array, shaped
+from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw, checked_dwell_time, remembered
-from deadtime.gains.checked import checked_gains, require_hurwitz
+from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
+from deadtime.gains.checked import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -75,21 +75,21 @@ class MeanPredictor(TableLaw):
         allow_unstable: bool = False,
     ) -> None:
         n, m = plant.states, plant.inputs
-        gain = shaped("gain", real_array("gain", gain, "(m, n)", 2), (m, n), "(m, n)")
+        gain = require_shape("gain", real_array("gain", gain, "(m, n)", 2), (m, n), "(m, n)")
         centre = plant.mean()
         if mean is not None and (not isinstance(mean, tuple | list) or len(mean) != 2):
             raise ArgumentError("mean must be a pair (A, B) of one matrix each.")
         A, B = (centre.A[0], centre.B[0]) if mean is None else mean
-        A = shaped("mean[0]", real_array("mean[0]", A, "(n, n)", 2), (n, n), "(n, n)")
-        B = shaped("mean[1]", real_array("mean[1]", B, "(n, m)", 2), (n, m), "(n, m)")
+        A = require_shape("mean[0]", real_array("mean[0]", A, "(n, n)", 2), (n, n), "(n, n)")
+        B = require_shape("mean[1]", real_array("mean[1]", B, "(n, m)", 2), (n, m), "(n, m)")
         require_hurwitz("gain", "the mean plant", A, B, gain, allow_unstable)
         if gains is not None:
-            gains = checked_gains(plant, gains, allow_unstable)
+            gains = check_gains(plant, gains, allow_unstable)
         vars(self).update(
             plant=plant,
             gain=gain,
             gains=gains,
-            dwell_time=checked_dwell_time(dwell_time),
+            dwell_time=check_dwell_time(dwell_time),
             mean=(A, B),
             allow_unstable=allow_unstable,
         )
@@ -104,20 +104,20 @@ class MeanPredictor(TableLaw):
         A, B = self.mean
         return A[None], B[None], self.gain[None]
 
-    @remembered
+    @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, sampled = self.plant, self.sampled(step)
+        plant, sampled = self.plant, self.sampled_plant(step)
         if self.dwell_time is not None:
             from deadtime.laws.tables.dwell_time import dwelling_table
 
             return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, sampled)
-        from deadtime.laws.tables.constant_mode import frozen_table
+        from deadtime.laws.tables.constant_mode import constant_table
 
-        return frozen_table(*self._after, np.ones(1), sampled)
+        return constant_table(*self._after, np.ones(1), sampled)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         if self.dwell_time is not None:
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        return Forecast.frozen(*self._after, self.plant.delay)
+        return Forecast.constant(*self._after, self.plant.delay)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import positive
 from deadtime.base.errors import InfeasibleError
 from deadtime.feedback import Feedback
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import LiftedLoop
 
@@ -59,7 +59,7 @@ def minimax(
     InfeasibleError
         If no common gain was found that leaves every A_i + B_i K stable.
     """
-    given = checked_gains(plant, gains, allow_unstable)
+    given = check_gains(plant, gains, allow_unstable)
     step = positive("step", step)
     coarse = max(step, plant.delay / _COARSE)
 
@@ -72,13 +72,13 @@ def minimax(
     height, lattice = _height(plant, rates, own, coarse), _simplex(plant.modes)
     order = np.argsort([height(point) for point in lattice], kind="stable")
     start = _best(height, [lattice[i] for i in order[:3]], 0.05)
-    best, _ = _refined(_height(plant, rates, own, step), start, 0.02, 3)
+    best, _ = _minimise(_height(plant, rates, own, step), start, 0.02, 3)
     if not common_gain:
         return _weights(best), given, rates(_weights(best), given, step)
 
     read, starts = _one_gain(plant, given, _weights(best))
     start = _best(_height(plant, rates, read, coarse, allow_unstable), starts, 0.2)
-    best, worst = _refined(_height(plant, rates, read, step, allow_unstable), start, 0.02, 3)
+    best, worst = _minimise(_height(plant, rates, read, step, allow_unstable), start, 0.02, 3)
     if worst >= _UNSTABLE:
         raise InfeasibleError(
             "no common gain was found that leaves every A_i + B_i K stable: use the modes' own "
@@ -129,11 +129,11 @@ def _rates(plant: SwitchedSystem, table: Feedback, step: float) -> Float[np.ndar
 
 def _best(height: Height, starts: list[np.ndarray], spread: float) -> np.ndarray:
     """The lowest end of the descents from several points."""
-    ends = [_refined(height, start, spread, _RESTARTS) for start in starts]
+    ends = [_minimise(height, start, spread, _RESTARTS) for start in starts]
     return min(ends, key=lambda end: end[1])[0]
 
 
-def _refined(
+def _minimise(
     height: Height, start: np.ndarray, spread: float, restarts: int
 ) -> tuple[np.ndarray, float]:
     """Where Nelder and Mead's method ends, restarted while it gains something, and how high."""

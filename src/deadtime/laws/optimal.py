@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, index, read_only, real_array, shaped
+from deadtime.base.checks import count, index, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw, require_room, room
@@ -145,7 +145,7 @@ class OptimalPredictor(TableLaw):
             Sampling period h, in seconds.
         """
         n = self.plant.states
-        x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
+        x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
         mode = index("mode", mode, self.plant.modes)
         return float(x0 @ self._solution(step)[1][mode] @ x0)
 
@@ -153,7 +153,7 @@ class OptimalPredictor(TableLaw):
         """The table at a period, and the cost of x(0) in each mode just entered; the last kept."""
         kept = vars(self).get("_kept")
         if kept is None or kept[0].step != step:
-            kept = vars(self)["_kept"] = self._solve(self.sampled(step))
+            kept = vars(self)["_kept"] = self._solve(self.sampled_plant(step))
         return kept
 
     def _solve(self, sampled: SampledPlant) -> tuple[Feedback, Float[np.ndarray, "mode n n"]]:

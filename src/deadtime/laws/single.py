@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -54,7 +54,7 @@ class SingleModePredictor(TableLaw):
         self, plant: SwitchedSystem, gains: ArrayLike, mode: int, *, allow_unstable: bool = False
     ) -> None:
         mode = index("mode", mode, plant.modes)
-        gains = checked_gains(plant, gains, allow_unstable)
+        gains = check_gains(plant, gains, allow_unstable)
         vars(self).update(plant=plant, gains=gains, mode=mode, allow_unstable=allow_unstable)
 
     @property
@@ -64,15 +64,15 @@ class SingleModePredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        from deadtime.laws.tables.constant_mode import frozen_table
+        from deadtime.laws.tables.constant_mode import constant_table
 
         one = slice(self.mode, self.mode + 1)
         plant = self.plant
-        return frozen_table(
-            plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.sampled(step)
+        return constant_table(
+            plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.sampled_plant(step)
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         one = slice(self.mode, self.mode + 1)
         plant = self.plant
-        return Forecast.frozen(plant.A[one], plant.B[one], self.gains[one], plant.delay)
+        return Forecast.constant(plant.A[one], plant.B[one], self.gains[one], plant.delay)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError, ChatteringError
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Update
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
@@ -85,7 +85,7 @@ class StateDependentPredictor(Law):
         *,
         allow_unstable: bool = False,
     ) -> None:
-        gains = checked_gains(plant, gains, allow_unstable)
+        gains = check_gains(plant, gains, allow_unstable)
         rule = as_rule("rule", rule).require(plant)
         vars(self).update(plant=plant, gains=gains, rule=rule, allow_unstable=allow_unstable)
 
@@ -110,7 +110,7 @@ class StateDependentPredictor(Law):
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Update:
-        ahead = self.sampled(step).ahead
+        ahead = self.sampled_plant(step).ahead
         # A switch within 1e-9 h after an instant counts as at it: the last length looks ahead.
         lengths = *ahead.length.tolist(), TOLERANCE * step
         motion = self.rule.motion(self.plant, lengths)

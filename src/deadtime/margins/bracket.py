@@ -44,7 +44,7 @@ class Questions:
     falsify: Callable[[float], Any]
     answers: dict[float, bool | None] = field(default_factory=dict)
 
-    def lost(self, value: float) -> bool:
+    def is_lost(self, value: float) -> bool:
         """Whether a constant mode grows."""
         grows = self.grows(value)
         self._note(value, False if grows else None)
@@ -97,7 +97,7 @@ def bracket(ask: Questions, low: float, high: float, ratio: float) -> Bracket:
     search = _Search(ask, low, start, ratio, FLOOR * (high - low))
     found = search.below(high)
     for _ in range(ROUNDS):
-        lower = search.lost_below(found)
+        lower = search.loss_below(found)
         if lower is None:
             break
         found = replace(search.down_to(lower), again=(*found.again, found.certified))
@@ -120,31 +120,31 @@ class _Search:
 
     def below(self, high: float) -> Bracket:
         """The bracket when nothing is known about `high`."""
-        if self.ask.lost(high):
+        if self.ask.is_lost(high):
             return self.down_to(high)
         witness = self.ask.witness(high)
         if witness is not None:
-            return self.switching(high, witness)
+            return self.switching_bracket(high, witness)
         return self.proofs(high, self.ask.proof(high), None, None)
 
     def down_to(self, refuted: float) -> Bracket:
         """The bracket below a value at which a constant mode grows."""
-        last, refuted, _ = self.bisected(refuted, None, lambda value: self.ask.lost(value) or None)
+        last, refuted, _ = self.bisect(refuted, None, lambda value: self.ask.is_lost(value) or None)
         if last == self.low:
             return Bracket(self.low, self.start, refuted)
         certificate = self.ask.proof(last)
         if certificate.stable is False:
-            return self.switching(last, certificate.witness)
+            return self.switching_bracket(last, certificate.witness)
         return self.proofs(last, certificate, refuted, None)
 
-    def switching(self, refuted: float, witness: Any) -> Bracket:
+    def switching_bracket(self, refuted: float, witness: Any) -> Bracket:
         """The bracket below a value at which some signal grows, though no constant one may."""
-        last, refuted, witness = self.bisected(refuted, witness, self.ask.witness)
+        last, refuted, witness = self.bisect(refuted, witness, self.ask.witness)
         if last == self.low:
             return Bracket(self.low, self.start, refuted, witness)
         return self.proofs(last, self.ask.proof(last), refuted, witness)
 
-    def bisected(
+    def bisect(
         self, refuted: float, witness: Any, ask: Callable[[float], Any | None]
     ) -> tuple[float, float, Any]:
         """The last value without an answer and the first with one, close to each other."""
@@ -185,9 +185,9 @@ class _Search:
         """The gap below a ceiling that ends the search: half of it where more lies above."""
         return (1.0 if doubtful else 2.0) * self.width(ceiling)
 
-    def lost_below(self, found: Bracket) -> float | None:
+    def loss_below(self, found: Bracket) -> float | None:
         """The lowest of a few values below the proved end at which a constant mode grows."""
         if found.certified - self.low <= self.floor:
             return None
         values = np.linspace(self.low, found.certified, CHECKS + 2)[1:-1]
-        return next((float(value) for value in values if self.ask.lost(float(value))), None)
+        return next((float(value) for value in values if self.ask.is_lost(float(value))), None)

@@ -20,7 +20,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import error_percent, inwards
 from deadtime.feedback import Law
-from deadtime.margins.crossing import first_crossing, reaching
+from deadtime.margins.crossing import first_crossing, unit_bands
 from deadtime.margins.loop_gain import Band, bands
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
@@ -194,7 +194,7 @@ def _bands(response: Response, delay: float) -> list[Band]:
     """Where some delay may have a root; none if no delay has any."""
     found = bands(response, delay)
     # In the ideal loop the gain is what it is, whatever the delay.
-    return reaching(response, found, delay) if response.period is None else found
+    return unit_bands(response, found, delay) if response.period is None else found
 
 
 def _response(plant: SwitchedSystem, law: Law, mode: int, step: float | None) -> Response:

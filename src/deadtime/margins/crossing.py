@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deadtime.margins.curves import Curve, candidates, followed, refined, solved
+from deadtime.margins.curves import Curve, candidates, follow, refine, solve
 from deadtime.margins.loop_gain import Band, loop_gain
 from deadtime.numerics.small_matrices import inverses
 from deadtime.spectrum.response import Response, Samples
@@ -102,19 +102,19 @@ def _in_ring(
         batch: list[Curve] = []
         while len(batch) < _AT_ONCE and queue[0][0] <= reach:
             _, i, k = queue[0]
-            batch.append(_guessed(branches[i], k, sign, start, (inner, reach), len(batch)))
+            batch.append(_guess(branches[i], k, sign, start, (inner, reach), len(batch)))
             heapq.heapreplace(queue, (_least(branches[i], k - 1, sign, inner), i, k - 1))
         if not batch:
             break
         guess = Curve(*(np.concatenate(part) for part in zip(*batch, strict=True)))
-        curve = followed(response, *(guess[i] for i in (0, 1, 2, 5, 6)))
+        curve = follow(response, *(guess[i] for i in (0, 1, 2, 5, 6)))
         between = sorted((start + sign * inner, start + sign * reach))
-        curve = refined(response, curve, *between)
+        curve = refine(response, curve, *between)
         best = _nearest(response, curve, start, end, best)
     return best
 
 
-def reaching(response: Response, parts: list[Band], delay: float) -> list[Band]:
+def unit_bands(response: Response, parts: list[Band], delay: float) -> list[Band]:
     """The bands of an ideal loop in which |λ| is 1, which there does not depend on the delay."""
     if not parts:
         return []
@@ -123,8 +123,8 @@ def reaching(response: Response, parts: list[Band], delay: float) -> list[Band]:
     omega, above, phase, spread, _ = zip(*found, strict=True)
     omega, above, phase = (np.concatenate(part) for part in (omega, above, phase))
     piece, spread = np.repeat(np.arange(len(found)), sizes), np.repeat(spread, sizes)
-    curve = followed(response, piece, omega, delay + phase / omega, spread, above)
-    curve = refined(response, curve, -math.inf, math.inf)
+    curve = follow(response, piece, omega, delay + phase / omega, spread, above)
+    curve = refine(response, curve, -math.inf, math.inf)
     reached = curve.piece[candidates(curve, response.period)] // (len(found) // len(parts))
     return [parts[i] for i in np.unique(reached)]
 
@@ -163,7 +163,7 @@ def _least(branch: Branch, k: int, sign: float, inner: float) -> float:
     return float(ahead[ahead >= inner - branch.around].min(initial=math.inf)) - branch.around
 
 
-def _guessed(
+def _guess(
     branch: Branch, k: int, sign: float, start: float, ring: tuple[float, float], number: int
 ) -> Curve:
     """The k-th curve where it may be in a ring, and a point on either side."""
@@ -190,7 +190,7 @@ def _nearest(
     cells = cells[near <= abs(limit - start)]
     if cells.size == 0:
         return best
-    found = solved(response, curve, cells)
+    found = solve(response, curve, cells)
     share = (found.delay - start) / (limit - start)
     ahead = np.where((share > 0.0) & (found.delay > 0.0), share, np.inf)
     i = int(ahead.argmin())
@@ -207,7 +207,7 @@ def _at_nyquist(response: Response, start: float, end: float) -> Crossing | None
     open_loop = inverses(samples.M) @ samples.r
 
     def gap(delay: np.ndarray) -> np.ndarray:
-        X = open_loop @ response.pipe(np.full(delay.size, response.highest), delay)[0]
+        X = open_loop @ response.delay_line(np.full(delay.size, response.highest), delay)[0]
         return np.linalg.det(np.eye(X.shape[-1]) - X).real
 
     reach = min(2.0 * response.period, abs(end - start))

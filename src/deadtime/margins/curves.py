@@ -53,7 +53,7 @@ class Curve(NamedTuple):
         return Curve(*both).at(order)
 
 
-def followed(
+def follow(
     response: Response,
     piece: np.ndarray,
     omega: np.ndarray,
@@ -101,11 +101,11 @@ def followed(
     return Curve(piece, omega, delay, level, slope, spread, above)
 
 
-def refined(response: Response, curve: Curve, low: float, high: float) -> Curve:
+def refine(response: Response, curve: Curve, low: float, high: float) -> Curve:
     """The curve with points so close that every cell with delays in an interval is decided."""
     most = curve.omega.size + _MOST
     for _ in range(_ROUNDS):
-        cells = np.flatnonzero(_judged(curve, response.period)[0])
+        cells = np.flatnonzero(_judge(curve, response.period)[0])
         before, after = curve.delay[cells], curve.delay[cells + 1]
         within = (np.maximum(before, after) >= low) & (np.minimum(before, after) <= high)
         cells = cells[within]
@@ -118,12 +118,12 @@ def refined(response: Response, curve: Curve, low: float, high: float) -> Curve:
 
 def candidates(curve: Curve, period: float | None) -> np.ndarray:
     """The cells in which the level changes its sign; or, where it is all but 0, its slope."""
-    _, crossing, touching = _judged(curve, period)
+    _, crossing, touching = _judge(curve, period)
     turning = touching & (curve.slope[1:] * curve.slope[:-1] <= 0.0)
     return np.flatnonzero(crossing | turning)
 
 
-def _judged(curve: Curve, period: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _judge(curve: Curve, period: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every cell between two points: undecided; with a change of sign; all but 0."""
     before, after = curve.level[:-1], curve.level[1:]
     gap = np.diff(curve.omega)
@@ -149,10 +149,10 @@ def _between(response: Response, one: Curve, other: Curve, omega: np.ndarray) ->
     part = (omega - one.omega) / np.where(gap == 0.0, 1.0, gap)
     turned = one.omega * one.delay + part * (other.omega * other.delay - one.omega * one.delay)
     above = one.above + part * (other.above - one.above)
-    return followed(response, one.piece, omega, turned / omega, one.spread, above)
+    return follow(response, one.piece, omega, turned / omega, one.spread, above)
 
 
-def solved(response: Response, curve: Curve, cells: np.ndarray) -> Curve:
+def solve(response: Response, curve: Curve, cells: np.ndarray) -> Curve:
     """The zero of the level in cells in which it changes its sign, or else of its slope."""
     low, high = curve.at(cells), curve.at(cells + 1)
     changes, close = low.level * high.level <= 0.0, _PART * (high.omega - low.omega)

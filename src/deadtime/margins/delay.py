@@ -94,7 +94,7 @@ def delay_margin(
         )
 
     def holds(low: float, high: float) -> bool:
-        return _certified(plant, law, dwell_time, step, (low, high))
+        return _is_certified(plant, law, dwell_time, step, (low, high))
 
     lower = _reach(plant.delay, constant.lower, step, holds)
     upper = _reach(plant.delay, constant.upper, step, holds)
@@ -107,7 +107,7 @@ def delay_margin(
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
 
 
-def _certified(
+def _is_certified(
     plant: SwitchedSystem, law: Law, dwell_time: float, step: float, delays: tuple[float, float]
 ) -> bool:
     certificate: Certificate = certify(

@@ -125,12 +125,12 @@ def least_dwell_time(
             f"{max(rates):+.4g} 1/s."
         )
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    longest = _certified(questions, _calm(step, max(rates)), MOST_PERIODS * step)
+    longest = _certified_dwell_time(questions, _calm(step, max(rates)), MOST_PERIODS * step)
     if longest is None:
         return _without_proof(questions, worst)
     grows = worst.growth_rate > GROWS and worst.proven
     lowest = _dwell_of(worst) if grows and math.isfinite(_dwell_of(worst)) else shortest
-    return _found(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions)
+    return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions)
 
 
 def _questions(plant: SwitchedSystem, law: Law, step: float) -> Questions:
@@ -160,7 +160,7 @@ def _calm(step: float, slowest: float) -> float:
     return max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
 
 
-def _certified(questions: Questions, dwell_time: float, most: float) -> float | None:
+def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) -> float | None:
     """A dwell time below `most` that is certified: this one, or up to 2^6 times as long."""
     for _ in range(DOUBLINGS + 1):
         if questions.proof(1.0 / dwell_time).stable:
@@ -187,7 +187,7 @@ def _without_proof(questions: Questions, worst: WorstCase) -> LeastDwellTime:
     )
 
 
-def _found(found: Bracket, questions: Questions) -> LeastDwellTime:
+def _in_seconds(found: Bracket, questions: Questions) -> LeastDwellTime:
     certified, refuted = 1.0 / found.certified, None
     text = f"Proved stable for every signal with a dwell time of {in_words(certified, up=True)} s"
     text += " or more"

@@ -123,25 +123,25 @@ def _interval(
 ) -> tuple[float, float]:
     """The factors next to 1 at which this mode is lost."""
 
-    def changed(factor: float) -> SwitchedSystem:
+    def scale_inputs(factor: float) -> SwitchedSystem:
         return SwitchedSystem(plant.A, factor * plant.B, plant.delay)
 
     def limit(outwards: list[float]) -> float | None:
         """The first factor beyond which the mode is lost; the last is as far as any matters."""
 
-        def lost(factor: float) -> bool:
-            return growth_rate(changed(factor), law, mode, step) >= _GROWTH
+        def is_lost(factor: float) -> bool:
+            return growth_rate(scale_inputs(factor), law, mode, step) >= _GROWTH
 
         for a, b in itertools.pairwise(outwards):
-            if lost(math.sqrt(a * b)):
+            if is_lost(math.sqrt(a * b)):
                 return a
         good, bad = 1.0, outwards[-1]
-        if not lost(bad):
+        if not is_lost(bad):
             return None
         # A crossing between two frequencies was missed.
         while abs(math.log(bad / good)) > 1e-12:
             middle = math.sqrt(good * bad)
-            good, bad = (good, middle) if lost(middle) else (middle, bad)
+            good, bad = (good, middle) if is_lost(middle) else (middle, bad)
         return good
 
     def candidates(most: float) -> np.ndarray:
@@ -149,7 +149,7 @@ def _interval(
             return _candidates(digital_response(plant, law, mode, step), plant.delay)
         # Stronger inputs have roots at higher frequencies.
         response = IdealResponse.of(IdealLoop.of(plant, law, mode))
-        highest = IdealResponse.of(IdealLoop.of(changed(most), law, mode)).highest
+        highest = IdealResponse.of(IdealLoop.of(scale_inputs(most), law, mode)).highest
         return _candidates(replace(response, radius=highest), plant.delay)
 
     factors, high = candidates(1.0), None
@@ -170,7 +170,7 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
     omega = np.linspace(1e-9, 1.0 - 1e-9, count) * highest
     gains = _gains(response, omega, delay)
     while True:
-        gains = _matched(gains)
+        gains = _match(gains)
         apart = np.abs(np.diff(gains, axis=0))
         size = np.minimum(np.abs(gains[1:]), np.abs(gains[:-1])) + 1e-3
         coarse = (apart > _TURN * size).any(axis=1) & (np.diff(omega) > _FINEST * highest)
@@ -188,7 +188,7 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
         with np.errstate(over="ignore", invalid="ignore"):
             values: Any = _gains(response, np.array([end]), delay).ravel().tolist()
         found += [z.real for z in values if abs(z.imag) <= 1e-9 * abs(z) < math.inf]
-    found += _refined(response, delay, omega, gains, np.argwhere(crossing)).tolist()
+    found += _refine(response, delay, omega, gains, np.argwhere(crossing)).tolist()
     real = np.array([value for value in found if value > 1.0 / _LARGEST])
     return np.unique(1.0 / real)
 
@@ -196,13 +196,13 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
 def _gains(response: Response, omega: np.ndarray, delay: float) -> np.ndarray:
     """The eigenvalues of L, (points, m)."""
     samples = response.samples(omega)
-    p, _, _ = response.pipe(omega, np.full(omega.size, delay))
+    p, _, _ = response.delay_line(omega, np.full(omega.size, delay))
     L = inverses(samples.M) @ samples.r @ p
     L = np.where(np.isfinite(L), L, 1e300)
     return L[:, :, 0] if L.shape[1] == 1 else np.linalg.eigvals(L)
 
 
-def _matched(gains: np.ndarray) -> np.ndarray:
+def _match(gains: np.ndarray) -> np.ndarray:
     """The eigenvalues at each frequency in the order of their neighbours' nearest."""
     from scipy.optimize import linear_sum_assignment
 
@@ -214,7 +214,7 @@ def _matched(gains: np.ndarray) -> np.ndarray:
     return gains
 
 
-def _refined(
+def _refine(
     response: Response, delay: float, omega: np.ndarray, gains: np.ndarray, crossing: np.ndarray
 ) -> Float[np.ndarray, " crossing"]:
     """The real eigenvalues in cells (i, j) of the samples, by bisection and then a secant."""

@@ -51,7 +51,7 @@ class Band(NamedTuple):
 
 def loop_gain(response: Response, samples: Samples, delay: np.ndarray) -> Gain:
     """λ and its slopes at samples, a delay for each or one for all."""
-    p, p_slope, p_speed = response.pipe(samples.omega, delay)
+    p, p_slope, p_speed = response.delay_line(samples.omega, delay)
     inverse = inverses(samples.M)
     X = inverse @ samples.r @ p
     turned = inverse @ (samples.r_slope @ p + samples.r @ p_slope - samples.M_slope @ X)

@@ -49,9 +49,9 @@ def _covariance(A: np.ndarray, W: np.ndarray, tau: float, size: float) -> np.nda
 
 def transition(A: Float[np.ndarray, "n n"], tau: float) -> Float[np.ndarray, "n n"]:
     """e^{Aτ}."""
-    from deadtime.numerics.exponential import held
+    from deadtime.numerics.exponential import discretise
 
-    return held(read_only(A), read_only(np.zeros((A.shape[0], 1))), tau)[0]
+    return discretise(read_only(A), read_only(np.zeros((A.shape[0], 1))), tau)[0]
 
 
 def square_root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

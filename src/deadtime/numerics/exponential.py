@@ -101,7 +101,7 @@ def advance(Phi, Gamma, x, u, result):
 
 
 @njit(cache=True)
-def held(A, B, tau):
+def discretise(A, B, tau):
     """Φ (n, n) and Γ (n, m) over a piece of length `tau` seconds with the input held.
 
     Both are NaN where |A|τ is beyond what floats hold.
@@ -134,12 +134,12 @@ def held(A, B, tau):
 
 
 @njit(cache=True)
-def held_modes(A, B, tau):
-    """`held` for every mode: Φ (modes, n, n) and Γ (modes, n, m)."""
+def discretise_modes(A, B, tau):
+    """`discretise` for every mode: Φ (modes, n, n) and Γ (modes, n, m)."""
     Phi = np.empty_like(A)
     Gamma = np.empty_like(B)
     for i in range(A.shape[0]):
-        Phi[i], Gamma[i] = held(A[i], B[i], tau)
+        Phi[i], Gamma[i] = discretise(A[i], B[i], tau)
     return Phi, Gamma
 
 
@@ -185,7 +185,7 @@ def energy_gramian(A, B, tau, Q=None):
         term = (half + half.T) * (short / k)
         M += term
         bound *= size / 2.0**count / k
-    transition = extended(*held(balanced, scaled, short))
+    transition = extend(*discretise(balanced, scaled, short))
     for _ in range(count):
         M = M + multiply(multiply(transition.T, M), transition)
         transition = multiply(transition, transition)
@@ -193,7 +193,7 @@ def energy_gramian(A, B, tau, Q=None):
 
 
 @njit(cache=True)
-def extended(Phi, Gamma):
+def extend(Phi, Gamma):
     """[[Φ, Γ], [0, I]], the transition of z = (x, u)."""
     n, m = Gamma.shape
     result = np.eye(n + m)

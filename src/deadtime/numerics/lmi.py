@@ -83,13 +83,13 @@ def require_answer(verdicts: Collection[Verdict]) -> None:
     if all(verdict.failure for verdict in verdicts):
         why = "; ".join(dict.fromkeys(verdict.failure for verdict in verdicts))
         raise SolverError(
-            f"no solver answered ({told(verdicts)}), so nothing is known: {why}. If a small "
+            f"no solver answered ({answers_of(verdicts)}), so nothing is known: {why}. If a small "
             "problem fails, too, the installation is broken: python -m pip install --upgrade cvxpy "
             "clarabel numpy scipy; or else rescale states whose units differ by many powers of ten."
         )
 
 
-def told(verdicts: Collection[Verdict]) -> str:
+def answers_of(verdicts: Collection[Verdict]) -> str:
     """What was said, each once."""
     return ", ".join(dict.fromkeys(verdict.said for verdict in verdicts))
 

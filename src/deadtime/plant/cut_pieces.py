@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.numerics.exponential import energy_gramian, extended, held, multiply
+from deadtime.numerics.exponential import discretise, energy_gramian, extend, multiply
 from deadtime.plant.pieces import PieceTable
 
 
@@ -35,7 +35,7 @@ def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
         for s in range(stretches.first[i], stretches.first[i + 1]):
             start[s], stop[s], mode_of[s] = stretches.start[s], stretches.stop[s], i
             lag[s] = stretches.lag[s]
-            Phi[s], Gamma[s] = held(A[i], B[i], stop[s] - start[s])
+            Phi[s], Gamma[s] = discretise(A[i], B[i], stop[s] - start[s])
     e, q, p, mode = whole, 0, 0, cut_mode[0]
     for k in range(periods):
         first[k] = q
@@ -57,7 +57,7 @@ def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
                 entry[q] = s
                 q += 1
             else:
-                part_Phi, part_Gamma = held(A[mode], B[mode], end - now)
+                part_Phi, part_Gamma = discretise(A[mode], B[mode], end - now)
                 for j in range(m):
                     goes_on = goes_on and lag[e - 1, j] == lag[s, j]
                 if goes_on:
@@ -79,7 +79,7 @@ def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
 
 
 @njit(cache=True)
-def begun(A, B, table, cut_offset, cut_mode, e, end):
+def up_to(A, B, table, cut_offset, cut_mode, e, end):
     """Φ, Γ of entry e from its start up to `end` seconds after the period's sample."""
     n, m = B.shape[1:]
     Phi, Gamma = np.eye(n), np.zeros((n, m))
@@ -87,7 +87,7 @@ def begun(A, B, table, cut_offset, cut_mode, e, end):
     for p in range(table.cut[e, 0], table.cut[e, 1] + 1):
         until = min(cut_offset[p], end) if p < table.cut[e, 1] else end
         if until > now:
-            part_Phi, part_Gamma = held(A[mode], B[mode], until - now)
+            part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
             Phi, Gamma = multiply(part_Phi, Phi), multiply(part_Phi, Gamma) + part_Gamma
             now = until
         if p < table.cut[e, 1]:
@@ -96,7 +96,7 @@ def begun(A, B, table, cut_offset, cut_mode, e, end):
 
 
 @njit(cache=True)
-def begun_gramian(A, B, table, cut_offset, cut_mode, e, end, Q=None):
+def gramian_up_to(A, B, table, cut_offset, cut_mode, e, end, Q=None):
     """M with ∫xᵀQx dt = zᵀ M z, z = (x, u), over entry e from its start up to `end`."""
     n, m = B.shape[1:]
     M, transition = np.zeros((n + m, n + m)), np.eye(n + m)
@@ -106,7 +106,7 @@ def begun_gramian(A, B, table, cut_offset, cut_mode, e, end, Q=None):
         if until > now:
             part = energy_gramian(A[mode], B[mode], until - now, Q)
             M += multiply(multiply(transition.T, part), transition)
-            transition = multiply(extended(*held(A[mode], B[mode], until - now)), transition)
+            transition = multiply(extend(*discretise(A[mode], B[mode], until - now)), transition)
             now = until
         if p < table.cut[e, 1]:
             mode = cut_mode[p + 1]
@@ -115,9 +115,9 @@ def begun_gramian(A, B, table, cut_offset, cut_mode, e, end, Q=None):
 
 @njit(cache=True)
 def gramians(A, B, table, cut_offset, cut_mode, Q=None):
-    """`begun_gramian` of every entry, to its end."""
+    """`gramian_up_to` of every entry, to its end."""
     size = B.shape[1] + B.shape[2]
     M = np.empty((table.mode.size, size, size))
     for e in range(table.mode.size):
-        M[e] = begun_gramian(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
+        M[e] = gramian_up_to(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
     return M

@@ -17,11 +17,13 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 
 
-def held_pair(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def finite_discretisation(
+    A: np.ndarray, B: np.ndarray, step: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Φ and Γ."""
-    from deadtime.numerics.exponential import held
+    from deadtime.numerics.exponential import discretise
 
-    Phi, Gamma = held(read_only(A), read_only(B), step)
+    Phi, Gamma = discretise(read_only(A), read_only(B), step)
     if not (np.isfinite(Phi).all() and np.isfinite(Gamma).all()):
         raise ArgumentError(
             f"step = {step:g} s is too long: within it the plant grows beyond what floats hold."
@@ -31,7 +33,7 @@ def held_pair(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np
 
 def quotient(A: np.ndarray, B: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """((Φ − I)/h, Γ/h)."""
-    mean = held_pair(A, np.eye(A.shape[0]), step)[1] / step
+    mean = finite_discretisation(A, np.eye(A.shape[0]), step)[1] / step
     return mean @ A, mean @ B
 
 

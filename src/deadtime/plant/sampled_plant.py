@@ -116,12 +116,12 @@ class SampledPlant(Frozen):
 
     def pieces(self, mode: int) -> tuple[Piece, ...]:
         """The pieces of a period in which a mode is held, in order."""
-        from deadtime.numerics.exponential import held
+        from deadtime.numerics.exponential import discretise
 
         A, B = self.plant.A[mode], self.plant.B[mode]
         pieces = []
         for part in self.stretches(mode):
-            Phi, Gamma = held(A, B, part.stop - part.start)
+            Phi, Gamma = discretise(A, B, part.stop - part.start)
             pieces.append(Piece(read_only(Phi), read_only(Gamma), part))
         return tuple(pieces)
 
@@ -145,14 +145,14 @@ def _by_lag(piece: Piece) -> dict[int, Float[np.ndarray, "n m"]]:
     return {int(lag): np.where(lags == lag, piece.Gamma, 0.0) for lag in np.unique(lags)}
 
 
-def acting(
+def acting_inputs(
     lag: Int[np.ndarray, " m"], inputs: Sequence[np.ndarray] | np.ndarray
 ) -> Float[np.ndarray, " m"]:
     """The inputs that act in a piece; `inputs` are u_k, u_{k−1}, …, the latest first.
 
     Examples
     --------
-    >>> acting(np.array([2, 0]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]))
+    >>> acting_inputs(np.array([2, 0]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]))
     array([5., 2.])
     """
     return np.array([inputs[k][j] for j, k in enumerate(lag)])

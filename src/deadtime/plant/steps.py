@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.plant.discretisation import held_pair
+from deadtime.plant.discretisation import finite_discretisation
 from deadtime.plant.switched_system import SwitchedSystem, require_exponential
 
 TOLERANCE = 1e-9
@@ -85,7 +85,7 @@ class Window:
         step = positive("step", step)
         if require_exponential("step", plant.A, step) > _SURE:
             for A, B in zip(plant.A, plant.B, strict=True):
-                held_pair(A, B, step)
+                finite_discretisation(A, B, step)
         return cls.of(plant.delay, step)
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import brief, number, positive, real_array, shaped
+from deadtime.base.checks import brief, number, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 
@@ -59,9 +59,9 @@ class SwitchedSystem(Frozen):
         A = real_array("A", A, "(modes, n, n)", 3)
         B = real_array("B", B, "(modes, n, m)", 3)
         modes, n = A.shape[:2]
-        shaped("A", A, (modes, n, n), "(modes, n, n)")
+        require_shape("A", A, (modes, n, n), "(modes, n, n)")
         rows = B.shape[2] == n != B.shape[1]  # of inputs, where columns are meant
-        shaped("B", B, (modes, n, B.shape[1] if rows else B.shape[2]), "(modes, n, m)")
+        require_shape("B", B, (modes, n, B.shape[1] if rows else B.shape[2]), "(modes, n, m)")
         delay = positive("delay", delay)
         vars(self).update(A=A, B=B, delay=delay)
         require_exponential("delay", A, delay)

@@ -69,7 +69,7 @@ class Weight(Frozen):
         >>> Weight([4, 1], 0.1).text
         '∫xᵀQx + uᵀRu, Q = diag(4, 1), R = 0.1'
         """
-        return f"∫xᵀQx + uᵀRu, Q = {_written(self.Q)}, R = {_written(self.R)}"
+        return f"∫xᵀQx + uᵀRu, Q = {_text_of(self.Q)}, R = {_text_of(self.R)}"
 
     def of(self, plant: SwitchedSystem, where: str = "weight.") -> Weight:
         """The same with matrices of the plant's sizes; `where` stands before names in messages.
@@ -166,7 +166,7 @@ def _part(name: str, value: ArrayLike, letter: str) -> np.ndarray:
     return whole if ndim else whole.reshape(())
 
 
-def _written(part: np.ndarray) -> str:
+def _text_of(part: np.ndarray) -> str:
     """A weight in a few letters."""
     if part.size == 1:
         return f"{part.item():g}"

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import Outcome, elsewhere, outcome_of, pushed
+from deadtime.simulation.outcome import Outcome, elsewhere, is_pushed, outcome_of
 from deadtime.spectrum import growth_rate
-from deadtime.spectrum.affordable import left_out
+from deadtime.spectrum.affordable import why_left_out
 from deadtime.switching import SwitchingSignal
 
 Progress = Callable[[str], None]
@@ -93,15 +93,15 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
         held.append(problem.hold(mode, horizon))
     metrics = {name: run.metrics(problem.weight) for name, run in runs.items()}
     measured = tuple(-run.metrics()["decay_rate"] for run in held)
-    outcomes = {name: ended(problem, name, run) for name, run in runs.items()}
+    outcomes = {name: ending(problem, name, run) for name, run in runs.items()}
     growth = _growth(problem) or measured
     return Comparison(problem, runs, metrics, tuple(held), growth, measured, outcomes)
 
 
-def ended(problem: Problem, name: str, run: Trajectory) -> Outcome:
+def ending(problem: Problem, name: str, run: Trajectory) -> Outcome:
     """How the run of a law ends, with a second one beside it where something pushes it."""
     law = problem.laws[name]
-    if not pushed(law, problem.imperfections):
+    if not is_pushed(law, problem.imperfections):
         return outcome_of(run, problem.horizon)
     other = replace(problem, x0=elsewhere(problem.x0))
     return outcome_of(run, problem.horizon, lambda: other.run(law))
@@ -110,7 +110,7 @@ def ended(problem: Problem, name: str, run: Trajectory) -> Outcome:
 def _growth(problem: Problem) -> tuple[float, ...]:
     """Growth rates of the first law in every mode, from the spectrum; none where not asked."""
     law, modes = next(iter(problem.laws.values())), range(problem.plant.modes)
-    if left_out("growth rate", problem.plant, law, problem.step):
+    if why_left_out("growth rate", problem.plant, law, problem.step):
         return ()
     try:
         return tuple(growth_rate(problem.plant, law, mode, problem.step) for mode in modes)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from deadtime.base.wording import signed
+from deadtime.base.wording import as_rate
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.problem import Problem
 from deadtime.spectrum import GROWS
@@ -72,7 +72,7 @@ def disagreement_of(result: Comparison) -> list[str]:
             and abs(exact - seen) > _APART * size
         ):
             return [
-                f"Held in {name} the run grows at {signed(seen)} /s, the loop at {signed(exact)} "
+                f"Held in {name} the run grows at {as_rate(seen)} /s, the loop at {as_rate(exact)} "
                 "/s in the long run: the run is too short, or has too few samples, to show it. "
                 "Lengthen the horizon, or shorten the step."
             ]

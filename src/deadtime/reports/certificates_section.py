@@ -14,9 +14,9 @@ from deadtime.problems.comparison import Comparison, Progress
 from deadtime.reports.tables.certificates import (
     HEADINGS,
     Judged,
+    certificate_rows,
+    certificate_sentences,
     judge,
-    judged_rows,
-    judged_sentences,
 )
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     problem = result.problem
     (dwell, source), step = dwell_time_of(problem, result.signal), step_of(problem)
     judged = judge(problem, dwell, step, progress=progress)
-    sentences = judged_sentences(judged)
+    sentences = certificate_sentences(judged)
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)
     if reach is not None:
@@ -79,7 +79,7 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
         if one.certificate and one.certificate.proven
     ]
     statement, law = proofs[0] if proofs else ((), "")
-    rows = judged_rows(judged)
+    rows = certificate_rows(judged)
     return Section(dwell, source, step, HEADINGS, rows, sentences, statement, law, figures)
 
 

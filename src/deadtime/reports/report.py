@@ -148,7 +148,7 @@ def _write(
     audited = _audit(problem, folder, progress)
     progress("computing: constants")
     constants = _constants(result)
-    certified = _certified(result, folder, progress) if certificates else None
+    certified = _section_on_certificates(result, folder, progress) if certificates else None
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
@@ -203,7 +203,9 @@ def _constants(result: Comparison) -> dict[str, Any]:
     }
 
 
-def _certified(result: Comparison, folder: Path, progress: Progress) -> dict[str, Any]:
+def _section_on_certificates(
+    result: Comparison, folder: Path, progress: Progress
+) -> dict[str, Any]:
     """The section on certificates, its figures saved."""
     section = certificates_section(result, progress)
     figures = [
@@ -237,7 +239,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
         **record_of(result.problem.weight),
         "laws": {
             name: {key: finite_or_none(value) for key, value in row.items()}
-            | _ended(result.outcomes[name])
+            | _ending(result.outcomes[name])
             | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
             for name, row in result.metrics.items()
         },
@@ -248,7 +250,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
     }
 
 
-def _ended(outcome: Outcome) -> dict[str, Any]:
+def _ending(outcome: Outcome) -> dict[str, Any]:
     """How a run ends; it settles where it comes to rest, which need not be 0."""
     rest = None if outcome.rest is None else outcome.rest.tolist()
     settles = finite_or_none(outcome.settling)

@@ -73,7 +73,7 @@ class Tightness:
     message: str
 
 
-def moved(problem: Problem, alpha: float) -> tuple[SwitchedSystem, np.ndarray]:
+def move_modes(problem: Problem, alpha: float) -> tuple[SwitchedSystem, np.ndarray]:
     """The plant with its modes α times as far apart, and gains (modes, m, n) for it.
 
     Gains that place the same poles in every mode, one input, are placed anew; others move along
@@ -82,7 +82,7 @@ def moved(problem: Problem, alpha: float) -> tuple[SwitchedSystem, np.ndarray]:
     Examples
     --------
     >>> import deadtime as dt
-    >>> plant, gains = moved(dt.problems.paper(), 0.5)
+    >>> plant, gains = move_modes(dt.problems.paper(), 0.5)
     >>> plant.A[1].tolist(), gains[1].round(3).tolist()
     ([[2.15, 1.05], [0.025, 1.1]], [[-12.351, -6.188]])
     """
@@ -152,7 +152,7 @@ def tightness(
         reaches.append(_at(problem, name, margin.certified))
         if margin.refuted is not None:
             reaches.append(_at(problem, "a signal that grows", margin.refuted, stable=False))
-    return Tightness(tuple(reaches), own, margin, " ".join([*_gained(reaches), *missing]))
+    return Tightness(tuple(reaches), own, margin, " ".join([*_improvements(reaches), *missing]))
 
 
 def reach_of(problem: Problem, dwell_time: float, form: str) -> Reach:
@@ -160,7 +160,7 @@ def reach_of(problem: Problem, dwell_time: float, form: str) -> Reach:
     log_alpha, log_star = math.log10(TINY), 0.0
     for _ in range(ROUNDS):
         alpha = min(max(10.0**log_alpha, TINY), 1.0)
-        plant, gains = moved(problem, alpha)
+        plant, gains = move_modes(problem, alpha)
         bound = theorem_bound(plant, gains, dwell_time, form=form)
         log_star = bound.log10_epsilon_star
         before, log_alpha = log_alpha, log_star - math.log10(bound.epsilon / alpha)
@@ -174,14 +174,14 @@ def _margin(problem: Problem, dwell_time: float, step: float, ratio: float) -> S
     """The bracket for α."""
 
     def loop(alpha: float) -> tuple[SwitchedSystem, AveragedPredictor]:
-        plant, gains = moved(problem, alpha)
+        plant, gains = move_modes(problem, alpha)
         return plant, AveragedPredictor(plant, gains, allow_unstable=True)
 
     return stability_margin(loop, (LOW, MOST), dwell_time, step, ratio)
 
 
 def _at(problem: Problem, name: str, alpha: float, stable: bool = True) -> Reach:
-    return Reach(name, math.log10(distance(*moved(problem, alpha))), alpha, stable)
+    return Reach(name, math.log10(distance(*move_modes(problem, alpha))), alpha, stable)
 
 
 def _times(log10: float) -> str:
@@ -189,7 +189,7 @@ def _times(log10: float) -> str:
     return f"× {10.0**log10:.3g}" if log10 < 3.0 else f"× 10^{log10:.1f}"
 
 
-def _gained(reaches: list[Reach]) -> list[str]:
+def _improvements(reaches: list[Reach]) -> list[str]:
     """What the steps gain, in a sentence."""
     good = [reach for reach in reaches if reach.stable]
     if len(good) < 2:

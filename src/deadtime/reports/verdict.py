@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from deadtime.base.wording import amount, compact, signed
+from deadtime.base.wording import amount, as_rate, compact
 from deadtime.feedback import Law
 from deadtime.laws import (
     DelayedStateFeedback,
@@ -21,7 +21,7 @@ from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import LAWS, LEVELS, the_law
 from deadtime.problems.slips import disagreement_of, slips_of
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import untested
+from deadtime.simulation.outcome import why_untested
 from deadtime.spectrum import GROWS
 
 
@@ -35,29 +35,31 @@ def verdict(result: Comparison) -> list[str]:
     >>> print(verdict(compare(dt.problems.paper()))[2])
     Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
     """
-    lead = untested(result.runs[result.lead], result.outcomes[result.lead])
+    lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
     sentences += _imperfections(result) + _cost(result)
-    early = [name for name, run in result.runs.items() if _ended_early(result, run)]
+    early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
         chatter = f"Runs that chatter end early: {', '.join(early)}; see their messages."
         return [*sentences, chatter]
     settled = not any(run.message and not run.diverged for run in result.held)
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
-    sentences += [_baseline(result, name) for name in _named(result, DelayedStateFeedback)[:1]]
-    singles = _named(result, SingleModePredictor)
+    sentences += [_baseline(result, name) for name in _names_of(result, DelayedStateFeedback)[:1]]
+    singles = _names_of(result, SingleModePredictor)
     sentences += [_believing_one_mode(result, singles)] if singles else []
-    sentences += [_against_the_oracle(result, name) for name in _named(result, ExactPredictor)[:1]]
+    sentences += [
+        _against_the_oracle(result, name) for name in _names_of(result, ExactPredictor)[:1]
+    ]
     return [*sentences, *disagreement_of(result)]
 
 
-def _ended_early(result: Comparison, run: Trajectory) -> bool:
+def _ends_early(result: Comparison, run: Trajectory) -> bool:
     """Whether a run could not go on, though it did not diverge."""
     return not run.diverged and run.end < result.problem.horizon
 
 
-def _named(result: Comparison, kind: type[Law]) -> list[str]:
+def _names_of(result: Comparison, kind: type[Law]) -> list[str]:
     """Names of the laws of one kind, the lead aside."""
     return [
         name
@@ -92,7 +94,7 @@ def _headline(result: Comparison) -> str:
     law = law[0].upper() + law[1:]
     if run.diverged:
         return f"{law} loses the plant {setting}: {run.message}"
-    if _ended_early(result, run):
+    if _ends_early(result, run):
         return f"The run of {_law(result.lead)} ends early: {run.message}"
     outcome = result.outcomes[result.lead]
     if outcome.kind == "grows":
@@ -143,7 +145,7 @@ def _without_switching(result: Comparison) -> str:
         )
     if not unstable:
         slowest = int(np.argmax(growth))
-        rate = f" at {signed(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
+        rate = f" at {as_rate(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
         return (
             f"{same} is stable without switching, too: held in any one mode it decays, "
             f"slowest in {names[slowest]}{rate}."
@@ -161,7 +163,7 @@ def _without_switching(result: Comparison) -> str:
 
 
 def _rate(growth: float) -> str:
-    return f"{signed(growth)} /s" if math.isfinite(growth) else "more than can be told"
+    return f"{as_rate(growth)} /s" if math.isfinite(growth) else "more than can be told"
 
 
 def _baseline(result: Comparison, name: str) -> str:
@@ -205,7 +207,7 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
         f"Compared with an oracle that knows the future, {_law(result.lead)} costs "
         f"{_times(result, result.lead, oracle)} as much"
     )
-    others = [*_named(result, MeanPredictor)[:1], *_named(result, ExpectedPredictor)[:1]]
+    others = [*_names_of(result, MeanPredictor)[:1], *_names_of(result, ExpectedPredictor)[:1]]
     text += "".join(f", {_law(name)} {_times(result, name, oracle)}" for name in others)
     if others:
         best = min((result.lead, *others), key=lambda name: result.metrics[name]["cost"])
@@ -227,7 +229,7 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
             compact(row["cost"]),
             compact(row["peak"]),
             _settles(result.outcomes[name].settling),
-            signed(row["decay_rate"]),
+            as_rate(row["decay_rate"]),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()

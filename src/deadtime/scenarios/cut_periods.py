@@ -45,12 +45,12 @@ class Tables(NamedTuple):
     width: int
 
 
-def packed(form: Float[np.ndarray, "*rows z z"]) -> Float[np.ndarray, "*rows size"]:
+def pack(form: Float[np.ndarray, "*rows z z"]) -> Float[np.ndarray, "*rows size"]:
     """The upper triangle of a symmetric matrix, its off-diagonal doubled, flat.
 
     Examples
     --------
-    >>> packed(np.array([[1.0, 2.0], [2.0, 5.0]]))
+    >>> pack(np.array([[1.0, 2.0], [2.0, 5.0]]))
     array([1., 4., 5.])
     """
     i, j = np.triu_indices(form.shape[-1])
@@ -65,13 +65,13 @@ def balanced_norm(A: Float[np.ndarray, "n n"]) -> float:
     return float(np.abs(A * unit / unit[:, None]).sum(axis=1).max())
 
 
-def composed(
+def compose(
     pieces: Sequence[tuple[np.ndarray, np.ndarray, float]],
     weight: Weight | None = None,
     inputs: Sequence[int] = (0, 1),
 ) -> tuple[Float[np.ndarray, "n z"], Float[np.ndarray, "z z"]]:
     """M and E over pieces (A, B, seconds), piece p seeing the block inputs[p] of the inputs."""
-    from deadtime.numerics.exponential import energy_gramian, held
+    from deadtime.numerics.exponential import discretise, energy_gramian
 
     n, m = pieces[0][1].shape
     which, Q = list(inputs)[: len(pieces)], None if weight is None else weight.Q
@@ -80,7 +80,7 @@ def composed(
     for (A, B, length), block in zip(pieces, which, strict=True):
         u = np.eye(m, wide, n + block * m)
         z = np.vstack((move, u))
-        Phi, Gamma = held(A, B, length)
+        Phi, Gamma = discretise(A, B, length)
         energy += z.T @ energy_gramian(A, B, length, Q) @ z
         move = Phi @ move + Gamma @ u
     return move, energy
@@ -96,12 +96,12 @@ def tables_of(
 
     def piece(i: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
-            move, energy = composed([(A[i], B[i], t)], weight)
-            return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), packed(energy)))
+            move, energy = compose([(A[i], B[i], t)], weight)
+            return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), pack(energy)))
 
         return at
 
-    def switched(i: int, j: int, part: int) -> Callable[[float], np.ndarray]:
+    def with_switch(i: int, j: int, part: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
             both = [(A[i], B[i], t), (A[j], B[j], sum(lengths[: part + 1]) - t)]
             blocks = [part, part]
@@ -110,8 +110,8 @@ def tables_of(
                 blocks = [0, 1, 1]
             elif len(lengths) > 1:
                 both, blocks = [*both, (A[j], B[j], lengths[1])], [0, 0, 1]
-            move, energy = composed(both, weight, blocks)
-            return np.concatenate((move.ravel(), packed(energy)))
+            move, energy = compose(both, weight, blocks)
+            return np.concatenate((move.ravel(), pack(energy)))
 
         return at
 
@@ -122,7 +122,7 @@ def tables_of(
         return Tables(np.zeros((1, 1, 0, 1, width)), pieces, width)
     pairs = [
         [
-            _series(switched(i, j, part), edges[part], edges[part + 1], cells)
+            _series(with_switch(i, j, part), edges[part], edges[part + 1], cells)
             for part in range(len(lengths))
         ]
         for i in range(modes)

@@ -93,14 +93,14 @@ def dataset_of(
     done, dims = np.flatnonzero(results.done), ("law", "scenario")
     whole = done.size == results.done.size
 
-    def kept(array: np.ndarray, axis: int = 1) -> np.ndarray:
+    def keep(array: np.ndarray, axis: int = 1) -> np.ndarray:
         return array if whole else np.take(array, done, axis)
 
     variables: dict[str, Any] = {
-        name: (dims, kept(value), attributes_of(name, None if weight is None else weight.text))
+        name: (dims, keep(value), attributes_of(name, None if weight is None else weight.text))
         for name, value in results.metrics.items()
     }
-    variables["diverged"] = (dims, kept(results.diverged), {"long_name": DIVERGED})
+    variables["diverged"] = (dims, keep(results.diverged), {"long_name": DIVERGED})
     coordinates: dict[str, Any] = {
         "law": ("law", list(names), {"long_name": "law"}),
         "scenario": ("scenario", done, {"long_name": "scenario"}),
@@ -108,11 +108,11 @@ def dataset_of(
     if results.x is not None and results.u is not None and results.mode is not None:
         time = step * np.arange(results.mode.shape[1])
         coordinates["time"] = ("time", time, {"units": "s", "long_name": "time"})
-        variables["x"] = ((*dims, "state", "time"), kept(results.x), {"long_name": "state"})
-        variables["u"] = ((*dims, "input", "time"), kept(results.u), {"long_name": "input"})
+        variables["x"] = ((*dims, "state", "time"), keep(results.x), {"long_name": "state"})
+        variables["u"] = ((*dims, "input", "time"), keep(results.u), {"long_name": "input"})
         variables["mode"] = (
             ("scenario", "time"),
-            kept(results.mode, 0),
+            keep(results.mode, 0),
             {"long_name": "mode at the sample"},
         )
     return xr.Dataset(variables, coordinates, {**attributes, "version": __version__})

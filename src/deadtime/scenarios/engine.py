@@ -41,7 +41,7 @@ class Engine:
         if form is None:
             return self._shape(1, 1, 1, dense=True), _dense([feedback])
         rows, _, q = form.out.shape
-        return self._shape(q, form.transition.shape[1], rows), _factored(feedback, form)
+        return self._shape(q, form.transition.shape[1], rows), _factor_rows(feedback, form)
 
     def tables(self, feedbacks: Sequence[Feedback]) -> tuple[Shape, Rows]:
         """Rows per sample, one table for each of up to eight scenarios."""
@@ -86,7 +86,7 @@ class Engine:
         return Shape(*((0.0,) * size for size in (*sizes, *flags)))
 
 
-def _factored(feedback: Feedback, form: WindowForm) -> Rows:
+def _factor_rows(feedback: Feedback, form: WindowForm) -> Rows:
     flat: list[Any] = [part.ravel() for part in (feedback.state_gain, *form)]
     state, out, transition, enter, last, ahead, behind = map(np.ascontiguousarray, flat)
     parts = state, out, last, transition, enter, ahead, behind
@@ -102,7 +102,7 @@ def _dense(feedbacks: Sequence[Feedback]) -> Rows:
     width = max(1, -(-(taps - 1) * m // LANES)) * LANES
     rows = sum(feedback.state_gain.shape[0] for feedback in feedbacks)
     head = np.empty((rows, m, n + m))
-    dense, start = _aligned(rows * m * width).reshape(rows, m, width), 0
+    dense, start = _zeros_on_cache_lines(rows * m * width).reshape(rows, m, width), 0
     for feedback in feedbacks:
         stop = start + feedback.state_gain.shape[0]
         G = feedback.latest_first
@@ -115,7 +115,7 @@ def _dense(feedbacks: Sequence[Feedback]) -> Rows:
     return Rows(0, taps, *[unused] * 7, *flat)  # pyright: ignore[reportCallIssue]
 
 
-def _aligned(size: int) -> np.ndarray:
+def _zeros_on_cache_lines(size: int) -> np.ndarray:
     """Zeros of which every eighth begins a cache line: a vector across two costs twice as much."""
     room = np.zeros(size + LANES)
     skip = -(room.ctypes.data // room.itemsize) % LANES

@@ -20,7 +20,7 @@ from numba import njit
 from deadtime.numerics.lanes import (
     LANES,
     block_product,
-    chosen,
+    choose,
     exponent,
     first_of,
     gather,
@@ -162,7 +162,7 @@ class Work(NamedTuple):
     ring : inputs, of `period` samples;  carry : what the block of inputs before adds to sums;
     window : for dense rows, scenario by scenario, inputs twice over, so that N of them lie side
     by side wherever the ring begins;  own : maps;
-    mode, its number as one that `chosen` reads, when it began, the row of the law;
+    mode, its number as one that `choose` reads, when it began, the row of the law;
     at, stop, coming : the next record, the end of records, 8·period + place of the next one.
     """
 
@@ -261,7 +261,7 @@ def _sum_dense(shape, rows, work, k, count, samples, place):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _limited(shape, run, u, before):
+def _limit(shape, run, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
     for a in range(run.rate.size):
@@ -310,7 +310,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             sums = load(work.carry, r * asked * LANES, shape.rows)
             sums = product(rows.last, 0, load(ring, older * m * LANES, shape.u), sums)
             sums = product(rows.out, 0, b, product(rows.state, 0, x, sums))
-            u = chosen(sums, load(work.mode_row, 0, _ONE), shape.u)
+            u = choose(sums, load(work.mode_row, 0, _ONE), shape.u)
         else:
             _sum_dense(shape, rows, work, k, count, run.samples, place)
             latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
@@ -319,7 +319,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             u = matrix_product(heads, first_of(x, latest, latest, shape.both), sums)
         if len(shape.limited) > 0:
             before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            u = _limited(shape, run, u, before)
+            u = _limit(shape, run, u, before)
         store(ring, now * m * LANES, u)
         if len(shape.dense) == 0:
             entered = product(rows.enter, 0, u, same(0.0, shape.b))

@@ -134,7 +134,7 @@ def _compose(piece, n, m, column, move, energy, own):
 
 
 @njit(cache=True, nogil=True)
-def _composed(first, last, modes, at, end, phase, pieces, cell, n, m, result, scratch, width):
+def _compose_period(first, last, modes, at, end, phase, pieces, cell, n, m, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
     flat = pieces.reshape(-1)
@@ -208,7 +208,7 @@ def fill_maps(
             store(place, (count + c) * size, value)
         else:
             end = rest if last[c] else step
-            _composed(
+            _compose_period(
                 i,
                 until[c],
                 modes,

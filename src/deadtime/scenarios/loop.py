@@ -21,8 +21,8 @@ from deadtime.scenarios.cut_periods import (
     Maps,
     Tables,
     balanced_norm,
-    composed,
-    packed,
+    compose,
+    pack,
     tables_of,
 )
 from deadtime.switching import SignalBatch
@@ -109,7 +109,7 @@ class Loop:
         """The uncut periods."""
         A, B = self.plant.A, self.plant.B
         whole = [[(A[i], B[i], t) for t in self.lengths] for i in range(len(A))]
-        pairs = [composed(pieces, self.weight) for pieces in whole]
+        pairs = [compose(pieces, self.weight) for pieces in whole]
         return Maps(*(np.array(part) for part in zip(*pairs, strict=True)))
 
     @cached_property
@@ -149,7 +149,7 @@ class Loop:
             self.plant.modes,
         )
         modes = self.plant.modes
-        own = np.concatenate((self.maps.move.reshape(modes, -1), packed(self.maps.energy)), axis=1)
+        own = np.concatenate((self.maps.move.reshape(modes, -1), pack(self.maps.energy)), axis=1)
         maps = np.empty((modes + sojourn.size, tables.width))
         maps[:modes] = 0.0
         maps[:modes, : own.shape[1]] = own

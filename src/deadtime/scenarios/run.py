@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, positive, real_array, shaped
+from deadtime.base.checks import instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
@@ -23,7 +23,7 @@ from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory import require_memory
 from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel, source_of
-from deadtime.scenarios.workers import Progress, processors, run_blocks, shown
+from deadtime.scenarios.workers import Progress, processors, run_blocks, show_progress
 from deadtime.simulation.simulate import require_steps
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
@@ -147,7 +147,7 @@ def monte_carlo(
     threads = processors() if threads is None else _whole("threads", threads, 1)
     if backend != "numba":
         raise ArgumentError(f"backend must be 'numba', the only engine there is, got {backend!r}.")
-    x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     delay = max(plant.delay, *(law.plant.delay for law in named.values()))
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
@@ -162,7 +162,7 @@ def monte_carlo(
         weighed = other, Engine(other)
     block = Block(loop, source, named, tables, engine, imperfections, seed, results, weighed)
     size = _block(loop) if tables else 1
-    with shown(progress, scenarios) as report:
+    with show_progress(progress, scenarios) as report:
         workers = min(threads, -(-scenarios // size)) if tables else 1
         continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
     attributes = {

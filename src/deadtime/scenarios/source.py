@@ -105,7 +105,7 @@ def source_of(
     if isinstance(model, SignalBatch):
         return Given(model.require_modes(modes)), len(model)
     if isinstance(model, Sequence):
-        given = _checked_list(model, modes)
+        given = _check_list(model, modes)
         return Given(SignalBatch.of(given)), len(given)
     if isinstance(model, type) or not isinstance(model, SwitchingModel):
         raise ArgumentError(
@@ -143,7 +143,7 @@ def draw_signals(
     return source.batch(first, count)
 
 
-def _checked_list(signals: Sequence[object], modes: int) -> list[SwitchingSignal]:
+def _check_list(signals: Sequence[object], modes: int) -> list[SwitchingSignal]:
     """The signals of a list, when it holds nothing else and is not empty."""
     if not signals:
         raise ArgumentError("model must hold at least one signal, got an empty list.")

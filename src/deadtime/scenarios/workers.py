@@ -67,7 +67,7 @@ def _rest(running: dict[Future[int], int]) -> int:
 
 
 @contextmanager
-def shown(progress: Progress | bool | None, scenarios: int) -> Iterator[Progress]:
+def show_progress(progress: Progress | bool | None, scenarios: int) -> Iterator[Progress]:
     """The function to report progress to: the user's, a bar on the terminal, or none."""
     if progress is None or progress is False:
         yield lambda done, total: None

@@ -42,7 +42,7 @@ class Arrays(NamedTuple):
         noise = np.zeros((samples if sensors else 0, sizes.states))
         with np.errstate(over="ignore", invalid="ignore"):
             for one, rng in sensors:
-                noise += one.added(sizes, rng)(samples)
+                noise += one.sampler(sizes, rng)(samples)
         shape = len(limits), sizes.inputs
         return cls(
             read_only(noise),

@@ -72,7 +72,7 @@ class Grid:
         """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
         sampled = SampledPlant(plant, step)
         samples = math.floor(snap(horizon / step)) + 1
-        past = max(sampled.longest_lag, law.sampled(step).longest_lag)
+        past = max(sampled.longest_lag, law.sampled_plant(step).longest_lag)
         inputs = np.zeros((past + samples, plant.inputs))
         longest = max(plant.delay, law.plant.delay)
         inputs[:past] = held_samples(u0, plant.inputs, past, step, longest)

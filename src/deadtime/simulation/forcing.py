@@ -76,12 +76,12 @@ class Forcing:
         self, pieces: list[tuple[np.ndarray, float]]
     ) -> tuple[list[np.ndarray], np.ndarray]:
         """How each disturbance's numbers become ξ over these pieces, and Γ_I⁻¹."""
-        from deadtime.numerics.exponential import held, multiply
+        from deadtime.numerics.exponential import discretise, multiply
 
         n = self._plant.states
         Gamma = np.zeros((n, n))
         for A, tau in pieces:
-            Phi, own = held(read_only(A), read_only(np.eye(n)), tau)
+            Phi, own = discretise(read_only(A), read_only(np.eye(n)), tau)
             Gamma = multiply(Phi, Gamma) + own
         total = sum(tau for _, tau in pieces)
         if total == 0.0:

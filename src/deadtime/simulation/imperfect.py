@@ -98,7 +98,7 @@ class ImperfectLaw:
         self._follow(seen.mode, age)
         if self._pipe is None:
             self._pipe = past.copy()
-        asked = self._asked(seen.x, self._pipe if self._tells_commands else past)
+        asked = self._ask_law(seen.x, self._pipe if self._tells_commands else past)
         self._pipe[:-1] = self._pipe[1:]
         self._pipe[-1] = asked
         self.measured.append(seen.x)
@@ -117,7 +117,7 @@ class ImperfectLaw:
             self._age += 1
         self._mode = self._mode if mode < 0 else mode
 
-    def told(self, kept: int) -> Told:
+    def record(self, kept: int) -> Told:
         """What the law was told at the first samples, and made of it."""
         estimates = self._update.estimates if isinstance(self._update, Remembering) else None
         return Told(
@@ -126,7 +126,7 @@ class ImperfectLaw:
             None if estimates is None else np.array(estimates[:kept]),
         )
 
-    def _asked(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
+    def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
         asked = self._update(x, past, self._mode, self._age)
         if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
             return asked

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import real_array, shaped, unmasked
+from deadtime.base.checks import real_array, require_shape, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.numerics.collocation import Nodes, gauss
@@ -55,7 +55,7 @@ def input_function(u0: InitialInput, m: int, delay: float) -> InputHistory:
     if isinstance(u0, InputHistory):
         return u0
     if callable(u0):
-        function = _checked(u0, m)
+        function = _check_values(u0, m)
         return InputHistory(function, _rough_places(function, delay))
     constant, held = _constant_or_held(u0, m)
     if held is None:
@@ -73,7 +73,11 @@ def held_samples(
     """`simulate`'s u0 for the digital loop: the `past` inputs before time 0, oldest first."""
     if callable(u0):
         instants = np.maximum(-step * np.arange(past, 0, -1), -delay)
-        return u0.function(instants) if isinstance(u0, InputHistory) else _checked(u0, m)(instants)
+        return (
+            u0.function(instants)
+            if isinstance(u0, InputHistory)
+            else _check_values(u0, m)(instants)
+        )
     constant, held = _constant_or_held(u0, m)
     if held is None:
         return np.tile(constant, (past, 1))
@@ -90,7 +94,7 @@ def _constant_or_held(u0: ArrayLike | None, m: int) -> tuple[np.ndarray, np.ndar
     constant = np.zeros(m)
     if u0 is None:
         return constant, None
-    unmasked("u0", u0)
+    require_unmasked("u0", u0)
     try:
         given = np.asarray(u0)
     except ValueError:
@@ -99,7 +103,7 @@ def _constant_or_held(u0: ArrayLike | None, m: int) -> tuple[np.ndarray, np.ndar
         ) from None
     if given.ndim == 2:
         return constant, real_array("u0", given, "(m, N)", 2)
-    constant = shaped("u0", real_array("u0", np.atleast_1d(given), "(m,)", 1), (m,), "(m,)")
+    constant = require_shape("u0", real_array("u0", np.atleast_1d(given), "(m,)", 1), (m,), "(m,)")
     return constant, None
 
 
@@ -107,12 +111,12 @@ def _piece(times: np.ndarray, delay: float, count: int) -> np.ndarray:
     return np.clip(np.floor((1.0 + times / delay) * count), 0, count - 1).astype(int)
 
 
-def _checked(u0: Callable[[float], ArrayLike], m: int) -> Callable[[np.ndarray], np.ndarray]:
+def _check_values(u0: Callable[[float], ArrayLike], m: int) -> Callable[[np.ndarray], np.ndarray]:
     def function(times: np.ndarray) -> np.ndarray:
         values = [
             real_array("u0", np.atleast_1d(u0(float(t))), "(m,) at every time", 1) for t in times
         ]
-        return np.stack([shaped("u0", v, (m,), "(m,) at every time") for v in values])
+        return np.stack([require_shape("u0", v, (m,), "(m,) at every time") for v in values])
 
     return function
 

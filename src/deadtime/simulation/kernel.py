@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from deadtime.numerics.exponential import advance
-from deadtime.plant.cut_pieces import begun
+from deadtime.plant.cut_pieces import up_to
 
 LIMIT = 1e100
 
@@ -39,7 +39,7 @@ def _finite(a):
 
 
 @njit(cache=True)
-def _limited(u, before, low, high, relative):
+def _limit(u, before, low, high, relative):
     """An input under limits, one after the other, `before` being what was applied before it."""
     for j in range(relative.size):
         base = before if relative[j] else 0.0
@@ -79,7 +79,7 @@ def closed_loop(table, rows, line, imperfect, shift, x0):
                 command = line.asked[past + k - 1, i] if held else asked[i]
                 asked[i] = command
                 before = line.inputs[past + k - 1, i]
-                line.inputs[past + k, i] = _limited(
+                line.inputs[past + k, i] = _limit(
                     command, before, imperfect.low[:, i], imperfect.high[:, i], imperfect.relative
                 )
         for q in range(table.first[k], table.first[k + 1]):
@@ -104,7 +104,7 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
         last = min(table.first[step[i] + 1], path.shape[0]) - 1
         while q < last and table.start[table.entry[q + 1]] <= offset[i]:
             q += 1
-        Phi, Gamma = begun(A, B, table, cut_offset, cut_mode, table.entry[q], offset[i])
+        Phi, Gamma = up_to(A, B, table, cut_offset, cut_mode, table.entry[q], offset[i])
         advance(Phi, Gamma, path[q], acting[q], result[i])
     return result
 

@@ -21,7 +21,7 @@ from deadtime.plant.steps import snap
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
 from deadtime.simulation.imperfect import ImperfectLaw, Lags
 from deadtime.simulation.record import DigitalRecord
-from deadtime.simulation.slides import told
+from deadtime.simulation.slides import slides_in_words
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.grid import modes_at
@@ -74,10 +74,10 @@ def run_online(
     )
     end, diverged, note = (None, False, "") if stop is None else stop
     if record.slides is not None:
-        slid = told(record.slides.slides(step, horizon if end is None else end))
+        slid = slides_in_words(record.slides.slides(step, horizon if end is None else end))
         note = f"{note} {slid}".strip()
     if truth.chatter is not None:
-        note = _joined(note, truth, end)
+        note = _join(note, truth, end)
     return Outcome(
         record,
         signal,
@@ -85,7 +85,7 @@ def run_online(
         end,
         diverged,
         note,
-        None if imperfect is None else imperfect.told(kept),
+        None if imperfect is None else imperfect.record(kept),
     )
 
 
@@ -150,7 +150,7 @@ def _before(
     return truth.within(j, (ratio - j) * h, path, grid.acting)
 
 
-def _joined(note: str, truth: Truth, end: float | None) -> str:
+def _join(note: str, truth: Truth, end: float | None) -> str:
     """What to say about a plant that chatters, after what there is to say already."""
     time, _, reason = truth.chatter or (0.0, (), "")
     chattering = f"chattering at t = {time:.12g} s: {reason}"

@@ -82,7 +82,7 @@ class Outcome:
         return f"|x| grows{origin} to {amount(self.final)}"
 
 
-def pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
+def is_pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
     """Whether something keeps a loop from 0: a force, noise, or a reference."""
     follows = isinstance(law, OutputFeedback) and law.servo is not None
     return follows or bool(pushes(imperfections))
@@ -110,7 +110,7 @@ def outcome_of(
     horizon : float
         How long it should have been, seconds.
     again : callable, optional
-        The same run from `elsewhere`, for a loop that is `pushed`; it is run only if need be.
+        The same run from `elsewhere`, for a loop that is `is_pushed`; it is run only if need be.
 
     Examples
     --------
@@ -124,7 +124,7 @@ def outcome_of(
     norm = np.linalg.norm(states, axis=1)
     start, final, peak = float(norm[0]), float(norm[-1]), float(norm.max())
     kind: Kind
-    rest, settling = None, _settling(time, norm)
+    rest, settling = None, _settling_time(time, norm)
     if run.diverged or run.end < horizon:
         kind = "diverged" if run.diverged else "ends early"
         return Outcome(kind, start, final, peak, rest, settling)
@@ -171,7 +171,7 @@ def at_rest(run: Trajectory) -> Float[np.ndarray, " n"] | None:
     return None if run.diverged else _rest(time, run.record.states_at(time))[0]
 
 
-def untested(run: Trajectory, outcome: Outcome) -> str:
+def why_untested(run: Trajectory, outcome: Outcome) -> str:
     """That a signal's first switch comes after settling, so that it tested nothing; or empty."""
     switches, settled = run.signal.times[1:], outcome.settling
     if outcome.peak == 0.0 or switches.size == 0 or not settled <= switches[0] < run.end:
@@ -205,7 +205,7 @@ def _rest(time: np.ndarray, states: np.ndarray) -> tuple[np.ndarray | None, floa
     """Where x stays all through the last tenth of a run, and since when; None if it does not."""
     rest = states[_tail(time)].mean(axis=0)
     distance = np.linalg.norm(states - rest, axis=1)
-    return (rest, _settling(time, distance)) if _stays(time, distance) else (None, math.inf)
+    return (rest, _settling_time(time, distance)) if _stays(time, distance) else (None, math.inf)
 
 
 def _stays(time: np.ndarray, distance: np.ndarray) -> bool:
@@ -221,7 +221,7 @@ def _norm(x: np.ndarray) -> float:
     return float(np.linalg.norm(x))
 
 
-def _settling(time: np.ndarray, distance: np.ndarray) -> float:
+def _settling_time(time: np.ndarray, distance: np.ndarray) -> float:
     """From when on a distance stays within 2 % of its largest."""
     outside = np.flatnonzero(distance > SETTLED * distance.max())
     if outside.size == 0:

@@ -65,7 +65,7 @@ class DigitalRecord(Frozen):
         return read_only(self.path[first[: np.searchsorted(first, self.path.shape[0])]])
 
     @cached_property
-    def driven(self) -> tuple[np.ndarray, np.ndarray]:
+    def driving_inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """B (modes, n, q) and what acts through it, u and the forces, (pieces, q)."""
         A, B, pieces = self.plant.A, self.plant.B, self.path.shape[0]
         # The last piece may have begun only: it acts on nothing where an input is missing.
@@ -99,13 +99,13 @@ class DigitalRecord(Frozen):
         """x at any times from 0 to the end of the run plus the delay."""
         if self._at_samples(times):
             return self.states[: times.size]
-        return self._propagated(times)
+        return self._propagate(times)
 
     def ahead_of(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         """x a delay after any times from 0 to the end of the run."""
         if self._at_samples(times):
             return self.path[self._arrivals[: times.size]]
-        return self._propagated(times + self.sampled.window.delay)
+        return self._propagate(times + self.sampled.window.delay)
 
     @cached_property
     def _arrivals(self) -> np.ndarray:
@@ -119,11 +119,11 @@ class DigitalRecord(Frozen):
             times, np.arange(times.size) * self.step
         )
 
-    def _propagated(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
+    def _propagate(self, times: np.ndarray) -> Float[np.ndarray, "time n"]:
         from deadtime.simulation.kernel import states_at
 
         step, offset = self.locate(times)
-        B, acting = self.driven
+        B, acting = self.driving_inputs
         result = states_at(
             self.plant.A,
             B,
@@ -168,7 +168,7 @@ class DigitalRecord(Frozen):
         from deadtime.plant.cut_pieces import gramians
         from deadtime.simulation.kernel import form_integral
 
-        table, (B, acting) = self.table, self.driven
+        table, (B, acting) = self.table, self.driving_inputs
         M = gramians(self.plant.A, B, table, self.cuts.offset, self.cuts.mode, Q)
         pieces = int(table.first[steps])
         if self.slides is None:
@@ -186,21 +186,21 @@ class DigitalRecord(Frozen):
         """`_within_step`, of a step that slides."""
         assert self.slides is not None
         rate = float(np.abs(self.plant.A).sum(axis=2).max())
-        return self.slides.form_integral(k, end, self.driven[1][self._pieces(k)], rate, Q)
+        return self.slides.form_integral(k, end, self.driving_inputs[1][self._pieces(k)], rate, Q)
 
     def _within_step(self, k: int, end: float, Q: np.ndarray | None) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""
-        from deadtime.plant.cut_pieces import begun_gramian
+        from deadtime.plant.cut_pieces import gramian_up_to
 
         if self.slides is not None and k in self.slides.steps:
             return self._within_slide(k, end, Q)
-        table, cuts, (B, acting) = self.table, self.cuts, self.driven
+        table, cuts, (B, acting) = self.table, self.cuts, self.driving_inputs
         total = 0.0
         for q in range(table.first[k], table.first[k + 1]):
             e = table.entry[q]
             if table.start[e] < end:
                 until = min(end, table.stop[e])
-                M = begun_gramian(self.plant.A, B, table, cuts.offset, cuts.mode, e, until, Q)
+                M = gramian_up_to(self.plant.A, B, table, cuts.offset, cuts.mode, e, until, Q)
                 z = np.concatenate((self.path[q], acting[q]))
                 total += float(z @ M @ z)
         return total

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, positive, real_array, shaped
+from deadtime.base.checks import count, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
@@ -120,8 +120,8 @@ def simulate(
     else:
         switching = as_rule("signal", signal).require(plant)
     x0 = _initial_state(x0, plant.states)
-    asked = None if times is None else _checked_times(times, horizon)
-    disturbances, others = _drawn(imperfections, seed)
+    asked = None if times is None else _check_times(times, horizon)
+    disturbances, others = _split_disturbances(imperfections, seed)
     if step is None:
         if imperfections:
             raise ArgumentError(
@@ -156,7 +156,7 @@ def simulate(
     )
 
 
-def _drawn(
+def _split_disturbances(
     imperfections: Sequence[Imperfection], seed: int
 ) -> tuple[Drawn, list[tuple[Imperfection, np.random.Generator]]]:
     """Disturbances and the other imperfections, each with its stream."""
@@ -239,7 +239,7 @@ def require_steps(horizon: float, delay: float, step: float) -> None:
 
 def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
     """x0 with its size checked, within the limit at which a run counts as diverged."""
-    state = shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
+    state = require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
     if np.abs(state).max() > 1e100 / n:
         raise ArgumentError(
             f"x0 must be below 1e100, where a run counts as diverged, got {np.abs(state).max():g}."
@@ -247,7 +247,7 @@ def _initial_state(x0: ArrayLike, n: int) -> np.ndarray:
     return state
 
 
-def _checked_times(times: ArrayLike, horizon: float) -> np.ndarray:
+def _check_times(times: ArrayLike, horizon: float) -> np.ndarray:
     """Increasing instants within the run."""
     asked = real_array("times", times, "(T,)", 1)
     if asked[0] < 0.0 or asked[-1] > horizon or (np.diff(asked) < 0.0).any():

@@ -71,7 +71,7 @@ class Slides:
 
     def slides(self, step: float, end: float) -> list[Slide]:
         """The sliding motions that begin before `end`."""
-        return joined(self._each(step, end), _JOINED * step)
+        return join(self._each(step, end), _JOINED * step)
 
     def _each(self, step: float, end: float) -> Iterator[Slide]:
         for k in sorted(self.steps):
@@ -85,7 +85,7 @@ class Slides:
                     yield Slide(k * step + begin, min(k * step + until, end), pair)
 
 
-def joined(slides: Iterable[Slide], tolerance: float) -> list[Slide]:
+def join(slides: Iterable[Slide], tolerance: float) -> list[Slide]:
     """Sliding motions in order, those that go on within a tolerance made one."""
     found: list[Slide] = []
     for slide in slides:
@@ -97,12 +97,12 @@ def joined(slides: Iterable[Slide], tolerance: float) -> list[Slide]:
     return found
 
 
-def told(slides: list[Slide]) -> str:
+def slides_in_words(slides: list[Slide]) -> str:
     """What to say about a run's sliding motions, a sentence per pair of modes.
 
     Examples
     --------
-    >>> told([Slide(0.5, 0.52, (0, 1)), Slide(1.0, 1.01, (0, 1))])
+    >>> slides_in_words([Slide(0.5, 0.52, (0, 1)), Slide(1.0, 1.01, (0, 1))])
     'slid along the boundary between modes 0 and 1, 2 times, for 0.03 s in all, first at t = 0.5 s.'
     """
     sentences = []

@@ -92,7 +92,7 @@ class KnownTruth(Truth):
         return self._table.Phi[entry] @ x + self._table.Gamma[entry] @ u + self._shift[q]
 
     def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
-        from deadtime.plant.cut_pieces import begun
+        from deadtime.plant.cut_pieces import up_to
 
         A, B, table, cuts = self._plant.A, self._plant.B, self._table, self._cuts
         entries = table.entry[table.first[k] : table.first[k + 1]]
@@ -103,7 +103,7 @@ class KnownTruth(Truth):
             u = np.concatenate((u, self.forces[q]))
             unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
             B = read_only(np.concatenate((B, unit), axis=2))
-        Phi, Gamma = begun(A, B, table, cuts.offset, cuts.mode, entry, offset)
+        Phi, Gamma = up_to(A, B, table, cuts.offset, cuts.mode, entry, offset)
         return Phi @ path[q] + Gamma @ u
 
     def signal(self, end: float) -> SwitchingSignal:

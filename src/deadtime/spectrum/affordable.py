@@ -38,7 +38,7 @@ def seconds_of(
     return _UNIT[asked] * plant.modes * trials * values * values if values > _FEW else 0.0
 
 
-def left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) -> str:
+def why_left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) -> str:
     """Why an answer is left out, and what to do; empty where it takes seconds at most.
 
     Examples
@@ -46,7 +46,7 @@ def left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | None) 
     >>> import deadtime as dt
     >>> plant = dt.SwitchedSystem([[[-0.5]]], [[[1.0]]], delay=250.0)
     >>> law = dt.SingleModePredictor(plant, [[[0.1]]], 0)
-    >>> print(left_out("delay margin", plant, law, 0.01))
+    >>> print(why_left_out("delay margin", plant, law, 0.01))
     the delay margin was left out: the delay of 250 s holds D/h = 25,000 periods of 0.01 s, with \
 which it takes about 2 min; check their units, or give a longer step, 0.04 s
     """
@@ -90,7 +90,7 @@ def _too_long(
     return (
         f"the delay of {delay:g} s holds D/h = {count} periods of {step:g} s, with "
         f"which it takes about {_time(seconds)}; check their units, or give a longer step, "
-        f"{_rounded_up(least):g} s"
+        f"{_round_up(least):g} s"
     )
 
 
@@ -104,7 +104,7 @@ def _time(seconds: float) -> str:
     return f"{seconds / 3600.0:,.0f} h"
 
 
-def _rounded_up(value: float) -> float:
+def _round_up(value: float) -> float:
     """To one digit."""
     unit = 10.0 ** math.floor(math.log10(value))
     return round(math.ceil(value / unit - 1e-9) * unit, 12)

@@ -21,7 +21,7 @@ def require_constant(plant: SwitchedSystem, law: Law) -> None:
         )
 
 
-def checked_mode(plant: SwitchedSystem, law: Law, mode: object) -> int:
+def check_mode(plant: SwitchedSystem, law: Law, mode: object) -> int:
     """The mode of a loop that stays in it for ever."""
     require_constant(plant, law)
     return index("mode", mode, plant.modes)

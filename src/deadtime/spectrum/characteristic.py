@@ -47,7 +47,7 @@ from deadtime.base.checks import count as checked_count
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.arguments import checked_mode
+from deadtime.spectrum.arguments import check_mode
 from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.newton import errors, newton
 
@@ -124,7 +124,7 @@ def characteristic_roots(
     >>> dt.characteristic_roots(wrong, law, mode=0, count=2).roots.round(3)
     array([0.35+18.861j, 0.35-18.861j])
     """
-    mode = checked_mode(plant, law, mode)
+    mode = check_mode(plant, law, mode)
     return rightmost(IdealLoop.of(plant, law, mode), checked_count("count", count))
 
 
@@ -136,8 +136,8 @@ def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
     n, m = loop.B.shape
     degree, before = _FIRST, -1
     while True:
-        upper, residuals = _polished(loop, approximate_roots(loop, degree), wanted)
-        count, line = _leading(upper, wanted, loop.unit)
+        upper, residuals = _polish(loop, approximate_roots(loop, degree), wanted)
+        count, line = _leading_count(upper, wanted, loop.unit)
         upper, residuals = upper[:count], residuals[:count]
         repeat = np.where(np.imag(upper) == 0.0, 1, 2)
         roots = np.repeat(upper, repeat)
@@ -152,7 +152,7 @@ def rightmost(loop: IdealLoop, wanted: int) -> CharacteristicRoots:
             return CharacteristicRoots(roots, residuals, errors(loop, roots), line, complete)
 
 
-def _polished(
+def _polish(
     loop: IdealLoop, seeds: Complex[np.ndarray, " order"], wanted: int
 ) -> tuple[Complex[np.ndarray, " root"], Float[np.ndarray, " root"]]:
     """Roots in the upper half plane next to an eigenvalue, rightmost first, and residuals."""
@@ -183,7 +183,9 @@ def _round_off(loop: IdealLoop) -> float:
     return -math.log(max(float(allowed), 1e2)) / loop.longest
 
 
-def _leading(upper: Complex[np.ndarray, " root"], wanted: int, unit: float) -> tuple[int, float]:
+def _leading_count(
+    upper: Complex[np.ndarray, " root"], wanted: int, unit: float
+) -> tuple[int, float]:
     """How many make so many, conjugates counted; and a line between the last one and the next."""
     line, have = -np.inf, 0
     for i, root in enumerate(upper):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.numerics.exponential import ROUND_OFF, balance, held, multiply, norm
+from deadtime.numerics.exponential import ROUND_OFF, balance, discretise, multiply, norm
 
 _SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
 
@@ -76,7 +76,7 @@ def cut_inputs(A, B, step, delays):
     while bound > ROUND_OFF and size <= _SHORT:
         terms.append(multiply(A, terms[-1]) / (len(terms) + 1.0))
         bound *= size / len(terms)
-    whole = held(A, B, step)[1]
+    whole = discretise(A, B, step)[1]
     for i in range(delays.size):
         if size <= _SHORT:
             total = late[i]
@@ -86,7 +86,7 @@ def cut_inputs(A, B, step, delays):
                     for column in range(m):
                         total[row, column] = rest[i] * (total[row, column] + terms[k][row, column])
         else:
-            late[i] = held(A, B, rest[i])[1]
+            late[i] = discretise(A, B, rest[i])[1]
         early[i] = whole - late[i]
         last[i] = B + multiply(A, late[i])
     return count, early, late, last

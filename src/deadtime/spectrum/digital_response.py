@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.discretisation import held_pair
+from deadtime.plant.discretisation import finite_discretisation
 from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.response import Response
@@ -38,7 +38,7 @@ class DigitalResponse(Response):
         A, B, h = plant.A[mode], plant.B[mode], feedback.step
         F, G = feedback.state_gain[row], feedback.input_gain[row]
         B, F, G = in_units(units_of(B), B, F, G)
-        return cls(A, B, F, G, h, held_pair(A, B, h)[0])
+        return cls(A, B, F, G, h, finite_discretisation(A, B, h)[0])
 
     @property
     def memory(self) -> float:
@@ -68,7 +68,7 @@ class DigitalResponse(Response):
         g, slope = np.fft.fft(turned, axis=1)[:, :count]
         return np.eye(m) - g, 1j * slope
 
-    def pipe(
+    def delay_line(
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         from deadtime.spectrum.compiled import cut_inputs

@@ -36,7 +36,7 @@ LARGEST = 3000  # order; a second at 1,000
 LOWER = 64  # so many coefficients are tried for the lower bound
 
 
-def enclosed_growth(
+def enclose_growth(
     plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
 ) -> tuple[float, float]:
     """(low, high), 1/s: ln(spectral radius)/h of a mode under a row lies between, beyond doubt."""
@@ -61,7 +61,7 @@ def exact_matrix(X: np.ndarray) -> Any:
     return arb_mat(X.shape[0], X.shape[1], X.ravel().tolist())
 
 
-def exact_held(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, Any]:
+def exact_discretisation(A: np.ndarray, B: np.ndarray, tau: Any) -> tuple[Any, Any]:
     """Balls of e^{Aτ} and ∫₀^τ e^{As} ds B, A and B as stored, τ a ball or a float."""
     from flint import arb, arb_mat
 
@@ -81,7 +81,7 @@ def exact_period(
     n, m = plant.B.shape[1:]
     whole, arrived = exact_matrix(np.eye(n)), dict[int, Any]()
     for mode, start, stop, lags in parts:
-        Phi, Gamma = exact_held(plant.A[mode], plant.B[mode], arb(stop) - arb(start))
+        Phi, Gamma = exact_discretisation(plant.A[mode], plant.B[mode], arb(stop) - arb(start))
         whole, arrived = Phi * whole, {lag: Phi * old for lag, old in arrived.items()}
         for lag in set(lags.tolist()):
             own = exact_matrix(np.diag((lags == lag).astype(float)))
@@ -101,7 +101,7 @@ def _coefficients(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
     n, m = plant.B.shape[1:]
     order = n + max(*arriving, feedback.taps) * m
     size = 1 << order.bit_length()
-    taps = [[_transformed(G[:, i, j], size, float(i == j)) for j in range(m)] for i in range(m)]
+    taps = [[_transform(G[:, i, j], size, float(i == j)) for j in range(m)] for i in range(m)]
     gains = [[acb(-float(F[i, j])) for j in range(n)] for i in range(m)]
     values = []
     for k in range(size):
@@ -117,7 +117,7 @@ def _coefficients(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
     return [value.real for value in acb.dft(values, inverse=True)[: order + 1]]
 
 
-def _transformed(g: np.ndarray, size: int, one: float) -> list[Any]:
+def _transform(g: np.ndarray, size: int, one: float) -> list[Any]:
     """one − Σ_j g_j t^j at the points t = e^{−2πik/size}."""
     from flint import acb
 
@@ -130,7 +130,7 @@ def _bounds(p: list[Any], step: float) -> tuple[float, float]:
     order = len(p) - 1
     low, high = -math.inf, math.inf
     for k in range(1, 2 + math.ceil(math.log2(8.0 * (1.0 + math.log(order)) / (NARROW * step)))):
-        p = _squared(p)
+        p = _square(p)
         lower, upper = _between(p, order, 2**k, step)
         worn = lower < low - NARROW
         low, high = max(low, lower), min(high, upper)
@@ -139,7 +139,7 @@ def _bounds(p: list[Any], step: float) -> tuple[float, float]:
     return low, high
 
 
-def _squared(p: list[Any]) -> list[Any]:
+def _square(p: list[Any]) -> list[Any]:
     """p(t) p(−t) as a polynomial in t²: even part² − t odd part²."""
     from flint import arb_poly
 

@@ -10,7 +10,7 @@ from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import TableLaw
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum.arguments import checked_mode
+from deadtime.spectrum.arguments import check_mode
 from deadtime.spectrum.lifted import LiftedLoop, aged_row
 from deadtime.switching import SwitchingSignal
 
@@ -70,7 +70,7 @@ def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None =
     >>> [round(growth_rate(problem.plant, law, mode, step=None), 6) for mode in (0, 1)]
     [0.128182, 0.28213]
     """
-    mode = checked_mode(plant, law, mode)
+    mode = check_mode(plant, law, mode)
     if step is None:
         return _ideal(plant, law, mode)
     step = positive("step", step)
@@ -87,16 +87,16 @@ def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None =
 
 def constant_growth(plant: SwitchedSystem, feedback: Feedback, mode: int, row: int) -> float:
     """The growth rate of a mode under a row of a table, 1/s, to about 1e-9."""
-    from deadtime.spectrum.enclosure import LARGEST, enclosed_growth
+    from deadtime.spectrum.enclosure import LARGEST, enclose_growth
 
-    step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row).balanced()
-    values, radius = loop.leading()
+    step, loop = feedback.step, LiftedLoop.of(plant, feedback, mode, row).balance()
+    values, radius = loop.leading_eigenvalues()
     rate = math.log(radius) / step if radius > 0.0 else -math.inf
-    if rate * loop.held * step < _FADED or loop.order > LARGEST:
+    if rate * loop.past * step < _FADED or loop.order > LARGEST:
         return rate
     if loop.doubt(values) <= _DOUBT * step * max(1.0, abs(rate)):
         return rate
-    low, high = enclosed_growth(plant, feedback, mode, row)
+    low, high = enclose_growth(plant, feedback, mode, row)
     return rate if low <= rate <= high or math.isinf(low) else 0.5 * (low + high)
 
 
@@ -138,7 +138,7 @@ def growth_bounds(
     >>> 0.0 < low < high < low + 1e-10, round(low, 9), round(high, 9)
     (True, 0.281670215, 0.281670215)
     """
-    from deadtime.spectrum.enclosure import LARGEST, enclosed_growth
+    from deadtime.spectrum.enclosure import LARGEST, enclose_growth
 
     instance("law", law, Law)
     if not isinstance(law, TableLaw):
@@ -146,7 +146,7 @@ def growth_bounds(
             f"law must be a table, got {type(law).__name__}: bounds of its growth are not known; "
             "`growth_rate` has a number where there is one."
         )
-    mode, step = checked_mode(plant, law, mode), positive("step", step)
+    mode, step = check_mode(plant, law, mode), positive("step", step)
     feedback = law.digital(step, SwitchingSignal.constant(mode), 1)
     row = aged_row(feedback, mode)
     order = LiftedLoop.of(plant, feedback, mode, row).order
@@ -154,7 +154,7 @@ def growth_bounds(
         raise ArgumentError(
             f"step must leave a loop of an order up to {LARGEST}, got {order}: lengthen it."
         )
-    return enclosed_growth(plant, feedback, mode, row)
+    return enclose_growth(plant, feedback, mode, row)
 
 
 def not_decaying(rate: float) -> str:

@@ -75,15 +75,15 @@ class IdealLoop:
 
         Raises `ArgumentError` if the law has no closed form in continuous time.
         """
-        from deadtime.numerics.exponential import balance, held
+        from deadtime.numerics.exponential import balance, discretise
 
         A, B = plant.A[mode], plant.B[mode]
         forecast = law.ideal(SwitchingSignal.constant(mode), 0.0)
-        K, S, R, L = _aged(forecast)
+        K, S, R, L = _terms_in_aged_mode(forecast)
         t, r = balance(A), balance(S)
         A, B, L = A * t / t[:, None], B / t[:, None], L * t / r[:, None]
         K, S, R, lead = K * r, S * r / r[:, None], R / r[:, None], forecast.lead
-        KE = K @ held(S, R, lead)[0]
+        KE = K @ discretise(S, R, lead)[0]
         if not (np.isfinite(KE).all() and np.isfinite(KE @ L @ B).all()):
             raise ArgumentError(
                 "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
@@ -198,7 +198,7 @@ def weights(
     K: np.ndarray, S: np.ndarray, R: np.ndarray, lead: float, rate: float
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node m m"]]:
     """τ_j and the taps that integrate w(τ) = K e^{Sτ} R against functions of a rate in 1/s."""
-    from deadtime.numerics.exponential import held
+    from deadtime.numerics.exponential import discretise
 
     if lead == 0.0:
         return np.empty(0), np.empty((0, R.shape[1], R.shape[1]))
@@ -212,16 +212,19 @@ def weights(
     z, weight = np.polynomial.legendre.leggauss(_NODES)
     first = (z + 1.0) / 2.0 * length
     inside = (
-        np.stack([held(S, R, t)[0] @ R for t in first]) * (weight / 2.0 * length)[:, None, None]
+        np.stack([discretise(S, R, t)[0] @ R for t in first])
+        * (weight / 2.0 * length)[:, None, None]
     )
-    whole, row, taps = held(S, R, length)[0], K, []
+    whole, row, taps = discretise(S, R, length)[0], K, []
     for _ in range(panels):
         taps.append(row @ inside)
         row = row @ whole
     return (np.arange(panels)[:, None] * length + first).ravel(), np.concatenate(taps)
 
 
-def _aged(forecast: Forecast) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _terms_in_aged_mode(
+    forecast: Forecast,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """K, S, R, L of a forecast in a mode that has lasted for ever."""
     from scipy.linalg import block_diag
 

@@ -44,7 +44,7 @@ class IdealResponse(Response):
     def even_law(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         return self.law((np.arange(count) + 0.5) / count * self.highest)
 
-    def pipe(
+    def delay_line(
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rate, after = (-1j * part[:, None, None] for part in (omega, delay))

@@ -55,7 +55,7 @@ class LiftedLoop:
         return cls(period, feedback.state_gain[row], feedback.input_gain[row])
 
     @property
-    def held(self) -> int:
+    def past(self) -> int:
         """W, the number of past inputs in z."""
         return max(*self.period.lags, self.G.shape[0])
 
@@ -63,9 +63,9 @@ class LiftedLoop:
     def order(self) -> int:
         """n + W m, the size of z."""
         m, n = self.F.shape
-        return n + self.held * m
+        return n + self.past * m
 
-    def balanced(self) -> LiftedLoop:
+    def balance(self) -> LiftedLoop:
         """The same loop, of the same eigenvalues, with inputs in `units_of` their effect."""
         Gamma = self.period.Gamma
         power = units_of(Gamma.reshape(-1, Gamma.shape[2]))
@@ -94,7 +94,7 @@ class LiftedLoop:
         from deadtime.spectrum.compiled import march
 
         m, n = self.F.shape
-        taps, W = self.G.shape[0], self.held
+        taps, W = self.G.shape[0], self.past
         G = np.array(self.G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
         inputs = np.empty((W + periods) * m)
         inputs[: W * m] = z[n:].reshape(W, m)[::-1].ravel()
@@ -103,11 +103,13 @@ class LiftedLoop:
         return np.concatenate((x, inputs.reshape(-1, m)[: -W - 1 : -1].ravel()))
 
     def growth_rate(self, step: float, dense: int | None = None) -> float:
-        """ln(spectral radius of L)/h, −∞ where that is 0; `leading` says how it is found."""
-        radius = self.balanced().leading(dense)[1]
+        """ln(spectral radius of L)/h, −∞ where that is 0; see `leading_eigenvalues`."""
+        radius = self.balance().leading_eigenvalues(dense)[1]
         return math.log(radius) / step if radius > 0.0 else -math.inf
 
-    def leading(self, dense: int | None = None) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
+    def leading_eigenvalues(
+        self, dense: int | None = None
+    ) -> tuple[Complex[np.ndarray, " eigenvalue"], float]:
         """Eigenvalues of L of the largest moduli, some of them, and the spectral radius.
 
         Above the order `dense`, `DENSE` by default, the largest eigenvalues of L^{4W} are found by
@@ -118,7 +120,7 @@ class LiftedLoop:
         if self.order > (DENSE if dense is None else dense):
             from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
-            periods, shape = 4 * self.held, (self.order, self.order)
+            periods, shape = 4 * self.past, (self.order, self.order)
             operator: Any = LinearOperator
             power = operator(shape, lambda z: self.after(z.ravel(), periods), dtype=float)
             options: Any = {"ncv": 80, "tol": 1e-8, "maxiter": 20}
@@ -149,7 +151,7 @@ class LiftedLoop:
         of multiplicity k its step is a k-th of the distance; k ≤ n is taken.
         """
         from deadtime.spectrum.compiled import transform
-        from deadtime.spectrum.newton import decomposed
+        from deadtime.spectrum.newton import decompose
 
         (m, n), z = self.F.shape, values[:, None, None]
         Phi, Gamma, lags = self.period
@@ -165,7 +167,7 @@ class LiftedLoop:
             prime[:, n:, n:] = slope / z
             if not (np.isfinite(Delta).all() and np.isfinite(prime).all()):
                 return math.inf
-            steps = n / np.abs(decomposed(Delta, prime).slope(0))
+            steps = n / np.abs(decompose(Delta, prime).slope(0))
         size = np.abs(values)
         return float(steps[size + steps >= size[0] - steps[0]].max() / size[0])
 

@@ -35,7 +35,7 @@ class Decomposed(NamedTuple):
         return (along / np.maximum(self.values, 1e-300)).sum(axis=1)
 
 
-def decomposed(Delta: np.ndarray, *others: np.ndarray) -> Decomposed:
+def decompose(Delta: np.ndarray, *others: np.ndarray) -> Decomposed:
     """Δ (points, k, k), and others, scaled and decomposed."""
     for axis in (2, 1):
         size = np.abs(Delta).max(axis=axis, keepdims=True)
@@ -55,7 +55,7 @@ def newton(
     best, s, real = starts.copy(), starts.copy(), np.imag(starts) == 0.0
     residuals, last = np.full((2, starts.size), np.inf)
     for _ in range(_STEPS if s.size else 0):
-        now = decomposed(*loop.matrix(s))
+        now = decompose(*loop.matrix(s))
         residual, step = now.values[:, -1] / now.values[:, 0], 1.0 / now.slope(0)
         better = residual < residuals
         best[better], residuals[better] = s[better], residual[better]
@@ -80,7 +80,7 @@ def errors(loop: IdealLoop, roots: Complex[np.ndarray, " root"]) -> Float[np.nda
     if roots.size == 0:
         return np.empty(0)
     epsilon = np.finfo(float).eps
-    now = decomposed(*loop.matrix(roots), epsilon * loop.magnitude(roots))
+    now = decompose(*loop.matrix(roots), epsilon * loop.magnitude(roots))
     prime, round_off = now.others
     u, v = now.left[:, :, -1], now.right[:, -1].conj()
     change = np.einsum("pi,pij,pj->p", np.abs(u), round_off, np.abs(v))

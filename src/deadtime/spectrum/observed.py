@@ -52,7 +52,7 @@ class Joined(NamedTuple):
         Phi[n + n_o :, n + n_o :] += np.eye(q)
         return cls(Phi, F[:, :n_o] @ estimate + F[:, n_o : n_o + q] @ q_now, n)
 
-    def arriving(self, x: Period, x_bar: Period) -> Period:
+    def arrivals(self, x: Period, x_bar: Period) -> Period:
         """The same with its inputs: those of the plant and of the observer's model, lag by lag."""
         n, m = x.Gamma.shape[1:]
         rows = {"plant": slice(0, n), "model": slice(n, n + x_bar.Gamma.shape[1])}
@@ -76,4 +76,4 @@ def observed_loop(
     """The loop of plant, observer and one row of the table of the law inside, reference 0."""
     x, x_bar = periods_of(plant, law, mode)
     X = Joined.of(law, x, x_bar, feedback.state_gain[row], mode)
-    return LiftedLoop(X.arriving(x, x_bar), X.gain, feedback.input_gain[row])
+    return LiftedLoop(X.arrivals(x, x_bar), X.gain, feedback.input_gain[row])

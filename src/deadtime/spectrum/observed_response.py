@@ -54,7 +54,7 @@ class ObservedResponse(DigitalResponse):
         z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))
         return z - self.Phi, 1j * self.step * z
 
-    def _observer_pipe(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _observer_delay_line(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """p_o and its slope by ω, (points, size − n, m)."""
         n_o, m = self.model.Gamma.shape[1:]
         p, slope = np.zeros((2, omega.size, len(self.Phi) - self.true, m), complex)
@@ -66,7 +66,7 @@ class ObservedResponse(DigitalResponse):
 
     def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
         whole, n = super().samples(omega, even), self.true
-        p, slope = self._observer_pipe(omega)
+        p, slope = self._observer_delay_line(omega)
         r, r_slope = whole.r[:, :, n:], whole.r_slope[:, :, n:]
         return whole._replace(
             M=whole.M - r @ p,
@@ -79,8 +79,8 @@ class ObservedResponse(DigitalResponse):
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         m, size = self.F.shape
-        n, (p_o, p_o_slope) = self.true, self._observer_pipe(omega)
-        p, p_slope, p_speed = self.pipe(omega, delay)
+        n, (p_o, p_o_slope) = self.true, self._observer_delay_line(omega)
+        p, p_slope, p_speed = self.delay_line(omega, delay)
         Delta, slope, speed = np.zeros((3, omega.size, size + m, size + m), complex)
         Delta[:, :size, :size], slope[:, :size, :size] = self.free(omega)
         Delta[:, size:, size:], slope[:, size:, size:] = self.law(omega)

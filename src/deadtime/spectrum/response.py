@@ -74,7 +74,7 @@ class Response(ABC):
         """The same at the frequencies (k + ½)/count · highest, all at once."""
 
     @abstractmethod
-    def pipe(
+    def delay_line(
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """p and its slopes by ω and by the delay, (points, n, m), a delay for each ω or for all."""
@@ -103,7 +103,7 @@ class Response(ABC):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Δ and its slopes by ω and by the delay, a delay for each frequency."""
         m, n = self.F.shape
-        p, p_slope, p_speed = self.pipe(omega, delay)
+        p, p_slope, p_speed = self.delay_line(omega, delay)
         Delta, slope, speed = np.zeros((3, omega.size, n + m, n + m), complex)
         Delta[:, :n, :n], slope[:, :n, :n] = self.free(omega)
         Delta[:, n:, n:], slope[:, n:, n:] = self.law(omega)

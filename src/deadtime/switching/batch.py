@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import read_only, shaped, unmasked
+from deadtime.base.checks import read_only, require_shape, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.signal import SwitchingSignal
@@ -72,12 +72,12 @@ class SignalBatch(Frozen):
         age = _own("initial_age", initial_age, "iuf")
         if end.ndim != 1 or not end.size:
             raise ArgumentError(f"end must hold one time per signal, got shape {end.shape}.")
-        shaped("first", first, (end.size + 1,), "(signals + 1,)")
-        shaped("initial_age", age, end.shape, "(signals,)")
+        require_shape("first", first, (end.size + 1,), "(signals + 1,)")
+        require_shape("initial_age", age, end.shape, "(signals,)")
         if first[0] != 0 or (np.diff(first) < 1).any():
             raise ArgumentError("first must start at 0 and increase: a signal has a sojourn.")
-        shaped("times", times, (int(first[-1]),), "(first[-1],)")
-        shaped("modes", modes, (int(first[-1]),), "(first[-1],)")
+        require_shape("times", times, (int(first[-1]),), "(first[-1],)")
+        require_shape("modes", modes, (int(first[-1]),), "(first[-1],)")
         # Of the differences, those from one signal to the next tell nothing.
         inner = np.ones(times.size - 1, dtype=bool)
         inner[first[1:-1] - 1] = False
@@ -152,7 +152,7 @@ class SignalBatch(Frozen):
 
 def _own(name: str, values: ArrayLike, kinds: str) -> np.ndarray:
     """An array of int64 or float64 that nobody else writes to."""
-    raw = np.asarray(unmasked(name, values))
+    raw = np.asarray(require_unmasked(name, values))
     if raw.dtype.kind not in kinds:
         what = "real numbers" if "f" in kinds else "integers"
         raise ArgumentError(f"{name} must hold {what}, got an array of {raw.dtype}.")

@@ -14,7 +14,7 @@ _DENSE = 150  # order: up to there all eigenvalues of a loop are as fast as the 
 WIDEST = 9.0  # relative: beyond, margins are not told apart
 
 
-def assessed(
+def assess(
     plant: SwitchedSystem,
     law: Law,
     step: float,

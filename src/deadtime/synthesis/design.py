@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.feedback import Law
 from deadtime.gains import lqr
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.gains.state_feedback import require_controllable
 from deadtime.laws import AveragedPredictor
 from deadtime.margins.constant_modes import constant_delay_margin
@@ -16,13 +16,13 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
-from deadtime.synthesis.assess import WIDEST, assessed
+from deadtime.synthesis.assess import WIDEST, assess
 from deadtime.synthesis.exact import Exact
 from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.limits import DelayLimit, delay_limit
 from deadtime.synthesis.message import sentences
-from deadtime.synthesis.request import checked, decay_asked, require_seen, required_table
+from deadtime.synthesis.request import check_request, decay_asked, require_seen, require_table
 from deadtime.synthesis.result import Design, TradeOff
 from deadtime.synthesis.search import MakeLaw, Search, Tried
 from deadtime.synthesis.strategy import pairs_of, spend
@@ -111,26 +111,26 @@ def design(
     >>> found.reached, found.margin.relative >= 0.2, found.cost > found.plain.cost
     (True, True, True)
     """
-    asked = checked(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    asked = check_request(plant, delay_margin, step, filtered, longest_step, cost, dearest)
     floors = Floors(asked, decay_asked(decay_rate))
-    given = None if gains is None else checked_gains(plant, gains, True)
+    given = None if gains is None else check_gains(plant, gains, True)
     weight = weight_of(weight, plant)
     if weight is not None:
         require_seen(plant, weight)
     budget, seed = count("budget", budget, 20), count("seed", seed, 0)
-    make = _averaged if law is None else law
+    make = _averaged_law if law is None else law
     for mode in range(plant.modes):
         require_controllable(plant.A[mode], plant.B[mode], mode)
     whole = (weight or Weight()).of(plant)
     start = lqr(plant, whole.Q, whole.R) if given is None else given
-    first = required_table(plant, make, start)
+    first = require_table(plant, make, start)
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     plain = _plain(plant, first, step, cost == "worst", weight)
     search = Search(plant, make, cost == "worst", budget, dearest, floors, weight)
     pairs = pairs_of(search, filtered, step, longest_step)
     if not filtered:
-        search.plain = _tried(plain, *pairs[0], start)
+        search.plain = _plain_candidate(plain, *pairs[0], start)
         search.tried.append(search.plain)
     spend(search, pairs, start, np.random.default_rng(seed))
     exact = Exact(plant, search)
@@ -142,11 +142,11 @@ def _plain(
 ) -> TradeOff:
     """The design to compare with."""
     margin = constant_delay_margin(plant, law, step)
-    cost = assessed(plant, law, step, worst, weight=weight)[1]
+    cost = assess(plant, law, step, worst, weight=weight)[1]
     return TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
 
 
-def _tried(plain: TradeOff, family: Family, step: float, gains: np.ndarray) -> Tried:
+def _plain_candidate(plain: TradeOff, family: Family, step: float, gains: np.ndarray) -> Tried:
     """The plain design as the first of the candidates, with parameters of gains close to it."""
     return Tried(
         family=family,
@@ -176,11 +176,11 @@ def _result(
         margin, gains = exact.margin(chosen), chosen.choice.gains
         law, step = chosen.law, chosen.step
         search = exact.search
-        cost = assessed(plant, law, step, search.worst, weight=search.weight)[1]
+        cost = assess(plant, law, step, search.worst, weight=search.weight)[1]
     floors = exact.search.floors
     growth = _ends(plant, law, step, floors.margin)
     found = TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
-    reached = not floors.missed(found.margin, found.decay_rate) and bool((growth < 0.0).all())
+    reached = not floors.shortfalls(found.margin, found.decay_rate) and bool((growth < 0.0).all())
     offered = None if chosen is None else found
     return Design(
         law=law,
@@ -203,7 +203,7 @@ def _result(
     )
 
 
-def _averaged(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor:
+def _averaged_law(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor:
     return AveragedPredictor(plant, gains, allow_unstable=True)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from deadtime.feedback import Feedback
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.digital_response import DigitalResponse
-from deadtime.spectrum.newton import decomposed
+from deadtime.spectrum.newton import decompose
 
 _LOW, _FINE = 0.02, 0.25  # rad, of delay × frequency: the lowest, and the distance higher up
 _FEW = 160
@@ -31,7 +31,7 @@ def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> fl
     omega = frequencies(plant.delay, response.highest)
     z, _ = response.free(omega)
     M, _ = response.law(omega)
-    p, _, _ = response.pipe(omega, np.full(omega.size, plant.delay))
+    p, _, _ = response.delay_line(omega, np.full(omega.size, plant.delay))
     loop = np.linalg.solve(M, feedback_to_state(response.F, z) @ p)
     values = loop[:, :, 0] if loop.shape[1] == 1 else np.linalg.eigvals(loop)
     values = np.take_along_axis(values, np.argsort(np.abs(values), axis=1), axis=1)
@@ -39,7 +39,7 @@ def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> fl
     best, batch = math.inf, 0
     while batch < w.size and _NEAREST * abs(away[batch]) < best:
         some = slice(batch, batch + _STARTS)
-        found = _refined(response, w[some], away[some], sure[some], plant.delay)
+        found = _refine(response, w[some], away[some], sure[some], plant.delay)
         best, batch = min(best, found), batch + _STARTS
     return best / plant.delay
 
@@ -81,7 +81,7 @@ def _starts(omega: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return np.tile(w, 2)[order], away[order], np.tile(sure, 2)[order]
 
 
-def _refined(
+def _refine(
     response: DigitalResponse, w: np.ndarray, away: np.ndarray, sure: np.ndarray, delay: float
 ) -> float:
     """The smallest |δ| after Newton's method from every start; unrefined where it fails."""
@@ -93,7 +93,7 @@ def _refined(
     for _ in range(_NEWTON):
         if alive.size == 0:
             break
-        now = decomposed(*response.matrix(w[alive], d[alive]))
+        now = decompose(*response.matrix(w[alive], d[alive]))
         # 1 + a dω + b dD = 0: with b divided out, the imaginary part has no dD.
         a, b = now.slope(0), now.slope(1)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -112,10 +112,10 @@ class Poles(Family):
         rows = []
         for pole in extra:
             lists = [list(row) + ([] if pole is None else [pole]) for row in closed]
-            rows.append(np.stack([self._encoded(np.array(row)) for row in lists]))
+            rows.append(np.stack([self._encode(np.array(row)) for row in lists]))
         return rows
 
-    def _encoded(self, poles: np.ndarray) -> np.ndarray:
+    def _encode(self, poles: np.ndarray) -> np.ndarray:
         """Parameters of poles in the open left half plane; nearby of others."""
         re, im = np.real(poles), np.imag(poles)
         re = np.where(re < 0.0, re, -np.abs(re) - 0.1 * self.unit)

@@ -20,12 +20,12 @@ class Floors:
     margin: float
     decay_rate: float = 0.0
 
-    def missed(self, margin: float, decay_rate: float) -> tuple[str, ...]:
+    def shortfalls(self, margin: float, decay_rate: float) -> tuple[str, ...]:
         """The names of the floors that a margin and a decay rate fall short of.
 
         Examples
         --------
-        >>> Floors(0.05, 2.0).missed(margin=0.06, decay_rate=1.5)
+        >>> Floors(0.05, 2.0).shortfalls(margin=0.06, decay_rate=1.5)
         ('decay rate',)
         """
         pairs = ((MARGIN, margin, self.margin), (DECAY, decay_rate, self.decay_rate))

@@ -14,7 +14,7 @@ for several inputs, for an eigenvalue p: |tan(½ asin(pΔ)) e^{p(D−Δ)}| ≤ |
 |O(jω)| = tan(π/4 + ¼ atan(ωΔ)).
 
 C = f(A₊) B₊ in each case, so X₂ = f(A₊) X₁ f(A₊)ᵀ: in coordinates in which X₁ = I the inequality is
-‖f(A₊)‖ ≤ 1. Those of `_balanced` need no X₁, which is singular to machine precision where poles
+‖f(A₊)‖ ≤ 1. Those of `_balance` need no X₁, which is singular to machine precision where poles
 nearly coincide.
 """
 
@@ -109,7 +109,7 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
     on_axis = _on_axis(plant.A[mode], D)
     if A.size == 0:
         return DelayLimit(on_axis, math.inf, np.empty(0, complex))
-    A = _balanced(A, B, mode)
+    A = _balance(A, B, mode)
     possible = _apart if B.shape[1] > 1 else _together
     reached = min(on_axis, _largest(lambda error: _small_gain(A, D, error * D), 0.0))
     most = _largest(lambda error: possible(A, D, error * D), math.exp(_LEAST))
@@ -196,7 +196,7 @@ def _beyond(v: np.ndarray) -> np.ndarray:
     return (np.abs(np.imag(v)) <= 1e-12 * np.abs(v)) & (np.real(v) >= 1.0)
 
 
-def _balanced(A: np.ndarray, B: np.ndarray, mode: int) -> np.ndarray:
+def _balance(A: np.ndarray, B: np.ndarray, mode: int) -> np.ndarray:
     """(k, k) complex, triangular: A₊ in coordinates in which X₁ = I, without solving for X₁.
 
     There A + Aᴴ = B Bᴴ, so that entry (i, j > i) is bᵢbⱼᴴ, and |bᵢ|² = 2 Re pᵢ: the poles and the

@@ -64,13 +64,13 @@ def _answer(floors: Floors, reached: bool, found: TradeOff, evaluated: int) -> s
         return f"Every constant mode stays stable {_while(found.margin)} {where}"
     return (
         f"Not reached: of {evaluated} designs that were tried, the one that comes nearest has a "
-        f"delay margin of {percent(found.margin)} {where} {_missed(floors, found)}"
+        f"delay margin of {percent(found.margin)} {where} {_shortfall(floors, found)}"
     )
 
 
-def _missed(floors: Floors, found: TradeOff) -> str:
+def _shortfall(floors: Floors, found: TradeOff) -> str:
     """Which of the requests it misses, and by how much."""
-    missed = floors.missed(found.margin, found.decay_rate)
+    missed = floors.shortfalls(found.margin, found.decay_rate)
     if not missed:
         return "Spectra at both ends of that margin do not confirm it."
     by = {

@@ -15,7 +15,7 @@ from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.synthesis.search import MakeLaw
 
 
-def checked(
+def check_request(
     plant: SwitchedSystem,
     delay_margin: float,
     step: float,
@@ -69,7 +69,7 @@ def require_seen(plant: SwitchedSystem, weight: Weight) -> None:
             )
 
 
-def required_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:
+def require_table(plant: SwitchedSystem, make: MakeLaw, gains: np.ndarray) -> TableLaw:
     """The plain design's law, if the family's laws can be run."""
     if not callable(make):
         raise ArgumentError(f"law must be a function (plant, gains) -> law, got {make!r}.")

@@ -114,7 +114,7 @@ class Design(Frozen):
 
     def missed(self, point: TradeOff) -> tuple[str, ...]:
         """What a point falls short of: of "margin" and "decay rate" those asked for in vain."""
-        return Floors(self.asked, self.decay_asked).missed(point.margin, point.decay_rate)
+        return Floors(self.asked, self.decay_asked).shortfalls(point.margin, point.decay_rate)
 
     def __repr__(self) -> str:
         return f"Design({self.message})"

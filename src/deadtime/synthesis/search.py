@@ -15,7 +15,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.laws import LowPassPredictor
 from deadtime.plant import SwitchedSystem, Weight
-from deadtime.synthesis.assess import assessed
+from deadtime.synthesis.assess import assess
 from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
 
@@ -84,11 +84,11 @@ class Search:
         if choice is None:
             return None
         try:
-            law = made(self.make, self.plant, choice)
+            law = make_law(self.make, self.plant, choice)
         except ArgumentError:  # the law's own rules for gains
             return None
         exact = self.floors.decay_rate > 0.0
-        one = assessed(self.plant, law, step, self.worst, _BLOCKS, exact, self.weight)
+        one = assess(self.plant, law, step, self.worst, _BLOCKS, exact, self.weight)
         tried = Tried(family, step, parameters, choice, law, *one)
         self.tried.append(tried)
         return tried
@@ -133,7 +133,7 @@ class Search:
 
         def merit(tried: Tried | None) -> float:
             if tried is None or tried.margin <= 0.0:
-                return _lost(tried)
+                return _unstable_merit(tried)
             return math.log(tried.cost) + _SLOPE * self.shortfall(tried, _SLACK)
 
         return merit
@@ -144,7 +144,7 @@ class Search:
 
         def merit(tried: Tried | None) -> float:
             if tried is None or tried.margin <= 0.0:
-                return _lost(tried)
+                return _unstable_merit(tried)
             dear = math.log(max(tried.cost / most, 1.0)) if most < math.inf else 0.0
             return dear + self.shortfall(tried, _SLACK)
 
@@ -154,17 +154,17 @@ class Search:
         """By how much the estimates fall short of the request."""
         return self.floors.shortfall(tried.margin, -tried.growth, slack)
 
-    def ranked(self, merit: Merit) -> list[Tried]:
+    def ranking(self, merit: Merit) -> list[Tried]:
         """All that was tried, the best first."""
         return sorted(self.tried, key=merit)
 
 
-def _lost(tried: Tried | None) -> float:
+def _unstable_merit(tried: Tried | None) -> float:
     """The merit of what is not stable: the slower it grows, the better."""
     return 3.0 * _LOST if tried is None else _LOST * (1.0 + math.tanh(tried.growth))
 
 
-def made(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
+def make_law(make: MakeLaw, plant: SwitchedSystem, choice: Choice) -> Law:
     """The law of a choice, filtered where it has a filter."""
     law = make(plant, choice.gains)
     if choice.time_constant is None:

@@ -81,7 +81,7 @@ def _round(
 def _distinct(search: Search, merit: Merit, most: int) -> list[Tried]:
     """The best of each family and step, the best of all first."""
     best: list[Tried] = []
-    for one in search.ranked(merit):
+    for one in search.ranking(merit):
         if all((one.family, one.step) != (other.family, other.step) for other in best):
             best.append(one)
         if len(best) == most:

@@ -58,24 +58,24 @@ class Model:
         R, T, rest = _directions(setting, rows - row, rank)
         d = setting.order
         bare = Centre(E, row, R, T, np.zeros((0, d)), np.zeros((0, 0)))
-        model = cls._laid_out(setting, bare, eigenvectors, rest)
+        model = cls._lay_out(setting, bare, eigenvectors, rest)
         if not any(eigenvectors):
             return model
         blocks = [
-            _dominant(loop_matrix(setting, full[i], lasting(setting, i)), count)
+            _dominant(loop_matrix(setting, full[i], oldest_row(setting, i)), count)
             for i, count in enumerate(eigenvectors)
         ]
         Psi = np.concatenate([block for block, _ in blocks])
         channels = Channels.of(setting, Centre(E, row, R, T, Psi, np.zeros((len(Psi), 0))))
         F = _filter(setting, model, channels, blocks, full)
-        return cls._laid_out(setting, Centre(E, row, R, T, Psi, F), eigenvectors, rest)
+        return cls._lay_out(setting, Centre(E, row, R, T, Psi, F), eigenvectors, rest)
 
     @classmethod
-    def _laid_out(
+    def _lay_out(
         cls, setting: Setting, centre: Centre, eigenvectors: tuple[int, ...], rest: np.ndarray
     ) -> Model:
         channels = Channels.of(setting, centre)
-        whole = channels.shifted(setting.inputs)
+        whole = channels.shift(setting.inputs)
         d = setting.order
         if not centre.F.size:
             v, w = channels.D.shape
@@ -95,7 +95,7 @@ class Model:
         return result
 
 
-def lasting(setting: Setting, mode: int) -> int:
+def oldest_row(setting: Setting, mode: int) -> int:
     """The table's row in a mode that has lasted as long as it may."""
     return setting.transitions.row(mode, setting.transitions.last)
 
@@ -131,7 +131,7 @@ def _directions(
                 slice(n + (j - 1) * m, n + j * m),
             )
             T[:, :, here], others[:, :, there] = differences[:, :, there], 0.0
-    lasts = [lasting(setting, i) for i in range(setting.transitions.modes)]
+    lasts = [oldest_row(setting, i) for i in range(setting.transitions.modes)]
     size = max(float(np.abs(differences).max()), 1e-300) * count
     first = _singular(others[lasts].reshape(-1, d), size)[1]
     left = others.reshape(count * m, d)
@@ -194,7 +194,7 @@ def _filter(
         difference = full[i] - model.centre.E
         would[:n, :y] = difference
         if setting.rows_differ:
-            T = model.centre.T[lasting(setting, i)]
+            T = model.centre.T[oldest_row(setting, i)]
             would[n:, : y + r] = T
             would[:n, : y + r] += difference @ D[:, n:] @ T
             would[:n, v:] = -difference @ D

@@ -27,13 +27,13 @@ def squares(left: np.ndarray) -> np.ndarray:
     return np.where((rows == columns)[:, None, None], product, both)
 
 
-def packed(M: np.ndarray) -> np.ndarray:
+def pack(M: np.ndarray) -> np.ndarray:
     """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
     rows, columns, factors = packing(M.shape[1])
     return (M[:, rows, columns] * factors).T
 
 
-def unpacked(entries: np.ndarray, size: int) -> np.ndarray:
+def unpack(entries: np.ndarray, size: int) -> np.ndarray:
     """The symmetric matrix of its packed entries."""
     rows, columns, _ = packing(size)
     result = np.zeros((size, size))

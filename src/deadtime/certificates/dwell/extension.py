@@ -23,7 +23,7 @@ NONE, HARDLY = 1e-13, 1e-6
 WEIGHT_NONE, WEIGHT_HARDLY = 1e6, 1.0
 
 
-def extended(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | None:
+def extend(evidence: Evidence, model: Model, slack: np.ndarray) -> Evidence | None:
     """The same P and S with all directions of the rows, and Π from P; None where that fails."""
     from scipy.linalg import cho_factor, cho_solve, null_space
 

@@ -13,7 +13,7 @@ CARRIED = 1e-9  # of the strongest: functionals that the loop does not carry on
 TURNS = 40  # of the power iteration
 
 
-def balanced(loops: list[np.ndarray]) -> np.ndarray:
+def balancing_units(loops: list[np.ndarray]) -> np.ndarray:
     """Units (d,) in which rows and columns of the loops are about equally large."""
     from scipy.linalg import matrix_balance
 

@@ -34,7 +34,7 @@ class Leap:
         """The node it ends at."""
         return self.stretch.step.after, self.stretch.next_knot
 
-    def scaled(self, rho: float, units: np.ndarray) -> np.ndarray:
+    def in_units(self, rho: float, units: np.ndarray) -> np.ndarray:
         """M in other units of ξ, divided by ρ to the number of periods."""
         return units[:, None] * self.M / units * rho**-self.stretch.periods
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.dwell.centre import Model
-from deadtime.certificates.dwell.cones import maximise, packed, packing, squares, unpacked
+from deadtime.certificates.dwell.cones import maximise, pack, packing, squares, unpack
 from deadtime.certificates.dwell.response import Response
 from deadtime.certificates.proof.transitions import Transition, interpolation
 
@@ -93,11 +93,11 @@ def solve(
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
     for sample in samples:
         block = _at_step(model, sample, units, knots, rho, unknowns)
-        blocks.append(packed(block))
+        blocks.append(pack(block))
         cones.append(block.shape[1])
     bounds = np.zeros((unknowns, v + w, v + w))
     bounds[:pi_size] = squares(np.eye(v + w))
-    bound = packed(bounds)
+    bound = pack(bounds)
     nonnegative = np.zeros((1, unknowns))
     nonnegative[0, -2] = 1.0
     A = np.concatenate([*blocks, nonnegative, bound, -bound])
@@ -108,9 +108,9 @@ def solve(
     if answer is None:
         return None
     x, status = answer
-    Pi = unpacked(x[:pi_size], v + w)
+    Pi = unpack(x[:pi_size], v + w)
     parts = x[pi_size:-2].reshape(model.setting.A.shape[1], len(knots), s_size)
-    S = np.array([[unpacked(part, s) for part in mode] for mode in parts])
+    S = np.array([[unpack(part, s) for part in mode] for mode in parts])
     return Solution(float(x[-1]), float(x[-2]), Pi, S.reshape(*parts.shape[:2], s, s), status)
 
 
@@ -124,7 +124,7 @@ def _at_frequencies(
         both: Any = np.concatenate((-squares(Y), -rest[None], -weight[None]))
         real = np.block([[both.real, -both.imag], [both.imag, both.real]])
         M[:pi_size], M[-2:] = real[:-2], real[-2:]
-        blocks.append(packed(M))
+        blocks.append(pack(M))
     return blocks, [2 * w] * len(blocks)
 
 

@@ -40,7 +40,7 @@ def fine_frequencies(held: int, step: float, delay: float) -> np.ndarray:
 
 def response(model: Model, angles: np.ndarray, rho: float) -> Response:
     """V and Q at z = ρ e^{iω}, ω the angles."""
-    chunk = max(1, int(4e7 / (16 * model.setting.held)))
+    chunk = max(1, int(4e7 / (16 * model.setting.past)))
     parts = [
         _response(model, rho * np.exp(1j * angles[at : at + chunk]))
         for at in range(0, len(angles), chunk)
@@ -50,7 +50,7 @@ def response(model: Model, angles: np.ndarray, rho: float) -> Response:
 
 def _response(model: Model, z: np.ndarray) -> Response:
     setting, centre, channels = model.setting, model.centre, model.channels
-    n, m, W = setting.states, setting.inputs, setting.held
+    n, m, W = setting.states, setting.inputs, setting.past
     w = channels.D.shape[1]
     powers = z[:, None] ** -np.arange(1.0, W + 1.0)
     late = np.concatenate((np.ones((len(z), 1)), powers), axis=1)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.dwell.centre import Model
-from deadtime.certificates.dwell.extension import extended
+from deadtime.certificates.dwell.extension import extend
 from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
 from deadtime.certificates.dwell.response import Response, fine_frequencies, frequencies, response
 from deadtime.certificates.dwell.riccati import solve_riccati
@@ -62,8 +62,8 @@ class Search:
         self.looked_at: set[tuple[Transition, tuple[Segment, ...], float]] = set()
         self.samples = self._samples()
         delay = setting.delays[1]
-        self.angles = frequencies(FREQUENCIES, setting.held, setting.step, delay)
-        self.fine = fine_frequencies(setting.held, setting.step, delay)
+        self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
+        self.fine = fine_frequencies(setting.past, setting.step, delay)
 
     def propose(self, rho: float) -> Proposal | None:
         """A solution with a margin at all frequencies looked at, or None."""
@@ -109,7 +109,7 @@ class Search:
     def _samples(self) -> list[Sample]:
         found: list[Sample] = []
         steps: dict[Any, np.ndarray] = {}
-        kept = _thinned(self.setting)
+        kept = _ages_to_visit(self.setting)
         for transition in self.setting.transitions.all(self.knots):
             if kept is not None and transition.age not in kept:
                 continue
@@ -151,7 +151,7 @@ def sampled_rows(family: Family, step: Transition) -> np.ndarray:
     return np.concatenate(found)
 
 
-def _thinned(setting: Setting) -> set[int] | None:
+def _ages_to_visit(setting: Setting) -> set[int] | None:
     """Ages to look at where the table has very many; None for all."""
     last = setting.transitions.last
     if setting.context != "mode_age" or last <= MOST_AGES:
@@ -200,5 +200,5 @@ def _evidence(proposal: Proposal) -> Evidence | None:
         rho,
     )
     if len(model.rest):
-        return extended(evidence, model, 0.5 * slack)
+        return extend(evidence, model, 0.5 * slack)
     return evidence

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.cones import packing, squares, unpacked
+from deadtime.certificates.dwell.cones import packing, squares, unpack
 from deadtime.certificates.dwell.leaps import Node
 
 DOUBLINGS = 60
@@ -116,6 +116,6 @@ class Shape:
     def _inside(self, part: np.ndarray) -> np.ndarray:
         s = len(self.H)
         rows, columns, _ = packing(s)
-        values, vectors = np.linalg.eigh(unpacked(part[:-1], s))
+        values, vectors = np.linalg.eigh(unpack(part[:-1], s))
         Y = (vectors * np.maximum(values, 0.0)) @ vectors.T
         return np.append(Y[rows, columns], max(part[-1], FLOOR))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.cones import maximise, packed, packing, squares
+from deadtime.certificates.dwell.cones import maximise, pack, packing, squares
 from deadtime.certificates.dwell.leaps import Node
 from deadtime.certificates.dwell.shape import FLOOR, Shape
 
@@ -47,7 +47,7 @@ class Looked:
         self.D = np.linalg.qr(np.concatenate((self.D, vectors), axis=1))[0]
 
 
-def left(V: dict[Node, np.ndarray], here: Node, there: Node, M: np.ndarray) -> np.ndarray:
+def decrease(V: dict[Node, np.ndarray], here: Node, there: Node, M: np.ndarray) -> np.ndarray:
     """V_here − Mᵀ V_there M."""
     X = V[here] - M.T @ V[there] @ M
     return 0.5 * (X + X.T)
@@ -69,13 +69,13 @@ def solve(shape: Shape, leaps: list[Looked]) -> tuple[float, np.ndarray] | None:
             for at, part in shape.form(node, D):
                 M[at : at + shape.unknowns] += sign * part
         M[-1] = -looked.D.T @ looked.D
-        block = packed(M)
+        block = pack(M)
         blocks.append(csc_matrix(-block))
         constants.append(np.zeros(len(block)))
         cones.append(r)
     s = len(shape.H)
     rows, columns, _ = packing(s)
-    eye, whole = (rows == columns).astype(float), packed(squares(np.eye(s)))
+    eye, whole = (rows == columns).astype(float), pack(squares(np.eye(s)))
     for node in shape.nodes:
         at = shape.start(node)
         block = np.zeros((len(eye), unknowns))

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.frame import WHOLE, balanced, functionals, metric
+from deadtime.certificates.dwell.frame import WHOLE, balancing_units, functionals, metric
 from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
 from deadtime.certificates.dwell.shape import Shape
-from deadtime.certificates.dwell.stretch_program import ADDED, Looked, left, solve
+from deadtime.certificates.dwell.stretch_program import ADDED, Looked, decrease, solve
 from deadtime.certificates.proof import Check, StretchEvidence, check
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
@@ -71,7 +71,7 @@ class StretchSearch:
         if graph.bucket is not None or graph.modes == 1:
             return False
         d, modes = setting.order, graph.modes
-        if d > WHOLE and (_unknown(setting) or 2 * (graph.first + 1) < setting.held):
+        if d > WHOLE and (_unknown(setting) or 2 * (graph.first + 1) < setting.past):
             return False  # over two stretches the delay line is not yet emptied
         entries = min(d, WHOLE) * (min(d, WHOLE) + 1) // 2 + 1
         if modes * len(knots_of(setting)) * entries > MOST_UNKNOWNS:
@@ -90,7 +90,7 @@ class StretchSearch:
             if answer is None or answer[0] < LEAST_MARGIN:
                 return None
             margin, V = answer[0], loops.shape.values(answer[1])
-            wanting = self._wanting(loops, V, margin, looked)
+            wanting = self._lacks_margin(loops, V, margin, looked)
             if not wanting:
                 return self._evidence(loops, V, rho)
         return None
@@ -112,8 +112,8 @@ class StretchSearch:
         """The leaps at one ρ; None where a constant mode grows."""
         graph = self.setting.transitions
         periods = [self.leaps.full(i, graph.last, graph.last + 1) for i in range(graph.modes)]
-        units = balanced(periods)
-        found = [(leap.here, leap.there, leap.scaled(rho, units)) for leap in self.known]
+        units = balancing_units(periods)
+        found = [(leap.here, leap.there, leap.in_units(rho, units)) for leap in self.known]
         lasting = [M for here, there, M in found if here == there]
         T = metric(lasting, found)
         back = np.linalg.inv(T)
@@ -142,13 +142,13 @@ class StretchSearch:
         ]
         return {k: loops.look(k) for k in chosen}
 
-    def _wanting(
+    def _lacks_margin(
         self, loops: Loops, V: dict[Node, np.ndarray], margin: float, looked: dict[int, Looked]
     ) -> bool:
         """Whether leaps lack a part of the margin; the worst are looked at more closely."""
         low = []
         for k, (here, there, M) in enumerate(loops.leaps):
-            values, vectors = np.linalg.eigh(left(V, here, there, M))
+            values, vectors = np.linalg.eigh(decrease(V, here, there, M))
             if values[0] < ENOUGH * margin:
                 low.append((float(values[0]), k, vectors[:, :ADDED][:, values[:ADDED] < margin]))
         fresh = 0

@@ -61,8 +61,8 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "context": setting.context,
             "ages": setting.ages,
             "step": setting.step,
-            "F": _packed(setting.F),
-            "G": _packed(setting.G),
+            "F": _pack(setting.F),
+            "G": _pack(setting.G),
         },
         "signals": {
             "dwell_time": setting.dwell_time,
@@ -86,14 +86,14 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
 def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
     """V, and what only this package's check of it uses."""
     if isinstance(evidence, StretchEvidence):
-        V = {"kind": "stretches", "knots": evidence.knots, "P": _packed(evidence.P)}
+        V = {"kind": "stretches", "knots": evidence.knots, "P": _pack(evidence.P)}
         return {"lyapunov": V, "hints": {}}
     centre = evidence.centre
     arrays = {"P": evidence.P, "Psi": centre.Psi, "S": evidence.S}
-    hints = {name: _packed(getattr(centre, name)) for name in HINTS}
+    hints = {name: _pack(getattr(centre, name)) for name in HINTS}
     V = {"kind": "linear", "knots": evidence.knots}
-    V |= {name: _packed(array) for name, array in arrays.items()}
-    return {"lyapunov": V, "hints": hints | {"Pi": _packed(evidence.Pi)}}
+    V |= {name: _pack(array) for name, array in arrays.items()}
+    return {"lyapunov": V, "hints": hints | {"Pi": _pack(evidence.Pi)}}
 
 
 def _fault(error: Exception) -> str:
@@ -173,8 +173,8 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     low, high = plant["delays"]
     maximum = signals["maximum_dwell"]
     setting = Setting(
-        _nested(plant["A"]),
-        _nested(plant["B"]),
+        _array_of(plant["A"]),
+        _array_of(plant["B"]),
         (_float(low), _float(high)),
         _array(law["F"]),
         _array(law["G"]),
@@ -222,13 +222,13 @@ def _float(value: Any) -> float:
     return float(value)
 
 
-def _nested(value: Any) -> np.ndarray:
+def _array_of(value: Any) -> np.ndarray:
     """An array from lists of lists of numbers."""
     flat = np.array(value, dtype=object)
     return np.array([_float(entry) for entry in flat.ravel()]).reshape(flat.shape)
 
 
-def _packed(array: np.ndarray) -> dict[str, Any]:
+def _pack(array: np.ndarray) -> dict[str, Any]:
     data = np.ascontiguousarray(array, "<f8").tobytes()
     return {"shape": array.shape, "data": base64.b64encode(data).decode("ascii")}
 

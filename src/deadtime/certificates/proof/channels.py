@@ -56,7 +56,7 @@ class Channels:
         bottom = np.concatenate((np.zeros((w, self.C.shape[1])), np.eye(w)), axis=1)
         return np.concatenate((np.concatenate((self.C, self.D), axis=1), bottom))
 
-    def shifted(self, m: int) -> Float[np.ndarray, "order dw"]:
+    def shift(self, m: int) -> Float[np.ndarray, "order dw"]:
         """[M₀ B]."""
         d = self.C.shape[1]
         top = self.left @ self.right

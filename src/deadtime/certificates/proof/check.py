@@ -18,7 +18,7 @@ from deadtime.certificates.proof.large import LargeInequalities
 from deadtime.certificates.proof.small import SmallInequalities
 from deadtime.certificates.proof.stretches import StretchEvidence, StretchInequalities
 from deadtime.certificates.proof.transitions import Transition
-from deadtime.certificates.proof.validate import malformed
+from deadtime.certificates.proof.validate import why_malformed
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ class Check:
 
 def check(evidence: Evidence | StretchEvidence) -> Check:
     """Verify the evidence; False means that this evidence is no proof, not that none exists."""
-    reason = malformed(evidence)
+    reason = why_malformed(evidence)
     if reason:
         return Check(False, reason)
     with balls.precision():

@@ -105,14 +105,14 @@ class Setting(Frozen):
         return self.B.shape[3] if np.any(self.F) or np.any(self.G) else 0
 
     @property
-    def held(self) -> int:
+    def past(self) -> int:
         """W, the past inputs in ξ."""
         return max(self.family.count, self.G.shape[1] if self.inputs else 0)
 
     @property
     def order(self) -> int:
         """d = n + W m."""
-        return self.states + self.held * self.inputs
+        return self.states + self.past * self.inputs
 
     @cached_property
     def rows(self) -> Float[np.ndarray, "row m order"]:

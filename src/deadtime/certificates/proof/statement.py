@@ -15,7 +15,7 @@ def decay_rate(evidence: Evidence | StretchEvidence) -> float:
     return (-math.log(evidence.rho) / evidence.setting.step) * (1.0 - 1e-12)
 
 
-def rounded_down(rate: float, digits: int = 4) -> str:
+def round_down(rate: float, digits: int = 4) -> str:
     """A positive rate with so many significant digits, never more than it is."""
     unit = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
     return f"{math.floor(rate / unit) * unit:.{digits}g}"
@@ -57,7 +57,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
         falls = f"per period {falls}" if rate else falls
-    pace = f" decays at least like exp(−{rounded_down(rate, 6)} t)" if rate else " decays to zero"
+    pace = f" decays at least like exp(−{round_down(rate, 6)} t)" if rate else " decays to zero"
     rows = {
         "none": "nothing (one row)",
         "mode": "the sampled mode",

@@ -88,12 +88,12 @@ class Period:
     def of(cls, setting: Setting, row: np.ndarray) -> Period:
         """Under one row (m, d) of the table."""
         n, m, d, taps = setting.states, setting.inputs, setting.order, setting.family.taps
-        u = np.zeros((setting.held + 1, m, d))
+        u = np.zeros((setting.past + 1, m, d))
         u[0] = row
-        for j in range(1, setting.held + 1):
+        for j in range(1, setting.past + 1):
             u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
         seen = np.concatenate((np.eye(n, d), *(u[j] for j in taps)))
-        rest = np.concatenate((np.zeros((n, d)), *u[: setting.held]))
+        rest = np.concatenate((np.zeros((n, d)), *u[: setting.past]))
         return cls(balls.exact(seen), balls.exact(rest))
 
     def loop(self, E: Any) -> Any:

@@ -21,7 +21,7 @@ MOST_AGES = 100_000
 MOST_STRETCHES = 5_000
 
 
-def malformed(evidence: Evidence | StretchEvidence) -> str:
+def why_malformed(evidence: Evidence | StretchEvidence) -> str:
     """What is wrong with the evidence, if anything is; in the order in which parts depend."""
     setting = evidence.setting
     return (
@@ -33,7 +33,7 @@ def malformed(evidence: Evidence | StretchEvidence) -> str:
         or (
             _stretches(evidence)
             if isinstance(evidence, StretchEvidence)
-            else _split(evidence, evidence.centre)
+            else _matrices(evidence, evidence.centre)
         )
     )
 
@@ -128,10 +128,10 @@ def _rho_and_knots(rho: object, knots: tuple[object, ...]) -> str:
     return "knots do not ascend" if ages[0] < 0 or any(b <= a for a, b in pairwise(ages)) else ""
 
 
-def _split(evidence: Evidence, centre: Centre) -> str:
+def _matrices(evidence: Evidence, centre: Centre) -> str:
     """The centre and P, Π, S, knots."""
     setting = evidence.setting
-    sizes = _misshapen(_expected(evidence, setting, centre))
+    sizes = _misshapen(_expected_shapes(evidence, setting, centre))
     if sizes:
         return sizes
     for name in ("P", "Pi", "S"):
@@ -168,7 +168,7 @@ def _stretches(evidence: StretchEvidence) -> str:
     return ""
 
 
-def _expected(
+def _expected_shapes(
     evidence: Evidence, setting: Setting, centre: Centre
 ) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
     d, rows = setting.order, len(setting.F)

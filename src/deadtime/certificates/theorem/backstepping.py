@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import shaped
+from deadtime.base.checks import require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory
-from deadtime.simulation.ideal.breakpoints import merged, subdivided
+from deadtime.simulation.ideal.breakpoints import merge, subdivide
 from deadtime.simulation.ideal.piecewise import Piecewise
 from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.initial_input import InputHistory
@@ -62,7 +62,7 @@ class Backstepping(Frozen):
     time: float
 
     def __post_init__(self) -> None:
-        checked_gains(self.plant, self.gains, allow_unstable=True)
+        check_gains(self.plant, self.gains, allow_unstable=True)
         self.signal.require_modes(self.plant.modes)
         super().__post_init__()
 
@@ -86,13 +86,13 @@ class Backstepping(Frozen):
         from deadtime.simulation.ideal.kernel import solve_state
 
         plant, delay = self.plant, self.plant.delay
-        shaped("x", x, (plant.states,), "(n,)")
+        require_shape("x", x, (plant.states,), "(n,)")
         nodes = gauss(NODES)
         switches = self.signal.times - self.time - delay
         closed_loop = plant.A + plant.B @ self.gains
         rate = float(max(np.linalg.norm(M, 2) for M in (*plant.A, *closed_loop)))
-        edges = merged(np.concatenate((switches, drive.jumps)), -delay, 0.0)
-        edges = subdivided(edges, min(1.5 / rate, delay))
+        edges = merge(np.concatenate((switches, drive.jumps)), -delay, 0.0)
+        edges = subdivide(edges, min(1.5 / rate, delay))
         middles = (edges[:-1] + edges[1:]) / 2.0
         modes = self.signal(middles + self.time + delay)
         values = drive.on(edges, nodes)
@@ -183,7 +183,7 @@ def _weighted_integrals(run: Trajectory, gains: np.ndarray, times: np.ndarray) -
     breaks = np.concatenate((record.inputs.edges, record.states.edges - delay))
     result = np.empty(times.size)
     for k, t in enumerate(times):
-        edges = merged(breaks, t - delay, t)
+        edges = merge(breaks, t - delay, t)
         lengths = np.diff(edges)
         theta = (edges[:-1, None] + lengths[:, None] * nodes.points).ravel()
         square = np.sum(mismatch_at(run, gains, theta) ** 2, axis=1) * np.exp(theta + delay - t)

@@ -23,7 +23,7 @@ from deadtime.certificates.theorem.constants import Constants, distance
 from deadtime.certificates.theorem.paper import paper_constants
 from deadtime.certificates.theorem.sharp import sharp_constants
 from deadtime.gains import CommonLyapunov, common_lyapunov
-from deadtime.gains.lyapunov import checked_lyapunov, hurwitz_gains
+from deadtime.gains.lyapunov import check_lyapunov, hurwitz_gains
 from deadtime.numerics.logs import exp, log
 from deadtime.plant import SwitchedSystem
 
@@ -152,7 +152,7 @@ def theorem_bound(
         raise ArgumentError(f"form must be one of {', '.join(map(repr, FORMS))}, got {form!r}.")
     if not plant.B.any():
         raise ArgumentError("plant.B is zero in every mode: no input acts on the plant.")
-    pair = None if lyapunov is None else checked_lyapunov(plant, K, lyapunov)
+    pair = None if lyapunov is None else check_lyapunov(plant, K, lyapunov)
     if form == "sharp":
         constants: Constants = sharp_constants(plant, K, pair)
     else:

@@ -108,7 +108,7 @@ def euclidean(plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov) -> 
     )
 
 
-def weighted(plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov) -> Norm | None:
+def weighted_norm(plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov) -> Norm | None:
     """S = P: the norm in which all delay-free loops decay; None if rounding hides the decay."""
     P = lyapunov.P
     omega = -growth_in_norm(plant, gains, P)
@@ -143,7 +143,7 @@ def sharp_constants(
     routes = [
         (pair, norm)
         for pair in pairs
-        for norm in (euclidean(plant, gains, pair), weighted(plant, gains, pair))
+        for norm in (euclidean(plant, gains, pair), weighted_norm(plant, gains, pair))
         if norm is not None
     ]
     found = [_constants(plant, gains, pair, norm) for pair, norm in routes]
@@ -179,7 +179,7 @@ def _constants(
         log_epsilon_star=-0.5 * log_inverse_square,
         log_nu1=min(
             _log_nu(other.gain, other.entry, other.from_euclid, other.growth, D)
-            for other in (weighted(plant, gains, lyapunov), euclidean(plant, gains, lyapunov))
+            for other in (weighted_norm(plant, gains, lyapunov), euclidean(plant, gains, lyapunov))
             if other is not None
         ),
         log_nu2=_log_nu(M_K, M_B, 1.0, a, D),

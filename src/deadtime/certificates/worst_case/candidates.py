@@ -19,9 +19,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
-from deadtime.certificates.worst_case.products import Sojourns, compressed
+from deadtime.certificates.worst_case.products import Sojourns, compress
 from deadtime.certificates.worst_case.search import LETTERS, branch_and_bound
-from deadtime.certificates.worst_case.words import Word, climbed
+from deadtime.certificates.worst_case.words import Word, climb
 
 LENGTHS = 200  # of sojourns that the compressed loop knows
 DELAYS = 8  # the longest of them, at least
@@ -55,13 +55,13 @@ def candidates(
     floor = -math.inf if math.isfinite(dwell.most) else floor * step
     late, mixed = dwell.late
     kinds = Kinds.of(loop.feedback, modes, mixed)
-    sojourns = compressed(loop, lengths, kinds)
+    sojourns = compress(loop, lengths, kinds)
     letters = _letters(lengths, max(3, LETTERS // modes))
-    searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.held, budget // 2)
+    searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.past, budget // 2)
     found: dict[Cycle, float] = {}
     climbing = 0
     for start in chain(searched.words, _random_words(sojourns, STARTS * modes)):
-        word, looked = climbed(sojourns, start)
+        word, looked = climb(sojourns, start)
         climbing += looked
         parts = (kinds.mode[word.kinds], lengths[word.index], kinds.late[word.kinds])
         cycle = Cycle.on_grid(list(zip(*(part.tolist() for part in parts), strict=True)), late)
@@ -81,7 +81,7 @@ def _lengths(
     """Sojourns in samples, dense where they are short, over delays and oscillations."""
     shortest = math.ceil(dwell.least)
     slow = max(2.0 * _period(loop, *rated) for rated in constants)
-    span = max(DELAYS * loop.held, round(min(slow, SLOWEST)))
+    span = max(DELAYS * loop.past, round(min(slow, SLOWEST)))
     if math.isfinite(dwell.most):
         span = min(span, math.floor(dwell.most) - shortest)
     if span < 0:

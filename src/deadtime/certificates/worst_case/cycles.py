@@ -137,12 +137,12 @@ class Cycle:
             times, modes = np.append(0.0, times), np.append(self.modes[-1], modes)
         return SwitchingSignal(times, modes)
 
-    def reduced(self) -> Cycle:
+    def reduce(self) -> Cycle:
         """The shortest cycle that this one repeats.
 
         Examples
         --------
-        >>> Cycle((0, 1, 0, 1), (2.0, 3.0, 2.0, 3.0)).reduced()
+        >>> Cycle((0, 1, 0, 1), (2.0, 3.0, 2.0, 3.0)).reduce()
         Cycle(modes=(0, 1), gaps=(2.0, 3.0), offset=0.0)
         """
         count = len(self.modes)
@@ -173,7 +173,7 @@ class Cycle:
         modes, lengths, after = zip(*first, strict=True)
         begins = late * np.array(after)
         gaps = np.array(lengths) + np.roll(begins, -1) - begins
-        return cls(modes, tuple(gaps.tolist()), float(begins[0])).reduced()
+        return cls(modes, tuple(gaps.tolist()), float(begins[0])).reduce()
 
 
 def mode_cycles(modes: int, count: int) -> Iterator[tuple[int, ...]]:

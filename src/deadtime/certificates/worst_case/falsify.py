@@ -12,7 +12,7 @@ from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_rang
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
-from deadtime.certificates.worst_case.selection import Rated, improved, worst_of
+from deadtime.certificates.worst_case.selection import Rated, improve, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import TableLaw, require_match
@@ -87,7 +87,7 @@ def falsify(
     >>> worst.simulate(cycles=5).diverged
     False
     """
-    feedback = _checked(plant, law, dwell_time, maximum_dwell, step)
+    feedback = _require_table(plant, law, dwell_time, maximum_dwell, step)
     count("budget", budget)
     tolerance = clock_tolerance_in_range(clock_tolerance, least=0.0)
     bounded = maximum_dwell is not None and plant.modes > 1
@@ -98,7 +98,7 @@ def falsify(
     if plant.modes > 1:
         tried = candidates(loop, constants, dwell, budget)
         floor = -math.inf if bounded else max(growth.rate for _, growth in constants)
-        better, looked = improved(loop, dwell, tried.cycles, floor)
+        better, looked = improve(loop, dwell, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         found = [*found, *better]
     result = worst_case(loop, law, dwell_time, *worst_of(found, loop), evaluated, upper)
@@ -113,7 +113,7 @@ def falsify(
     return result
 
 
-def _checked(
+def _require_table(
     plant: SwitchedSystem, law: Law, dwell_time: float, maximum_dwell: float | None, step: float
 ) -> Feedback:
     """The law's table, when the arguments belong together."""
@@ -156,7 +156,7 @@ def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], 
     loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest))
     found = []
     for mode, rate in enumerate(rates):
-        cycle = Cycle((mode,), (float(loop.held),))
+        cycle = Cycle((mode,), (float(loop.past),))
         growth = loop.growth(cycle)
         vector = np.ones(loop.order, complex) if growth is None else growth.vector
         found.append((cycle, Growth(rate, vector)))

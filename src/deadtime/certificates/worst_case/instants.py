@@ -26,7 +26,7 @@ COARSE = 1e-6  # relative error of eigenvalues while searching
 GAIN = 1e-9  # per period; a smaller gain is none
 
 
-def polished(
+def polish(
     loop: SampledLoop,
     dwell: Dwell,
     cycle: Cycle,
@@ -60,7 +60,7 @@ def polished(
     return cycle, growth, evaluated
 
 
-def refined(
+def refine(
     loop: SampledLoop, dwell: Dwell, cycle: Cycle, growth: Growth, most: int
 ) -> tuple[Cycle, Growth, int]:
     """The cycle repeated a few times over a length that it does not divide, where that is better.
@@ -86,7 +86,7 @@ def refined(
                 best = trial, found
     if best[0] is cycle:
         return cycle, growth, evaluated
-    better, faster, looked = polished(loop, dwell, *best, most)
+    better, faster, looked = polish(loop, dwell, *best, most)
     evaluated += looked
     if (faster.rate - growth.rate) * cycle.periods * loop.step < WORTH:
         return cycle, growth, evaluated

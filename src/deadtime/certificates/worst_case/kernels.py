@@ -96,7 +96,7 @@ def after(loop, repeats, held, z):
 
 
 @njit(cache=True)
-def _felt(F, G, p, pipe, now):
+def _control_adjoint(F, G, p, pipe, now):
     """`_control`, transposed."""
     m, window = G.shape
     for i in range(m):
@@ -108,7 +108,7 @@ def _felt(F, G, p, pipe, now):
 
 
 @njit(cache=True)
-def transposed(loop, p, inputs):
+def carry_back(loop, p, inputs):
     """Carry a functional of the lifted state back over one cycle, in place.
 
     It is (p, the last W rows of `inputs` (W + samples, m)) at the end, and (p, the first W) at
@@ -134,4 +134,4 @@ def transposed(loop, p, inputs):
                 for i in range(n):
                     moved[j] += end * table.Phi[e, i, j] * p[i]
             p[:] = moved
-        _felt(loop.F[row], loop.G[row], p, pipe, now * m)
+        _control_adjoint(loop.F[row], loop.G[row], p, pipe, now * m)

@@ -100,14 +100,14 @@ class SampledLoop:
         return self.feedback.step
 
     @property
-    def held(self) -> int:
+    def past(self) -> int:
         """W, the number of past inputs in ζ."""
         return max(self.sampled.longest_lag, self.feedback.taps)
 
     @property
     def order(self) -> int:
         """The size of ζ."""
-        return self.plant.states + self.held * self.plant.inputs
+        return self.plant.states + self.past * self.plant.inputs
 
     def table(self, cycle: Cycle) -> Table:
         """The periods of a cycle that has been going on without a beginning."""
@@ -126,7 +126,7 @@ class SampledLoop:
         (W + samples, m), the W past ones first."""
         from deadtime.certificates.worst_case.kernels import forward
 
-        n, m, W = self.plant.states, self.plant.inputs, self.held
+        n, m, W = self.plant.states, self.plant.inputs, self.past
         samples = repeats * table.periods
         inputs, states = np.empty((W + samples, m)), np.empty((samples, n))
         inputs[:W] = z[n:].reshape(W, m)
@@ -137,17 +137,17 @@ class SampledLoop:
         """ζ (order,) after some cycles, weighted."""
         from deadtime.certificates.worst_case.kernels import after
 
-        return after(table, repeats, self.held, z)
+        return after(table, repeats, self.past, z)
 
     def before(self, table: Table, y: np.ndarray) -> np.ndarray:
         """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
-        from deadtime.certificates.worst_case.kernels import transposed
+        from deadtime.certificates.worst_case.kernels import carry_back
 
-        n, W = self.plant.states, self.held
+        n, W = self.plant.states, self.past
         inputs = np.zeros((W + table.periods, self.plant.inputs))
         inputs[-W:] = y[n:].reshape(W, -1)
         p = y[:n].copy()
-        transposed(table, p, inputs)
+        carry_back(table, p, inputs)
         return np.concatenate((p, inputs[:W].ravel()))
 
     def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:
@@ -159,11 +159,11 @@ class SampledLoop:
 
         table = self.table(cycle)
         start = np.random.default_rng(0).normal(size=self.order)
-        spanning = max(1, -(-WINDOWS * self.held // table.periods))
+        spanning = max(1, -(-WINDOWS * self.past // table.periods))
         found, repeats = None, 1
         with np.errstate(over="ignore", invalid="ignore"):
             for repeats in (spanning, 3 * spanning, 1):
-                apply = partial(after, table, repeats, self.held)
+                apply = partial(after, table, repeats, self.past)
                 found = _largest(apply, start, tolerance)
                 if found is not None:
                     break
@@ -174,7 +174,7 @@ class SampledLoop:
         value, vector = found
         time = repeats * table.periods * self.step
         rate = math.log(abs(value)) / time if value else -math.inf
-        n, m, W = self.plant.states, self.plant.inputs, self.held
+        n, m, W = self.plant.states, self.plant.inputs, self.past
         back = self.weight ** np.arange(W, 0, -1)  # ũ_{−j} = w^{−j} u_{−j}
         vector = np.append(vector[:n], vector[n:] * np.repeat(back, m))
         return Growth(self.shift + rate, vector)

@@ -64,12 +64,12 @@ class Sojourns:
         return logs / self.length[index].sum(axis=1)
 
 
-def compressed(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kinds) -> Sojourns:
+def compress(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kinds) -> Sojourns:
     """The sojourns of all kinds and these lengths, in samples."""
-    n, m, W = loop.plant.states, loop.plant.inputs, loop.held
+    n, m, W = loop.plant.states, loop.plant.inputs, loop.past
     longest = int(lengths[-1])
     entries = zip(kinds.mode.tolist(), kinds.before.tolist(), strict=True)
-    tables = [_entered(loop, i, p, int(lengths[0]), longest) for i, p in entries]
+    tables = [_entry_table(loop, i, p, int(lengths[0]), longest) for i, p in entries]
     V, U = _projection(loop, tables, lengths, kinds)
     rank = V.shape[1]
     matrix = np.empty((len(tables), lengths.size, rank, rank))
@@ -85,7 +85,7 @@ def compressed(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Ki
     return Sojourns(lengths, matrix / np.maximum(size, 1e-300)[:, :, None, None], log, kinds)
 
 
-def _entered(loop: SampledLoop, mode: int, before: int, shortest: int, periods: int) -> Table:
+def _entry_table(loop: SampledLoop, mode: int, before: int, shortest: int, periods: int) -> Table:
     """The periods of a mode that has just been entered; see `Kinds` for `before`."""
     rows = loop.feedback.rows(np.full(periods, mode))
     if before >= 0:
@@ -119,7 +119,7 @@ def _snapshots(
     back: bool,
 ) -> np.ndarray:
     """Lifted states (or functionals) at the switches of random runs, scaled, one a column."""
-    found, W = [], loop.held
+    found, W = [], loop.past
     follows = kinds.follows.T if back else kinds.follows
     for _ in range(RUNS):
         z = rng.normal(size=loop.order)

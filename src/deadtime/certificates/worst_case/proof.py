@@ -27,7 +27,7 @@ from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import Cuts
 from deadtime.spectrum import aged_row
-from deadtime.spectrum.enclosure import LARGEST, enclosed_growth, exact_matrix, exact_period
+from deadtime.spectrum.enclosure import LARGEST, enclose_growth, exact_matrix, exact_period
 from deadtime.switching.grid import cuts_of
 
 BITS = (192, 384, 768, 1536)
@@ -86,7 +86,7 @@ def _constant(loop: SampledLoop, mode: int) -> GrowthProof:
         reason = f"the loop has order {loop.order:,}, and {LARGEST:,} is the limit"
         return GrowthProof(False, reason=f"{reason}; lengthen the step")
     feedback = loop.feedback
-    low, high = enclosed_growth(loop.plant, feedback, mode, aged_row(feedback, mode))
+    low, high = enclose_growth(loop.plant, feedback, mode, aged_row(feedback, mode))
     if low > 0.0:
         return GrowthProof(True, low)
     return GrowthProof(False, reason=f"the growth rate is between {low:.4g} /s and {high:.4g} /s")
@@ -123,7 +123,7 @@ def _over(loop: SampledLoop, cycle: Cycle) -> Any:
     """
     from flint import arb_mat
 
-    n, size = loop.plant.states, loop.held * loop.plant.inputs
+    n, size = loop.plant.states, loop.past * loop.plant.inputs
     gains = _gains(loop)
     rows, moves = loop.table(cycle).rows.tolist(), _moves(loop, cycle)
     M = exact_matrix(np.eye(loop.order))

@@ -85,14 +85,14 @@ class _Search:
         time = S.length[index[:, 0]].astype(float)
         return _Level(kinds, index, product, log, time, (log + _excess(product)) / time)
 
-    def grown(self, level: _Level) -> _Level:
+    def extend(self, level: _Level) -> _Level:
         """All words with one more sojourn."""
         S, parts = self.sojourns, []
         for kind in range(S.matrix.shape[0]):
             parents = np.flatnonzero(S.kinds.follows[level.kinds[:, -1], kind])
             count, letters = parents.size, self.letters.size
             product = S.matrix[kind, self.letters][None] @ level.product[parents][:, None]
-            product, size = _scaled(product)
+            product, size = _normalise(product)
             log = size + level.log[parents][:, None] + S.log[kind, self.letters]
             time = level.time[parents][:, None] + S.length[self.letters]
             bound = np.minimum(level.bound[parents][:, None], (log + _excess(product)) / time)
@@ -114,7 +114,7 @@ class _Search:
             return
         power, log = level.product, level.log.copy()
         for squaring in range(SQUARINGS):
-            power, size = _scaled(power @ power)
+            power, size = _normalise(power @ power)
             log += size / 2.0 ** (squaring + 1)
         likely = np.argsort(-log / level.time, kind="stable")[:LIKELY]
         radius = np.abs(np.linalg.eigvals(level.product[likely])).max(axis=1)
@@ -140,10 +140,10 @@ def branch_and_bound(
     `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
     looked at.
     """
-    search = _Search(_adapted(sojourns, letters, floor), letters, tolerance, floor)
+    search = _Search(_adapt(sojourns, letters, floor), letters, tolerance, floor)
     level, evaluated, complete = search.first(), 0, True
     while level.kinds.shape[1] < LONGEST:
-        level = search.grown(level)
+        level = search.extend(level)
         evaluated += level.time.size
         search.close(level)
         level = level.only(level.bound > search.best + tolerance)
@@ -151,14 +151,14 @@ def branch_and_bound(
             break
         if level.time.size > WIDTH:
             complete = False
-            level = level.only(_promising(level))
+            level = level.only(_most_promising(level))
     complete = complete and not level.time.size
     words = [word for some in search.cycles.values() for word in distinct(some, sojourns)]
     words.sort(key=lambda word: -word.rate)
     return Found(words, search.best + tolerance if complete else None, evaluated)
 
 
-def _promising(level: _Level) -> np.ndarray:
+def _most_promising(level: _Level) -> np.ndarray:
     """The words of largest bound, as many from each beginning as there are."""
     order = np.argsort(-level.bound, kind="stable")
     _, group = np.unique(level.kinds[order, :BEGINNING], axis=0, return_inverse=True)
@@ -170,7 +170,7 @@ def _promising(level: _Level) -> np.ndarray:
     return np.sort(order[np.argsort(place, kind="stable")[:WIDTH]])
 
 
-def _adapted(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
+def _adapt(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
     """The same sojourns in the coordinates of the adapted norm."""
     rank = sojourns.matrix.shape[2]
     time = sojourns.length[letters]
@@ -183,11 +183,11 @@ def _adapted(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
         P /= np.trace(P)
         P += 1e-9 * np.eye(rank)
     L = np.linalg.cholesky(P).T
-    matrix, size = _scaled(L @ sojourns.matrix @ np.linalg.inv(L))
+    matrix, size = _normalise(L @ sojourns.matrix @ np.linalg.inv(L))
     return Sojourns(sojourns.length, matrix, sojourns.log + size, sojourns.kinds)
 
 
-def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _normalise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stacked matrices divided by their Frobenius norms, and the logarithms of these."""
     size = np.sqrt((matrix**2).sum(axis=(-2, -1)))
     with np.errstate(divide="ignore"):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
-from deadtime.certificates.worst_case.instants import COARSE, polished, refined
+from deadtime.certificates.worst_case.instants import COARSE, polish, refine
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 
 TRIED = 12  # cycles evaluated on the loop itself
@@ -22,7 +22,7 @@ SIMPLER = 2e-4  # growth over a cycle that may be lost for a cycle of fewer sojo
 Rated = tuple[Cycle, Growth]
 
 
-def improved(
+def improve(
     loop: SampledLoop, dwell: Dwell, cycles: list[Cycle], floor: float
 ) -> tuple[list[Rated], int]:
     """The cycles with their growth, the best of them improved off the grid.
@@ -42,13 +42,13 @@ def improved(
         most, longest = MOVES * len(cycle.modes), math.inf
         if growth.rate < floor:  # it would grow longer and longer, towards the constant signal
             most, longest = most // 4, LONGER * cycle.periods
-        better, faster, looked = polished(loop, dwell, cycle, growth, most, longest)
+        better, faster, looked = polish(loop, dwell, cycle, growth, most, longest)
         rated.append((better, faster))
         evaluated += looked
     rated.sort(key=lambda pair: -pair[1].rate)
     if rated:
         most = MOVES * len(rated[0][0].modes)
-        better, faster, looked = refined(loop, dwell, rated[0][0], rated[0][1], most)
+        better, faster, looked = refine(loop, dwell, rated[0][0], rated[0][1], most)
         rated.insert(0, (better, faster))
         evaluated += looked
     return rated, evaluated

@@ -90,7 +90,7 @@ class WorstCase(Frozen):
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
-            signal = repeated(self.cycle, cycles, self.dwell_time, self.step)
+            signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
         return simulate(self.plant, self.law, signal, self.x0, horizon, self.step, self.u0)
 
     def __repr__(self) -> str:
@@ -118,7 +118,7 @@ def worst_case(
         sojourns = (math.inf,)
     else:
         number = max(CYCLES, math.ceil(DELAYS * plant.delay / (cycle.periods * step)))
-        signal = repeated(cycle, number, dwell_time, step)
+        signal = repeat(cycle, number, dwell_time, step)
         missing = [dwell_time - gap * step for gap in cycle.gaps]
         sojourns = tuple(dwell_time if 0.0 < t < SLACK * step else dwell_time - t for t in missing)
     modes, sojourns = _pattern(cycle.modes, sojourns)
@@ -150,7 +150,7 @@ def _pattern(
     return modes, sojourns
 
 
-def repeated(cycle: Cycle, cycles: int, dwell_time: float, step: float) -> SwitchingSignal:
+def repeat(cycle: Cycle, cycles: int, dwell_time: float, step: float) -> SwitchingSignal:
     """The cycle over and over, no sojourn shorter than `dwell_time` by round-off, seconds."""
     starts = cycle.periods * np.arange(cycles)[:, None]
     times = ((starts + cycle.instants()) * step).ravel()

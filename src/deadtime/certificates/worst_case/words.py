@@ -45,7 +45,7 @@ def distinct(words: list[Word], sojourns: Sojourns) -> list[Word]:
     return kept
 
 
-def climbed(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
+def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
     """The cycle improved by longer and shorter sojourns, and how many were looked at.
 
     One sojourn is changed, two neighbours against each other, or all together.

@@ -243,13 +243,13 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     return {
         "title": in_comment(f'Controller of the law "{law}"'),
         "limits": limits,
-        "state_names": in_comment(_numbered("x", names.states)),
-        "input_names": in_comment(_numbered("u", names.inputs)),
+        "state_names": in_comment(_element_names("x", names.states)),
+        "input_names": in_comment(_element_names("u", names.inputs)),
         "mode_names": in_comment(names.all_modes()),
     }
 
 
-def _numbered(letter: str, names: Sequence[str]) -> str:
+def _element_names(letter: str, names: Sequence[str]) -> str:
     """The elements of an array with their names, or nothing."""
     return ", ".join(f"{letter}[{i}]: {one}" for i, one in enumerate(names))
 

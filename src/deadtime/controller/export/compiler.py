@@ -42,7 +42,7 @@ def no_compiler() -> str:
     return "no C compiler was found (set CC)"
 
 
-def compiled(sources: list[Path], target: Path, *options: str) -> str | None:
+def compile_and_link(sources: list[Path], target: Path, *options: str) -> str | None:
     """Compile and link; what the compiler complains of, or None."""
     command = compiler()
     if command is None:
@@ -69,7 +69,7 @@ def self_check(folder: Path, name: str) -> Check:
     with tempfile.TemporaryDirectory() as place:
         program = Path(place) / "check"
         sources = [folder / f"{name}.c", folder / f"{name}_check.c"]
-        complaint = compiled(sources, program)
+        complaint = compile_and_link(sources, program)
         if complaint is not None:
             return Check(False, f"{command[0]} does not compile it: {complaint}")
         vectors = str(folder / f"{name}_vectors.csv")

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import bound, count, instance, real_array, shaped
+from deadtime.base.checks import bound, count, instance, real_array, require_shape
 from deadtime.controller.export.c_code import c_sources
 from deadtime.controller.export.fmi_description import Variable, Version
-from deadtime.controller.export.fmu_file import ExportedFmu, rendered, write_fmu
+from deadtime.controller.export.fmu_file import ExportedFmu, render, write_fmu
 from deadtime.controller.export.forms import Precision
 from deadtime.controller.export.literals import brackets, initializer, literal
 from deadtime.controller.export.names import Names
@@ -43,7 +43,11 @@ def export_fmu(
         Variable("time", "Real", "independent", "time, s"),
         *(
             Variable(
-                f"x[{i}]", "Real", "input", _called("state at the sample", names.state(i - 1)), 0.0
+                f"x[{i}]",
+                "Real",
+                "input",
+                _with_name("state at the sample", names.state(i - 1)),
+                0.0,
             )
             for i in _from1(n)
         ),
@@ -52,7 +56,7 @@ def export_fmu(
                 f"applied[{i}]",
                 "Real",
                 "input",
-                _called("what the actuator had", names.input(i - 1)),
+                _with_name("what the actuator had", names.input(i - 1)),
                 0.0,
             )
             for i in _from1(m)
@@ -62,7 +66,7 @@ def export_fmu(
                 f"u[{i}]",
                 "Real",
                 "output",
-                _called("input, held", names.input(i - 1)),
+                _with_name("input, held", names.input(i - 1)),
                 follows=f"u0[{i}]",
             )
             for i in _from1(m)
@@ -72,7 +76,11 @@ def export_fmu(
             for i in _from1(m)
         ),
         Variable(
-            "mode", "Integer", "input", _called("mode at the sample, from 0", names.all_modes()), 0
+            "mode",
+            "Integer",
+            "input",
+            _with_name("mode at the sample, from 0", names.all_modes()),
+            0,
         ),
         Variable("status", "Integer", "output", "what became of the last sample, 0: all is well"),
         Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
@@ -88,7 +96,7 @@ def export_fmu(
             f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} memory;"
         ),
     }
-    sources = kept | {"model.c": rendered("controller_model.c.j2", values)}
+    sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
@@ -139,7 +147,9 @@ def export_plant_fmu(
     names.require(plant)
     past = _finite(u0, m)
     start = (
-        np.zeros(n) if x0 is None else shaped("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
+        np.zeros(n)
+        if x0 is None
+        else require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
     )
     variables = [
         Variable("time", "Real", "independent", "time, s"),
@@ -148,14 +158,19 @@ def export_plant_fmu(
                 f"u[{i}]",
                 "Real",
                 "input",
-                _called("input, held over a step", names.input(i - 1)),
+                _with_name("input, held over a step", names.input(i - 1)),
                 0.0,
             )
             for i in _from1(m)
         ),
         *(
             Variable(
-                f"x[{i}]", "Real", "output", _called("state", names.state(i - 1)), None, f"x0[{i}]"
+                f"x[{i}]",
+                "Real",
+                "output",
+                _with_name("state", names.state(i - 1)),
+                None,
+                f"x0[{i}]",
             )
             for i in _from1(n)
         ),
@@ -168,7 +183,7 @@ def export_plant_fmu(
             for i in _from1(m)
         ),
         Variable(
-            "mode", "Integer", "input", _called("mode over a step, from 0", names.all_modes()), 0
+            "mode", "Integer", "input", _with_name("mode over a step, from 0", names.all_modes()), 0
         ),
     ]
     size = count("changes", changes, 2)
@@ -185,7 +200,7 @@ def export_plant_fmu(
             for key, array in (("A", plant.A), ("B", plant.B), ("START", start), ("PAST", past))
         ],
     }
-    sources = {"model.c": rendered("plant_model.c.j2", values)}
+    sources = {"model.c": render("plant_model.c.j2", values)}
     title = names.title or f"Plant with a delay of {plant.delay:g} s"
     return write_fmu(Path(path), version, name, title, None, variables, sources, values, staging)
 
@@ -194,7 +209,7 @@ def _from1(size: int) -> range:
     return range(1, size + 1)
 
 
-def _called(what: str, name: str) -> str:
+def _with_name(what: str, name: str) -> str:
     return f"{what}: {name}" if name else what
 
 

@@ -16,7 +16,7 @@ from typing import Any
 from deadtime.base.errors import ArgumentError
 from deadtime.base.version import __version__
 from deadtime.controller.export.c_code import environment
-from deadtime.controller.export.compiler import compiled
+from deadtime.controller.export.compiler import compile_and_link
 from deadtime.controller.export.files import require_suffix
 from deadtime.controller.export.fmi_description import (
     Model,
@@ -46,7 +46,7 @@ class ExportedFmu:
         return f"{self.path}: FMI {self.version}; {self.message}"
 
 
-def rendered(template: str, values: dict) -> str:
+def render(template: str, values: dict) -> str:
     """The text of a template of FMUs."""
     return environment("fmu").get_template(template).render(values | {"version": __version__})
 
@@ -70,7 +70,7 @@ def write_fmu(
         raise ArgumentError(f"version must be '2.0' or '3.0', got {version!r}.")
     require_suffix(path, ".fmu")
     wrapper = f"fmi{version[0]}.c"
-    sources = sources | {wrapper: rendered(wrapper, {})}
+    sources = sources | {wrapper: render(wrapper, {})}
     kinds = {"reals": "Real", "integers": "Integer", "booleans": "Boolean"}
     counts: dict[str, Any] = {
         key: [v for v in variables if v.kind == kind] for key, kind in kinds.items()
@@ -79,7 +79,7 @@ def write_fmu(
     counts["setters"] = ", ".join(setters.get(v.causality, "FIXED") for v in variables)
     told = repr((title, variables, sorted(sources.items()))).encode()
     token = "{" + hashlib.sha256(told).hexdigest()[:32] + "}"
-    sources["model.h"] = rendered("model.h.j2", {**values, **counts, "token": token})
+    sources["model.h"] = render("model.h.j2", {**values, **counts, "token": token})
     units = sorted(file for file in sources if file.endswith(".c"))
     model = Model(name, title, token, step, units)
     entries: dict[str, bytes] = {
@@ -119,7 +119,7 @@ def _binary(
         units = [Path(place) / file for file in sorted(sources) if file.endswith(".c")]
         library = Path(place) / "library"
         options = ("-Wno-unused-parameter", "-fvisibility=hidden", "-fPIC", "-shared")
-        complaint = compiled(units, library, *options)
+        complaint = compile_and_link(units, library, *options)
         if complaint is not None:
             return None, f"sources only: {complaint}"
         entries[target] = library.read_bytes()

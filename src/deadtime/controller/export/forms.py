@@ -79,7 +79,7 @@ def low_ranks(table: Feedback) -> Iterator[Form]:
         yield Form("low rank", arrays, 2 * taps * m, error, {"rank": rank})
 
 
-def factorised(table: Feedback) -> Form:
+def factor_form(table: Feedback) -> Form:
     """The taps as H S^{j−1} Γ and the last one."""
     assert table.factor is not None
     H, S, gamma, last = table.factor
@@ -105,7 +105,7 @@ def form_of(
     is taken where it halves the room, or where the budget needs it.
     """
     if table.factor is not None and table.taps > FEW:
-        return factorised(table)
+        return factor_form(table)
     whole = dense(table)
     within = budget is None or rom_bytes(table, whole, precision) <= budget
     for form in low_ranks(table):
@@ -144,7 +144,7 @@ def require_budget(table: Feedback, form: Form, precision: Precision, budget: in
         if kept:
             best = min(kept, key=lambda one: one.error)
             fits.append(
-                f"accuracy={_rounded_up(best.error):.0e} (rank {best.sizes['rank']}, "
+                f"accuracy={_round_up(best.error):.0e} (rank {best.sizes['rank']}, "
                 f"{rom_bytes(table, best, precision)} bytes)"
             )
         taps = _fewer_taps(table, precision, budget)
@@ -157,7 +157,7 @@ def require_budget(table: Feedback, form: Form, precision: Precision, budget: in
     )
 
 
-def _rounded_up(error: float) -> float:
+def _round_up(error: float) -> float:
     """To one digit, never below."""
     if error == 0.0:
         return 0.0

@@ -16,7 +16,7 @@ from numba import njit
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Factor, Feedback
-from deadtime.numerics.exponential import held, held_modes, multiply
+from deadtime.numerics.exponential import discretise, discretise_modes, multiply
 from deadtime.plant import SampledPlant
 
 
@@ -38,16 +38,16 @@ def _rows(A, B, K, weights, ahead, delay):
     Phi, Gamma = np.empty((kinds, n, n)), np.empty((kinds, n, m))
     for i in range(A.shape[0]):
         for kind in range(kinds):
-            Phi[kind], Gamma[kind] = held(A[i], B[i], ahead.length[kind])
+            Phi[kind], Gamma[kind] = discretise(A[i], B[i], ahead.length[kind])
         row = weights[i] * K[i]
-        F += multiply(row, held(A[i], B[i], delay)[0])
+        F += multiply(row, discretise(A[i], B[i], delay)[0])
         for p in range(stretches - 1, -1, -1):
             place(multiply(row, Gamma[ahead.kind[p]]), ahead.lag[p], G)
             row = multiply(row, Phi[ahead.kind[p]])
     return F, G
 
 
-def frozen_table(
+def constant_table(
     A: Float[np.ndarray, "mode n n"],
     B: Float[np.ndarray, "mode n m"],
     K: Float[np.ndarray, "mode m n"],
@@ -56,7 +56,7 @@ def frozen_table(
 ) -> Feedback:
     """The one-row table Σ_i w_i K_i P_i, with its factorisation (S block-diagonal over modes)."""
     F, G = _rows(A, B, K, read_only(weights), sampled.ahead, sampled.window.delay)
-    Phi, Gamma = held_modes(A, B, sampled.step)
+    Phi, Gamma = discretise_modes(A, B, sampled.step)
     modes, n, m = B.shape
     H = (weights[:, None, None] * K).transpose(1, 0, 2).reshape(1, m, modes * n)
     S = np.zeros((modes * n, modes * n))

@@ -19,7 +19,7 @@ from numba import njit
 from deadtime.feedback import Feedback
 from deadtime.feedback.law import require_room, room
 from deadtime.laws.tables.constant_mode import place
-from deadtime.numerics.exponential import held, held_modes, multiply
+from deadtime.numerics.exponential import discretise, discretise_modes, multiply
 from deadtime.plant import SampledPlant
 from deadtime.plant.steps import snap
 
@@ -49,7 +49,7 @@ def _kinds(A, B, length):
     """Φ (kinds, modes, n, n) and Γ (kinds, modes, n, m) over stretches of these lengths."""
     Phi, Gamma = np.empty((length.size, *A.shape)), np.empty((length.size, *B.shape))
     for kind in range(length.size):
-        Phi[kind], Gamma[kind] = held_modes(A, B, length[kind])
+        Phi[kind], Gamma[kind] = discretise_modes(A, B, length[kind])
     return Phi, Gamma
 
 
@@ -69,14 +69,14 @@ def _rows(A, B, fA, fB, fK, ahead, rest):
         inside = max(rest[a] - ahead.start[cut], 0.0)
         joined, tap = np.zeros((m, n)), np.zeros((m, m))
         for s in range(fK.shape[0]):
-            after, forced = held(fA[s], fB[s], ahead.stop[cut] - ahead.start[cut] - inside)
+            after, forced = discretise(fA[s], fB[s], ahead.stop[cut] - ahead.start[cut] - inside)
             tap += multiply(R[cut + 1, s], forced)
             joined += multiply(R[cut + 1, s], after)
         for i in range(modes):
             row = i * ages + a
             for p in range(cut + 1, stretches):
                 place(taps[p], ahead.lag[p], G[row])
-            before, forced = held(A[i], B[i], inside)
+            before, forced = discretise(A[i], B[i], inside)
             place(tap + multiply(joined, forced), ahead.lag[cut], G[row])
             now = multiply(joined, before)
             for p in range(cut - 1, -1, -1):

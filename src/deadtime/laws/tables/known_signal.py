@@ -34,7 +34,7 @@ def future_rows(
     index = table.entry.reshape(table.first.size - 1, -1)
     gains = np.concatenate((final_gain, np.zeros((whole - steps, m, n))))
     shape = (0.0,) * (m * n), (0.0,) * (m * m), (0.0,) * (n * m), (0.0,) * (n * n)
-    F, G = _carried_back(
+    F, G = _carry_back(
         gains.reshape(-1),
         index,
         table.Phi.reshape(-1),
@@ -47,7 +47,7 @@ def future_rows(
 
 
 @njit(cache=True, nogil=True)
-def _carried_back(gains, index, Phi, Gamma, count, cut, row, tap, entering, moving):
+def _carry_back(gains, index, Phi, Gamma, count, cut, row, tap, entering, moving):
     """`future_rows` for eight samples at a time, all arrays flat."""
     size, taps = len(row), len(tap)
     whole = gains.size // size

@@ -68,7 +68,7 @@ def _pieces(E, L, stage, weight, cross, quad, forced, uu):
 
 
 @njit(cache=True)
-def _solved(uu, forced, gain):
+def _solve(uu, forced, gain):
     """gain ← −W_uu⁻¹ W_uξ by Cholesky's method, in the lower triangle of uu."""
     m, d = forced.shape
     for a in range(m):
@@ -96,7 +96,7 @@ def _backup(E, L, stage, weight, scratch, P, gain):
     old = n + m
     cross, quad, forced, uu = scratch
     _pieces(E, L, stage, weight, cross, quad, forced, uu)
-    _solved(uu, forced, gain)
+    _solve(uu, forced, gain)
     for r in range(d):
         for c in range(min(old, r + 1)):
             P[r, c] = cross[r - old, c] if r >= old else 0.0

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from numba import njit
 
 from deadtime.feedback import Feedback
-from deadtime.numerics.exponential import held_modes, multiply
+from deadtime.numerics.exponential import discretise_modes, multiply
 from deadtime.plant import Window
 
 
@@ -46,7 +46,7 @@ def _one_sample_back(R, hazard, transition, ages, fresh):
 
 
 @njit(cache=True)
-def _applied(R, M, ages, result):
+def _apply(R, M, ages, result):
     """result(i, a) = R(i, a) M_i, the matrices of R and result flattened into entries."""
     modes, inner, columns = M.shape
     rows = R.shape[1] // inner
@@ -79,9 +79,9 @@ def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
     modes, m, n = K.shape
     total = ages + count
     partial = phase < step
-    Phi, Gamma = held_modes(A, B, step)
-    Phi_first, Gamma_first = held_modes(A, B, phase)
-    Phi_rest, Gamma_rest = held_modes(A, B, step - phase)
+    Phi, Gamma = discretise_modes(A, B, step)
+    Phi_first, Gamma_first = discretise_modes(A, B, phase)
+    Phi_rest, Gamma_rest = discretise_modes(A, B, step - phase)
     through = np.empty_like(Gamma)
     for i in range(modes):
         through[i] = multiply(Phi_rest[i], Gamma_first[i])
@@ -96,19 +96,19 @@ def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
             _one_sample_back(R, hazard, transition, reach, fresh)
             # u_{k+p−N+1} in the rest of period p joins the same input's part in period p + 1.
             if partial:
-                _applied(R, Gamma_rest, reach, late)
+                _apply(R, Gamma_rest, reach, late)
                 _one_sample_back(early, hazard, transition, reach, fresh_weight)
                 for i in range(modes):
                     late[i, :, :reach] += early[i, :, :reach]
                 for back in range(p, 0, -1):
                     _one_sample_back(late, hazard, transition, ages + back - 1, fresh_weight)
                 G[:, count - p - 2] = late[:, :, :ages]
-        _applied(R, Gamma_first if last else through if partial else Gamma, reach, early)
+        _apply(R, Gamma_first if last else through if partial else Gamma, reach, early)
         if not partial or p == 0:
             for back in range(p, 0, -1):
                 _one_sample_back(early, hazard, transition, ages + back - 1, fresh_weight)
             G[:, count - p - 1] = early[:, :, :ages]
-        _applied(R, Phi_first if last else Phi, reach, moved)
+        _apply(R, Phi_first if last else Phi, reach, moved)
         R, moved = moved, R
     return R[:, :, :ages], G
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, positive, real_array, shaped
+from deadtime.base.checks import count, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import sentence_of
 from deadtime.estimation import OutputFeedback
@@ -28,7 +28,7 @@ from deadtime.margins.robustness.tolerance import (
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.simulation.initial_input import InitialInput
-from deadtime.spectrum.affordable import left_out
+from deadtime.spectrum.affordable import why_left_out
 from deadtime.switching import Rule, SwitchingSignal
 
 _DROPS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -140,7 +140,7 @@ def robustness(
     """
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
-    x0 = shaped("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
+    x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
     scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
     step, horizon = positive("step", step), positive("horizon", horizon)
     streams(imperfections, seed)
@@ -158,7 +158,7 @@ def robustness(
     inner = law.law if isinstance(law, OutputFeedback) else law
     table = isinstance(inner, TableLaw)
     progress("delay margin")
-    dear = {asked: left_out(asked, plant, law, step) for asked in _MARGINS if table}
+    dear = {asked: why_left_out(asked, plant, law, step) for asked in _MARGINS if table}
     delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
     progress("gain margin")
     gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None

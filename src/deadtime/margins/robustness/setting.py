@@ -21,7 +21,7 @@ from deadtime.imperfections import Imperfection, Limiting
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.simulation.initial_input import InitialInput
-from deadtime.simulation.outcome import at_rest, elsewhere, keeps_up, outcome_of, pushed, pushes
+from deadtime.simulation.outcome import at_rest, elsewhere, is_pushed, keeps_up, outcome_of, pushes
 from deadtime.switching import Rule, SwitchingSignal
 
 Cost = Float[np.ndarray, " scenario"]
@@ -86,7 +86,7 @@ class Setting:
     def compared(self) -> bool:
         """Whether |x| alone does not tell if a loop does its work."""
         limited = any(isinstance(one, Limiting) for one in self.imperfections)
-        return limited or pushed(self.law, self.imperfections) or not self.x0.any()
+        return limited or is_pushed(self.law, self.imperfections) or not self.x0.any()
 
     @cached_property
     def _perfect(self) -> list[Trajectory]:

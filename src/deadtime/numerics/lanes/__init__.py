@@ -10,7 +10,7 @@ and then keeps no vector in a register from one period to the next.
 """
 
 from deadtime.numerics.lanes.choices import (
-    chosen,
+    choose,
     exponent,
     larger,
     mantissa,
@@ -34,7 +34,7 @@ from deadtime.numerics.lanes.sums import (
 __all__ = [
     "LANES",
     "block_product",
-    "chosen",
+    "choose",
     "exponent",
     "first_of",
     "gather",

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from deadtime.numerics.lanes.code import LANES, VECTOR, WORDS, Code, made, vectors
+from deadtime.numerics.lanes.code import LANES, VECTOR, WORDS, Code, make_code, vectors
 
 _MANTISSA, _ONE = (1 << 52) - 1, 0x3FF0000000000000
 _TWO_52 = 0x4330000000000000  # the bits of 2^52: an integer below 2^52 put there is 2^52 + it
@@ -24,7 +24,7 @@ def larger(_, a, b):
     def work(code: Code, *parts: Any) -> list[Any]:
         return [code.larger(*entries) for entries in zip(*parts, strict=True)]
 
-    return made(a(a, b), work)
+    return make_code(a(a, b), work)
 
 
 @intrinsic
@@ -34,7 +34,7 @@ def smaller(_, a, b):
     def work(code: Code, *parts: Any) -> list[Any]:
         return [code.smaller(*entries) for entries in zip(*parts, strict=True)]
 
-    return made(a(a, b), work)
+    return make_code(a(a, b), work)
 
 
 @intrinsic
@@ -48,11 +48,11 @@ def where_larger(_, a, b, value, other):
             for x, y, z in zip(left, right, rest, strict=True)
         ]
 
-    return made(other(a, b, types.float64, other), work)
+    return make_code(other(a, b, types.float64, other), work)
 
 
 @intrinsic
-def chosen(_, values, row, like):
+def choose(_, values, row, like):
     """Of rows of len(like) vectors, one after another, the row that each scenario has."""
     width = len(like)
 
@@ -65,7 +65,7 @@ def chosen(_, values, row, like):
                 result[j] = code.builder.select(here, given[r * width + j], result[j])
         return result
 
-    return made(vectors(len(like))(values, row, like), work)
+    return make_code(vectors(len(like))(values, row, like), work)
 
 
 @intrinsic
@@ -78,7 +78,7 @@ def mantissa(_, a):
         bits = [build.or_(build.and_(v, code.words(_MANTISSA)), code.words(_ONE)) for v in bits]
         return [build.bitcast(v, VECTOR) for v in bits]
 
-    return made(a(a), work)
+    return make_code(a(a), work)
 
 
 @intrinsic
@@ -94,4 +94,4 @@ def exponent(_, a):
             result.append(build.fsub(shifted, offset))
         return result
 
-    return made(a(a), work)
+    return make_code(a(a), work)

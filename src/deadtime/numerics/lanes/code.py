@@ -61,7 +61,7 @@ class Code:
         zeros = ir.Constant(ir.VectorType(INDEX, LANES), [0] * LANES)
         return self.builder.shuffle_vector(first, undefined, zeros)
 
-    def shared(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
+    def load_same(self, kind: Any, array: Any, index: Any, shift: int) -> Any:
         return self.same(self.builder.load(self.place(kind, array, index, shift)))
 
     def fma(self, a: Any, b: Any, c: Any) -> Any:
@@ -82,7 +82,7 @@ class Code:
 Work = Callable[..., Any]
 
 
-def made(signature: Any, work: Work) -> tuple[Any, Callable[..., Any]]:
+def make_code(signature: Any, work: Work) -> tuple[Any, Callable[..., Any]]:
     """The code of an intrinsic: `work` gets every tuple of vectors unpacked, and its result packed.
 
     Arrays come as (kind, array), so that they can be read.

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from deadtime.numerics.lanes.code import INDEX, LANES, VECTOR, WORD, Code, made, vectors
+from deadtime.numerics.lanes.code import INDEX, LANES, VECTOR, WORD, Code, make_code, vectors
 
 
 @intrinsic
@@ -21,7 +21,7 @@ def load(_, array, index, like):
     def work(code: Code, source: Any, start: Any, _: Any) -> list[Any]:
         return [code.vector(*source, start, LANES * k) for k in range(len(like))]
 
-    return made(vectors(len(like))(array, types.intp, like), work)
+    return make_code(vectors(len(like))(array, types.intp, like), work)
 
 
 @intrinsic
@@ -33,7 +33,7 @@ def store(_, array, index, values):
             place = code.place(*target, start, LANES * k)
             code.builder.store(value, code.builder.bitcast(place, VECTOR.as_pointer())).align = 8
 
-    return made(types.void(array, types.intp, values), work)
+    return make_code(types.void(array, types.intp, values), work)
 
 
 @intrinsic
@@ -48,7 +48,7 @@ def spread(_, array, index, stride, values):
                 entry = code.builder.extract_element(vector, ir.Constant(INDEX, lane))
                 code.builder.store(entry, code.place(*target, first, i))
 
-    return made(types.void(array, types.intp, types.intp, values), work)
+    return make_code(types.void(array, types.intp, types.intp, values), work)
 
 
 @intrinsic
@@ -66,7 +66,7 @@ def gather(_, array, places, like):
                 result[i] = code.builder.insert_element(result[i], entry, index)
         return result
 
-    return made(vectors(len(like))(array, places, like), work)
+    return make_code(vectors(len(like))(array, places, like), work)
 
 
 @intrinsic
@@ -76,7 +76,7 @@ def same(_, value, like):
     def work(code: Code, number: Any, _: Any) -> list[Any]:
         return [code.same(number)] * len(like)
 
-    return made(vectors(len(like))(types.float64, like), work)
+    return make_code(vectors(len(like))(types.float64, like), work)
 
 
 @intrinsic
@@ -86,4 +86,4 @@ def first_of(_, a, b, c, like):
     def work(code: Code, *parts: Any) -> list[Any]:
         return [vector for part in parts[:3] for vector in part][: len(like)]
 
-    return made(vectors(len(like))(a, b, c, like), work)
+    return make_code(vectors(len(like))(a, b, c, like), work)

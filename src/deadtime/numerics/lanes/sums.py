@@ -12,10 +12,10 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from deadtime.numerics.lanes.code import INDEX, LANES, REAL, Code, made
+from deadtime.numerics.lanes.code import INDEX, LANES, REAL, Code, make_code
 
 
-def _combined(code: Code, entry: Callable[[int, int], Any], factors: Any, sums: Any) -> list[Any]:
+def _combine(code: Code, entry: Callable[[int, int], Any], factors: Any, sums: Any) -> list[Any]:
     """sum_i + Σ_j entry(i, j) factor_j."""
     result = []
     for i, total in enumerate(sums):
@@ -34,9 +34,9 @@ def own_product(_, array, index, z, to):
         def entry(i: int, j: int) -> Any:
             return code.vector(*source, start, LANES * (i * width + j))
 
-        return _combined(code, entry, factors, sums)
+        return _combine(code, entry, factors, sums)
 
-    return made(to(array, types.intp, z, to), work)
+    return make_code(to(array, types.intp, z, to), work)
 
 
 @intrinsic
@@ -46,11 +46,11 @@ def product(_, array, index, z, to):
 
     def work(code: Code, source: Any, start: Any, factors: Any, sums: Any) -> list[Any]:
         def entry(i: int, j: int) -> Any:
-            return code.shared(*source, start, i * width + j)
+            return code.load_same(*source, start, i * width + j)
 
-        return _combined(code, entry, factors, sums)
+        return _combine(code, entry, factors, sums)
 
-    return made(to(array, types.intp, z, to), work)
+    return make_code(to(array, types.intp, z, to), work)
 
 
 @intrinsic
@@ -59,9 +59,9 @@ def matrix_product(_, matrix, z, to):
     width = len(z)
 
     def work(code: Code, entries: Any, factors: Any, sums: Any) -> list[Any]:
-        return _combined(code, lambda i, j: entries[i * width + j], factors, sums)
+        return _combine(code, lambda i, j: entries[i * width + j], factors, sums)
 
-    return made(to(matrix, z, to), work)
+    return make_code(to(matrix, z, to), work)
 
 
 @intrinsic
@@ -79,7 +79,7 @@ def table_product(_, left, right, to):
             result.append(total)
         return result
 
-    return made(to(left, right, to), work)
+    return make_code(to(left, right, to), work)
 
 
 @intrinsic
@@ -91,12 +91,12 @@ def block_product(_, array, index, z, to, block):
         result = []
         for i, total in enumerate(sums):
             for j in range(size):
-                entry = code.shared(*source, start, i * size + j)
+                entry = code.load_same(*source, start, i * size + j)
                 total = code.fma(entry, factors[i // size * size + j], total)
             result.append(total)
         return result
 
-    return made(to(array, types.intp, z, to, block), work)
+    return make_code(to(array, types.intp, z, to, block), work)
 
 
 @intrinsic
@@ -113,7 +113,7 @@ def own_form(_, array, index, z, to):
             total = code.fma(row, left, total)
         return [total]
 
-    return made(to(array, types.intp, z, to), work)
+    return make_code(to(array, types.intp, z, to), work)
 
 
 @intrinsic
@@ -126,7 +126,7 @@ def squares(_, z, to):
             total = code.fma(factor, factor, total)
         return [total]
 
-    return made(to(z, to), work)
+    return make_code(to(z, to), work)
 
 
 @intrinsic
@@ -136,7 +136,7 @@ def times(_, a, b, to):
     def work(code: Code, *parts: Any) -> list[Any]:
         return [code.fma(*entries) for entries in zip(*parts, strict=True)]
 
-    return made(to(a, b, to), work)
+    return make_code(to(a, b, to), work)
 
 
 @intrinsic
@@ -160,4 +160,4 @@ def total(_, a):
         result = build.extract_element(result, ir.Constant(INDEX, 0))
         return result
 
-    return made(types.float64(a), work)
+    return make_code(types.float64(a), work)

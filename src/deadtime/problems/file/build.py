@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from deadtime.base.checks import positive, real_array, shaped
+from deadtime.base.checks import positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.gains import lqr, place
-from deadtime.gains.checked import checked_gains
+from deadtime.gains.checked import check_gains
 from deadtime.imperfections import Imperfection, Sizes
 from deadtime.laws import LowPassPredictor
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.imperfections import build_imperfections
-from deadtime.problems.file.observer import observed
+from deadtime.problems.file.observer import add_observers
 from deadtime.problems.file.switching import build_model, build_rule, build_signal
 from deadtime.problems.law_registry import LAWS, Model, Setting, build_law
 from deadtime.problems.law_registry.entry import ModelSection
@@ -48,17 +48,17 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     laws = _laws(file, plant, gains, model, rule, weight)
     with _section("run"):
         run = file.run
-        x0 = shaped("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
+        x0 = require_shape("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
         u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
         if u0.size == 1:
             u0 = np.full(plant.inputs, u0[0])
-        shaped("u0", u0, (plant.inputs,), "(m,)")
+        require_shape("u0", u0, (plant.inputs,), "(m,)")
         horizon = positive("horizon", run.horizon)
         step = None if run.step == "ideal" else positive("step", run.step)
     with _section("observer"):
-        laws = observed(laws, file.observer, step, as_numbers)
+        laws = add_observers(laws, file.observer, step, as_numbers)
     with _section("truth"):
-        truth = _changed(plant, file.truth) if file.truth is not None else plant
+        truth = _change_plant(plant, file.truth) if file.truth is not None else plant
     imperfections = _imperfections(file, plant, laws, step)
     with _section("signal"):
         longest = max(truth.delay, *(law.plant.delay for law in laws.values()))
@@ -127,10 +127,10 @@ def _names(what: str, names: list[str], count: int) -> tuple[str, ...]:
 def _gains(plant: SwitchedSystem, section: schema.GainsSection) -> np.ndarray:
     """K as given, or designed for this plant."""
     if section.K is not None:
-        return checked_gains(plant, section.K, section.allow_unstable)
+        return check_gains(plant, section.K, section.allow_unstable)
     if section.poles is not None:
         gains = place(plant, as_numbers(section.poles), allow_unstable=section.allow_unstable)
-        return checked_gains(plant, gains, section.allow_unstable)
+        return check_gains(plant, gains, section.allow_unstable)
     assert section.lqr is not None
     return lqr(plant, section.lqr.Q, section.lqr.R)
 
@@ -181,7 +181,7 @@ def _laws(
     laws: dict[str, Law] = {}
     for i, section in enumerate(file.law):
         with _section("law", i):
-            law = build_law(section, _believed(setting, file, section.model))
+            law = build_law(section, _with_belief(setting, file, section.model))
             if section.low_pass is not None:
                 law = LowPassPredictor(law, section.low_pass)
             name = section.name or law.label
@@ -191,9 +191,9 @@ def _laws(
     return laws or _all_laws(file, setting)
 
 
-def _believed(setting: Setting, file: schema.ProblemFile, own: ModelSection) -> Setting:
+def _with_belief(setting: Setting, file: schema.ProblemFile, own: ModelSection) -> Setting:
     """The setting with the plant that a law believes in."""
-    plant = _changed(setting.plant, own)
+    plant = _change_plant(setting.plant, own)
     allow = setting.allow_unstable or own.A is not None or own.B is not None
     return replace(setting, plant=plant, period=_period(file, plant), allow_unstable=allow)
 
@@ -223,13 +223,13 @@ def _all_laws(file: schema.ProblemFile, setting: Setting) -> dict[str, Law]:
     return laws
 
 
-def _changed(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
+def _change_plant(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
     """The plant with what a section says otherwise, of the same sizes."""
     parts = {}
     for name, given in (("A", own.A), ("B", own.B)):
         mine = getattr(plant, name)
         array = mine if given is None else real_array(name, given, "(modes, n, n or m)", 3)
-        parts[name] = shaped(name, array, mine.shape, "that of [plant]")
+        parts[name] = require_shape(name, array, mine.shape, "that of [plant]")
     return SwitchedSystem(**parts, delay=plant.delay if own.delay is None else own.delay)
 
 

@@ -50,7 +50,7 @@ class KalmanObserver(_Measured):
 ObserverSection = Annotated[LuenbergerObserver | KalmanObserver, Field(discriminator="kind")]
 
 
-def observed(
+def add_observers(
     laws: dict[str, Law],
     section: LuenbergerObserver | KalmanObserver | None,
     step: float | None,

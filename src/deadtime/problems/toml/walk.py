@@ -59,12 +59,12 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
             (path if models else item).append(part)
             continue
         if (known or number < len(location) - 1) and _is_no_key(part, models):
-            if chosen := _chosen(part, models):
+            if chosen := _choose(part, models):
                 models = chosen
             continue
         fields = [one.model_fields[part] for one in models if part in one.model_fields]
         around, field = models or around, fields[0] if fields else None
-        models = [inner for one in fields for inner in _nested(one.annotation)]
+        models = [inner for one in fields for inner in _models_in(one.annotation)]
         path.append(part)
     siblings = tuple(dict.fromkeys(name for one in around for name in one.model_fields))
     inside = bool(path) and isinstance(path[-1], int)
@@ -74,10 +74,10 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
 
 def _is_no_key(part: str, models: Models) -> bool:
     """Whether a part names a type or a member of a union."""
-    return part in _TYPES or "[" in part or bool(_chosen(part, models))
+    return part in _TYPES or "[" in part or bool(_choose(part, models))
 
 
-def _chosen(part: str, models: Models) -> Models:
+def _choose(part: str, models: Models) -> Models:
     """The models of a union that a part selects by their kind or their name, if it does."""
     named = [model for model in models if model.__name__ == part]
     if len(models) == 1:  # a kind was chosen before: the part is a key
@@ -94,8 +94,8 @@ def _is_list(field: FieldInfo | None) -> bool:
     return field is not None and getattr(field.annotation, "__origin__", None) is list
 
 
-def _nested(annotation: Any) -> Models:
+def _models_in(annotation: Any) -> Models:
     """The models that a field may hold."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [m for part in getattr(annotation, "__args__", ()) for m in _nested(part)]
+    return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from deadtime.base.wording import amount, signed
+from deadtime.base.wording import amount, as_rate
 from deadtime.problems import Problem
 from deadtime.reports.audit.claim import Claim
-from deadtime.reports.audit.measure import LEAD, MEAN, TRANSIENT, Evidence, stabilised
+from deadtime.reports.audit.measure import LEAD, MEAN, TRANSIENT, Evidence, is_stabilised
 from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.switching import SwitchingSignal
 
@@ -50,11 +50,11 @@ def printed_numbers(problem: Problem) -> Claim:
 def stabilises(evidence: Evidence, name: str, where: str) -> Claim:
     """Law (2) or (80) brings the state to rest."""
     problem, one, many = evidence.problem, evidence.one[name], evidence.many[name]
-    good = stabilised(problem, many)
+    good = is_stabilised(problem, many)
     start, end = np.linalg.norm(problem.x0), float(one["final_norm"][0])
     rates = ", ".join(
-        f"{signed(rate)} /s in {mode}"
-        for mode, rate in zip(problem.modes, _held(problem, name), strict=True)
+        f"{as_rate(rate)} /s in {mode}"
+        for mode, rate in zip(problem.modes, _constant_mode_growth(problem, name), strict=True)
     )
     return Claim(
         key=f"{name}-stabilises",
@@ -65,8 +65,8 @@ def stabilises(evidence: Evidence, name: str, where: str) -> Claim:
         test=f"At {problem.horizon:g} s, |x| is smaller than at 0 s, and log |x| falls over the "
         "second half of the run.",
         one_run=f"|x| goes from {amount(float(start))} to {amount(end)}, and decays at "
-        f"{signed(float(one['decay_rate'][0]))} /s.",
-        holds_in_run=bool(stabilised(problem, one)[0]),
+        f"{as_rate(float(one['decay_rate'][0]))} /s.",
+        holds_in_run=bool(is_stabilised(problem, one)[0]),
         many=f"So on {Proportion.of(good)} signals; median |x| at the end "
         f"{amount(float(np.median(many['final_norm'])))}, largest "
         f"{amount(float(many['final_norm'].max()))}. A signal that stops switching keeps the "
@@ -75,7 +75,7 @@ def stabilises(evidence: Evidence, name: str, where: str) -> Claim:
     )
 
 
-def _held(problem: Problem, name: str) -> list[float]:
+def _constant_mode_growth(problem: Problem, name: str) -> list[float]:
     """Growth rates with one mode for ever, 1/s."""
     longer = replace(problem, horizon=4.0 * problem.horizon)
     runs = [
@@ -88,7 +88,7 @@ def single_is_worse(evidence: Evidence, mode: int, name: str) -> Claim:
     """A law that believes in one mode performs worse than law (2)."""
     one, many = evidence.one, evidence.many
     worse = many[name]["ise"] > many[LEAD]["ise"]
-    calm = Proportion.of(stabilised(evidence.problem, many[name]))
+    calm = Proportion.of(is_stabilised(evidence.problem, many[name]))
     ratio = float(np.median(many[name]["ise"] / many[LEAD]["ise"]))
     return Claim(
         key=f"mode-{mode}-worse",
@@ -114,7 +114,7 @@ def predicts_better(evidence: Evidence) -> Claim:
         others = np.min([figures[name]["command_error"] for name in singles], axis=0)
         return figures[LEAD]["command_error"] < others
 
-    def listed(figures, key: str) -> str:
+    def say(figures, key: str) -> str:
         values = [amount(float(np.median(figures[name][key]))) for name in (LEAD, *singles)]
         return f"{values[0]} under (2), " + ", ".join(
             f"{value} under (79) for mode {mode}" for mode, value in enumerate(values[1:])
@@ -128,11 +128,11 @@ def predicts_better(evidence: Evidence) -> Claim:
         statement="Law (2) does better than (79) because it predicts more accurately.",
         test="Along the run of (2), each law computes its command from the same state and past "
         "inputs; that of (2) has the smallest rms distance from K x(t + D) of the mode at t + D.",
-        one_run=f"Rms distance {listed(one, 'command_error')}.",
+        one_run=f"Rms distance {say(one, 'command_error')}.",
         holds_in_run=bool(best(one)[0]),
-        many=f"So on {Proportion.of(best(many))} signals; medians {listed(many, 'command_error')}. "
+        many=f"So on {Proportion.of(best(many))} signals; medians {say(many, 'command_error')}. "
         "Along each law's own run, relative to the exact command: "
-        f"{listed(many, 'relative_error')}. The command of law (80), though, is farther off "
+        f"{say(many, 'relative_error')}. The command of law (80), though, is farther off "
         f"than that of (2) on only {mean}.",
         proportion=Proportion.of(best(many)),
     )
@@ -165,13 +165,13 @@ def converges_faster(evidence: Evidence) -> Claim:
 def better_transient(evidence: Evidence) -> Claim:
     """Law (2) has the better start."""
 
-    def compared(figures, key: str) -> np.ndarray:
+    def is_better(figures, key: str) -> np.ndarray:
         return figures[LEAD][key] < figures[MEAN][key]
 
     one, many = evidence.one, evidence.many
-    both = compared(many, "early_ise") & compared(many, "early_peak")
-    neither = Proportion.of(~compared(many, "early_ise") & ~compared(many, "early_peak"))
-    energy, peak = (Proportion.of(compared(many, key)) for key in ("early_ise", "early_peak"))
+    both = is_better(many, "early_ise") & is_better(many, "early_peak")
+    neither = Proportion.of(~is_better(many, "early_ise") & ~is_better(many, "early_peak"))
+    energy, peak = (Proportion.of(is_better(many, key)) for key in ("early_ise", "early_peak"))
     ise, top = (
         [amount(float(one[name][key][0])) for name in (LEAD, MEAN)]
         for key in ("early_ise", "early_peak")
@@ -185,7 +185,7 @@ def better_transient(evidence: Evidence) -> Claim:
         "(2).",
         one_run=f"∫|x|² is {ise[0]} under (2) and {ise[1]} under (80); peaks {top[0]} and "
         f"{top[1]}.",
-        holds_in_run=bool((compared(one, "early_ise") & compared(one, "early_peak"))[0]),
+        holds_in_run=bool((is_better(one, "early_ise") & is_better(one, "early_peak"))[0]),
         many=f"Both on {Proportion.of(both)} signals, neither on {neither}; ∫|x|² alone on "
         f"{energy}, the peak alone on {peak}.",
         proportion=Proportion.of(both),

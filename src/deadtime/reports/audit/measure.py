@@ -127,7 +127,7 @@ def commands(run: Trajectory, table: Feedback) -> Float[np.ndarray, "T m"]:
     return result
 
 
-def stabilised(problem: Problem, figures: Mapping[str, np.ndarray]) -> np.ndarray:
+def is_stabilised(problem: Problem, figures: Mapping[str, np.ndarray]) -> np.ndarray:
     """Where |x| ends below where it started, and still falls over the second half of the run."""
     start = np.linalg.norm(problem.x0)
     return (figures["final_norm"] < start) & (figures["decay_rate"] > 0.0)

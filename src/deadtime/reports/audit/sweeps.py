@@ -13,7 +13,7 @@ from deadtime.laws import AveragedPredictor, MeanPredictor
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Progress
 from deadtime.reports.audit.claim import Claim, Sweep
-from deadtime.reports.audit.measure import LEAD, MEAN, Evidence, random_signals, stabilised
+from deadtime.reports.audit.measure import LEAD, MEAN, Evidence, is_stabilised, random_signals
 from deadtime.scenarios import monte_carlo
 from deadtime.scenarios.paired.proportion import Proportion
 from deadtime.switching import SwitchingSignal
@@ -49,7 +49,7 @@ def pairs(problem: Problem, own: SwitchingSignal, signals: list[SwitchingSignal]
         problem.plant, laws, [own, *signals], problem.x0, problem.horizon, problem.step
     )
     figures = {name: data[name].values for name in ("ise", "final_norm", "decay_rate")}
-    return Pairs(figures["ise"], stabilised(problem, figures))
+    return Pairs(figures["ise"], is_stabilised(problem, figures))
 
 
 def at_the_example(evidence: Evidence, count: int) -> Pairs:
@@ -63,16 +63,16 @@ def at_the_example(evidence: Evidence, count: int) -> Pairs:
     }
     return Pairs(
         np.array([figures["ise"] for figures in joined.values()]),
-        np.array([stabilised(evidence.problem, figures) for figures in joined.values()]),
+        np.array([is_stabilised(evidence.problem, figures) for figures in joined.values()]),
     )
 
 
-def stretched(signal: SwitchingSignal, factor: float) -> SwitchingSignal:
+def stretch(signal: SwitchingSignal, factor: float) -> SwitchingSignal:
     """The signal, slower by a factor."""
     return SwitchingSignal(signal.times * factor, signal.modes, signal.end * factor)
 
 
-def moved(problem: Problem, alpha: float) -> tuple[Problem, float]:
+def move_modes(problem: Problem, alpha: float) -> tuple[Problem, float]:
     """The problem with its modes α times as far from mode 0, gains placed anew; and its ε."""
     plant = problem.plant.apart(alpha)
     gains = place(plant, POLES)
@@ -97,7 +97,7 @@ def claims_about_dwell_time(
             continue
         progress(f"audit: laws (2) and (80), dwell time {time:g} s")
         # The problem's own signal is too short to be run faster, only slower.
-        own = stretched(problem.given_signal, max(factor, 1.0))
+        own = stretch(problem.given_signal, max(factor, 1.0))
         runs.append(pairs(problem, own, random_signals(problem, time, count, seed)))
     yield _better_when_shorter(runs, times)
     yield _gains_when_shorter(runs, times)
@@ -163,7 +163,7 @@ def claim_about_distance(evidence: Evidence, count: int, seed: int, progress: Pr
     signals = random_signals(problem, evidence.dwell_time, count, seed)
     runs, epsilons = [], []
     for alpha in DISTANCES:
-        apart, epsilon = moved(problem, alpha)
+        apart, epsilon = move_modes(problem, alpha)
         epsilons.append(epsilon)
         if alpha == 1.0:
             runs.append(at_the_example(evidence, count))

@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain, visible
-from deadtime.base.wording import signed
+from deadtime.base.wording import as_rate
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.reports.figures.colours import looks_of
@@ -102,7 +102,7 @@ def plot_verdict(result: Comparison) -> Figure:
         for i, (held, rate) in enumerate(zip(result.held, result.growth, strict=True)):
             shown = held.time <= end
             norm = np.linalg.norm(held.states[:, shown], axis=0)
-            label = f"stays in {plain(problem.modes[i])}: {signed(rate)} /s"
+            label = f"stays in {plain(problem.modes[i])}: {as_rate(rate)} /s"
             axes.semilogy(held.time[shown], visible(norm), color=COLOURS[1 + i % 5], label=label)
         norm = np.linalg.norm(run.states, axis=0)
         switching = run.signal.times[1:].size and run.signal.times[1] < run.end

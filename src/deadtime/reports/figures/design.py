@@ -75,7 +75,7 @@ def _costs(designs: Mapping[str, Design]) -> str | None:
 
 def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
     """The legend: every kind of mark that some panel has."""
-    drawn = [(one, point) for one in designs.values() for point in _drawn(one)]
+    drawn = [(one, point) for one in designs.values() for point in _points_to_draw(one)]
     points = [point for one, point in drawn if point.law is not one.plain.law]
     line = {"ls": "", "markersize": 5.0}
     limits = [(one, min(limit.most for limit in one.limits)) for one in designs.values()]
@@ -96,7 +96,7 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
             any(math.isfinite(one.plain.cost) for one in designs.values()),
             Line2D([], [], color=COLOURS[6], marker="X", label="plain design", **line),
         ),
-        (any(_chosen(one) for one in designs.values()), Line2D([], [], label="chosen", **_RING)),
+        (any(_is_chosen(one) for one in designs.values()), Line2D([], [], label="chosen", **_RING)),
         (
             any(DECAY in one.missed(point) for one, point in drawn),
             Line2D(
@@ -124,7 +124,7 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
 
 
 def _panel(panel: Axes, design: Design) -> None:
-    drawn = _drawn(design)
+    drawn = _points_to_draw(design)
     cheapest = min((point.cost for point in drawn), default=math.nan)
     reached = min(limit.reached for limit in design.limits)
     most, right = min(limit.most for limit in design.limits), _right(design)
@@ -164,14 +164,14 @@ def _mark(panel: Axes, design: Design, point: TradeOff, x: np.ndarray, y: np.nda
         panel.plot([1.03], y, ">", color="grey", markersize=5.0, clip_on=False, transform=edge)
 
 
-def _drawn(design: Design) -> list[TradeOff]:
+def _points_to_draw(design: Design) -> list[TradeOff]:
     """The plain design, where it is stable, and the others; the plain one once."""
     plain = [design.plain] if math.isfinite(design.plain.cost) else []
     return [*plain, *(point for point in design.points if point.law is not design.plain.law)]
 
 
-def _chosen(design: Design) -> bool:
-    return any(point.law is design.law for point in _drawn(design))
+def _is_chosen(design: Design) -> bool:
+    return any(point.law is design.law for point in _points_to_draw(design))
 
 
 def _front(design: Design) -> list[TradeOff]:
@@ -189,7 +189,7 @@ def _front(design: Design) -> list[TradeOff]:
 
 def _right(design: Design) -> float:
     """Where the axis of margins ends, percent."""
-    margins = [point.margin for point in _drawn(design) if math.isfinite(point.margin)]
+    margins = [point.margin for point in _points_to_draw(design) if math.isfinite(point.margin)]
     widest, most = max([design.asked, *margins]), min(limit.most for limit in design.limits)
     return 100.0 * (1.08 * most if widest < most < 3.0 * widest else 1.15 * widest)
 

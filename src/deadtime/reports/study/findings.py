@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.scenarios.paired.proportion import Proportion
-from deadtime.scenarios.paired.ranking import Ranking, picked, ranking_of, verdict_of
+from deadtime.scenarios.paired.ranking import Ranking, pick, ranking_of, verdict_of
 from deadtime.scenarios.paired.statistics import (
     mean_interval,
     median_interval,
@@ -39,7 +39,7 @@ def summary(data: xr.Dataset) -> xr.Dataset:
     """
     import xarray as xr
 
-    ise, calm = score(data), stabilised(data)
+    ise, calm = score(data), is_stabilised(data)
     regret = quotient(ise.values, ise.sel(law=[ORACLE]).values)
     shares = np.apply_along_axis(share_of, -1, calm.values)
     shares[np.isnan(regret).any(axis=-1)] = np.nan
@@ -92,7 +92,7 @@ def best(data: xr.Dataset, laws: Sequence[str]) -> xr.Dataset:
     names, places, runs = np.array([*laws, ""]), {}, []
     for rank, name in enumerate(("winner", "runner_up")):
         place = ranking.place(rank)
-        runs.append(_picked(ise, place))
+        runs.append(_pick(ise, place))
         places[name] = (ise.dims[:-2], names[place])
     return _duel(*runs).assign(places)
 
@@ -100,7 +100,7 @@ def best(data: xr.Dataset, laws: Sequence[str]) -> xr.Dataset:
 def against_best(data: xr.Dataset, law: str, rivals: Sequence[str]) -> xr.Dataset:
     """`duel` of a law against whichever of its rivals is `best` in the cell."""
     ise = score(data)
-    rival = _picked(ise.sel(law=list(rivals)), _ranking(data, rivals).place(0))
+    rival = _pick(ise.sel(law=list(rivals)), _ranking(data, rivals).place(0))
     return _duel(ise.sel(law=law, drop=True), rival)
 
 
@@ -109,9 +109,9 @@ def _ranking(data: xr.Dataset, laws: Sequence[str]) -> Ranking:
     return ranking_of(summary(data).regret.sel(law=list(laws)).transpose(..., "law").values)
 
 
-def _picked(ise: xr.DataArray, place: np.ndarray) -> xr.DataArray:
+def _pick(ise: xr.DataArray, place: np.ndarray) -> xr.DataArray:
     """In every cell the score of one law, NaN where its place is −1."""
-    return ise.isel(law=0, drop=True).copy(data=picked(ise.values, place))
+    return ise.isel(law=0, drop=True).copy(data=pick(ise.values, place))
 
 
 def unbeaten(data: xr.Dataset, laws: Sequence[str]) -> xr.DataArray:
@@ -145,7 +145,7 @@ def steadier(data: xr.Dataset, first: str, second: str) -> xr.DataArray:
 
     Judged, as in `duel`, by the signals that one of them stabilises and the other does not.
     """
-    calm = stabilised(data)
+    calm = is_stabilised(data)
     a, b = (calm.sel(law=law, drop=True) for law in (first, second))
     found = []
     for one, other in zip(_cells(a.values), _cells(b.values), strict=True):
@@ -156,7 +156,7 @@ def steadier(data: xr.Dataset, first: str, second: str) -> xr.DataArray:
     return missing.copy(data=np.where(missing.values, np.nan, verdict))
 
 
-def stabilised(data: xr.Dataset) -> xr.DataArray:
+def is_stabilised(data: xr.Dataset) -> xr.DataArray:
     """Where |x| ends below where it started."""
     calm = (data.final_norm < data.attrs["start"]) & ~data.diverged
     return calm.transpose(..., "law", "scenario")

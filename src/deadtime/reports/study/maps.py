@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from deadtime.base.figure_style import STYLE, WIDTH, plain
 from deadtime.reports.figures.colours import colour_of
-from deadtime.reports.figures.sweeps.maps import Scale, coloured, winners
+from deadtime.reports.figures.sweeps.maps import Scale, colour_map, winners
 from deadtime.reports.figures.sweeps.panels import Grid
 from deadtime.reports.study.findings import LOST, best, duel, summary
 from deadtime.reports.study.phrases import words_of
@@ -49,14 +49,14 @@ def plot_duel(data: xr.Dataset, first: str, second: str) -> Figure:
     ticks = {1.0 / MOST_RATIO: "1/3", 0.5: "1/2", 1.0: "1", 2.0: "2", MOST_RATIO: "3"}
     norm, label = LogNorm(1.0 / MOST_RATIO, MOST_RATIO), f"∫|x|², {first} over {second}"
     scale = Scale(norm, "RdBu_r", "both", label, ticks)
-    return coloured(data, _grid(data), found.ratio, scale, tied=found.verdict == 0.0)
+    return colour_map(data, _grid(data), found.ratio, scale, tied=found.verdict == 0.0)
 
 
 def plot_regret(data: xr.Dataset, law: str) -> Figure:
     """The mean ∫|x|² of a law over the oracle's."""
     ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", 100.0: "100"}
     scale = Scale(LogNorm(1.0, LOST), "YlOrRd", "max", f"∫|x|², {law} over oracle", ticks)
-    return coloured(data, _grid(data), summary(data).regret.sel(law=law), scale)
+    return colour_map(data, _grid(data), summary(data).regret.sel(law=law), scale)
 
 
 def plot_stabilised(data: xr.Dataset, law: str) -> Figure:
@@ -65,7 +65,7 @@ def plot_stabilised(data: xr.Dataset, law: str) -> Figure:
     ticks = {share: f"{share:g}" for share in (0.0, 25.0, 50.0, 75.0, 100.0)}
     label = f"signals stabilised, {law} (%)"
     scale = Scale(Normalize(0.0, 100.0), "YlOrRd_r", "neither", label, ticks)
-    return coloured(data, _grid(data), shares, scale, write=_share)
+    return colour_map(data, _grid(data), shares, scale, write=_share)
 
 
 def _share(value: float) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import finite_or_none, sentence_of, signed
+from deadtime.base.wording import as_rate, finite_or_none, sentence_of
 from deadtime.problems import Problem
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def judge(
 def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]) -> Judged:
     from deadtime.certificates import certify, falsify
     from deadtime.margins.constant_modes import constant_delay_margin
-    from deadtime.spectrum.affordable import left_out
+    from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
     dwell_time, step, rate = asked
@@ -109,7 +109,7 @@ def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]
     try:
         if worst is None and certificate.stable:
             worst = falsify(plant, law, dwell_time, step)
-        too_long = left_out("delay margin", plant, law, step)
+        too_long = why_left_out("delay margin", plant, law, step)
         if too_long:
             return Judged(name, certificate, worst, None, sentence_of(too_long))
         margin = constant_delay_margin(plant, law, step)
@@ -118,14 +118,14 @@ def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]
     return Judged(name, certificate, worst, margin, reason)
 
 
-def judged_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
+def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     """Rows of the table of certificates, columns as in `HEADINGS`."""
     return [
         (
             one.law,
             {True: "yes", False: "no", None: "no answer"}[one.stable],
             _decay(one.certificate),
-            _proved(one.certificate),
+            _proof_in_words(one.certificate),
             _growth(one.worst),
             margin_text(one.margin),
         )
@@ -133,7 +133,7 @@ def judged_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     ]
 
 
-def judged_sentences(judged: Sequence[Judged]) -> list[str]:
+def certificate_sentences(judged: Sequence[Judged]) -> list[str]:
     """A sentence or two per law: the certificate's own words, or why there is none."""
     texts = []
     for one in judged:
@@ -144,7 +144,7 @@ def judged_sentences(judged: Sequence[Judged]) -> list[str]:
     return texts
 
 
-def judged_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
+def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
     """The same for JSON, which knows no infinity: null where there is one."""
     return {
         one.law: {
@@ -181,13 +181,13 @@ def margin_text(margin: DelayMargin | None) -> str:
         return "–"
     if margin.lower is None or margin.upper is None:
         return "none"
-    low, high = _shortened(margin.lower, ROUND_CEILING), _shortened(margin.upper, ROUND_FLOOR)
+    low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
     if margin.lower == 0.0:
         return f"up to {high}" if math.isfinite(margin.upper) else "any"
     return f"{low} to {high}" if math.isfinite(margin.upper) else f"from {low}"
 
 
-def _shortened(value: float, rounding: str) -> str:
+def _shorten(value: float, rounding: str) -> str:
     """To four digits, rounded up or down."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
@@ -201,10 +201,10 @@ def delay_sentence(problem: Problem) -> list[str]:
     Where it would take long, that it was left out.
     """
     from deadtime.margins.constant_modes import constant_delay_margin
-    from deadtime.spectrum.affordable import left_out
+    from deadtime.spectrum.affordable import why_left_out
 
     name, law = next(iter(problem.laws.items()))
-    too_long = left_out("delay margin", problem.plant, law, problem.step)
+    too_long = why_left_out("delay margin", problem.plant, law, problem.step)
     if too_long:
         return [sentence_of(too_long)]
     try:
@@ -220,7 +220,7 @@ def _decay(certificate: Certificate | None) -> str:
     return "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
 
 
-def _proved(certificate: Certificate | None) -> str:
+def _proof_in_words(certificate: Certificate | None) -> str:
     if certificate is None or certificate.stable is None:
         return "–"
     if certificate.stable:
@@ -230,7 +230,7 @@ def _proved(certificate: Certificate | None) -> str:
 
 def _growth(worst: WorstCase | None) -> str:
     rate = None if worst is None else worst.growth_rate
-    return "–" if rate is None or not math.isfinite(rate) else signed(rate)
+    return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
 
 
 def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:

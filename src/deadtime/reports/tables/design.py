@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.base.wording import compact, finite_or_none, signed
+from deadtime.base.wording import as_rate, compact, finite_or_none
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import record_of
 from deadtime.synthesis import Design, TradeOff
@@ -50,8 +50,8 @@ def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _pole(pole: complex) -> str:
-    text = signed(pole.real)
-    return text if pole.imag == 0.0 else f"{text}{signed(pole.imag)}j"
+    text = as_rate(pole.real)
+    return text if pole.imag == 0.0 else f"{text}{as_rate(pole.imag)}j"
 
 
 def problem_sections(
@@ -69,18 +69,18 @@ def problem_sections(
     lines.append("# Put these in place of [gains] and of the [[law]] sections of the problem file.")
     K = np.array(gains)
     K[slice(None) if mode is None else [mode]] = design.gains
-    lines += ["", "[gains]", f"K = {_nested(K)}"]
+    lines += ["", "[gains]", f"K = {_nested_lists(K)}"]
     if np.linalg.eigvals(plant.A + plant.B @ K).real.max() >= 0.0:
         lines.append("allow_unstable = true    # the filter is part of what stabilises")
     lines += ["", "[[law]]", f'kind = "{kind}"' if mode is None else 'kind = "single"']
     lines += [] if mode is None else [f"mode = {mode}"]
     T = design.time_constant
     if T is not None:
-        lines.append(f"low_pass = {repr(float(T[0, 0])) if T.shape[0] == 1 else _nested(T)}")
+        lines.append(f"low_pass = {repr(float(T[0, 0])) if T.shape[0] == 1 else _nested_lists(T)}")
     return "\n".join([*lines, "", f"# In [run]: step = {design.step!r}", ""])
 
 
-def _nested(array: np.ndarray) -> str:
+def _nested_lists(array: np.ndarray) -> str:
     return str(array.tolist())
 
 

@@ -55,7 +55,7 @@ def ranking_of(means: Float[np.ndarray, "*cell law"]) -> Ranking:
     return Ranking(order, np.asarray((~missing).sum(axis=-1)))
 
 
-def picked(runs: Runs, place: Int[np.ndarray, "*cell"]) -> Float[np.ndarray, "*cell scenario"]:
+def pick(runs: Runs, place: Int[np.ndarray, "*cell"]) -> Float[np.ndarray, "*cell scenario"]:
     """In every cell the scores of one law, NaN where its place is −1."""
     chosen = np.take_along_axis(runs, place[..., None, None], axis=-2)[..., 0, :]
     return np.where((place >= 0)[..., None], chosen, np.nan)
@@ -85,6 +85,6 @@ def winners_of(runs: Runs) -> Winners:
     """
     least = np.fmin.reduce(runs, axis=-2, keepdims=True)
     ranking = ranking_of(mean_interval(quotient(runs, least))[0])
-    first, second = (picked(runs, ranking.place(rank)) for rank in range(2))
+    first, second = (pick(runs, ranking.place(rank)) for rank in range(2))
     ratio, low, high = mean_interval(quotient(first, second))
     return Winners(ranking.place(0), ratio, verdict_of(low, high))

@@ -123,12 +123,12 @@ def _speed(draft: Draft, factor: float) -> None:
     if poles is None:
         raise ArgumentError("speed moves poles, and the gains are not placed: give poles.")
 
-    def moved(given: Any) -> Any:
+    def scale(given: Any) -> Any:
         if isinstance(given, list):
-            return [moved(one) for one in given]
+            return [scale(one) for one in given]
         return str(factor * complex(given)) if isinstance(given, str) else factor * given
 
-    draft["gains"]["poles"] = moved(poles)
+    draft["gains"]["poles"] = scale(poles)
 
 
 def _imperfect(swept: Swept) -> Write:

@@ -52,7 +52,7 @@ def run_cell(study: Study, cell: Cell) -> Outcome:
         loop = study.loop(cell)
         laws = _with_tables(loop, reasons)
         if laws:
-            data = _measured(loop, laws, study.scenarios, cell.values.get("seed", study.seed))
+            data = _measure(loop, laws, study.scenarios, cell.values.get("seed", study.seed))
             rows = [study.laws.index(law) for law in laws]
             for name, array in metrics.items():
                 array[rows] = data[name].values
@@ -93,7 +93,7 @@ def _with_tables(loop: Loop, reasons: dict[str, str]) -> dict[str, Law]:
     return laws
 
 
-def _measured(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> xr.Dataset:
+def _measure(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> xr.Dataset:
     """The metrics of every law on every signal, on one thread: cells run beside each other."""
     run = partial(
         monte_carlo,

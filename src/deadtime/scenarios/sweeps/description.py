@@ -40,7 +40,7 @@ class _Description(BaseModel):
     block: list[Annotated[int, Field(ge=1)]]
 
 
-def described(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Layout]:
+def read_description(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Layout]:
     """The definition of a store's study, and how its grid is cut.
 
     Raises
@@ -50,7 +50,7 @@ def described(attributes: Mapping[str, Any]) -> tuple[dict[str, Any], Layout]:
 
     Examples
     --------
-    >>> described({"block": [1]})
+    >>> read_description({"block": [1]})
     Traceback (most recent call last):
     deadtime.ArgumentError: its definition is no JSON.
     """

@@ -97,7 +97,7 @@ class FileStudy(Study):
             laws = {name: laws[name] for name in self.laws if name in laws}
             reasons = {name: why for name, why in reasons.items() if name in self.laws}
         else:
-            laws, reasons = self._placed(file, problem, model, cell.values.get("dwell_time"))
+            laws, reasons = self._place_laws(file, problem, model, cell.values.get("dwell_time"))
         if problem.step is None:
             raise ArgumentError('step = "ideal" has no samples: give the study a step.')
         return Loop(
@@ -112,7 +112,7 @@ class FileStudy(Study):
             problem.weight,
         )
 
-    def _placed(
+    def _place_laws(
         self, file: schema.ProblemFile, problem: Problem, model: Model, dwell_time: float | None
     ) -> tuple[dict[str, Law], dict[str, str]]:
         """The study's laws for gains placed at its poles; and why others could not be built."""

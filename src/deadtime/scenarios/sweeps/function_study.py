@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.base.checks import count, instance, positive, real_array, shaped
+from deadtime.base.checks import count, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_of
@@ -154,7 +154,7 @@ def _loop(made: Any) -> Loop:
         )
     parts["laws"] = named_laws(parts["laws"])
     parts["x0"] = real_array("x0", parts["x0"], "(n,)", 1)
-    shaped("x0", parts["x0"], (parts["plant"].states,), "(n,)")
+    require_shape("x0", parts["x0"], (parts["plant"].states,), "(n,)")
     parts["horizon"] = positive("horizon", parts["horizon"])
     parts["step"] = positive("step", parts["step"])
     parts["weight"] = weight_of(parts.get("weight"), parts["plant"])

@@ -23,7 +23,7 @@ from deadtime.problems.toml import SectionError, read_toml, require_valid, secti
 from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, write_path
 from deadtime.scenarios.sweeps.file_study import FileStudy, without_signal
 from deadtime.scenarios.sweeps.laws import DEFAULT, ORACLE, kinds_of
-from deadtime.scenarios.sweeps.schema import StudyFile, distinct, known
+from deadtime.scenarios.sweeps.schema import StudyFile, distinct, require_known
 from deadtime.scenarios.sweeps.study import require_axis
 
 
@@ -95,9 +95,9 @@ def _base(file: StudyFile, source: Path) -> _Base:
             draft["cost"] = file.cost.model_dump(exclude_unset=True)
         own = [section.model_dump(exclude_unset=True) for section in file.imperfection]
         if own:
-            build_problem(_checked(draft), path)
+            build_problem(_check(draft), path)
             draft["imperfection"] = [*draft.get("imperfection", []), *own]
-        return _Base(draft, path, build_problem(_checked(draft), path))
+        return _Base(draft, path, build_problem(_check(draft), path))
     except SectionError as error:
         raise _own_fault(error, file, before) from None
     except ValueError as error:
@@ -117,14 +117,14 @@ def _own_fault(error: SectionError, file: StudyFile, before: int) -> SectionErro
     return SectionError(f"problem: {where}{file.problem}: {message}", ())
 
 
-def _checked(draft: Draft) -> schema.ProblemFile:
+def _check(draft: Draft) -> schema.ProblemFile:
     return without_signal(require_valid(schema.ProblemFile, draft))
 
 
 def _problem_file(name: str, source: Path) -> tuple[Draft, Path]:
     """What the file of a named problem, or one relative to the study's, says; and its path."""
     if name in NAMED or not Path(name).suffix:
-        known("problem", name, tuple(NAMED))
+        require_known("problem", name, tuple(NAMED))
         return tomllib.loads(template(name)), Path(f"{name}.toml")
     path = source.parent / name
     _, text = read_toml(path, schema.ProblemFile, ProblemFileError, "`deadtime init` writes one")
@@ -204,7 +204,7 @@ def _laws(names: list[str] | None, study: FileStudy, modes: int) -> tuple[str, .
         raise SectionError(str(error), ("grid",)) from None
     chosen = (DEFAULT if placed else able) if names is None else names
     try:
-        laws = [known("law", name, able) for name in chosen]
+        laws = [require_known("law", name, able) for name in chosen]
     except ValueError as error:
         raise SectionError(f"laws: {error}", ()) from None
     if not laws:
@@ -268,7 +268,7 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
     except ValueError as error:
         raise SectionError(f"{path}: {error}.", where) from None
     for value in values:
-        trial = {**draft, **_copied(draft, path)}
+        trial = {**draft, **_copy_section(draft, path)}
         try:
             write_path(trial, path, value)
             require_valid(schema.ProblemFile, trial)
@@ -277,7 +277,7 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
     return tuple(values)
 
 
-def _copied(draft: Draft, path: str) -> Draft:
+def _copy_section(draft: Draft, path: str) -> Draft:
     """A copy of the section that a path leads into."""
     head = path.split(".")[0]
     return {head: deepcopy(draft[head])} if head in draft else {}

@@ -75,7 +75,7 @@ def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
     if there:
         target = open_store(url)
         target.require(study)
-        layout, done = target.layout, target.done()
+        layout, done = target.layout, target.whole_cells()
     else:
         layout, done = layout_of(study, costs), np.zeros(study.shape, dtype=bool)
     runs = len(study.laws) * study.scenarios

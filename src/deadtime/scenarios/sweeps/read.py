@@ -59,7 +59,7 @@ def open_sweep(store: str | PathLike[str]) -> xr.Dataset:
         name: (array.metadata.dimension_names, _lazy(target, name), dict(array.attrs))
         for name, array in ((name, target.array(name)) for name in names)
     }
-    variables["done"] = (axes, target.done(), dict(target.array("done").attrs))
+    variables["done"] = (axes, target.whole_cells(), dict(target.array("done").attrs))
     coordinates = {
         name: ((name,), values, dict(target.array(name).attrs))
         for name, values in coordinates_of(target.definition).items()

@@ -21,7 +21,7 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 AboveMinusOne = Annotated[float, Field(gt=-1.0, allow_inf_nan=False)]
 
 
-def known(what: str, name: str, names: Sequence[str]) -> str:
+def require_known(what: str, name: str, names: Sequence[str]) -> str:
     """The name, if it is one of the names; otherwise an error that proposes the nearest."""
     if name in names:
         return name
@@ -31,14 +31,14 @@ def known(what: str, name: str, names: Sequence[str]) -> str:
 
 
 def _family(name: str) -> str:
-    return known("sojourn", name, tuple(FAMILIES))
+    return require_known("sojourn", name, tuple(FAMILIES))
 
 
 def _metric(name: str) -> str:
-    return known("metric", name, tuple(METRICS))
+    return require_known("metric", name, tuple(METRICS))
 
 
-def _listed(value: Any) -> Any:
+def _as_list(value: Any) -> Any:
     """One value as a list of one."""
     return value if isinstance(value, list) else [value]
 
@@ -58,7 +58,7 @@ def distinct(values: list) -> list:
     return values
 
 
-List = (First(), BeforeValidator(_listed), AfterValidator(distinct))
+List = (First(), BeforeValidator(_as_list), AfterValidator(distinct))
 Positives = Annotated[list[Positive], *List]
 NotNegatives = Annotated[list[NotNegative], *List]
 Errors = Annotated[list[AboveMinusOne], *List]

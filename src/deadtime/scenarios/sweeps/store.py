@@ -29,7 +29,7 @@ from deadtime.base.version import __version__
 from deadtime.scenarios.dataset import DIVERGED, attributes_of
 from deadtime.scenarios.sweeps.axes import Axis, no_write
 from deadtime.scenarios.sweeps.cell import Outcome
-from deadtime.scenarios.sweeps.description import described
+from deadtime.scenarios.sweeps.description import read_description
 from deadtime.scenarios.sweeps.layout import Layout
 from deadtime.scenarios.sweeps.study import Study, differences
 
@@ -53,7 +53,7 @@ class Store:
                 f"store {url!r} is Zarr, but not made by deadtime sweep: choose another name."
             )
         try:
-            self.definition, self.layout = described(attributes)
+            self.definition, self.layout = read_description(attributes)
             self._require_arrays()
         except ArgumentError as error:
             raise StoreError(
@@ -109,7 +109,7 @@ class Store:
                 "another store, or change the study back."
             )
 
-    def done(self) -> np.ndarray:
+    def whole_cells(self) -> np.ndarray:
         """Which cells are whole; those whose flags cannot be read are not."""
         done = np.zeros(self.layout.shape, dtype=bool)
         array = self.array("done")
@@ -124,7 +124,7 @@ class Store:
 
     def missing(self) -> list[int]:
         """The blocks that are not whole."""
-        done = self.done()
+        done = self.whole_cells()
         return [
             number
             for number in range(self.layout.size)
@@ -173,7 +173,7 @@ class Store:
 
     def faults(self) -> Iterator[tuple[int, str]]:
         """Whole blocks of which something cannot be read or is gone, and what that is."""
-        done, names = self.done(), [*self.definition["metrics"], "diverged", "reason"]
+        done, names = self.whole_cells(), [*self.definition["metrics"], "diverged", "reason"]
         for number in range(self.layout.size):
             if not done[self.layout.slices(number)].all():
                 continue

@@ -14,12 +14,12 @@ _DEPTH = 10
 _SAME = 1e-12
 
 
-def merged(times: np.ndarray, low: float, high: float) -> Float[np.ndarray, " edge"]:
+def merge(times: np.ndarray, low: float, high: float) -> Float[np.ndarray, " edge"]:
     """The times within [low, high], sorted, both ends included, near repeats dropped.
 
     Examples
     --------
-    >>> merged(np.array([2.0, 1.0, 1.0 + 1e-14, 5.0]), 0.0, 3.0)
+    >>> merge(np.array([2.0, 1.0, 1.0 + 1e-14, 5.0]), 0.0, 3.0)
     array([0., 1., 2., 3.])
     """
     tolerance = _SAME * max(1.0, high - low)
@@ -28,12 +28,12 @@ def merged(times: np.ndarray, low: float, high: float) -> Float[np.ndarray, " ed
     return np.concatenate(([low], kept, [high]))
 
 
-def shifted(times: np.ndarray, delays: tuple[float, ...], high: float) -> np.ndarray:
+def add_shifts(times: np.ndarray, delays: tuple[float, ...], high: float) -> np.ndarray:
     """The times and all their shifts by sums of up to ten of the delays, up to `high`.
 
     Examples
     --------
-    >>> shifted(np.array([0.0, 0.3]), (1.0,), 2.5).tolist()
+    >>> add_shifts(np.array([0.0, 0.3]), (1.0,), 2.5).tolist()
     [0.0, 0.3, 1.0, 1.3, 2.0, 2.3]
     """
     steps = sorted(set(delays))
@@ -47,12 +47,12 @@ def shifted(times: np.ndarray, delays: tuple[float, ...], high: float) -> np.nda
     return np.concatenate(reached)
 
 
-def subdivided(edges: np.ndarray, longest: float) -> Float[np.ndarray, " edge"]:
+def subdivide(edges: np.ndarray, longest: float) -> Float[np.ndarray, " edge"]:
     """The edges, with segments longer than `longest` cut into equal parts.
 
     Examples
     --------
-    >>> subdivided(np.array([0.0, 0.1, 1.0]), 0.5)
+    >>> subdivide(np.array([0.0, 0.1, 1.0]), 0.5)
     array([0.  , 0.1 , 0.55, 1.  ])
     """
     parts = np.maximum(1, np.ceil(np.diff(edges) / longest - 1e-9).astype(int))

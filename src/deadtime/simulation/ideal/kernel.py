@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.numerics.exponential import held, multiply
+from deadtime.numerics.exponential import discretise, multiply
 
 
 @njit(cache=True)
@@ -89,7 +89,7 @@ def flows(A, length, points):
     if size > 3.0:
         none = np.zeros((n, 1))
         for k in range(p):
-            result[k], _ = held(A, none, points[k] * length)
+            result[k], _ = discretise(A, none, points[k] * length)
         return result
     term, power = np.eye(n), np.ones(p)
     for k in range(p):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deadtime.numerics.exponential import held, multiply
+from deadtime.numerics.exponential import discretise, multiply
 from deadtime.simulation.ideal.kernel import (
     add_product,
     convolve_part,
@@ -33,7 +33,7 @@ def _prediction(y, g, end_system, flow, moved, line, ahead, nodes):
     middle = (start - lead + last) / 2.0 + lead
     s = (now if now >= 0 else ahead.path[q]) if middle < until else end_system
     A, B = ahead.A[s], ahead.B[s]
-    M, _ = held(A, B, last - (start - lead))
+    M, _ = discretise(A, B, last - (start - lead))
     P = convolve_part(A, B, start - lead, last, edges, line.inputs, q, nodes)
     add_product(M, y, P)
     for j in range(q + 1, g):
@@ -87,10 +87,10 @@ def march(plant, line, ahead, x0, nodes):
         predicts = g < line.stop and ahead.lead > 0.0
         if predicts:
             for s in range(systems):
-                flow[g, s], _ = held(ahead.A[s], ahead.B[s], length)
+                flow[g, s], _ = discretise(ahead.A[s], ahead.B[s], length)
                 inner[s] = flows(ahead.A[s], length, points)
                 # e^{−A c_k} = e^{−A} e^{A (1 − c_k)}, and the nodes are symmetric.
-                undo, _ = held(-ahead.A[s], ahead.B[s], length)
+                undo, _ = discretise(-ahead.A[s], ahead.B[s], length)
                 for k in range(p):
                     back[s, k] = multiply(undo, inner[s, p - 1 - k])
         if g >= line.begin:

@@ -27,11 +27,11 @@ from deadtime.laws.state_dependent import final_place
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Outcome
-from deadtime.simulation.ideal.breakpoints import subdivided
+from deadtime.simulation.ideal.breakpoints import subdivide
 from deadtime.simulation.ideal.piecewise import Piecewise
 from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.initial_input import InitialInput, input_function
-from deadtime.simulation.slides import Slide, joined, told
+from deadtime.simulation.slides import Slide, join, slides_in_words
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.motion import Beside, Leg, Motion
 
@@ -200,7 +200,7 @@ def _outcome(
     sent_at = np.concatenate((np.linspace(-delay, 0.0, len(line) + 1), edges[first + 1 :] - delay))
     record = IdealRecord(plant, Piecewise(edges, x), Piecewise(sent_at, sent))
     signal = _signal(parts, reached)
-    slides = joined(
+    slides = join(
         [_slide(part, end) for part in parts if part.leg.beside and part.begin < end],
         _SAME * max(1.0, reached),
     )
@@ -212,7 +212,7 @@ def _outcome(
         lambda time: signal(time + record.states.slack),
         end if stop else None,
         diverged,
-        " ".join(filter(None, [*notes[: bool(stop) and not diverged], told(slides)])),
+        " ".join(filter(None, [*notes[: bool(stop) and not diverged], slides_in_words(slides)])),
     )
 
 
@@ -224,7 +224,7 @@ def _polynomials(
     edges, values, modes = [parts[0].begin], [], []
     for part in parts:
         ends = [part.begin, cut, part.end] if part.begin < cut < part.end else part[:2]
-        for a, b in pairwise(subdivided(np.array(ends), _SEGMENT / rate).tolist()):
+        for a, b in pairwise(subdivide(np.array(ends), _SEGMENT / rate).tolist()):
             times = a + (b - a) * nodes.support - part.begin
             values.append([part.motion.along(part.leg, part.u, time) for time in times.tolist()])
             modes.append(part.mode)

@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Forecast
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
-from deadtime.simulation.ideal.breakpoints import merged, shifted, subdivided
+from deadtime.simulation.ideal.breakpoints import add_shifts, merge, subdivide
 from deadtime.simulation.ideal.piecewise import Piecewise
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
@@ -117,10 +117,10 @@ def run_ideal(
     history: InputHistory,
 ) -> tuple[IdealRecord, float | None]:
     """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
-    from deadtime.numerics.exponential import held_modes
+    from deadtime.numerics.exponential import discretise_modes
     from deadtime.simulation.ideal.loop import march
 
-    ahead, _ = held_modes(*_contiguous(forecast), forecast.lead)
+    ahead, _ = discretise_modes(*_contiguous(forecast), forecast.lead)
     if not np.isfinite(ahead).all():
         raise ArgumentError(
             "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay is "
@@ -205,7 +205,7 @@ def _edges(
     before = np.concatenate((history.jumps, breaks, [-lead, -delay]))
     seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
     delays = (delay, lead) if lead > 0.0 else (delay,)
-    after = np.concatenate((shifted(seeds, delays, high), [horizon]))
+    after = np.concatenate((add_shifts(seeds, delays, high), [horizon]))
     # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
     rate = _fastest_rate(plant, forecast, forecast.gains(seeds[seeds >= 0.0]))
     longest = min(_RESOLUTION / rate, min(delays) / 2.0)
@@ -214,6 +214,6 @@ def _edges(
             f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
             f"segments of {longest:.1e} s; shorten it, or give a step."
         )
-    past = subdivided(merged(before, low, 0.0), longest)
-    future = subdivided(merged(after, 0.0, high), longest)
+    past = subdivide(merge(before, low, 0.0), longest)
+    future = subdivide(merge(after, 0.0, high), longest)
     return np.concatenate((past, future[1:])), past.size - 1

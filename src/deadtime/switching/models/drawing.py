@@ -130,10 +130,10 @@ def draw_jumps(
         going = time < horizon
         rows, mode, time, last = rows[going], mode[going], time[going], last[going]
         block += blocks
-    return _packed(rounds, count, horizon)
+    return _pack(rounds, count, horizon)
 
 
-def _packed(rounds: list[tuple[np.ndarray, ...]], count: int, horizon: float) -> SignalBatch:
+def _pack(rounds: list[tuple[np.ndarray, ...]], count: int, horizon: float) -> SignalBatch:
     """The rounds' sojourns, scenario by scenario."""
     sizes = np.zeros(count, np.int64)
     for rows, used, _, _ in rounds:

@@ -100,7 +100,7 @@ def estimate(family: str, observed: Observed) -> tuple[Distribution, Parameters,
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         if family == "fixed":
-            return _fixed(observed)
+            return _fixed_length(observed)
         from scipy import stats
 
         name, fit = FAMILIES[family]
@@ -114,7 +114,7 @@ def estimate(family: str, observed: Observed) -> tuple[Distribution, Parameters,
     return dist, parameters, 2.0 * len(parameters) - 2.0 * float(likelihood)
 
 
-def _fixed(observed: Observed) -> tuple[Distribution, Parameters, float] | None:
+def _fixed_length(observed: Observed) -> tuple[Distribution, Parameters, float] | None:
     if not observed.fixed:
         return None
     length = float(np.median(observed.complete))

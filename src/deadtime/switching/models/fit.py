@@ -65,7 +65,7 @@ def fit_model(
     Moore and Pyke, "Estimation of the transition distributions of a Markov renewal process",
     Annals of the Institute of Statistical Mathematics 20, 1968.
     """
-    logs = _checked(signals)
+    logs = _check(signals)
     observed = sojourns_of(logs, first, modes)
     names = _families(family, len(observed))
     for mode, seen in enumerate(observed):
@@ -93,7 +93,7 @@ def sojourns_of(
     >>> sojourns_of(log)[0]
     Observed(complete=array([0.5]), censored=array([1.25]))
     """
-    logs = _checked(signals)
+    logs = _check(signals)
     if first not in ("whole", "drop"):
         raise ArgumentError(f"first must be 'whole' or 'drop', got {first!r}.")
     number = 1 + max(int(log.modes.max()) for log in logs)
@@ -182,7 +182,7 @@ def _families(family: object, modes: int) -> list[str]:
     return names
 
 
-def _checked(signals: object) -> list[SwitchingSignal]:
+def _check(signals: object) -> list[SwitchingSignal]:
     """The signals as a list."""
     if isinstance(signals, SwitchingSignal):
         return [signals]

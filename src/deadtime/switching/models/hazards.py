@@ -42,7 +42,7 @@ def count_ages(name: str, dist: Distribution, step: float, most: int | None = No
 
     The count stops at `most`; without one, more than 100,000 are refused.
     """
-    last = _outlived(dist, step)
+    last = _survival_limit(dist, step)
     final = hazards(dist, step, np.array([last - 1]))
 
     def latest(ages: Int[np.ndarray, " age"]) -> int:
@@ -66,7 +66,7 @@ def count_ages(name: str, dist: Distribution, step: float, most: int | None = No
     return number if most is None else min(number, most)
 
 
-def _outlived(dist: Distribution, step: float) -> int:
+def _survival_limit(dist: Distribution, step: float) -> int:
     """The least n with P(S > n h) < 1e-6; 2⁴⁰ if there is none below."""
     from deadtime.plant.steps import TOLERANCE
 

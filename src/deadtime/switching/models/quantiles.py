@@ -102,14 +102,14 @@ class Quantiles(Frozen):
         """The sojourns in `modes`, seconds, for the numbers u in (0, 1)."""
         if len(self.others) == 1 and self.others[0][2].all():
             name, inverse, _ = self.others[0]
-            return _inverted(name, inverse, u.ravel()).reshape(u.shape)
+            return _invert(name, inverse, u.ravel()).reshape(u.shape)
         result = np.log(u)
         result *= -self.scale[modes]
         result += self.shift[modes]
         for name, inverse, holds in self.others:
             here = holds[modes]
             if here.any():
-                result[here] = _inverted(name, inverse, u[here])
+                result[here] = _invert(name, inverse, u[here])
         return result
 
 
@@ -133,7 +133,7 @@ def _inverse(name: str, dist: Distribution) -> tuple[str, Callable]:
     return f"{name}.ppf", lambda u: ppf(1.0 - u)  # exact for multiples of 2⁻⁵³
 
 
-def _inverted(name: str, inverse: Callable, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def _invert(name: str, inverse: Callable, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     with np.errstate(all="ignore"):
         drawn = np.asarray(inverse(u), dtype=np.float64)
     if drawn.shape != u.shape:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, number, positive, real_array, shaped
+from deadtime.base.checks import count, number, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.models.families import Goodness
@@ -19,7 +19,7 @@ from deadtime.switching.models.hazards import count_ages, hazards, require_short
 from deadtime.switching.models.quantiles import Quantiles, drawable
 from deadtime.switching.models.sojourns import (
     Distribution,
-    checked_sojourns,
+    check_sojourns,
     describe,
     draw_from,
     mean_sojourn,
@@ -110,7 +110,7 @@ class SemiMarkov(Frozen):
                     "one of them."
                 )
             number = table.shape[0]
-        sojourns = checked_sojourns(sojourn, number)
+        sojourns = check_sojourns(sojourn, number)
         number = len(sojourns)
         if table is None:
             table = (1.0 - np.eye(number)) / (number - 1)
@@ -300,7 +300,7 @@ def _transition(transition: ArrayLike) -> Float[np.ndarray, "mode mode"]:
     """Probabilities of the next mode, rows summing to 1."""
     table = real_array("transition", transition, "(modes, modes)", 2)
     modes = table.shape[0]
-    shaped("transition", table, (modes, modes), "(modes, modes)")
+    require_shape("transition", table, (modes, modes), "(modes, modes)")
     if modes < 2:
         raise ArgumentError(
             "transition must be given for at least two modes, got 1: a signal that never "

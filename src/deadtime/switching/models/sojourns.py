@@ -63,7 +63,7 @@ class Fixed:
         return f"{self.length:g}"
 
 
-def checked_sojourn(name: str, value: object) -> Distribution:
+def check_sojourn(name: str, value: object) -> Distribution:
     """A distribution of positive times; a number stands for a fixed sojourn."""
     if isinstance(value, (Real, np.number)) and not isinstance(value, bool):
         return Fixed(positive(name, value))
@@ -104,10 +104,10 @@ def checked_sojourn(name: str, value: object) -> Distribution:
     return dist
 
 
-def checked_sojourns(sojourn: object, modes: int | None) -> tuple[Distribution, ...]:
+def check_sojourns(sojourn: object, modes: int | None) -> tuple[Distribution, ...]:
     """One distribution per mode."""
     if not isinstance(sojourn, (list, tuple, np.ndarray)):
-        return (checked_sojourn("sojourn", sojourn),) * (modes or 2)
+        return (check_sojourn("sojourn", sojourn),) * (modes or 2)
     if modes is not None and len(sojourn) != modes:
         raise ArgumentError(
             f"sojourn must have one entry per mode, {modes}, got {len(sojourn)}: a single "
@@ -118,7 +118,7 @@ def checked_sojourns(sojourn: object, modes: int | None) -> tuple[Distribution, 
             f"sojourn must be given for at least two modes, got {len(sojourn)}: a signal that "
             "never switches is SwitchingSignal.constant(mode)."
         )
-    return tuple(checked_sojourn(f"sojourn[{i}]", value) for i, value in enumerate(sojourn))
+    return tuple(check_sojourn(f"sojourn[{i}]", value) for i, value in enumerate(sojourn))
 
 
 def describe(dist: object) -> str:
@@ -166,10 +166,10 @@ def mean_sojourn(dist: Distribution) -> float:
 
 def draw_from(name: str, dist: Distribution) -> Draw:
     """How `jump_signal` draws from a distribution."""
-    return partial(_drawn, name, dist)
+    return partial(_draw, name, dist)
 
 
-def _drawn(name: str, dist: Distribution, rng: np.random.Generator, size: int) -> np.ndarray:
+def _draw(name: str, dist: Distribution, rng: np.random.Generator, size: int) -> np.ndarray:
     drawn = np.asarray(dist.rvs(size=size, random_state=rng), dtype=np.float64)
     if drawn.shape != (size,):
         raise ArgumentError(f"{name}.rvs must have shape ({size},), got {drawn.shape}.")

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 
 from deadtime.numerics.bernstein import first_positive, zero_before
-from deadtime.numerics.exponential import held, multiply
+from deadtime.numerics.exponential import discretise, multiply
 from deadtime.switching.rules.boundaries import (
     band,
     dot,
@@ -67,7 +67,7 @@ def _parts(A, tau):
 def growth(A, tau):
     """An upper bound on |e^{As}|_∞ over [0, τ]: its maximum on a grid, times e^{|A| spacing}."""
     parts, size = _parts(A, tau)
-    Phi, _ = held(A, np.zeros((A.shape[0], 1)), tau / parts)
+    Phi, _ = discretise(A, np.zeros((A.shape[0], 1)), tau / parts)
     power, largest = np.eye(A.shape[0]), 1.0
     for _ in range(parts):
         power = multiply(Phi, power)
@@ -93,7 +93,7 @@ def _heights(boundaries, taylor):
 
 
 @njit(cache=True)
-def leaving(A, B, noise, boundaries, x, u, tau):
+def exit_time(A, B, noise, boundaries, x, u, tau):
     """When within (0, τ] the trajectory first leaves a region, beyond round-off.
 
     Returns the time of the crossing, the time at which it is beyond round-off, and which of the
@@ -164,7 +164,7 @@ def _leads_on(plant, regions, x, u, entered, j):
 
 
 @njit(cache=True)
-def seen(plant, regions, x, region, mode):
+def region_of_mode(plant, regions, x, region, mode):
     """The region of a mode that x is in to round-off; `region`, which holds x, where there is none.
 
     On a boundary the mode that is seen says on which side x is; x alone does not.
@@ -224,13 +224,13 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
     while True:
         if not (slides or crosses):
             mode, noise = modes[region], (M[modes[region]], N[modes[region]])
-            s, beyond, row = leaving(
+            s, beyond, row = exit_time(
                 A[mode], B[mode], noise, own(regions, region), x, u, tau - start
             )
             if s < 0.0:
                 break
-            ahead = move(held(A[mode], B[mode], beyond), x, u)
-            x = move(held(A[mode], B[mode], s), x, u)
+            ahead = move(discretise(A[mode], B[mode], beyond), x, u)
+            x = move(discretise(A[mode], B[mode], s), x, u)
             start = min(start + s, tau)
             entered = nearest(regions, spread_of(noise, ahead, u), ahead, region)
             row += first[region]
@@ -263,7 +263,7 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
         count += 1
     mode = modes[region]
     if crossings > 0:
-        end = move(held(A[mode], B[mode], tau - start), x, u)
+        end = move(discretise(A[mode], B[mode], tau - start), x, u)
     return end, region, _INSIDE, count, halt
 
 
@@ -303,7 +303,7 @@ def follow(plant, regions, pieces, kinds, inputs, x, region):
 
 
 @njit(cache=True)
-def frozen_path(Phi, Gamma, kinds, inputs, x):
+def path_in_modes(Phi, Gamma, kinds, inputs, x):
     """x (pieces, samples, n) at the samples of every piece, in one mode throughout.
 
     `Phi` (lengths, samples, n, n) and `Gamma` lead from the start of a piece to its samples, the

@@ -47,7 +47,7 @@ class Chatter(NamedTuple):
         return cls(time if time > _INSTANT * length else 0.0, modes, reason)
 
     @classmethod
-    def piled_up(cls, time: float, mode: int, other: int, length: float, most: int) -> Chatter:
+    def pile_up(cls, time: float, mode: int, other: int, length: float, most: int) -> Chatter:
         """More than `most` boundaries are crossed in a piece."""
         reason = (
             f"more than {most} boundaries are crossed within {length:g} s; if they are meant to "
@@ -56,7 +56,7 @@ class Chatter(NamedTuple):
         return cls(time, (min(mode, other), max(mode, other)), reason)
 
     @classmethod
-    def strayed(cls, time: float, mode: int, other: int) -> Chatter:
+    def stray(cls, time: float, mode: int, other: int) -> Chatter:
         """A sliding motion cannot be integrated to round-off."""
         modes = min(mode, other), max(mode, other)
         reason = (

@@ -42,13 +42,13 @@ def require_partition(regions: list[Polyhedron], modes: Int[np.ndarray, " region
             if shared is not None:
                 raise ArgumentError(
                     f"regions[{j}] and regions[{i}] overlap in different modes, {modes[j]} and "
-                    f"{modes[i]}: both hold x = {_written(shared * unit)}."
+                    f"{modes[i]}: both hold x = {_text_of(shared * unit)}."
                 )
     n = regions[0][0].shape[1]
-    missing = _uncovered((np.empty((0, n)), np.empty(0)), scaled)
+    missing = _uncovered_point((np.empty((0, n)), np.empty(0)), scaled)
     if missing is not None:
         raise ArgumentError(
-            f"regions leave a gap: none of them holds x = {_written(missing * unit)}; every state "
+            f"regions leave a gap: none of them holds x = {_text_of(missing * unit)}; every state "
             "needs a mode."
         )
 
@@ -120,21 +120,21 @@ def _inner_point(
     return result.x[:n] if result.status == 0 and result.x[n] > _FLAT else None
 
 
-def _uncovered(part: Polyhedron, regions: list[Polyhedron]) -> Float[np.ndarray, " n"] | None:
+def _uncovered_point(part: Polyhedron, regions: list[Polyhedron]) -> Float[np.ndarray, " n"] | None:
     """A point in the interior of `part` that no region holds, if there is one."""
     point = _inner_point(*part)
     if point is None or not regions:
         return point
     (H, h), others = regions[0], regions[1:]
     if _inner_point(*_both(part, regions[0])) is None:
-        return _uncovered(part, others)
+        return _uncovered_point(part, others)
     for row, offset in zip(H, h, strict=True):
-        beyond = _uncovered(_both(part, (-row[None], np.array([-offset]))), others)
+        beyond = _uncovered_point(_both(part, (-row[None], np.array([-offset]))), others)
         if beyond is not None:
             return beyond
         part = _both(part, (row[None], np.array([offset])))
     return None
 
 
-def _written(x: np.ndarray) -> str:
+def _text_of(x: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:.4g}" for value in x + 0.0) + "]"

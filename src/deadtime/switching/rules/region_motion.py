@@ -66,7 +66,7 @@ class RegionMotion(Motion):
         lengths: tuple[float, ...],
     ) -> RegionMotion:
         """The motion among regions, `regions_of` saying which of them hold given states."""
-        from deadtime.numerics.exponential import balance, held_modes
+        from deadtime.numerics.exponential import balance, discretise_modes
         from deadtime.switching.rules.crossings import MOST_PARTS
 
         unit = balance(np.abs(A).sum(axis=0))
@@ -81,7 +81,7 @@ class RegionMotion(Motion):
         forms, rows = regions.forms * unit * unit[:, None], regions.rows * unit
         # All read-only: one type for the compiled functions, whatever the rule.
         scaled = Regions(*(read_only(part) for part in (forms, rows, *regions[2:])))
-        tables = [held_modes(A, B, length) for length in lengths]
+        tables = [discretise_modes(A, B, length) for length in lengths]
         return cls(
             regions_of,
             unit,
@@ -110,8 +110,8 @@ class RegionMotion(Motion):
         mode, beyond = self.mode_of(place), self.mode_of(other)
         if why == PILED_UP:
             length, most = float(self.lengths[kind]), int(self.most[kind])
-            return Chatter.piled_up(time, mode, beyond, length, most)
-        return Chatter.strayed(time, mode, beyond)
+            return Chatter.pile_up(time, mode, beyond, length, most)
+        return Chatter.stray(time, mode, beyond)
 
     def advance(
         self, kind: int, x: np.ndarray, place: int, u: np.ndarray, beside: Beside | None = None
@@ -137,11 +137,11 @@ class RegionMotion(Motion):
         return self.unit * (self.Phi[kind, mode] @ (x / self.unit) + self.Gamma[kind, mode] @ u)
 
     def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
-        from deadtime.switching.rules.crossings import follow, seen
+        from deadtime.switching.rules.crossings import follow, region_of_mode
 
         pieces = self.lengths, self.Phi, self.Gamma, self.bend, self.most
         start = x / self.unit
-        begin = seen(self.plant, self._regions, start, self.place_of(x), mode)
+        begin = region_of_mode(self.plant, self._regions, start, self.place_of(x), mode)
         z, region, beside, (piece, why, time, place, other) = follow(
             self.plant, self._regions, pieces, kinds, inputs, start, begin
         )
@@ -153,12 +153,12 @@ class RegionMotion(Motion):
         return Arrival(z * self.unit, region, _beside(*beside), chatter)
 
     def along(self, leg: Leg, u: np.ndarray, tau: float) -> np.ndarray:
-        from deadtime.numerics.exponential import held
+        from deadtime.numerics.exponential import discretise
         from deadtime.switching.rules.sliding import slide
 
         z, mode = leg.x / self.unit, self.mode_of(leg.place)
         if leg.beside is None:
-            Phi, Gamma = held(self.plant[0][mode], self.plant[1][mode], tau)
+            Phi, Gamma = discretise(self.plant[0][mode], self.plant[1][mode], tau)
             return self.unit * (Phi @ z + Gamma @ u)
         between = leg.place, *leg.beside
         return self.unit * slide(self.plant, self._regions, between, z, u, tau)[0]

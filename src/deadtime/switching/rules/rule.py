@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, index, number, real_array, shaped
+from deadtime.base.checks import count, index, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
@@ -180,7 +180,7 @@ class Polyhedra(PolyhedralRule):
             raise ArgumentError("regions must hold at least one pair (H, h), got none.")
         n = pairs[0][0].shape[1]
         for i, (H, _) in enumerate(pairs):
-            shaped(f"regions[{i}][0]", H, (H.shape[0], n), "(rows, n)")
+            require_shape(f"regions[{i}][0]", H, (H.shape[0], n), "(rows, n)")
         modes = range(len(pairs)) if modes is None else modes
         if len(modes) != len(pairs):
             raise ArgumentError(
@@ -282,7 +282,7 @@ def _polyhedron(i: int, region: Sequence[ArrayLike]) -> tuple[np.ndarray, np.nda
         raise ArgumentError(f"regions[{i}] must be a pair (H, h), got {region!r}.")
     H = real_array(f"regions[{i}][0]", region[0], "(rows, n)", 2)
     h = real_array(f"regions[{i}][1]", region[1], "(rows,)", 1)
-    shaped(f"regions[{i}][1]", h, (H.shape[0],), "(rows,)")
+    require_shape(f"regions[{i}][1]", h, (H.shape[0],), "(rows,)")
     empty = np.flatnonzero(~H.any(axis=1))
     if empty.size:
         raise ArgumentError(f"regions[{i}][0][{empty[0]}] must not be a row of zeros.")

@@ -93,9 +93,9 @@ class SampledMotion(Motion):
         return False
 
     def _flow(self, mode: int, x: np.ndarray, u: np.ndarray, tau: float) -> np.ndarray:
-        from deadtime.numerics.exponential import held
+        from deadtime.numerics.exponential import discretise
 
-        Phi, Gamma = held(self.A[mode], self.B[mode], tau)
+        Phi, Gamma = discretise(self.A[mode], self.B[mode], tau)
         return Phi @ x + Gamma @ u
 
     def _crossing(
@@ -139,7 +139,7 @@ class SampledMotion(Motion):
                 chatter = (
                     Chatter.facing(start, mode, entered, length)
                     if facing
-                    else Chatter.piled_up(start, mode, entered, length, most)
+                    else Chatter.pile_up(start, mode, entered, length, most)
                 )
                 end = self._flow(mode, x, u, rest)
                 return Move(end, mode, None, legs, chatter)
@@ -151,11 +151,11 @@ class SampledMotion(Motion):
         return self.Phi[place, kind, -1] @ x + self.Gamma[place, kind, -1] @ u
 
     def follow(self, kinds: np.ndarray, inputs: np.ndarray, x: np.ndarray, mode: int) -> Arrival:
-        from deadtime.switching.rules.crossings import frozen_path
+        from deadtime.switching.rules.crossings import path_in_modes
 
         mode, p = self.place_of(x), 0  # a function decides on boundaries, too
         while p < kinds.size:
-            path = frozen_path(self.Phi[mode], self.Gamma[mode], kinds[p:], inputs[p:], x)
+            path = path_in_modes(self.Phi[mode], self.Gamma[mode], kinds[p:], inputs[p:], x)
             pieces, samples, n = path.shape
             change = self._change(path.reshape(pieces * samples, n), inputs[p:], mode)
             if change < 0:
@@ -182,9 +182,9 @@ def _to_samples(
     A: np.ndarray, B: np.ndarray, length: float, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Φ and Γ from the start of a piece to each of its samples."""
-    from deadtime.numerics.exponential import held
+    from deadtime.numerics.exponential import discretise
 
-    pairs = [held(A, B, length * (i + 1) / samples) for i in range(samples)]
+    pairs = [discretise(A, B, length * (i + 1) / samples) for i in range(samples)]
     return np.array([Phi for Phi, _ in pairs]), np.array([Gamma for _, Gamma in pairs])
 
 

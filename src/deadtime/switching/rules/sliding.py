@@ -110,7 +110,7 @@ def _opposite(regions, row, entered, x):
 
 
 @njit(cache=True)
-def _ended(plant, regions, surface, x, u):
+def _ending(plant, regions, surface, x, u):
     """Whether and how the sliding motion has ended at x; and the region that is not there."""
     forms, rows, offsets, first, modes = regions
     boundaries = forms, rows, offsets
@@ -160,7 +160,7 @@ def slide(plant, regions, between, x, u, tau):
             step *= 0.5
             continue
         y = _onto(boundaries, row, y)
-        end, without = _ended(plant, regions, surface, y, u)
+        end, without = _ending(plant, regions, surface, y, u)
         if end == STAYS:
             x = y
             done = tau if step == tau - done else done + step
@@ -170,7 +170,7 @@ def slide(plant, regions, between, x, u, tau):
         while high - low > _SHARP * step:
             middle = 0.5 * (low + high)
             z = _onto(boundaries, row, _step(A, B, boundaries, pair, x, u, middle)[0])
-            found, there = _ended(plant, regions, surface, z, u)
+            found, there = _ending(plant, regions, surface, z, u)
             if found == STAYS:
                 low = middle
             else:

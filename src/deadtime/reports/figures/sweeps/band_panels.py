@@ -87,7 +87,7 @@ def draw(
 
 def _band(panel: Axes, x: np.ndarray, cells: Quantiles, mark: Mark, share: float) -> None:
     """A law along an axis of numbers; a cell without figures is a gap."""
-    low, lower, middle, upper, high = _bounded(cells).T
+    low, lower, middle, upper, high = _clip(cells).T
     colour, line = mark
     for bottom, top, alpha in ((low, high, 0.25), (lower, upper, 0.5)):
         # The more laws, the paler: where bands lie on each other their edges tell them apart.
@@ -99,13 +99,13 @@ def _band(panel: Axes, x: np.ndarray, cells: Quantiles, mark: Mark, share: float
 
 def _bars(panel: Axes, x: np.ndarray, cells: Quantiles, colour: str) -> None:
     """A law at values that have no order: bars from 5 to 95 and from 25 to 75 %."""
-    low, lower, middle, upper, high = _bounded(cells).T
+    low, lower, middle, upper, high = _clip(cells).T
     panel.vlines(x, low, high, color=colour, linewidth=1.0)
     panel.vlines(x, lower, upper, color=colour, linewidth=4.0, alpha=0.5)
     panel.plot(x, middle, "o", color=colour, markersize=3.5)
 
 
-def _bounded(cells: Quantiles) -> Quantiles:
+def _clip(cells: Quantiles) -> Quantiles:
     """Infinite figures as ones far beyond every axis, which lines can lead to."""
     return np.clip(cells, -1e250, 1e250)
 

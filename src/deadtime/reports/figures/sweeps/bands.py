@@ -22,17 +22,17 @@ from deadtime.reports.figures.sweeps.band_panels import (
     title_of,
 )
 from deadtime.reports.figures.sweeps.panels import places_of, too_many, words_of
-from deadtime.reports.figures.sweeps.reduction import reduced
+from deadtime.reports.figures.sweeps.reduction import reduce
 from deadtime.reports.figures.sweeps.selection import (
     Where,
     laws_of,
     long_axes,
     named_laws,
     oracle_of,
-    selected,
+    select,
     sides,
 )
-from deadtime.reports.figures.sweeps.titles import headed, measure_of
+from deadtime.reports.figures.sweeps.titles import add_title, measure_of
 from deadtime.reports.figures.sweeps.words import label_of
 
 if TYPE_CHECKING:
@@ -77,16 +77,16 @@ def plot_bands(
     >>> plot_bands(data).axes[0].lines[-1].get_ydata()
     array([2., 4.])
     """
-    kept = selected(data, metric, where)
+    kept = select(data, metric, where)
     named_laws(kept, laws, ())
     panes(kept, x)  # names and sizes are checked before the store is read
-    return bands(reduced(kept, metric), metric, x, laws)
+    return bands(reduce(kept, metric), metric, x, laws)
 
 
 def bands(
     found: xr.Dataset, metric: str, x: str | None, laws: Sequence[str] | None = None
 ) -> Figure:
-    """`plot_bands` of what `reduced` gives."""
+    """`plot_bands` of what `reduce` gives."""
     across, rest = panes(found, x)
     shown = named_laws(found, laws, laws_of(found))
     colours = colours_of(laws_of(found), oracle_of(found))
@@ -111,7 +111,7 @@ def bands(
         figure.align_ylabels()
         labels = [plain(law) + " (off the axes)" * (not seen[i]) for i, law in enumerate(shown)]
         add_legend(figure, list(zip(labels, marks, strict=True)), is_ordered(found, across))
-    return headed(figure, found, None)
+    return add_title(figure, found, None)
 
 
 def panes(data: xr.Dataset, x: str | None) -> tuple[str | None, list[str]]:

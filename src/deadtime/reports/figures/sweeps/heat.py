@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from deadtime.reports.figures.sweeps.maps import Scale, coloured
+from deadtime.reports.figures.sweeps.maps import Scale, colour_map
 from deadtime.reports.figures.sweeps.panels import Grid, grid_of
-from deadtime.reports.figures.sweeps.reduction import reduced
+from deadtime.reports.figures.sweeps.reduction import reduce
 from deadtime.reports.figures.sweeps.scales import scale_of
 from deadtime.reports.figures.sweeps.selection import (
     NOT_RUN,
@@ -19,10 +19,10 @@ from deadtime.reports.figures.sweeps.selection import (
     long_axes,
     oracle_or_refuse,
     quotients_of,
-    selected,
+    select,
     sides,
 )
-from deadtime.reports.figures.sweeps.titles import headed, measure_of, symbol_of
+from deadtime.reports.figures.sweeps.titles import add_title, measure_of, symbol_of
 from deadtime.reports.figures.sweeps.words import figure_of, one_of
 
 if TYPE_CHECKING:
@@ -71,10 +71,10 @@ def plot_heat(
     >>> [cell.get_text() for cell in panel.texts]
     ['2.00', '4.00']
     """
-    kept = selected(data, metric, where)
+    kept = select(data, metric, where)
     law = one_of("law", law, laws_of(kept))
     sides(kept, x, y)  # names are checked before the store is read
-    return heat(reduced(kept, metric), law, metric, x, y)
+    return heat(reduce(kept, metric), law, metric, x, y)
 
 
 def plot_regret(
@@ -109,31 +109,31 @@ def plot_regret(
     >>> panel.texts[0].get_text()
     '4.00'
     """
-    kept = selected(data, quotients_of(metric), where)
+    kept = select(data, quotients_of(metric), where)
     law = one_of("law", law, laws_of(kept))
     sides(kept, x, y)
     oracle = oracle_or_refuse(kept)
-    return regret(reduced(kept, metric, oracle=oracle), law, metric, x, y)
+    return regret(reduce(kept, metric, oracle=oracle), law, metric, x, y)
 
 
 def heat(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
-    """`plot_heat` of what `reduced` gives."""
+    """`plot_heat` of what `reduce` gives."""
     middle = found["quantile"].sel(law=law, level=0.5, drop=True)
     label = f"median {measure_of(found, metric)}"
     scale = scale_of(middle.values, label, "YlOrRd_r" if metric in RATES else "YlOrRd")
     grid = grid_for(found, x, y)
-    figure = coloured(found, grid, middle, scale, figure_of, waiting=found[NOT_RUN])
-    return headed(figure, found, grid, f"Law “{law}”")
+    figure = colour_map(found, grid, middle, scale, figure_of, waiting=found[NOT_RUN])
+    return add_title(figure, found, grid, f"Law “{law}”")
 
 
 def regret(found: xr.Dataset, law: str, metric: str, x: str | None, y: str | None) -> Figure:
-    """`plot_regret` of what `reduced` gives."""
+    """`plot_regret` of what `reduce` gives."""
     ticks = {1.0: "1", 3.0: "3", 10.0: "10", 30.0: "30", _LOST: "100"}
     label = f"{symbol_of(metric, found)} over the oracle's"
     scale = Scale(LogNorm(1.0, _LOST), "YlOrRd", "max", label, ticks)
     grid, values = grid_for(found, x, y), found["regret"].sel(law=law, drop=True)
-    figure = coloured(found, grid, values, scale, waiting=found[NOT_RUN])
-    return headed(figure, found, grid, f"Law “{law}”")
+    figure = colour_map(found, grid, values, scale, waiting=found[NOT_RUN])
+    return add_title(figure, found, grid, f"Law “{law}”")
 
 
 def grid_for(found: xr.Dataset, x: str | None, y: str | None) -> Grid:

@@ -51,7 +51,7 @@ class Scale:
         return ScalarMappable(self.norm, colormaps[self.colours])
 
 
-def coloured(
+def colour_map(
     data: xr.Dataset,
     grid: Grid,
     values: xr.DataArray,

@@ -146,13 +146,13 @@ def _frame(panel: Axes, data: xr.Dataset, grid: Grid, labelled: tuple[bool, bool
         if side == "x" and max(map(len, texts), default=0) > room:
             panel.tick_params("x", rotation=90)
         if name is not None and labelled[side == "x"]:
-            axis.set_label_text(_fitting(data[name], side, length), fontsize=8.5)
+            axis.set_label_text(_axis_label(data[name], side, length), fontsize=8.5)
     panel.tick_params(length=0)
     panel.grid(False)
     panel.spines[:].set_visible(False)
 
 
-def _fitting(axis: xr.DataArray, side: str, length: float) -> str:
+def _axis_label(axis: xr.DataArray, side: str, length: float) -> str:
     """The label of an axis: only the symbol at its end, or on several lines, where it is short."""
     label, symbol = label_of(axis), name_of(axis).split()[-1]
     if side == "x" or len(label) * _LETTER <= 1.1 * length:

@@ -36,7 +36,7 @@ def score_of(data: xr.Dataset, metric: str) -> xr.DataArray:
     return score if score.chunks is None else score.chunk(dict.fromkeys(RUNS, -1))
 
 
-def reduced(
+def reduce(
     data: xr.Dataset,
     metric: str,
     rivals: Sequence[str] = (),
@@ -47,7 +47,7 @@ def reduced(
     Parameters
     ----------
     data : xarray.Dataset
-        From `selected`.
+        From `select`.
     metric : str
     rivals : sequence of str
         The laws to choose the best of.

@@ -23,7 +23,7 @@ Where = Mapping[str, Any]
 
 
 def axes_of(data: xr.Dataset) -> list[str]:
-    """The axes of the grid, in their order, of a sweep or of what `reduced` makes of it."""
+    """The axes of the grid, in their order, of a sweep or of what `reduce` makes of it."""
     cells = data[NOT_RUN] if NOT_RUN in data else data["diverged"]
     return [str(name) for name in cells.dims if name not in RUNS]
 
@@ -53,7 +53,7 @@ def oracle_of(data: xr.Dataset) -> str:
     return name if name in laws_of(data) else ""
 
 
-def selected(data: xr.Dataset, metric: str, where: Where | None = None) -> xr.Dataset:
+def select(data: xr.Dataset, metric: str, where: Where | None = None) -> xr.Dataset:
     """The cells to draw, and of the metrics only one; an axis keeps the value that it is held at.
 
     Raises

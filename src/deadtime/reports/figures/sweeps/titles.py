@@ -47,7 +47,7 @@ def measure_of(found: xr.Dataset, metric: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def headed(figure: Figure, found: xr.Dataset, grid: Grid | None, lead: str = "") -> Figure:
+def add_title(figure: Figure, found: xr.Dataset, grid: Grid | None, lead: str = "") -> Figure:
     """A title: what is shown, and the axes that have one value."""
     shown = () if grid is None else (grid.x, grid.y)
     held = [axis for axis in axes_of(found) if found.sizes[axis] == 1 and axis not in shown]

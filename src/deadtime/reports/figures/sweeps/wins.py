@@ -11,7 +11,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps.heat import grid_for
 from deadtime.reports.figures.sweeps.maps import winners
-from deadtime.reports.figures.sweeps.reduction import reduced
+from deadtime.reports.figures.sweeps.reduction import reduce
 from deadtime.reports.figures.sweeps.selection import (
     NOT_RUN,
     Where,
@@ -19,10 +19,10 @@ from deadtime.reports.figures.sweeps.selection import (
     laws_of,
     named_laws,
     quotients_of,
-    selected,
+    select,
     sides,
 )
-from deadtime.reports.figures.sweeps.titles import headed, symbol_of
+from deadtime.reports.figures.sweeps.titles import add_title, symbol_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,23 +62,23 @@ def plot_wins(
     >>> figure.axes[0].texts[0].get_text(), figure.legends[0].get_texts()[0].get_text()
     ('2.00', 'mean')
     """
-    kept = selected(data, quotients_of(metric), where)
+    kept = select(data, quotients_of(metric), where)
     rivals = named_laws(kept, laws, causal(kept))
     if not rivals:
         raise ArgumentError(
             "laws must be given where the oracle is the only law: name it, or run more laws."
         )
     sides(kept, x, y)
-    return wins(reduced(kept, metric, rivals), rivals, metric, x, y)
+    return wins(reduce(kept, metric, rivals), rivals, metric, x, y)
 
 
 def wins(
     found: xr.Dataset, rivals: Sequence[str], metric: str, x: str | None, y: str | None
 ) -> Figure:
-    """`plot_wins` of what `reduced` gives for these rivals."""
+    """`plot_wins` of what `reduce` gives for these rivals."""
     colours = colours_of(laws_of(found))
     grid = grid_for(found, x, y)
     figure = winners(found, grid, found, {law: colours[law] for law in rivals}, found[NOT_RUN])
     second = ", and the runner-up's over it" * grid.has_figures(found)
     lead = f"Least {symbol_of(metric, found)}{second}"
-    return headed(figure, found, grid, lead)
+    return add_title(figure, found, grid, lead)
