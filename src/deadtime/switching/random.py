@@ -10,60 +10,25 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.signal import MOST_SWITCHES, SwitchingSignal
 
 BLOCK = 64
+MOST_SWITCHES = 1e7
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
+Switches = tuple[np.ndarray, np.ndarray]  # times, from 0 on, and modes
 
 
-def random_signal(
+def random_switches(
     modes: int,
     horizon: float,
     *,
-    dwell_time: float | None = None,
-    average_dwell_time: float | None = None,
-    mean_sojourn: float | None = None,
-    chatter: int = 2,
-    seed: int = 0,
-) -> SwitchingSignal:
-    """A random signal with a minimum or an average dwell time.
-
-    With `dwell_time` τ_d, sojourns are τ_d + Exp(mean_sojourn − τ_d); `mean_sojourn` is 2 τ_d
-    unless given. With `average_dwell_time` τ_a, switches arrive as a Poisson process with mean
-    spacing `mean_sojourn` (τ_a unless given) and pass a leaky bucket: it fills at the rate 1/τ_a
-    up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at most
-    chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over the
-    others.
-
-    Parameters
-    ----------
-    modes : int
-        Number of modes, at least 1.
-    horizon : float
-        The signal ends here, in seconds.
-    dwell_time, average_dwell_time : float
-        Give exactly one, in seconds.
-    mean_sojourn : float, optional
-        Mean time between switches (between proposed switches for an average dwell time), s.
-    chatter : int
-        N₀ ≥ 1, how many switches an average dwell time allows at once.
-    seed : int
-        The same seed gives the same signal; a longer horizon continues it.
-
-    Raises
-    ------
-    ArgumentError
-        If not exactly one dwell time is given, or the mean sojourn is below the dwell time.
-
-    Examples
-    --------
-    >>> signal = random_signal(3, 20.0, dwell_time=0.3, seed=1)
-    >>> signal.dwell_time >= 0.3
-    True
-    >>> random_signal(2, 50.0, average_dwell_time=0.5, seed=1).average_dwell_time(2) >= 0.5
-    True
-    """
+    dwell_time: float | None,
+    average_dwell_time: float | None,
+    mean_sojourn: float | None,
+    chatter: int,
+    seed: int,
+) -> Switches:
+    """Times and modes of `SwitchingSignal.random`, whose arguments these are."""
     horizon = positive("horizon", horizon)
     if (dwell_time is None) == (average_dwell_time is None):
         raise ArgumentError("dwell_time or average_dwell_time: give exactly one of the two.")
@@ -81,7 +46,7 @@ def random_signal(
     for _ in times:
         shift = int(mode_rng.integers(1, modes)) if modes > 1 else 0
         visited.append((visited[-1] + shift) % modes)
-    return SwitchingSignal(np.array([0.0, *times]), np.array(visited), horizon)
+    return np.array([0.0, *times]), np.array(visited)
 
 
 def mean_or_twice(dwell_time: float, mean_sojourn: float | None = None) -> float:
@@ -129,15 +94,15 @@ def _average_dwell(
     return times
 
 
-def jump_signal(
+def jump_switches(
     draws: Sequence[Draw],
     transition: Float[np.ndarray, "mode mode"],
     horizon: float,
     seed: int,
-) -> SwitchingSignal:
-    """Stay in mode i for a time from draws[i], then jump by row i of `transition`, and so on.
+) -> Switches:
+    """Times and modes of a process that stays in mode i for a time from draws[i], then jumps.
 
-    The first mode is uniform. Each mode has a generator of its own, and one more decides the
+    Jumps go by the rows of `transition`; the first mode is uniform. Each mode has a generator of its own, and one more decides the
     jumps; all are read in blocks of a fixed size, so a longer horizon continues the signal. A
     sojourn too short for a double to tell its ends apart is left out.
     """
@@ -163,4 +128,4 @@ def jump_signal(
         visited.append(mode)
     starts = np.array(times)
     kept = np.append(np.diff(starts) > 0.0, True)
-    return SwitchingSignal(starts[kept], np.array(visited)[kept], horizon)
+    return starts[kept], np.array(visited)[kept]

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, brief, number, positive, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-
-MOST_SWITCHES = 1e7
+from deadtime.switching.random import MOST_SWITCHES, random_switches
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -231,11 +230,43 @@ class SwitchingSignal(Frozen):
     ) -> SwitchingSignal:
         """A random signal with a minimum or an average dwell time.
 
-        See `deadtime.switching.random.random_signal` for what the arguments mean.
-        """
-        from deadtime.switching.random import random_signal
+        With `dwell_time` τ_d, sojourns are τ_d + Exp(mean_sojourn − τ_d); `mean_sojourn` is 2 τ_d
+        unless given. With `average_dwell_time` τ_a, switches arrive as a Poisson process with mean
+        spacing `mean_sojourn` (τ_a unless given) and pass a leaky bucket: it fills at the rate
+        1/τ_a up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at most
+        chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over the
+        others.
 
-        return random_signal(
+        Parameters
+        ----------
+        modes : int
+            Number of modes, at least 1.
+        horizon : float
+            The signal ends here, in seconds.
+        dwell_time, average_dwell_time : float
+            Give exactly one, in seconds.
+        mean_sojourn : float, optional
+            Mean time between switches (between proposed switches for an average dwell time), s.
+        chatter : int
+            N₀ ≥ 1, how many switches an average dwell time allows at once.
+        seed : int
+            The same seed gives the same signal; a longer horizon continues it.
+
+        Raises
+        ------
+        ArgumentError
+            If not exactly one dwell time is given, or the mean sojourn is below the dwell time.
+
+        Examples
+        --------
+        >>> signal = SwitchingSignal.random(3, 20.0, dwell_time=0.3, seed=1)
+        >>> signal.dwell_time >= 0.3
+        True
+        >>> signal = SwitchingSignal.random(2, 50.0, average_dwell_time=0.5, seed=1)
+        >>> signal.average_dwell_time(chatter=2) >= 0.5
+        True
+        """
+        times, visited = random_switches(
             modes,
             horizon,
             dwell_time=dwell_time,
@@ -244,6 +275,7 @@ class SwitchingSignal(Frozen):
             chatter=chatter,
             seed=seed,
         )
+        return cls(times, visited, horizon)
 
     @classmethod
     def from_csv(

@@ -13,7 +13,7 @@ from deadtime.base.checks import count, positive, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.models.quantiles import Quantiles
-from deadtime.switching.random import Draw, jump_signal, require_few
+from deadtime.switching.random import Draw, jump_switches, require_few
 from deadtime.switching.signal import SwitchingSignal
 
 if TYPE_CHECKING:
@@ -116,7 +116,10 @@ class Markov(Frozen):
         count("seed", seed, least=0)
         mean = self.mean
         require_few(horizon, float(mean.max()))
-        return jump_signal([_exponential(scale) for scale in mean], self.rates, horizon, seed)
+        return SwitchingSignal(
+            *jump_switches([_exponential(scale) for scale in mean], self.rates, horizon, seed),
+            horizon,
+        )
 
     @property
     def drawable(self) -> bool:

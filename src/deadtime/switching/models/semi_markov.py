@@ -25,7 +25,7 @@ from deadtime.switching.models.sojourns import (
     mean_sojourn,
     survival,
 )
-from deadtime.switching.random import jump_signal, require_few
+from deadtime.switching.random import jump_switches, require_few
 from deadtime.switching.signal import SwitchingSignal
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class SemiMarkov(Frozen):
         count("seed", seed, least=0)
         require_few(horizon, float(self.mean.max()))
         draws = [draw_from(f"sojourn[{i}]", dist) for i, dist in enumerate(self.sojourn)]
-        return jump_signal(draws, self.transition, horizon, seed)
+        return SwitchingSignal(*jump_switches(draws, self.transition, horizon, seed), horizon)
 
     @cached_property
     def drawable(self) -> bool:

@@ -165,7 +165,7 @@ def mean_sojourn(dist: Distribution) -> float:
 
 
 def draw_from(name: str, dist: Distribution) -> Draw:
-    """How `jump_signal` draws from a distribution."""
+    """How `jump_switches` draws from a distribution."""
     return partial(_draw, name, dist)
 
 
