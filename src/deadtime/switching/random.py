@@ -102,9 +102,10 @@ def jump_switches(
 ) -> Switches:
     """Times and modes of a process that stays in mode i for a time from draws[i], then jumps.
 
-    Jumps go by the rows of `transition`; the first mode is uniform. Each mode has a generator of its own, and one more decides the
-    jumps; all are read in blocks of a fixed size, so a longer horizon continues the signal. A
-    sojourn too short for a double to tell its ends apart is left out.
+    Jumps go by the rows of `transition`; the first mode is uniform. Each mode has a generator of
+    its own, and one more decides the jumps; all are read in blocks of a fixed size, so a longer
+    horizon continues the signal. A sojourn too short for a double to tell its ends apart is left
+    out.
     """
     seeds = np.random.SeedSequence(seed).spawn(len(draws) + 1)
     jump_rng, *sojourn_rngs = map(np.random.default_rng, seeds)

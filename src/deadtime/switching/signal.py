@@ -233,9 +233,9 @@ class SwitchingSignal(Frozen):
         With `dwell_time` τ_d, sojourns are τ_d + Exp(mean_sojourn − τ_d); `mean_sojourn` is 2 τ_d
         unless given. With `average_dwell_time` τ_a, switches arrive as a Poisson process with mean
         spacing `mean_sojourn` (τ_a unless given) and pass a leaky bucket: it fills at the rate
-        1/τ_a up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at most
-        chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over the
-        others.
+        1/τ_a up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at
+        most chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over
+        the others.
 
         Parameters
         ----------
