@@ -45,7 +45,7 @@ rates = [dt.growth_rate(problem.plant, law, mode, step) for mode in (0, 1)]
 held = [problem.hold(mode, horizon=30.0) for mode in (0, 1)]
 for mode, (rate, run) in enumerate(zip(rates, held, strict=True)):
     measured = -run.metrics()["decay_rate"]
-    print(f"mode {mode} for ever: growth {rate:+.3f} /s, in a run {measured:+.3f} /s")
+    print(f"mode {mode} held: growth {rate:+.3f} /s, in a run {measured:+.3f} /s")
 
 worst = dt.falsify(problem.plant, law, problem.dwell_time, step=0.1)
 print(f"worst of all signals that were tried ({worst.evaluated}): {worst.message}")
@@ -56,7 +56,7 @@ with rc_context(STYLE):
     switched = np.linalg.norm(runs["averaged"].states, axis=0)
     axes.semilogy(runs["averaged"].time, switched, color=COLOURS[0], label="switching at random")
     for mode, run in enumerate(held):
-        label = f"mode {mode} for ever ({rates[mode]:+.2f} /s)"
+        label = f"mode {mode} held ({rates[mode]:+.2f} /s)"
         norm = np.linalg.norm(run.states, axis=0)
         axes.semilogy(run.time, norm, color=COLOURS[1 + mode], label=label)
     axes.set(xlim=(0, 30), xlabel="time (s)", ylabel="|x|", title="The averaged law, three futures")

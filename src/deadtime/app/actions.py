@@ -169,7 +169,7 @@ class Actions:
         self._judge()
 
     def _judge(self, _: Any = None) -> None:
-        """Say soon what the loop does in each mode for ever."""
+        """Say soon what the loop does with each mode held."""
         self._moves += 1
         mine, document = self._moves, pn.state.curdoc
 

@@ -66,14 +66,14 @@ def worst_signal(
 
 
 def lifted_order(problem: Problem) -> int:
-    """States and inputs in the pipe of a digital loop; 0 for an ideal one."""
+    """States and inputs in flight of a digital loop; 0 for an ideal one."""
     plant = problem.plant
     taps = 0.0 if problem.step is None else plant.delay / problem.step
     return plant.states + math.ceil(taps) * plant.inputs
 
 
 def growth_rates(problem: Problem, law: str) -> list[float]:
-    """Growth of a law's loop in every mode for ever, 1/s; none where that is not defined."""
+    """Growth of a law's loop with each mode held, 1/s; none where that is not defined."""
     chosen = problem.laws.get(law)
     if chosen is None or problem.step is None or not isinstance(chosen, TableLaw):
         return []

@@ -77,7 +77,7 @@ class Certificate:
         return evidence.lyapunov(mode, min(count("age", age, 0), evidence.setting.transitions.last))
 
     def save(self, path: str | Path) -> Path:
-        """Write a JSON file for `verify`.
+        """Write the certificate to a JSON file, which `verify` proves again.
 
         Raises
         ------

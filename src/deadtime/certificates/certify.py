@@ -70,7 +70,7 @@ def certify(
     step : float
         Sampling period h, in seconds.
     maximum_dwell : float, optional
-        Longest sojourn, in seconds; without it a mode may last for ever.
+        Longest sojourn, in seconds; without it a mode may be held without end.
     chatter : int
         N₀: above 1, `dwell_time` is an average dwell time τ_a, and any window of T s may hold
         N₀ + T/τ_a switches, at most one per period.

@@ -107,7 +107,7 @@ class Observer(Frozen):
 
     @property
     def window(self) -> Window:
-        """The inputs on their way."""
+        """The plant's inputs in flight, at the observer's period."""
         return Window.of_plant(self.plant, self.step)
 
     @cached_property
@@ -120,7 +120,7 @@ class Observer(Frozen):
 
     @cached_property
     def rates(self) -> Float[np.ndarray, " mode"]:
-        """How fast the error grows in a mode that lasts for ever, 1/s; negative for decay.
+        """How fast the error grows with each mode held, 1/s; negative for decay.
 
         In such a mode the loop of plant, law and observer grows at the larger of this and of what
         `growth_rate` says of the law on the true state (separation), the model being right.

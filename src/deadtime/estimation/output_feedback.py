@@ -147,7 +147,7 @@ class OutputFeedback(Law):
     def estimator(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Estimator:
-        """Its observer, to be run at its period; `signal` and `steps` as in `Law.digital`."""
+        """The observer, ready to run period by period; `signal` and `steps` as in `Law.digital`."""
         self.require_step(step)
         if self.servo is None:
             return Estimator(self.observer, self.estimate)

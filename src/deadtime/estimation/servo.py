@@ -140,7 +140,7 @@ class Servo(Frozen):
 
     @property
     def sums(self) -> int:
-        """Size of q."""
+        """Number of integrated errors, the size of q."""
         return len(self.tracked) if self.integral else 0
 
     def place(
@@ -157,7 +157,7 @@ class Servo(Frozen):
 
     @property
     def moving(self) -> Int[np.ndarray, " xq"]:
-        """Where (x, q) are in z; the rest, d and r, are constant."""
+        """Indices of (x, q) in the state z; the rest, d and r, are constant."""
         n, k = self.base.states, self.disturbance.shape[2]
         return np.r_[0:n, n + k : n + k + self.sums]
 

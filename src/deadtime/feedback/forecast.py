@@ -5,9 +5,9 @@ A law updated continuously is a sum over branches, each a future of the switchin
     u(t) = Σ_b K_b(t) P_b(t),
 
 where P_b(t) is the state at t + D of the law's model if it starts from x(t), takes the inputs
-in the pipe, and follows the branch. (A law may predict more than the state: its systems then
+in flight, and follows the branch. (A law may predict more than the state: its systems then
 have q ≥ n states and start from L x(t), L the `lift`.) A branch follows the path first, up to
-the time `until`, then stays in its own system for ever. The path is the signal itself for a law
+the time `until`, then holds its own system. The path is the signal itself for a law
 that foresees it, and otherwise the mode in which the forecast is made. So a law that forecasts
 no switching has until = −∞, a dwell-aware one the end of the guaranteed dwell, the oracle
 foresees its signal throughout, and a law with D = 0 predicts nothing.
@@ -70,7 +70,7 @@ class Forecast:
         K: Float[np.ndarray, "system m n"],
         lead: float,
     ) -> Forecast:
-        """One branch per system, each for ever, with the (weighted) gain of that system."""
+        """The forecast of constant modes: a branch per system, with its (weighted) gain."""
         return cls(
             A,
             B,
@@ -90,7 +90,7 @@ class Forecast:
         dwell_time: float,
         signal: SwitchingSignal,
     ) -> Forecast:
-        """The current mode up to a dwell time after its start, then the systems `after`.
+        """The forecast that the mode is held for its dwell time, then the systems `after`.
 
         `after` are the A, B and (weighted) K of these systems, as in `constant`.
         """

@@ -41,7 +41,7 @@ class Factor(NamedTuple):
     last: Float[np.ndarray, "context m m"]
 
     def taps(self, count: int) -> Float[np.ndarray, "context N m m"]:
-        """The N = `count` taps that the factorisation stands for."""
+        """The first `count` taps G_{c,1}, G_{c,2}, …, multiplied out."""
         contexts, m, _ = self.H.shape
         result = np.empty((contexts, count, m, m))
         column = self.input

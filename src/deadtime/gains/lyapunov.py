@@ -56,7 +56,7 @@ class CommonLyapunov(Frozen):
 
 
 def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
-    """The common P of norm 1 with the largest λ_min(Q).
+    """The common Lyapunov matrix P of all modes, of norm 1, with the largest λ_min(Q).
 
     Solves: maximise q subject to (A_i + B_i K_i)ᵀP + P(A_i + B_i K_i) ≤ −q I, 0 ≤ P ≤ I. Among
     all pairs of (4) it has the largest λ_min(Q)/|P|, the ratio on which the paper's ε* depends.

@@ -62,7 +62,7 @@ class SensorImperfection(Imperfection):
 
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        """A function to be called once a sample, with a memory of its own."""
+        """What the law is told: a function to be called once a sample, with a memory of its own."""
 
 
 class Additive(ABC):
@@ -73,7 +73,7 @@ class Additive(ABC):
 
     @abstractmethod
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
-        """A function of a count that draws (count, n), the same numbers in blocks or one by one."""
+        """A function of a count that draws noise (count, n), the same in blocks or one by one."""
 
     @final
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
@@ -107,7 +107,7 @@ class Limiting(ABC):
 
     @abstractmethod
     def limits(self, sizes: Sizes) -> Limits:
-        """To what."""
+        """The least and the largest input, and whether they are relative to the input before."""
 
     @final
     def actuator(self, sizes: Sizes) -> Act:

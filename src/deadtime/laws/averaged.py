@@ -106,7 +106,7 @@ class AveragedPredictor(TableLaw):
         dwell_time: float | None = None,
         allow_unstable: bool = False,
     ) -> AveragedPredictor:
-        """The averaged law that is best for the worst mode when that mode lasts for ever.
+        """The averaged law whose weights make the worst constant mode as stable as they can.
 
             minimise  max_i g_i(w),    g_i = growth_rate(plant, law, i, step),
 

@@ -1,4 +1,4 @@
-"""The averaged law whose weights, and gain, are best for the worst mode held for ever.
+"""The averaged law whose weights, and gain, are best for the worst constant mode.
 
     minimise  max_i g_i(w, K)    over w ≥ 0, Σ w_i = 1, and, if asked for, one K for all modes,
 
@@ -122,7 +122,7 @@ def _height(
 
 
 def _rates(plant: SwitchedSystem, table: Feedback, step: float) -> Float[np.ndarray, " mode"]:
-    """The growth rate of every mode held for ever."""
+    """The growth rate of every mode when it is held."""
     loops = [LiftedLoop.of(plant, table, mode, 0) for mode in range(plant.modes)]
     return np.array([loop.growth_rate(step) for loop in loops])
 

@@ -18,7 +18,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class SingleModePredictor(TableLaw):
-    """Exact predictor feedback of mode i, forecasting that the plant stays in it for ever.
+    """Exact predictor feedback of mode i, forecasting that this mode is held.
 
         u(t) = K_i P_i(t),    P_i(t) = e^{A_i D} x(t) + ∫_{t−D}^{t} e^{A_i(t−θ)} B_i u(θ) dθ
 

@@ -25,7 +25,7 @@ class StateDependentPredictor(Law):
     """Exact predictor feedback where the state decides the mode, σ = r(x): the rule run forward.
 
         u(t) = K_σ(t+D) P(t),    P(t) = x(t + D) of the model under its rule, from x(t) and the
-                                 inputs in the pipe; σ(t + D) = r(P(t))
+                                 inputs in flight; σ(t + D) = r(P(t))
 
     The state decides the future, so there is nothing to guess: with the right model and rule it
     is exact, as the oracle is, and knows no signal. Between crossings the model moves by its

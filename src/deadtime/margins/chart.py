@@ -55,7 +55,7 @@ def stability_chart(
     ratio: float = 1.02,
     progress: Callable[[str], None] = lambda _: None,
 ) -> StabilityChart:
-    """A margin for each law at each dwell time, for `margin_plots.plot_chart`.
+    """A stability margin for each law at each dwell time, which `plot_chart` draws.
 
     Parameters
     ----------

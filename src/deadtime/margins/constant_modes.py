@@ -2,7 +2,7 @@
 
 The law keeps the table that it was given, made for its own model's delay; only the delay of the
 plant changes. Where the loop of a constant mode is stable at the plant's nominal delay, it stays so
-until, on the way to another delay, a root first stands on the limit of stability
+until, on the way to another delay, a root first lies on the limit of stability
 (`deadtime.margins.crossing`).
 """
 
@@ -94,7 +94,7 @@ class DelayMargin(Frozen):
 def constant_delay_margin(
     plant: SwitchedSystem, law: Law, step: float | None = 0.01, upto: float | None = None
 ) -> DelayMargin:
-    """How wrong the delay may be, if any one mode lasts for ever.
+    """How wrong the delay may be under constant switching signals.
 
     Parameters
     ----------

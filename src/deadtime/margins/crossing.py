@@ -1,6 +1,6 @@
-"""The first true delay at which a loop stands at the limit of stability.
+"""The first true delay at which a loop is at the limit of stability.
 
-A root stands there at (ω, D) if an eigenvalue of the loop's gain X(ω, D) is 1
+A root lies there at (ω, D) if an eigenvalue of the loop's gain X(ω, D) is 1
 (`deadtime.margins.loop_gain`), that is, if along one of the curves D_k(ω) on which the phase is
 right,
 

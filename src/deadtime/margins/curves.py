@@ -1,7 +1,7 @@
 """Curves D_k(ω) along which the loop's gain is real and positive, and the zeros of its level there.
 
 `deadtime.margins.crossing` says what they are for: where G(ω) = ln|λ(ω, D_k(ω))| is 0 a root
-stands on the limit of stability. A cell between two frequencies is cut in halves until it is
+lies on the limit of stability. A cell between two frequencies is cut in halves until it is
 decided: G cannot reach 0 in it, |G| at both ends being above what the slopes there allow; G changes
 its sign once; or G is 0 but for `TOUCH`. In a digital loop G has a bend wherever D_k passes a
 multiple of the period.

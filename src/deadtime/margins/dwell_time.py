@@ -32,7 +32,7 @@ SAME = 1e-12  # of a dwell time, in 1/τ_d and back
 
 @dataclass(frozen=True, eq=False)
 class LeastDwellTime:
-    """What `least_dwell_time` found (immutable).
+    """The shortest dwell time proved stable and the longest refuted, as `least_dwell_time` found.
 
     Attributes
     ----------

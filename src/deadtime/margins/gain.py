@@ -64,7 +64,7 @@ class GainMargin(Frozen):
 
 
 def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> GainMargin:
-    """How wrong the inputs' effect B may be, by one factor, if any one mode lasts for ever.
+    """By what factor the inputs' effect B may be wrong under constant switching signals.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _interval(
 
 
 def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"]:
-    """Every factor at which a root stands at the limit of stability, increasing."""
+    """Every factor at which a root lies at the limit of stability, increasing."""
     highest = response.highest
     count = int(8.0 * highest * (response.memory + delay)) + 256
     omega = np.linspace(1e-9, 1.0 - 1e-9, count) * highest

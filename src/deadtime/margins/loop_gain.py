@@ -1,6 +1,6 @@
 """The loop's gain at the plant's input, and the bands of frequencies in which it may be one.
 
-With the plant's pipe p at the true delay D (`deadtime.spectrum.response`) a root stands on the
+With the plant's delay line p at the true delay D (`deadtime.spectrum.response`) a root lies on the
 limit of stability at the frequency ω exactly if
 
     X(ω, D) = M⁻¹ r p    has the eigenvalue λ = 1.

@@ -21,7 +21,7 @@ Loop = tuple[SwitchedSystem, Law]
 
 @dataclass(frozen=True, eq=False)
 class StabilityMargin:
-    """What `stability_margin` found (immutable).
+    """The largest value proved stable and the smallest refuted, as `stability_margin` found them.
 
     Attributes
     ----------

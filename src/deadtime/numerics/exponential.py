@@ -102,7 +102,7 @@ def advance(Phi, Gamma, x, u, result):
 
 @njit(cache=True)
 def discretise(A, B, tau):
-    """Φ (n, n) and Γ (n, m) over a piece of length `tau` seconds with the input held.
+    """Φ (n, n) and Γ (n, m): dx/dt = A x + B u over `tau` seconds with the input held.
 
     Both are NaN where |A|τ is beyond what floats hold.
     """

@@ -20,7 +20,7 @@ from deadtime.base.errors import ArgumentError
 def finite_discretisation(
     A: np.ndarray, B: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Φ and Γ."""
+    """Φ and Γ of one mode over a step; refused where they are beyond what floats hold."""
     from deadtime.numerics.exponential import discretise
 
     Phi, Gamma = discretise(read_only(A), read_only(B), step)

@@ -20,7 +20,7 @@ _MOST_WORK = 2e9  # of these, times those that a delay holds
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What `compare` measured.
+    """Runs of a problem's laws with their outcomes, as `compare` measured them.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Comparison:
     metrics : mapping
         `Trajectory.metrics` of each run, at the problem's cost.
     held : tuple of Trajectory
-        The problem's first law with mode 0, 1, … for ever.
+        The problem's first law with mode 0, 1, … held.
     growth : tuple of float
         Growth rate of each of these, 1/s: positive means unstable. That of the loop's spectrum;
         where it has none, or it would take long, as `measured`.
@@ -89,7 +89,7 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
         horizon = max(problem.horizon, min(horizon, most * problem.step))
     held = []
     for mode in range(problem.plant.modes):
-        progress(f"simulating: {problem.modes[mode]} for ever")
+        progress(f"simulating: {problem.modes[mode]} held")
         held.append(problem.hold(mode, horizon))
     metrics = {name: run.metrics(problem.weight) for name, run in runs.items()}
     measured = tuple(-run.metrics()["decay_rate"] for run in held)

@@ -110,7 +110,7 @@ def three_mode() -> Problem:
     """The three-mode plant of arXiv 2506.03908: D = 1 s, dwell time 0.9 s.
 
     Its mean law uses the published gain and the minimax centres of the matrices; the centre of
-    A is not unique. Its averaged loop, too, is unstable if it stays in mode 0 for ever.
+    A is not unique. Its averaged loop, too, is unstable with mode 0 held.
 
     Examples
     --------

@@ -86,7 +86,7 @@ class ImperfectLaw:
         if timings:
             self.lag = lambda: (sum(lag() for lag in waits), sum(lag() for lag in early))
         self._update = update
-        self._pipe: np.ndarray | None = None
+        self._line: np.ndarray | None = None
         self._mode, self._age = -1, 0
         self.measured: list[np.ndarray] = []
         self.commanded: list[np.ndarray] = []
@@ -96,11 +96,11 @@ class ImperfectLaw:
         for sense in self._sensors:
             seen = sense(seen)
         self._follow(seen.mode, age)
-        if self._pipe is None:
-            self._pipe = past.copy()
-        asked = self._ask_law(seen.x, self._pipe if self._tells_commands else past)
-        self._pipe[:-1] = self._pipe[1:]
-        self._pipe[-1] = asked
+        if self._line is None:
+            self._line = past.copy()
+        asked = self._ask_law(seen.x, self._line if self._tells_commands else past)
+        self._line[:-1] = self._line[1:]
+        self._line[-1] = asked
         self.measured.append(seen.x)
         self.commanded.append(asked)
         for act in self._actuators:

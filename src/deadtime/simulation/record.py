@@ -84,7 +84,7 @@ class DigitalRecord(Frozen):
         return time if end - time[-1] <= 1e-9 * self.step else np.append(time, end)
 
     def history(self, end: float) -> Float[np.ndarray, "m N"]:
-        """The inputs in the pipe at the last sample, oldest first."""
+        """The inputs in flight at the last sample, oldest first."""
         last = self.past + self.samples - 1
         return self.inputs[last - self.past : last].T.copy()
 

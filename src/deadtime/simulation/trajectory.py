@@ -76,7 +76,7 @@ class Trajectory(Frozen):
 
     @property
     def history(self) -> Float[np.ndarray, "m N"] | InputHistory:
-        """The inputs still in the pipe at the end: the `u0` of a run that goes on from here.
+        """The inputs in flight at the end: the `u0` of a run that goes on from here.
 
         Held samples, oldest first, for a digital run (meant for a horizon that is a multiple of
         the step); a function of time for an ideal one.

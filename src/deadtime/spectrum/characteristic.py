@@ -1,4 +1,4 @@
-"""The spectrum of the ideal loop with one mode for ever: its characteristic roots.
+"""The spectrum of the ideal loop with one mode held: its characteristic roots.
 
     dx/dt = A x(t) + B u(t − D),    u(t) = F x(t) + ∫₀^D̂ w(τ) u(t − τ) dτ,    det Δ(s) = 0
 
@@ -86,7 +86,7 @@ class CharacteristicRoots(Frozen):
 def characteristic_roots(
     plant: SwitchedSystem, law: Law, mode: int, count: int = 6
 ) -> CharacteristicRoots:
-    """The rightmost characteristic roots of the ideal loop if one mode lasts for ever.
+    """The rightmost characteristic roots of the ideal loop under a constant switching signal.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def characteristic_roots(
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
         A law with a closed form in continuous time. One that tells ages apart is taken at a mode
-        that has lasted for ever; an oracle knows that nothing will switch.
+        that has been held throughout; an oracle knows that nothing will switch.
     mode : int
         The mode.
     count : int

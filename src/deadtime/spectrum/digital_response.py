@@ -14,7 +14,7 @@ from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.response import Response
 
-_CUTS = 5  # delays within a period at which the pipe is tried
+_CUTS = 5  # delays within a period at which the delay line is tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class DigitalResponse(Response):
 
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, mode: int) -> DigitalResponse:
-        """The loop with one mode for ever."""
+        """The loop with one mode held."""
         row = aged_row(feedback, mode)
         A, B, h = plant.A[mode], plant.B[mode], feedback.step
         F, G = feedback.state_gain[row], feedback.input_gain[row]

@@ -1,4 +1,4 @@
-"""The ideal loop of one mode for ever, as a characteristic matrix.
+"""The ideal loop with one mode held, as a characteristic matrix.
 
 A law updated continuously is a sum over branches (`feedback.forecast`). While one mode lasts for
 ever each branch stays in one system, and all together are one frozen system (S, R), the
@@ -71,7 +71,7 @@ class IdealLoop:
 
     @classmethod
     def of(cls, plant: SwitchedSystem, law: Law, mode: int) -> IdealLoop:
-        """The loop with one mode for ever.
+        """The loop with one mode held.
 
         Raises `ArgumentError` if the law has no closed form in continuous time.
         """
@@ -225,7 +225,7 @@ def weights(
 def _terms_in_aged_mode(
     forecast: Forecast,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """K, S, R, L of a forecast in a mode that has lasted for ever."""
+    """K, S, R, L of a forecast in a mode that has been held throughout."""
     from scipy.linalg import block_diag
 
     start = forecast.until(np.zeros(1))

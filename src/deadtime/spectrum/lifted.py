@@ -186,7 +186,7 @@ def lifted_loop(
     mode : int
         The plant's mode, all through the period.
     row : int, optional
-        The table's row; by default the one that applies when the mode has lasted for ever.
+        The table's row; by default the one that applies when the mode has been held throughout.
 
     Examples
     --------
@@ -205,5 +205,5 @@ def lifted_loop(
 
 
 def aged_row(feedback: Feedback, mode: int) -> int:
-    """The row that applies when a mode has lasted for ever."""
+    """The row that applies when a mode has been held throughout."""
     return feedback.row(mode, feedback.ages, feedback.state_gain.shape[0] - 1)

@@ -20,9 +20,9 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False)
 class ObservedResponse(DigitalResponse):
-    """A loop with an observer in it: only the plant's own pipe knows the true delay.
+    """A loop with an observer in it: only the plant's own delay line knows the true delay.
 
-    Φ and F are those of X. The observer's pipe p_o is fed by the same inputs, so that in
+    Φ and F are those of X. The observer's delay line p_o is fed by the same inputs, so that in
     det Δ = det(zI − Φ) det(M − r p) it belongs to the law, M = I − G(z) − r_o p_o.
 
     Attributes
@@ -40,7 +40,7 @@ class ObservedResponse(DigitalResponse):
     def beside(
         cls, plant: SwitchedSystem, law: OutputFeedback, feedback: Feedback, mode: int
     ) -> ObservedResponse:
-        """The loop with one mode for ever."""
+        """The loop with one mode held."""
         row, (x, x_bar) = aged_row(feedback, mode), periods_of(plant, law, mode)
         F, G = feedback.state_gain[row], feedback.input_gain[row]
         X = Joined.of(law, x, x_bar, F, mode)
@@ -91,7 +91,7 @@ class ObservedResponse(DigitalResponse):
 
 
 def digital_response(plant: SwitchedSystem, law: Law, mode: int, step: float) -> DigitalResponse:
-    """The loop of any linear law with one mode for ever."""
+    """The loop of any linear law with one mode held."""
     signal = SwitchingSignal.constant(mode)
     if not isinstance(law, OutputFeedback):
         return DigitalResponse.of(plant, law.digital(step, signal, 1), mode)

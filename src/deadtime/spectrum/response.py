@@ -4,7 +4,7 @@ A root z = e^{iωh} of the digital loop makes
 
     Δ(ω, D) = [[zI − Φ, −p], [−F, M]]    singular,    M = I − Σ_j G_j z^{−j},
 
-where p, the plant's input pipe, is the only part that knows the true delay D = (N − 1) h + φ; the
+where p, the plant's delay line, is the only part that knows the true delay D = (N − 1) h + φ; the
 law keeps its table:
 
     p = z^{−N} (Γ_early + z Γ_late),    ∂p/∂D = z^{−N} (1 − z) e^{A(h − φ)} B.
@@ -90,7 +90,7 @@ class Response(ABC):
         """The sampling period, in seconds; None for the ideal loop."""
 
     def samples(self, omega: np.ndarray, even: bool = False) -> Samples:
-        """All but the pipe, at the `even_law`'s frequencies or at any others."""
+        """All but the delay line, at the `even_law`'s frequencies or at any others."""
         free, slope = self.free(omega)
         M, M_slope = self.even_law(omega.size) if even else self.law(omega)
         resolvent = inverses(free)

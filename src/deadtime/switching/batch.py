@@ -33,7 +33,7 @@ class SignalBatch(Frozen):
     modes : (sojourn,) array of int64
         Their modes, counted from 0; neighbours in a signal differ.
     end : (scenario,) array
-        Time up to which each signal is known, seconds; infinite where for ever.
+        Time up to which each signal is known, seconds; infinite where without end.
     initial_age : (scenario,) array
         How long each first mode has been active before time 0, seconds.
 

@@ -109,8 +109,10 @@ class SwitchingSignal(Frozen):
 
     @property
     def sojourns(self) -> Float[np.ndarray, " switch"]:
-        """Length of every sojourn that ends in a switch, seconds; the first began `initial_age`
-        before 0."""
+        """Length of every sojourn that ends in a switch, seconds.
+
+        The first one began `initial_age` before 0.
+        """
         lengths = np.diff(self.times)
         lengths[:1] += self.initial_age
         return lengths
@@ -188,7 +190,7 @@ class SwitchingSignal(Frozen):
 
     @classmethod
     def constant(cls, mode: int) -> SwitchingSignal:
-        """One mode for ever."""
+        """A constant switching signal: one mode held."""
         return cls(np.zeros(1), np.array([mode]))
 
     @classmethod

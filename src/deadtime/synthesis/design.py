@@ -75,7 +75,7 @@ def design(
         How fast every constant mode must decay at least at the nominal delay, 1/s. A wide margin
         at a low cost is easily had by a loop that hardly moves.
     cost : "mean" or "worst"
-        The cost ∫ xᵀQx + uᵀRu of the mean or of the worst mode, each for ever.
+        The cost ∫ xᵀQx + uᵀRu of the mean or of the worst mode, each held.
     budget : int
         How many designs to try. A larger budget tries all that a smaller one does.
     dearest : float

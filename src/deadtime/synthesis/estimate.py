@@ -1,10 +1,10 @@
 """The delay margin of constant modes, found fast: for searches, which decide with the exact one.
 
 At the limit of stability det(M − r p) = 0 (`spectrum.response`). Far below the Nyquist frequency a
-delay longer by δ turns the pipe p by e^{−iωδ}, so each eigenvalue λ(ω) of M⁻¹ r p with |λ| = 1 asks
-for ωδ = arg λ, modulo 2π. Crossings of |λ| = 1 are read off a grid of frequencies; from the nearest
-of them Newton's method goes to solutions (ω, D + δ) of det Δ = 0, where the pipe is what it is. A
-crossing between two points of the grid is missed: `spectrum.margin` misses none.
+delay longer by δ turns the delay line p by e^{−iωδ}, so each eigenvalue λ(ω) of M⁻¹ r p with
+|λ| = 1 asks for ωδ = arg λ, modulo 2π. Crossings of |λ| = 1 are read off a grid of frequencies;
+from the nearest of them Newton's method goes to solutions (ω, D + δ) of det Δ = 0, p being exact
+there. A crossing between two points of the grid is missed: `spectrum.margin` misses none.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What a loop costs: ∫ xᵀQx + uᵀRu, the mean over initial states on the unit sphere.
 
-With one mode for ever, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
+With one mode held, z_k = (x_k, u_{k−1}, …, u_{k−W}) follows z_{k+1} = L z_k, the lifted loop of
 `deadtime.spectrum`, and what a period costs is a quadratic form zᵀ S z: the Gramians of
 `numerics.exponential` give ∫xᵀQx over the pieces of the period, the held input h u_kᵀR u_k. So
 
@@ -30,14 +30,14 @@ _SHORTEST = 16  # periods
 def loop_cost(
     plant: SwitchedSystem, feedback: Feedback, mode: int, weight: Weight | None = None
 ) -> float:
-    """∫ xᵀQx + uᵀRu with one mode for ever, the mean over x₀ on the unit sphere; ∞ if unstable.
+    """∫ xᵀQx + uᵀRu with one mode held, the mean over x₀ on the unit sphere; ∞ if unstable.
 
     Parameters
     ----------
     plant : SwitchedSystem
         The truth.
     feedback : Feedback
-        The law's table; the row of a mode that has lasted for ever applies.
+        The law's table; the row of a mode that has been held throughout applies.
     mode : int
         The mode.
     weight : Weight, optional

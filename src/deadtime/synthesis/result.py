@@ -30,7 +30,7 @@ class TradeOff:
         The smallest error of the delay that loses a constant mode, relative to the delay; 0 where
         one is unstable.
     cost : float
-        ∫ xᵀQx + uᵀRu with one mode for ever, mean over |x₀| = 1, mean or worst over the modes; ∞
+        ∫ xᵀQx + uᵀRu with one mode held, mean over |x₀| = 1, mean or worst over the modes; ∞
         where one is unstable.
     decay_rate : float
         How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one

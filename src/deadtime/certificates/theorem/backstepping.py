@@ -32,7 +32,7 @@ from deadtime.switching import SwitchingSignal
 
 @dataclass(frozen=True, eq=False)
 class Backstepping(Frozen):
-    """The transformation at one time t: between U and W on [t − D, t], given X(t).
+    """The backstepping transformation at a time t, between U and W on [t − D, t], given X(t).
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class Backstepping(Frozen):
 def mismatch_at(
     run: Trajectory, gains: Float[np.ndarray, "mode m n"], times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T m"]:
-    """W(θ) = U(θ) − K_σ(θ+D) x(θ + D) along an ideal run, at times from −D to its end."""
+    """The mismatch U(θ) − K_σ(θ+D) x(θ + D) along an ideal run, at times from −D to its end."""
     ahead = times + run.plant.delay
     x, K = run.record.states_at(ahead), gains[_modes(run, ahead)]
     return run.record.inputs_at(times) - np.einsum("kij,kj->ki", K, x)

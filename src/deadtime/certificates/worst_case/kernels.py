@@ -29,7 +29,7 @@ def _dot(a, b):
 
 @njit(cache=True)
 def _control(F, G, x, pipe, now):
-    """u = F x + G (past inputs), into its place in the pipe."""
+    """u = F x + G (past inputs), into its place in the delay line."""
     m, window = G.shape
     for i in range(m):
         pipe[now + i] = _dot(G[i], pipe[now - window : now]) + _dot(F[i], x)

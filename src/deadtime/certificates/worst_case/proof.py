@@ -41,7 +41,7 @@ LARGE = 200  # order from which any growth that is proved will do
 
 @dataclass(frozen=True)
 class GrowthProof:
-    """Whether growth is proved (immutable).
+    """Whether it is proved that a loop grows along a signal (immutable).
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ _OLD_SYSTEM = {"linux": "linux", "darwin": "darwin", "win32": "win"}
 
 @dataclass(frozen=True)
 class ExportedFmu:
-    """What was written (immutable): the file, its version of FMI, and the binary in it, or None."""
+    """What was exported (immutable): the file, its version of FMI, and its binary, or None."""
 
     path: Path
     version: str

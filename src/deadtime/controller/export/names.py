@@ -41,11 +41,11 @@ class Names:
                 raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
 
     def state(self, i: int) -> str:
-        """Of a state, or nothing."""
+        """The name of a state; empty where states have none."""
         return self.states[i] if self.states else ""
 
     def input(self, i: int) -> str:
-        """Of an input, or nothing."""
+        """The name of an input; empty where inputs have none."""
         return self.inputs[i] if self.inputs else ""
 
     def all_modes(self) -> str:

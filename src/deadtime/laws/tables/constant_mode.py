@@ -1,6 +1,6 @@
 """The table of a law which forecasts that the mode never changes.
 
-A forecast "mode i for ever" gives, with the input held over each period, the exact functional
+The forecast that mode i is held gives, with the input held over each period, the exact functional
 
     K P = K e^{AD} x_k + Σ_{j<N} K Φ(h)^{j−1} Γ(h) u_{k−j} + K Φ(h)^{N−1} Γ(φ) u_{k−N}:
 

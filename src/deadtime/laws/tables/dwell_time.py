@@ -1,6 +1,6 @@
 """The table of a law that trusts the current mode for the rest of its guaranteed dwell.
 
-At age a of mode i its forecast is: mode i for r_a seconds more, then for ever one of the
+At age a of mode i its forecast is: mode i for r_a seconds more, then, held, one of the
 systems (A_s, B_s), gain K_s. With [0, D) cut into the stretches in which inputs in flight act,
 [0, φ), [φ, φ + h), …, [D − h, D), the functional Σ_s K_s P_s is carried backwards from D: in
 every system by itself down to r_a, where all branches join into R = Σ_s K_s e^{A_s (D − r_a)},

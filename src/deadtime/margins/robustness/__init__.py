@@ -1,4 +1,4 @@
-"""How much a loop stands: margins by its spectrum, and tolerances by simulation."""
+"""How much a loop tolerates: margins by its spectrum, and tolerances by simulation."""
 
 from deadtime.margins.robustness.assess import Robustness, robustness
 from deadtime.margins.robustness.tolerance import NoisePrice, Tolerance

@@ -1,4 +1,4 @@
-"""`robustness`: what one loop stands, each answer with a sentence."""
+"""`robustness`: what one loop tolerates, each answer with a sentence."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STEPS = ("delay", "gain", "lost samples", "late samples", "detection lag", "nois
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """What one loop stands (immutable).
+    """What one loop tolerates (immutable).
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def robustness(
     weight: Weight | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
-    """What a loop stands: errors of delay and gain, lost and late samples, late modes, noise.
+    """What a loop tolerates: errors of delay and gain, lost and late samples, late modes, noise.
 
     Errors of delay and gain are those that leave every constant mode stable, exact from the
     spectrum; where a delay of very many periods would make them take long they are left out, and a

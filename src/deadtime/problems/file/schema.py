@@ -144,7 +144,7 @@ class FittedSwitching(Section):
 
 
 class ConstantSignal(Section):
-    """One mode for ever."""
+    """A constant switching signal."""
 
     kind: Literal["constant"]
     mode: int

@@ -70,13 +70,13 @@ def stabilises(evidence: Evidence, name: str, where: str) -> Claim:
         many=f"So on {Proportion.of(good)} signals; median |x| at the end "
         f"{amount(float(np.median(many['final_norm'])))}, largest "
         f"{amount(float(many['final_norm'].max()))}. A signal that stops switching keeps the "
-        f"dwell time, too; held for ever in one mode, |x| grows or decays at {rates}.",
+        f"dwell time, too; under constant switching signals |x| grows or decays at {rates}.",
         proportion=Proportion.of(good),
     )
 
 
 def _constant_mode_growth(problem: Problem, name: str) -> list[float]:
-    """Growth rates with one mode for ever, 1/s."""
+    """Growth rates with each mode held, 1/s."""
     longer = replace(problem, horizon=4.0 * problem.horizon)
     runs = [
         longer.simulate(name, SwitchingSignal.constant(mode)) for mode in range(problem.plant.modes)
@@ -94,7 +94,7 @@ def single_is_worse(evidence: Evidence, mode: int, name: str) -> Claim:
         key=f"mode-{mode}-worse",
         title=f"(79), mode {mode}, does worse than (2)",
         where=f"Section III, Figure {4 + mode}",
-        statement=f"Predicting as if mode {mode} lasted for ever, law (79) does worse than (2).",
+        statement=f"Predicting as if mode {mode} were held, law (79) does worse than (2).",
         test="∫|x|² over the run is larger under law (79) than under (2), on the same signal.",
         one_run=f"∫|x|² is {amount(float(one[name]['ise'][0]))} instead of "
         f"{amount(float(one[LEAD]['ise'][0]))}, and |x| ends at "

@@ -1,4 +1,4 @@
-"""The picture of what a loop stands: a panel for each error and imperfection."""
+"""The picture of what a loop tolerates: a panel for each error and imperfection."""
 
 from __future__ import annotations
 

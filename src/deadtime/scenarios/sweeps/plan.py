@@ -51,7 +51,7 @@ class Plan:
 
 
 def plan_of(study: Study, store: str | PathLike[str]) -> Plan:
-    """What `sweep` would do.
+    """What `sweep` would do: its cells, and which of them the store holds already.
 
     Raises
     ------

@@ -89,7 +89,7 @@ class Study(ABC):
 
     @abstractmethod
     def loop(self, cell: Cell) -> Loop:
-        """What runs in a cell.
+        """The loop that runs in a cell: plant, laws, model of the switching and what else it needs.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class Study(ABC):
         return Cell(index, values, {name: self.axis(name) for name in values})
 
     def axis(self, name: str) -> Axis:
-        """What is said of an axis."""
+        """How an axis is called and drawn: its words, symbol and unit."""
         return axis_of(name)
 
     def definition(self) -> dict[str, Any]:

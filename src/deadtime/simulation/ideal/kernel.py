@@ -3,7 +3,7 @@
 Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ:
 
 1. x solves dx/dt = A_σ x + B_σ u(t − D), whose input lies in the past.
-2. Each branch's prediction starts from P_b(a), summed afresh over the inputs in the pipe (so
+2. Each branch's prediction starts from P_b(a), summed afresh over the inputs in flight (so
    that nothing drifts from segment to segment), and solves
 
        dP_b/dt = A_e P_b + B_e u(t) + M_b(t) r_b(t),

@@ -21,7 +21,7 @@ from deadtime.simulation.kernel import LIMIT
 
 @njit(cache=True)
 def _prediction(y, g, end_system, flow, moved, line, ahead, nodes):
-    """P_b at the start of segment g and its transition M_b, summed over the inputs in the pipe.
+    """P_b at the start of segment g and its transition M_b, summed over the inputs in flight.
 
     It starts from y = L x. Up to `until` the system is the one in force, or the one that `path`
     foresees.

@@ -65,7 +65,7 @@ class IdealRecord:
         return self.states.form_integral(0.0, end, Q), self.inputs.form_integral(0.0, end, R)
 
     def history(self, end: float) -> InputHistory:
-        """The inputs in the pipe at `end`, as the `u0` of a run that goes on from there."""
+        """The inputs in flight at `end`, as the `u0` of a run that goes on from there."""
         edges = self.inputs.edges
         jumps = edges[(edges > end + edges[0]) & (edges < end)] - end
         return InputHistory(lambda s: self.inputs(s + end), jumps)
@@ -147,7 +147,7 @@ def run_ideal(
         np.eye(plant.states) if forecast.lift is None else forecast.lift,
     )
     states, done = march(Plant(plant.A, plant.B, plant.delay), line, believed, x0, nodes)
-    # The states of the pipe's last inputs may leave the limit after the run's end.
+    # The states of the delay line's last inputs may leave the limit after the run's end.
     end = float(edges[done]) if done < stop else None
     kept = done if end is not None else stop
     return (

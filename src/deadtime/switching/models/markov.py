@@ -26,8 +26,8 @@ class Markov(Frozen):
 
         P(σ(t + s) = j | σ(t) = i) = (e^{sΛ})_ij
 
-    Sojourns in mode i are exponential with mean 1/Σ_j Λ_ij; a mode that no rate leaves is kept
-    for ever. Signals start in a uniformly drawn mode.
+    Sojourns in mode i are exponential with mean 1/Σ_j Λ_ij; a mode that no rate leaves is
+    held. Signals start in a uniformly drawn mode.
 
     Parameters
     ----------

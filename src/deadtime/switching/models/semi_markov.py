@@ -217,7 +217,7 @@ class SemiMarkov(Frozen):
         return np.stack([hazards(dist, step, range_of_ages) for dist in self.sojourn])
 
     def ages(self, step: float, most: int | None = None) -> int:
-        """How many ages tell the hazards of all modes: `hazard(step, ages)` then holds for good.
+        """Number of ages, in samples, after which the hazards of all modes have settled.
 
         A mode's later ages have the hazard of the last one to 1e-12, or are reached by less
         than one sojourn in a million.
