@@ -179,8 +179,8 @@ def _decide(
         if abs(slowest) <= GROWS:
             # No Lyapunov function decreases: only a signal that grows is left.
             kept = neutral(mode, slowest)
-            found = _refute(corner, law, setting, "") if search_signals else None
-            return found if found is not None and found.stable is False else Certificate(None, kept)
+            worst = _refute(corner, law, setting, "") if search_signals else None
+            return worst if worst is not None and worst.stable is False else Certificate(None, kept)
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
         fastest = max(0.0, *(-rate for rate, _, _ in rates))

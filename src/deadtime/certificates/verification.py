@@ -218,12 +218,12 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
         If the file is missing, cut short, altered, or no certificate.
     """
     setting = load_evidence(Path(path)).evidence.setting
-    found = []
+    matching = []
     for name, law in laws.items():
         with suppress(DeadtimeError):  # a law without a table of its own at this period
             if not Asked(law=law).missing_from(setting):
-                found.append(name)
-    return found
+                matching.append(name)
+    return matching
 
 
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:

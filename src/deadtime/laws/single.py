@@ -66,13 +66,13 @@ class SingleModePredictor(TableLaw):
     ) -> Feedback:
         from deadtime.laws.tables.constant_mode import constant_table
 
-        one = slice(self.mode, self.mode + 1)
+        own = slice(self.mode, self.mode + 1)
         plant = self.plant
         return constant_table(
-            plant.A[one], plant.B[one], self.gains[one], np.ones(1), self.sampled_plant(step)
+            plant.A[own], plant.B[own], self.gains[own], np.ones(1), self.sampled_plant(step)
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        one = slice(self.mode, self.mode + 1)
+        own = slice(self.mode, self.mode + 1)
         plant = self.plant
-        return Forecast.constant(plant.A[one], plant.B[one], self.gains[one], plant.delay)
+        return Forecast.constant(plant.A[own], plant.B[own], self.gains[own], plant.delay)

@@ -37,12 +37,12 @@ class Arrays(NamedTuple):
     @classmethod
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
         """The arrays of a run; everything random is drawn from the streams."""
-        sensors = [(one, rng) for one, rng in pairs if isinstance(one, Additive)]
-        limits = [one.limits(sizes) for one, _ in pairs if isinstance(one, Limiting)]
+        sensors = [(each, rng) for each, rng in pairs if isinstance(each, Additive)]
+        limits = [each.limits(sizes) for each, _ in pairs if isinstance(each, Limiting)]
         noise = np.zeros((samples if sensors else 0, sizes.states))
         with np.errstate(over="ignore", invalid="ignore"):
-            for one, rng in sensors:
-                noise += one.sampler(sizes, rng)(samples)
+            for sensor, rng in sensors:
+                noise += sensor.sampler(sizes, rng)(samples)
         shape = len(limits), sizes.inputs
         return cls(
             read_only(noise),
@@ -63,4 +63,4 @@ def takes(pairs: Pairs) -> bool:
     >>> takes([(Noise(0.1), rng)]), takes([(Noise(0.1), rng), (Dropout(0.1), rng)])
     (True, False)
     """
-    return all(isinstance(one, Additive | Limiting) for one, _ in pairs)
+    return all(isinstance(each, Additive | Limiting) for each, _ in pairs)

@@ -36,8 +36,8 @@ class Forcing:
         # Of two stretches at least, so that a seed draws the same numbers for every delay.
         lengths = [part.stop - part.start for part in sampled.stretches(0)] + [0.0]
         lengths = tuple(lengths[: max(2, len(lengths) - 1)])
-        self._kinds = [one for one, _ in disturbances]
-        self._draws = [one.draws(self._sizes, lengths, steps, rng) for one, rng in disturbances]
+        self._kinds = [force for force, _ in disturbances]
+        self._draws = [force.draws(self._sizes, lengths, steps, rng) for force, rng in disturbances]
         self._held = [
             [self._spreads([(A, part.stop - part.start)]) for part in sampled.stretches(mode)]
             for mode, A in enumerate(plant.A)
@@ -93,4 +93,4 @@ class Forcing:
                 f"step = {self._step:g} s is too long for disturbances: a mode of the plant "
                 "oscillates a whole number of times within it; shorten it."
             )
-        return [one.spread(self._sizes, pieces) for one in self._kinds], inverse
+        return [force.spread(self._sizes, pieces) for force in self._kinds], inverse

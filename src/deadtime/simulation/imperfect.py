@@ -74,14 +74,14 @@ class ImperfectLaw:
         measured = plant.states if outputs is None else outputs.shape[1]
         sizes = Sizes(plant.modes, measured, plant.inputs, step)
         self._sensors = [
-            one.sensor(sizes, rng) for one, rng in pairs if isinstance(one, SensorImperfection)
+            each.sensor(sizes, rng) for each, rng in pairs if isinstance(each, SensorImperfection)
         ]
         self._actuators = [
-            one.actuator(sizes) for one, _ in pairs if isinstance(one, ActuatorImperfection)
+            each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
         ]
-        timings = [(one, rng) for one, rng in pairs if isinstance(one, TimingImperfection)]
-        waits = [one.lag(sizes, rng) for one, rng in timings if one.waits]
-        early = [one.lag(sizes, rng) for one, rng in timings if not one.waits]
+        timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
+        waits = [each.lag(sizes, rng) for each, rng in timings if each.waits]
+        early = [each.lag(sizes, rng) for each, rng in timings if not each.waits]
         self.lag: Lags | None = None
         if timings:
             self.lag = lambda: (sum(lag() for lag in waits), sum(lag() for lag in early))

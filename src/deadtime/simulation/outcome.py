@@ -90,7 +90,7 @@ def is_pushed(law: Law, imperfections: Sequence[Imperfection]) -> bool:
 
 def pushes(imperfections: Sequence[Imperfection]) -> list[Imperfection]:
     """Those that move x whatever the loop does: forces and noise."""
-    return [one for one in imperfections if isinstance(one, Disturbance | Additive)]
+    return [each for each in imperfections if isinstance(each, Disturbance | Additive)]
 
 
 def elsewhere(x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

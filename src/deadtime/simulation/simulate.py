@@ -162,8 +162,8 @@ def _split_disturbances(
     """Disturbances and the other imperfections, each with its stream."""
     generators = streams(imperfections, count("seed", seed, 0))
     pairs = list(zip(imperfections, generators, strict=True))
-    forces = [(one, rng) for one, rng in pairs if isinstance(one, Disturbance)]
-    return forces, [(one, rng) for one, rng in pairs if not isinstance(one, Disturbance)]
+    forces = [(each, rng) for each, rng in pairs if isinstance(each, Disturbance)]
+    return forces, [(each, rng) for each, rng in pairs if not isinstance(each, Disturbance)]
 
 
 def _ideal(

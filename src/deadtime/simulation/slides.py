@@ -87,14 +87,14 @@ class Slides:
 
 def join(slides: Iterable[Slide], tolerance: float) -> list[Slide]:
     """Sliding motions in order, those that go on within a tolerance made one."""
-    found: list[Slide] = []
+    joined: list[Slide] = []
     for slide in slides:
-        last = found[-1] if found else None
+        last = joined[-1] if joined else None
         if last and last.modes == slide.modes and slide.begin - last.end <= tolerance:
-            found[-1] = last._replace(end=slide.end)
+            joined[-1] = last._replace(end=slide.end)
         else:
-            found.append(slide)
-    return found
+            joined.append(slide)
+    return joined
 
 
 def slides_in_words(slides: list[Slide]) -> str:

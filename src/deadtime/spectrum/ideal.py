@@ -177,11 +177,11 @@ class IdealLoop:
         A, S, FA, KS, KES = self.A / unit, self.S / unit, self.F, self.K, self.KE
         terms = []
         for _ in range(_TERMS):
-            law, pipe, window = KS @ self.R, own * (FA @ self.B), ahead * (KES @ self.R)
+            law, arriving, window = KS @ self.R, own * (FA @ self.B), ahead * (KES @ self.R)
             if self.lead == 0.0:
-                parts = [pipe]
+                parts = [arriving]
             else:
-                parts = [law, pipe - window] if alike else [law, pipe, window]
+                parts = [law, arriving - window] if alike else [law, arriving, window]
             terms.append(sum(np.linalg.norm(part, 2) for part in parts) / unit)
             FA, KS, KES = FA @ A, KS @ S, KES @ S
         powers = -1.0 - np.arange(_TERMS)

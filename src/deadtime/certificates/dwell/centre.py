@@ -154,8 +154,8 @@ def _dominant(M: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """(Ψ, Λ) with Ψ M = Λ Ψ for the `count` largest eigenvalues; pairs stay together."""
     from scipy.linalg import block_diag, eig
 
-    found: Any = eig(M.T)
-    values, vectors = found
+    pair: Any = eig(M.T)
+    values, vectors = pair
     chosen, blocks = [], []
     for k in np.argsort(-np.abs(values), kind="stable"):
         if len(chosen) >= count:

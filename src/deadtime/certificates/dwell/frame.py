@@ -26,7 +26,7 @@ def metric(lasting: list[np.ndarray], leaps: list[tuple[Node, Node, np.ndarray]]
     """T with |T ξ|² what ξ adds up to: in constant modes, or over leaps where no mode may last."""
     eye = np.eye(len(leaps[0][2]))
     sums = [future_sums(M, eye) for M in lasting]
-    total = [found for found in sums if found is not None]
+    total = [part for part in sums if part is not None]
     if not total:
         total = [_over_leaps([M for _, _, M in leaps], eye)]
     return np.linalg.cholesky(np.mean(total, axis=0)).T

@@ -80,11 +80,11 @@ def plant_rows(setting: Setting, step: Transition, instants: tuple[float, ...]) 
 
     At all corners of the polytope, and at both ends of a range of delays.
     """
-    family, found = setting.family, []
+    family, rows = setting.family, []
     for instant in sorted(set(instants)):
         for order in family.orders(step.mode, step.after):
             share = family.shares(order, (instant, instant))
             if share is not None:
-                found.append(family.corners(order, np.array([0.5 * sum(share)])))
+                rows.append(family.corners(order, np.array([0.5 * sum(share)])))
                 break
-    return np.concatenate(found)
+    return np.concatenate(rows)

@@ -107,7 +107,7 @@ class Search:
         return None, outcome
 
     def _samples(self) -> list[Sample]:
-        found: list[Sample] = []
+        samples: list[Sample] = []
         steps: dict[Any, np.ndarray] = {}
         kept = _ages_to_visit(self.setting)
         for transition in self.setting.transitions.all(self.knots):
@@ -116,11 +116,11 @@ class Search:
             key = transition.mode, transition.after, transition.instants
             if key not in steps:
                 steps[key] = sampled_rows(self.setting.family, transition)
-            found += [Sample(transition, self.model.delta(E, transition.row)) for E in steps[key]]
+            samples += [Sample(transition, self.model.delta(E, transition.row)) for E in steps[key]]
             if not transition.switches:
                 order = self.setting.family.orders(transition.mode, transition.after)[0]
                 self.looked_at.add((transition, order, 0.0))
-        return found
+        return samples
 
     def _add(self, failed: Transition, u: float) -> bool:
         """Look at a step at the instant u of the period, too; False if that is done already."""
@@ -142,13 +142,13 @@ class Search:
 
 def sampled_rows(family: Family, step: Transition) -> np.ndarray:
     """The plant's rows E (samples, n, k) of a step at some instants of its switch."""
-    orders, found = family.orders(step.mode, step.after), []
+    orders, rows = family.orders(step.mode, step.after), []
     instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
     for order in orders:
         shares = family.shares(order, step.instants)
         if shares is not None:
-            found.append(family.corners(order, shares[0] + (shares[1] - shares[0]) * instants))
-    return np.concatenate(found)
+            rows.append(family.corners(order, shares[0] + (shares[1] - shares[0]) * instants))
+    return np.concatenate(rows)
 
 
 def _ages_to_visit(setting: Setting) -> set[int] | None:
@@ -162,9 +162,9 @@ def _ages_to_visit(setting: Setting) -> set[int] | None:
     }
 
 
-def _margins(found: Response, units: Units, solution: Solution) -> np.ndarray:
+def _margins(response: Response, units: Units, solution: Solution) -> np.ndarray:
     """The least t of each frequency: eigenvalues of −Y* Π Y against the weight."""
-    Y, weight, rest = units.of_signals(found)
+    Y, weight, rest = units.of_signals(response)
     form = -(Y.conj().transpose(0, 2, 1) @ (solution.Pi @ Y)) - solution.kappa * rest
     inverse = np.linalg.inv(np.linalg.cholesky(weight))
     scaled = inverse @ form @ inverse.conj().transpose(0, 2, 1)

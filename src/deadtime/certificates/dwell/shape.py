@@ -75,10 +75,10 @@ class Shape:
         basis = np.concatenate((squares(H), np.eye(H.shape[1])[None]))
         sums: dict[Node, np.ndarray] = {}
         for node, M in loops.items():
-            found = future_sums(M, basis)
-            if found is None:
+            sums_of_node = future_sums(M, basis)
+            if sums_of_node is None:
                 return None
-            sums[node] = found
+            sums[node] = sums_of_node
         return cls(H, basis, sums, links, nodes)
 
     @property
@@ -102,16 +102,16 @@ class Shape:
 
     def values(self, x: np.ndarray) -> dict[Node, np.ndarray]:
         """V at the nodes, by the last knots first; Y and ε are moved into their range."""
-        found: dict[Node, np.ndarray] = {}
+        V_at: dict[Node, np.ndarray] = {}
         for node in sorted(self.nodes, key=lambda node: -node[1]):
             at = self.start(node)
             part = self._inside(x[at : at + self.unknowns])
             V = np.tensordot(part, self.sums.get(node, self.basis), 1)
             if node in self.links:
                 L = self.links[node]
-                V = V + L.T @ found[node[0], node[1] + 1] @ L
-            found[node] = 0.5 * (V + V.T)
-        return found
+                V = V + L.T @ V_at[node[0], node[1] + 1] @ L
+            V_at[node] = 0.5 * (V + V.T)
+        return V_at
 
     def _inside(self, part: np.ndarray) -> np.ndarray:
         s = len(self.H)

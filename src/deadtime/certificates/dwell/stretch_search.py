@@ -113,17 +113,17 @@ class StretchSearch:
         graph = self.setting.transitions
         periods = [self.leaps.full(i, graph.last, graph.last + 1) for i in range(graph.modes)]
         units = balancing_units(periods)
-        found = [(leap.here, leap.there, leap.in_units(rho, units)) for leap in self.known]
-        lasting = [M for here, there, M in found if here == there]
-        T = metric(lasting, found)
+        leaps = [(leap.here, leap.there, leap.in_units(rho, units)) for leap in self.known]
+        lasting = [M for here, there, M in leaps if here == there]
+        T = metric(lasting, leaps)
         back = np.linalg.inv(T)
-        found = [(here, there, T @ M @ back) for here, there, M in found]
-        staying = [one for one in found if one[0][0] == one[1][0]]
-        moving = [one for one in found if one[0][0] != one[1][0]]
+        leaps = [(here, there, T @ M @ back) for here, there, M in leaps]
+        staying = [leap for leap in leaps if leap[0][0] == leap[1][0]]
+        moving = [leap for leap in leaps if leap[0][0] != leap[1][0]]
         H = functionals(moving, len(T))
         nodes = tuple((i, k) for i in range(graph.modes) for k in range(len(self.knots)))
         if _unknown(self.setting):
-            shape, moving = Shape.of(H, {}, {}, nodes), found
+            shape, moving = Shape.of(H, {}, {}, nodes), leaps
         else:
             loops = {here: M for here, there, M in staying if here == there}
             links = {here: M for here, there, M in staying if here != there}

@@ -114,12 +114,12 @@ class Covering:
         for E in points:
             Delta = arb_mat(((E - form.E) * form.L).tolist() + lower)
             cross = Delta.transpose() * form.wv
-            found = congruent(
+            definite = congruent(
                 form.vv + cross + cross.transpose() + Delta.transpose() * form.ww * Delta
             )
-            if found is None:
+            if definite is None:
                 return _widest(enclosure) if len(points) > 1 else -1
-            least, Wt = found
+            least, Wt = definite
             bounds = _changes(form, Delta, Wt, rest)
             if not sum(bounds.values()) * (1.0 + 1e-12) < least:
                 held = False

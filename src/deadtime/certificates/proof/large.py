@@ -128,8 +128,8 @@ class LargeInequalities:
         R = balls.exact(self.channels.C[:seen])
         for row, T in zip(setting.rows, centre.T, strict=True):
             rest = balls.exact(row) - row0 - balls.exact(T) * R
-            found = balls.frobenius(rest, columns)
-            largest = found if not found < largest else largest
+            residual = balls.frobenius(rest, columns)
+            largest = residual if not residual < largest else largest
         return largest
 
     def _filter_residual(self, unit: np.ndarray) -> float:

@@ -197,35 +197,35 @@ class Transitions:
         marks = {*knots, self.first, self.first + 1, self.last, 0, changing}
         marks |= {knot + (self.bucket or 0) for knot in knots}
         ends = {a for mark in marks for a in (mark - 1, mark)}
-        found = []
+        transitions = []
         for i in range(self.modes):
             for a in range(self.last + 1):
                 if not (a < changing or a in ends):
                     continue
                 for row in self.rows(i, a):
                     if a < self.last or not self.ends:
-                        found.append(Transition(i, a, row, i, min(a + 1, self.last)))
-                    found += self.switches(i, a, row)
-        return found
+                        transitions.append(Transition(i, a, row, i, min(a + 1, self.last)))
+                    transitions += self.switches(i, a, row)
+        return transitions
 
     def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
-        found = []
+        stretches = []
         for i in range(self.modes):
             for k, age in enumerate(knots):
                 if k + 1 < len(knots):
                     end = knots[k + 1]
                     full = Transition(i, end - 1, self.row(i, end - 1), i, end)
-                    found.append(Stretch(k, end - 1 - age, full, 0, k + 1))
+                    stretches.append(Stretch(k, end - 1 - age, full, 0, k + 1))
                 else:
                     end = self.last + 1
                     if not self.ends:
                         full = Transition(i, self.last, self.row(i, self.last), i, self.last)
-                        found.append(Stretch(k, 0, full, 0, k))
+                        stretches.append(Stretch(k, 0, full, 0, k))
                 for at in range(max(self.first, age), end):
                     mixed = self.switches(i, at, self.row(i, at))
-                    found += [Stretch(k, at - age, step, knots[0], 0) for step in mixed]
-        return found
+                    stretches += [Stretch(k, at - age, step, knots[0], 0) for step in mixed]
+        return stretches
 
     def switches(self, mode: int, age: int, row: int) -> list[Transition]:
         """The mixed steps from (mode, age)."""

@@ -146,21 +146,21 @@ def sharp_constants(
         for norm in (euclidean(plant, gains, pair), weighted_norm(plant, gains, pair))
         if norm is not None
     ]
-    found = [_constants(plant, gains, pair, norm) for pair, norm in routes]
-    return max(found, key=lambda constants: constants.log_epsilon_star)
+    attempts = [_constants(plant, gains, pair, norm) for pair, norm in routes]
+    return max(attempts, key=lambda constants: constants.log_epsilon_star)
 
 
 def _pairs(plant: SwitchedSystem, gains: Gains) -> list[CommonLyapunov]:
     """The P of largest λ_min(Q)/|P|, and the best conditioned P for a range of decay rates."""
     slowest = float(-np.linalg.eigvals(closed_loops(plant, gains)).real.max())
     others = (decaying_lyapunov(plant, gains, share * slowest) for share in FRACTIONS)
-    found = [pair for pair in others if pair is not None]
+    pairs = [pair for pair in others if pair is not None]
     try:
-        return [common_lyapunov(plant, gains), *found]
+        return [common_lyapunov(plant, gains), *pairs]
     except (InfeasibleError, SolverError):
-        if not found:
+        if not pairs:
             raise
-        return found
+        return pairs
 
 
 def _constants(

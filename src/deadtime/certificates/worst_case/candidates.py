@@ -58,7 +58,7 @@ def candidates(
     sojourns = compress(loop, lengths, kinds)
     letters = _letters(lengths, max(3, LETTERS // modes))
     searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.past, budget // 2)
-    found: dict[Cycle, float] = {}
+    rates: dict[Cycle, float] = {}
     climbing = 0
     for start in chain(searched.words, _random_words(sojourns, STARTS * modes)):
         word, looked = climb(sojourns, start)
@@ -66,10 +66,10 @@ def candidates(
         parts = (kinds.mode[word.kinds], lengths[word.index], kinds.late[word.kinds])
         cycle = Cycle.on_grid(list(zip(*(part.tolist() for part in parts), strict=True)), late)
         if not cycle.constant:
-            found[cycle] = max(word.rate, found.get(cycle, -math.inf))
+            rates[cycle] = max(word.rate, rates.get(cycle, -math.inf))
         if climbing >= budget // 2:
             break
-    best = sorted(found, key=lambda cycle: -found[cycle])
+    best = sorted(rates, key=lambda cycle: -rates[cycle])
     upper = None if searched.bound is None else loop.shift + searched.bound / step
     tried = [*_tight(best[:TIGHT], dwell), *best]
     return Candidates(tried, upper, searched.evaluated + climbing)
@@ -145,18 +145,18 @@ def _equal(modes: tuple[int, ...], dwell: Dwell, total: int) -> Cycle:
 
 def _without_grid(modes: int, dwell: Dwell) -> Iterator[Cycle]:
     """Cycles of equal sojourns, where no whole number is admissible."""
-    found = 0
+    number = 0
     for turns in range(2, TURNS + 1):
         totals = dwell.totals(turns)
         if totals is None:
             continue
         short = turns <= MOST_SOJOURNS
         for word in islice(mode_cycles(modes, turns) if short else _rounds(modes, turns), WORDS):
-            found += 1
+            number += 1
             yield _equal(word, dwell, totals[0])
-        if found >= WORDS or (found and not short):
+        if number >= WORDS or (number and not short):
             return
-    if not found:
+    if not number:
         raise ArgumentError(
             "maximum_dwell leaves no cycle of a whole number of periods with up to "
             f"{TURNS} sojourns: raise it, or shorten the step."

@@ -93,19 +93,19 @@ def falsify(
     bounded = maximum_dwell is not None and plant.modes > 1
     dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step, tolerance)
     constants, loop = _constants(plant, feedback)
-    found = [] if bounded else constants
+    known = [] if bounded else constants
     evaluated, upper = len(constants), None
     if plant.modes > 1:
         tried = candidates(loop, constants, dwell, budget)
         floor = -math.inf if bounded else max(growth.rate for _, growth in constants)
         better, looked = improve(loop, dwell, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
-        found = [*found, *better]
-    result = worst_case(loop, law, dwell_time, *worst_of(found, loop), evaluated, upper)
+        known = [*known, *better]
+    result = worst_case(loop, law, dwell_time, *worst_of(known, loop), evaluated, upper)
     if result.proven or result.growth_rate <= 0.0:
         return result
     # Growth that is no fact gives way to that of a constant mode that is one.
-    constant = [rated for rated in found if rated[0].constant and rated[1].rate > 0.0]
+    constant = [rated for rated in known if rated[0].constant and rated[1].rate > 0.0]
     for rated in sorted(constant, key=lambda rated: -rated[1].rate):
         other = worst_case(loop, law, dwell_time, *rated, evaluated, upper)
         if other.proven:
@@ -154,10 +154,10 @@ def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], 
     ]
     longest = max(plant.delay, feedback.taps * step)
     loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest))
-    found = []
+    constants = []
     for mode, rate in enumerate(rates):
         cycle = Cycle((mode,), (float(loop.past),))
         growth = loop.growth(cycle)
         vector = np.ones(loop.order, complex) if growth is None else growth.vector
-        found.append((cycle, Growth(rate, vector)))
-    return found, loop
+        constants.append((cycle, Growth(rate, vector)))
+    return constants, loop

@@ -51,9 +51,9 @@ def polish(
                 continue
             seen.add(key)
             evaluated += 1
-            found = loop.growth(trial, COARSE)
-            if found is not None and found.rate > growth.rate + gain:
-                cycle, growth, better = trial, found, True
+            trial_growth = loop.growth(trial, COARSE)
+            if trial_growth is not None and trial_growth.rate > growth.rate + gain:
+                cycle, growth, better = trial, trial_growth, True
                 break
         if not better:
             scale /= 2.0
@@ -81,9 +81,9 @@ def refine(
             if trial is None:
                 continue
             evaluated += 1
-            found = loop.growth(trial, COARSE)
-            if found is not None and found.rate > best[1].rate:
-                best = trial, found
+            trial_growth = loop.growth(trial, COARSE)
+            if trial_growth is not None and trial_growth.rate > best[1].rate:
+                best = trial, trial_growth
     if best[0] is cycle:
         return cycle, growth, evaluated
     better, faster, looked = polish(loop, dwell, *best, most)
@@ -128,9 +128,9 @@ def _valid(
     cycle: Cycle, dwell: Dwell, gaps: np.ndarray, offset: float, total: int
 ) -> Iterator[Cycle]:
     moved = Cycle(cycle.modes, tuple(gaps.tolist()), offset - math.floor(offset))
-    found = admissible(moved, dwell, total)
-    if found is not None:
-        yield found
+    cycle_in_range = admissible(moved, dwell, total)
+    if cycle_in_range is not None:
+        yield cycle_in_range
 
 
 def _key(cycle: Cycle) -> tuple:

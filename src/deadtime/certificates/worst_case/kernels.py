@@ -28,11 +28,11 @@ def _dot(a, b):
 
 
 @njit(cache=True)
-def _control(F, G, x, pipe, now):
+def _control(F, G, x, line, now):
     """u = F x + G (past inputs), into its place in the delay line."""
     m, window = G.shape
     for i in range(m):
-        pipe[now + i] = _dot(G[i], pipe[now - window : now]) + _dot(F[i], x)
+        line[now + i] = _dot(G[i], line[now - window : now]) + _dot(F[i], x)
 
 
 @njit(cache=True)
@@ -56,13 +56,13 @@ def forward(loop, repeats, x, inputs, states):
     table, weight = loop.pieces, loop.weight
     n, m, cycle = x.size, loop.G.shape[1], loop.rows.size
     past = inputs.shape[0] - repeats * cycle
-    pipe = inputs.reshape(-1)
+    line = inputs.reshape(-1)
     moved, acting = np.empty(n), np.empty(m)
     power, others = _powers(table, weight)
     for k in range(repeats * cycle):
         step = k % cycle
         row, now = loop.rows[step], past + k
-        _control(loop.F[row], loop.G[row], x, pipe, now * m)
+        _control(loop.F[row], loop.G[row], x, line, now * m)
         for q in range(table.first[step], table.first[step + 1]):
             e = table.entry[q]
             for j in range(m):
@@ -96,15 +96,15 @@ def after(loop, repeats, held, z):
 
 
 @njit(cache=True)
-def _control_adjoint(F, G, p, pipe, now):
+def _control_adjoint(F, G, p, line, now):
     """`_control`, transposed."""
     m, window = G.shape
     for i in range(m):
-        u = pipe[now + i]
+        u = line[now + i]
         for j in range(p.size):
             p[j] += F[i, j] * u
         for j in range(window):
-            pipe[now - window + j] += G[i, j] * u
+            line[now - window + j] += G[i, j] * u
 
 
 @njit(cache=True)
@@ -117,7 +117,7 @@ def carry_back(loop, p, inputs):
     table, weight = loop.pieces, loop.weight
     n, m, cycle = p.size, loop.G.shape[1], loop.rows.size
     past = inputs.shape[0] - cycle
-    pipe = inputs.reshape(-1)
+    line = inputs.reshape(-1)
     moved = np.empty(n)
     power, others = _powers(table, weight)
     for k in range(cycle - 1, -1, -1):
@@ -134,4 +134,4 @@ def carry_back(loop, p, inputs):
                 for i in range(n):
                     moved[j] += end * table.Phi[e, i, j] * p[i]
             p[:] = moved
-        _control_adjoint(loop.F[row], loop.G[row], p, pipe, now * m)
+        _control_adjoint(loop.F[row], loop.G[row], p, line, now * m)

@@ -160,18 +160,18 @@ class SampledLoop:
         table = self.table(cycle)
         start = np.random.default_rng(0).normal(size=self.order)
         spanning = max(1, -(-WINDOWS * self.past // table.periods))
-        found, repeats = None, 1
+        dominant, repeats = None, 1
         with np.errstate(over="ignore", invalid="ignore"):
             for repeats in (spanning, 3 * spanning, 1):
                 apply = partial(after, table, repeats, self.past)
-                found = _largest(apply, start, tolerance)
-                if found is not None:
+                dominant = _largest(apply, start, tolerance)
+                if dominant is not None:
                     break
-        if found is None:
-            found, repeats = self._dense(table), 1
-        if found is None:
+        if dominant is None:
+            dominant, repeats = self._dense(table), 1
+        if dominant is None:
             return None
-        value, vector = found
+        value, vector = dominant
         time = repeats * table.periods * self.step
         rate = math.log(abs(value)) / time if value else -math.inf
         n, m, W = self.plant.states, self.plant.inputs, self.past

@@ -76,8 +76,8 @@ def compress(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kind
     for kind, table in enumerate(tables):
         for column in range(rank):
             states, inputs = loop.run(table, 1, V[:, column])
-            pipe = np.lib.stride_tricks.sliding_window_view(inputs.ravel(), W * m)[::m]
-            reached = states[lengths - 1] @ U[:, :n].T + pipe[lengths] @ U[:, n:].T
+            line = np.lib.stride_tricks.sliding_window_view(inputs.ravel(), W * m)[::m]
+            reached = states[lengths - 1] @ U[:, :n].T + line[lengths] @ U[:, n:].T
             matrix[kind, :, :, column] = reached
     size = np.sqrt((matrix**2).sum(axis=(2, 3)))
     with np.errstate(divide="ignore"):
@@ -119,7 +119,7 @@ def _snapshots(
     back: bool,
 ) -> np.ndarray:
     """Lifted states (or functionals) at the switches of random runs, scaled, one a column."""
-    found, W = [], loop.past
+    snapshots, W = [], loop.past
     follows = kinds.follows.T if back else kinds.follows
     for _ in range(RUNS):
         z = rng.normal(size=loop.order)
@@ -134,11 +134,11 @@ def _snapshots(
                 break
             z, time = z / size, time + k
             if time > W:
-                found.append(z / np.linalg.norm(z))
+                snapshots.append(z / np.linalg.norm(z))
             if time > DELAYS * W:
                 break
             if len(tables) > 1:
                 kind = int(rng.choice(np.flatnonzero(follows[kind])))
-    if not found:
+    if not snapshots:
         return np.eye(loop.order)[:, :1]
-    return np.array(found).T
+    return np.array(snapshots).T

@@ -75,9 +75,9 @@ def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
             "reach; lengthen the step",
         )
     for bits in BITS:
-        found = _by_traces(loop, cycle, squarings, bits)
-        if found is not None:
-            return found
+        proof = _by_traces(loop, cycle, squarings, bits)
+        if proof is not None:
+            return proof
     return GrowthProof(False, reason=f"{BITS[-1]} bits do not suffice")
 
 

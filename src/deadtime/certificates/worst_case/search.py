@@ -164,8 +164,8 @@ def _most_promising(level: _Level) -> np.ndarray:
     _, group = np.unique(level.kinds[order, :BEGINNING], axis=0, return_inverse=True)
     group = group.ravel()
     place = np.empty(order.size, np.int64)
-    for one in range(int(group.max()) + 1):
-        inside = np.flatnonzero(group == one)
+    for number in range(int(group.max()) + 1):
+        inside = np.flatnonzero(group == number)
         place[inside] = np.arange(inside.size)
     return np.sort(order[np.argsort(place, kind="stable")[:WIDTH]])
 

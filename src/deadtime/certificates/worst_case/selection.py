@@ -64,9 +64,9 @@ def _starts(rated: list[Rated], loop: SampledLoop) -> tuple[list[Rated], int]:
     for cycle, _ in best:
         if cycle.periods <= SHORT:
             turned = [replace(cycle, offset=offset) for offset in OFFSETS]
-            growths = [(one, loop.growth(one, COARSE)) for one in turned]
+            growths = [(turn, loop.growth(turn, COARSE)) for turn in turned]
             evaluated += len(growths)
-            known = [(one, growth) for one, growth in growths if growth is not None]
+            known = [(turn, growth) for turn, growth in growths if growth is not None]
             others += sorted(known, key=lambda pair: -pair[1].rate)[:1]
     return [*best, *others], evaluated
 

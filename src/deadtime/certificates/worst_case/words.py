@@ -51,8 +51,8 @@ def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
     One sojourn is changed, two neighbours against each other, or all together.
     """
     count, top = word.index.size, sojourns.length.size - 1
-    one = np.eye(count, dtype=np.int64)
-    moves = np.vstack((one, one - np.roll(one, 1, axis=1), np.ones((1, count), np.int64)))
+    eye = np.eye(count, dtype=np.int64)
+    moves = np.vstack((eye, eye - np.roll(eye, 1, axis=1), np.ones((1, count), np.int64)))
     moves = np.unique(np.vstack((moves, -moves)), axis=0)
     index, rate, evaluated = word.index, word.rate, 0
     reach = max(1, sojourns.length.size // 8)

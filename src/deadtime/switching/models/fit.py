@@ -152,14 +152,14 @@ def _fit_mode(mode: int, name: str, observed: Observed) -> tuple[Distribution, G
 
     candidates = (name,) if name != "auto" else ("fixed",) if observed.fixed else tuple(FAMILIES)
     fits = {family: estimate(family, observed) for family in candidates}
-    found = {family: fit for family, fit in fits.items() if fit is not None}
-    if not found:
+    fitted = {family: fit for family, fit in fits.items() if fit is not None}
+    if not fitted:
         raise ArgumentError(
             f"family {name!r} cannot be fitted to the sojourns of mode {mode}, which last from "
             f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: take 'auto'."
         )
-    family = min(found, key=lambda key: found[key][2] + MARGIN * (key == "uniform"))
-    dist, parameters, aic = found[family]
+    family = min(fitted, key=lambda key: fitted[key][2] + MARGIN * (key == "uniform"))
+    dist, parameters, aic = fitted[family]
     n, gap = observed.complete.size, distance(dist, observed)
     p_value = float(kstwobign.sf(np.sqrt(n) * gap))
     return dist, Goodness(family, parameters, n, observed.censored.size, gap, p_value, aic)

@@ -91,8 +91,8 @@ def _without_redundant_rows(H: np.ndarray, h: np.ndarray) -> Polyhedron:
     return H[keep], h[keep]
 
 
-def _both(one: Polyhedron, other: Polyhedron) -> Polyhedron:
-    return np.vstack((one[0], other[0])), np.concatenate((one[1], other[1]))
+def _both(first: Polyhedron, second: Polyhedron) -> Polyhedron:
+    return np.vstack((first[0], second[0])), np.concatenate((first[1], second[1]))
 
 
 def _inner_point(

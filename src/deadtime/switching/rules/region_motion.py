@@ -127,10 +127,10 @@ class RegionMotion(Motion):
         )
         chatter = self._chatter(kind, why, time, region, other) if why else None
         parts = zip(*(part[:count].tolist() for part in legs), strict=True)
-        found = [Leg(t, y * self.unit, r, _beside(*rest)) for t, y, r, *rest in parts]
-        if not (found and found[0].time == 0.0):
-            found.insert(0, Leg(0.0, x, place))
-        return Move(z * self.unit, region, _beside(*along), found, chatter)
+        run = [Leg(t, y * self.unit, r, _beside(*rest)) for t, y, r, *rest in parts]
+        if not (run and run[0].time == 0.0):
+            run.insert(0, Leg(0.0, x, place))
+        return Move(z * self.unit, region, _beside(*along), run, chatter)
 
     def hold(self, kind: int, x: np.ndarray, place: int, u: np.ndarray) -> np.ndarray:
         mode = self.mode_of(place)

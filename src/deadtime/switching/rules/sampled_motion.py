@@ -87,9 +87,9 @@ class SampledMotion(Motion):
         fields = [self.A[i] @ x + self.B[i] @ u for i in (mode, other)]
         for share in _ASIDE:
             ahead = [share * float(self.lengths.max()) * field for field in fields]
-            found = [self._around(mode, x + side, u) for a in ahead for side in (a, -a)]
-            if all(len(modes) == 1 for modes in found):
-                return found == [{other}, {mode}, {mode}, {other}]
+            around = [self._around(mode, x + side, u) for a in ahead for side in (a, -a)]
+            if all(len(modes) == 1 for modes in around):
+                return around == [{other}, {mode}, {mode}, {other}]
         return False
 
     def _flow(self, mode: int, x: np.ndarray, u: np.ndarray, tau: float) -> np.ndarray:
@@ -108,11 +108,11 @@ class SampledMotion(Motion):
         while high - low > sharp:
             middle = 0.5 * (low + high)
             there = self._flow(mode, x, u, middle)
-            found = self.mode_at(there)
-            if found == mode:
+            mode_there = self.mode_at(there)
+            if mode_there == mode:
                 low = middle
             else:
-                high, state, new = middle, there, found
+                high, state, new = middle, there, mode_there
         return high, state, new
 
     def advance(

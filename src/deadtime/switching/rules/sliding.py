@@ -170,11 +170,11 @@ def slide(plant, regions, between, x, u, tau):
         while high - low > _SHARP * step:
             middle = 0.5 * (low + high)
             z = _onto(boundaries, row, _step(A, B, boundaries, pair, x, u, middle)[0])
-            found, there = _ending(plant, regions, surface, z, u)
-            if found == STAYS:
+            state, there = _ending(plant, regions, surface, z, u)
+            if state == STAYS:
                 low = middle
             else:
-                high, y, end, without = middle, z, found, there
+                high, y, end, without = middle, z, state, there
         if end == BACK:
             return y, done + high, end, region
         if end == ON:
