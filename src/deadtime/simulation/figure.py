@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,10 +12,25 @@ from matplotlib.figure import Figure
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.base.wording import input_names, subscript
+from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
-if TYPE_CHECKING:
-    from deadtime.simulation.trajectory import Trajectory
+
+class Run(Protocol):
+    """What the figure reads of a `Trajectory`."""
+
+    @property
+    def time(self) -> np.ndarray: ...
+    @property
+    def states(self) -> np.ndarray: ...
+    @property
+    def inputs(self) -> np.ndarray: ...
+    @property
+    def signal(self) -> SwitchingSignal: ...
+    @property
+    def plant(self) -> SwitchedSystem: ...
+    @property
+    def record(self) -> Any: ...
 
 
 def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
@@ -34,7 +49,7 @@ def signal_steps(signal: SwitchingSignal, end: float) -> tuple[np.ndarray, np.nd
 
 
 def plot_run(
-    run: Trajectory,
+    run: Run,
     title: str | None = None,
     states: Sequence[str] | None = None,
     modes: Sequence[str] | None = None,
