@@ -9,7 +9,8 @@ import numpy as np
 
 import deadtime as dt
 import plants
-from certificate_reference import ellipses, packed, rewritten
+from certificate_reference import packed, rewritten
+from exponential_products import ellipses
 
 CORPUS = Path(__file__).parents[1] / "verifier/corpus"
 PAPER = dt.problems.paper().plant

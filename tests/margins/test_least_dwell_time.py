@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import certificate_reference as reference
 import deadtime as dt
+import exponential_products as products
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import main
 from deadtime.margins import dwell_time as module
@@ -22,8 +22,8 @@ IDLE = dt.AveragedPredictor(PLANT, np.zeros((2, 1, 2)), allow_unstable=True)
 
 def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
     turn = 2.0 * np.pi / math.sqrt(10.0)
-    limit = reference.critical(
-        lambda T: reference.worst_multiplier(TURNING, [T] * 2, [T + turn] * 2), 6.0, 2.0
+    limit = products.critical(
+        lambda T: products.worst_multiplier(TURNING, [T] * 2, [T + turn] * 2), 6.0, 2.0
     )
     assert limit == pytest.approx(2.70775, abs=1e-4)
     found = dt.least_dwell_time(PLANT, IDLE, 0.01)
@@ -32,7 +32,7 @@ def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
     assert (found.proven, found.certificate.stable) == (True, True)
     assert found.certificate.evidence.setting.dwell_time == pytest.approx(found.certified)
     cycle = list(zip(found.witness.modes, found.witness.sojourns, strict=True))
-    assert reference.multiplier(TURNING, cycle) > 1.0
+    assert products.multiplier(TURNING, cycle) > 1.0
     assert min(found.witness.sojourns) == found.refuted
     said = re.search(r"dwell time of (\S+) s or more; with (\S+) s a growing", found.message)
     proved, grows = map(float, said.groups())

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 from scipy.linalg import expm
 
+from batches import equal
 from deadtime import ArgumentError
 from deadtime.numerics.philox import block_words, uniform, uniforms
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal, random
@@ -53,14 +54,6 @@ class Quantile(Instant):
     def ppf(self, p):
         self.calls += 1
         return self.quantile(p)
-
-
-def equal(one, other):
-    """Whether two batches are the same, bit for bit."""
-    return all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for name in ("first", "times", "modes", "end", "initial_age")
-    )
 
 
 def numpy_words(key, block, scenario, stream, size):
@@ -331,82 +324,3 @@ def test_sojourns_shorter_than_their_mean_says_are_stopped(monkeypatch):
         model.draw(5.0)
     with pytest.raises(ArgumentError, match="count = 900 signals of 5 s would hold more than"):
         model.draw(5.0, count=900)
-
-
-# -- batches ---------------------------------------------------------------------------------
-
-SIGNALS = [
-    SwitchingSignal([0.0, 0.5, 2.0], [1, 0, 2], 3.0, initial_age=0.25),
-    SwitchingSignal.constant(4),
-    SwitchingSignal([0.0, 0.1], [0, 3], 0.2),
-]
-
-
-def test_a_batch_gives_back_the_signals_it_was_made_of():
-    batch = SignalBatch.of(SIGNALS)
-    assert len(batch) == 3
-    for signal, given in zip(batch, SIGNALS, strict=True):
-        assert signal.times.tolist() == given.times.tolist()
-        assert signal.modes.tolist() == given.modes.tolist()
-        assert (signal.end, signal.initial_age) == (given.end, given.initial_age)
-    assert equal(batch.slice(1, 3), SignalBatch.of(SIGNALS[1:]))
-    assert equal(batch.slice(0, 3), batch)
-    assert batch.require_modes(5) is batch
-
-
-def test_the_arrays_of_a_batch_are_contiguous_its_own_and_read_only():
-    first, times, modes = np.array([0, 2]), np.array([0.0, 1.0]), np.array([0, 1])
-    batch = SignalBatch(first, times, modes, np.array([2.0]), np.array([0.0]))
-    times[1] = -1.0
-    assert batch.times.tolist() == [0.0, 1.0]
-    for array in vars(batch).values():
-        assert array.flags.c_contiguous
-        assert not array.flags.writeable
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"first": np.array([0, 2])}, "first must have shape (signals + 1,) = (3,), got (2,)"),
-        ({"first": np.array([0, 4, 4])}, "first must start at 0 and increase"),
-        ({"first": np.array([0.0, 2.0, 4.0])}, "first must hold integers, got an array of float64"),
-        ({"modes": np.array([0, 1])}, "modes must have shape (first[-1],) = (4,), got (2,)"),
-        (
-            {"times": np.array([0.0, 1.0, 0.5, 1.0])},
-            "times must start at 0, but not so in signal 1",
-        ),
-        ({"times": np.array([0.0, 1.0, 0.0, 0.0])}, "strictly increase, but not so in signal 1"),
-        ({"times": np.array([0.0, np.nan, 0.0, 1.0])}, "strictly increase, but not so in signal 0"),
-        ({"modes": np.array([2, 2, 0, 1])}, "modes must differ, but not so in signal 0"),
-        (
-            {"modes": np.array([0, 1, 0, -1])},
-            "modes must be counted from 0, but not so in signal 1",
-        ),
-        ({"end": np.array([2.0, 1.0])}, "later than the last switch, but not so in signal 1"),
-        ({"end": np.array([])}, "end must hold one time per signal, got shape (0,)"),
-        ({"initial_age": np.array([0.0, -1.0])}, "initial_age must be ≥ 0 and finite, in s, but"),
-    ],
-)
-def test_arrays_that_are_no_signals_are_refused(changed, message):
-    arrays = {
-        "first": np.array([0, 2, 4]),
-        "times": np.array([0.0, 1.0, 0.0, 1.0]),
-        "modes": np.array([0, 1, 1, 0]),
-        "end": np.array([2.0, np.inf]),
-        "initial_age": np.zeros(2),
-    }
-    assert len(SignalBatch(**arrays)) == 2
-    with pytest.raises(ArgumentError, match=re.escape(message)):
-        SignalBatch(**(arrays | changed))
-
-
-def test_what_a_batch_does_not_hold_is_refused():
-    batch = SignalBatch.of(SIGNALS)
-    with pytest.raises(ArgumentError, match="signal 1 enters mode 4 at 0 s, but the plant's modes"):
-        batch.require_modes(4)
-    with pytest.raises(ArgumentError, match=r"signal must be in 0\.\.2, got 3"):
-        batch[3]
-    with pytest.raises(ArgumentError, match="0 ≤ start < stop ≤ 3, got 2, 2"):
-        batch.slice(2, 2)
-    with pytest.raises(ArgumentError, match="signals must hold at least one signal, got none"):
-        SignalBatch.of([])

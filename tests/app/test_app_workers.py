@@ -1,0 +1,36 @@
+"""A job that hangs, dies or fails spoils no other."""
+
+import math
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+import deadtime as dt
+from deadtime.app.documents import open_named
+from deadtime.app.settings import Given
+
+
+def test_a_job_that_takes_too_long_is_stopped_and_the_next_one_runs(workers):
+    began = time.monotonic()
+    with pytest.raises(dt.ArgumentError, match=r"takes longer than 0\.5 s, and was stopped"):
+        workers.submit(0.5, time.sleep, 60.0).result()
+    assert time.monotonic() - began < 30.0
+    assert workers.submit(5.0, math.sqrt, 4.0).result() == 2.0
+
+
+def test_a_process_that_dies_is_replaced(workers):
+    with pytest.raises(dt.ArgumentError, match="ended its process"):
+        workers.submit(5.0, os._exit, 1).result()
+    assert workers.submit(5.0, math.sqrt, 9.0).result() == 3.0
+
+
+def test_errors_of_jobs_come_back(workers):
+    with pytest.raises(dt.ArgumentError, match=r"ValueError: (math|expected)"):
+        workers.submit(5.0, math.sqrt, -1.0).result()
+
+
+def test_given_signals_and_seeds_are_plain_data():
+    assert Given((0.0,), (0,)).about == ""
+    assert Path(open_named("paper").source).name == "paper.toml"
