@@ -166,9 +166,9 @@ def test_an_object_takes_its_own_copy_of_what_can_be_written_to():
 
 @pytest.mark.parametrize("again", [pickled, copy.deepcopy])
 def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(again):
-    from deadtime import cut_pieces
     from deadtime.laws.tables import constant_mode as rows
     from deadtime.numerics.exponential import discretise
+    from deadtime.plant import cut_pieces
     from deadtime.simulation import kernel
 
     compiled = [

@@ -138,7 +138,7 @@ def test_an_unstable_loop_of_a_multiple_eigenvalue_is_refuted(n):
 def test_growth_that_cannot_be_proved_is_no_answer_but_a_reason(monkeypatch):
     plant = plants.paper()
     law = plants.LAWS["averaged"](plant)
-    monkeypatch.setattr(proof, "enclosed_growth", lambda *_: (-1e-4, 1e-4))
+    monkeypatch.setattr(proof, "enclose_growth", lambda *_: (-1e-4, 1e-4))
     certificate = dt.certify(plant, law, 0.2, H)
     assert certificate.stable is None
     assert "Growth of +0.277 /s was computed when mode 1 is constant" in certificate.message

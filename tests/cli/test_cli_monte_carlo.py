@@ -123,7 +123,7 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
         yield report
 
     module = import_module("deadtime.scenarios.run")
-    monkeypatch.setattr(module, "shown", interrupting)
+    monkeypatch.setattr(module, "show_progress", interrupting)
     monkeypatch.setattr(module, "_BLOCK", 8)
     flags = ("--json",) if ending == "json" else ()
     arguments = ("--scenarios", "80", "--data", "part.nc", *flags)

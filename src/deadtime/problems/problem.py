@@ -121,7 +121,8 @@ class Problem(Frozen):
 
         Examples
         --------
-        >>> paper().simulate("oracle").diverged
+        >>> import deadtime as dt
+        >>> dt.problems.paper().simulate("oracle").diverged
         False
         """
         return self.run(self.law(law), signal)
