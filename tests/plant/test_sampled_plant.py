@@ -109,7 +109,8 @@ def test_pieces_along_a_signal_are_the_plant_integrated(delay):
     reference = integrated(sampled.plant, x, inputs)
     plants.close(run_through(table, x, inputs), reference[:, :3], 1e-10)
     # The integral of |x|², entry by entry.
-    Q = gramians(sampled.plant.A, sampled.plant.B, table, cuts.offset, cuts.mode)
+    plant = sampled.plant
+    Q = gramians(plant.A, plant.B, table, cuts.offset, cuts.mode, plant.identity)
     total = 0.0
     for entry, sample in zip(table.entry, table.sample, strict=True):
         u = inputs[9 + sample, [0, 1]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import traceback
@@ -14,6 +15,7 @@ from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
 from deadtime.base.errors import DeadtimeError
 from deadtime.base.version import __version__
+from deadtime.numerics import kernels
 
 START = Group.create_ordered("Start")
 JUDGE = Group.create_ordered("Judge one loop")
@@ -62,6 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, every error becomes one line."""
     from deadtime.cli.console import Terminal
 
+    kernels.notice = _say_compiling
     tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
     for stream in (sys.stdout, sys.stderr):
         # Where the encoding lacks • or ∞, a question mark is better than no result.
@@ -95,6 +98,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except Exception as error:
         _stop(70, _unforeseen(error))
     raise SystemExit(code if isinstance(code, int) else 0)
+
+
+@functools.cache
+def _say_compiling() -> None:
+    """Why nothing seems to happen, once; not where nobody is looking."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print("deadtime: compiling, once per machine …", file=sys.stderr, flush=True)
 
 
 def as_command(tokens: list[str]) -> list[str]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from deadtime.numerics.kernels import kernel
 
 _ROUND_OFF = 1e-9
 
 
-@njit(cache=True)
+@kernel
 def correct(C, L, y, x, spare, innovation):
     """x += L (y − C x), if y and the answer are finite; says whether it did."""
     for i in range(y.size):
@@ -28,7 +29,7 @@ def correct(C, L, y, x, spare, innovation):
     return True
 
 
-@njit(cache=True)
+@kernel
 def measure(C, H, x, y, use, value):
     """value = H y, or H C x where y is of no use."""
     for i in range(H.shape[0]):
@@ -42,7 +43,7 @@ def measure(C, H, x, y, use, value):
             value[i] += H[i, j] * output
 
 
-@njit(cache=True)
+@kernel
 def integrate(step, before, now, reference, asked, applied, push, q):
     """q += h ((before + now)/2 − reference), unless that asks for more of what was refused.
 

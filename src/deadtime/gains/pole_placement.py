@@ -57,8 +57,6 @@ def place_pair(
     `i` and `letter` are how messages call the mode and B, and `given` what they print for the
     poles, where those asked for are others.
     """
-    from scipy.signal import place_poles
-
     rank = int(np.linalg.matrix_rank(B))
     for pole, name in zip(poles, poles if given is None else given, strict=True):
         times = int(np.sum(poles == pole))
@@ -68,22 +66,37 @@ def place_pair(
                 f"{rank} equal poles can be placed: move them apart a little."
             )
     try:
-        with warnings.catch_warnings():
-            # It warns when its search for robust gains stops early; the answer is checked below.
-            warnings.simplefilter("ignore", UserWarning)
-            balanced, inputs, t, c = _balance(A, B)
-            wanted = poles if np.iscomplex(poles).any() else np.real(poles)
-            result: Any = place_poles(balanced, inputs, wanted)
-    except ValueError as error:
+        balanced, inputs, t, c = _balance(A, B)
+        place = _place_one_input if inputs.shape[1] == 1 else _place_robustly
+        K = place(balanced, inputs, poles)
+    except ValueError as error:  # which LinAlgError is
         raise ArgumentError(
             f"poles of mode {i} could not be placed ({error}): move them apart or closer to "
             "those of the plant."
         ) from None
-    K = -np.real(result.gain_matrix)
-    if K.shape[0] == 1:
-        K = _refine(balanced, inputs, K, poles)
     _require_poles(balanced + inputs @ K, poles, i)
     return c[:, None] * K / t
+
+
+def _place_robustly(A: np.ndarray, B: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """K of several inputs, its freedom spent on eigenvectors far from parallel."""
+    from scipy.signal import place_poles
+
+    with warnings.catch_warnings():
+        # It warns when its search for robust gains stops early; the answer is checked below.
+        warnings.simplefilter("ignore", UserWarning)
+        wanted = poles if np.iscomplex(poles).any() else np.real(poles)
+        result: Any = place_poles(A, B, wanted)
+    return -np.real(result.gain_matrix)
+
+
+def _place_one_input(A: np.ndarray, B: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """The K (1, n) of one input: (A − p I) x + B g = 0 gives K x = g for every pole p."""
+    pairs = A - poles[:, None, None] * np.eye(len(A))
+    pairs = np.concatenate((pairs, np.broadcast_to(B, (len(poles), *B.shape))), axis=2)
+    null = np.linalg.svd(pairs)[2][:, -1].conj()
+    K = np.linalg.solve(null[:, :-1], null[:, -1]).real[None]
+    return _refine(A, B, K, poles)
 
 
 def _refine(A: np.ndarray, B: np.ndarray, K: np.ndarray, poles: np.ndarray) -> np.ndarray:

@@ -10,12 +10,13 @@ This module needs Numba, so it is imported where it is used.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from deadtime.numerics.kernels import kernel
 
 _DEPTH = 48
 
 
-@njit(cache=True)
+@kernel
 def _bernstein(c):
     """The Bernstein coefficients on [0, 1] of the polynomial Σ c_k s^k."""
     degree = c.size - 1
@@ -30,7 +31,7 @@ def _bernstein(c):
     return b
 
 
-@njit(cache=True)
+@kernel
 def first_positive(c):
     """Where in (0, 1] Σ c_k s^k first exceeds 0, to 2⁻⁴⁸ and at the right end; −1 if nowhere."""
     b = _bernstein(c)
@@ -63,7 +64,7 @@ def first_positive(c):
     return -1.0
 
 
-@njit(cache=True)
+@kernel
 def zero_before(c, s, band):
     """The zero of Σ c_k s^k next to `s`, where it exceeds `band`; `s` itself if there is none."""
     root = s

@@ -1,4 +1,4 @@
-"""Φ and Γ over a piece of time, compiled.
+"""Φ and Γ over a piece of time, for kernels.
 
 A piece of length τ in mode i under a constant input u takes x to Φ x + Γ u,
 
@@ -15,45 +15,52 @@ Z = [[A, B], [0, 0]], E = diag(Q, 0),
 
     ∫₀^τ xᵀQx dt = z(0)ᵀ M z(0),    M(τ) = ∫₀^τ e^{Zᵀs} E e^{Zs} ds,
     M(2τ) = M(τ) + e^{Zᵀτ} M(τ) e^{Zτ}:   a sum of positive terms, no cancellation.
-
-This module needs Numba, so it is imported where it is used.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from deadtime.base.checks import read_only
+from deadtime.numerics.kernels import kernel
 
 ROUND_OFF = 1e-18
 
 
-@njit(cache=True)
-def multiply(X, Y):
-    """X Y for small matrices, without the call overhead of BLAS."""
-    rows, inner = X.shape
-    columns = Y.shape[1]
-    result = np.zeros((rows, columns))
-    for i in range(rows):
-        for k in range(inner):
+@kernel
+def product(X, Y, result):
+    """result = X Y for small matrices, without the call overhead of BLAS."""
+    for i in range(X.shape[0]):
+        for j in range(Y.shape[1]):
+            result[i, j] = 0.0
+        for k in range(X.shape[1]):
             factor = X[i, k]
-            for j in range(columns):
+            for j in range(Y.shape[1]):
                 result[i, j] += factor * Y[k, j]
+
+
+@kernel
+def multiply(X, Y):
+    """X Y for small matrices."""
+    result = np.empty((X.shape[0], Y.shape[1]))
+    product(X, Y, result)
     return result
 
 
-@njit(cache=True)
-def norm(A):
-    """Largest row sum |A|_∞."""
-    largest = 0.0
-    for i in range(A.shape[0]):
-        total = 0.0
-        for j in range(A.shape[1]):
-            total += abs(A[i, j])
-        largest = max(largest, total)
-    return largest
+@kernel
+def add_congruence(T, M, spare, result):
+    """Add Tᵀ M T to result, all (n, n); `spare` is overwritten by M T."""
+    n = M.shape[0]
+    product(M, T, spare)
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += T[k, i] * spare[k, j]
+            result[i, j] += total
 
 
-@njit(cache=True)
+@kernel
 def balance(A):
     """Powers of two t with diag(1/t) A diag(t) balanced: rows as large as columns (Osborne)."""
     n = A.shape[0]
@@ -76,7 +83,19 @@ def balance(A):
     return t
 
 
-@njit(cache=True)
+@kernel
+def balanced_norm(A, t):
+    """The largest row sum of diag(1/t) A diag(t)."""
+    largest = 0.0
+    for i in range(A.shape[0]):
+        total = 0.0
+        for j in range(A.shape[1]):
+            total += abs(A[i, j] * t[j] / t[i])
+        largest = max(largest, total)
+    return largest
+
+
+@kernel
 def _doublings(size):
     """The least s with size / 2^s ≤ 1/2, at most 1025; −1 where no s is, of a size not finite."""
     if not size < np.inf:
@@ -88,7 +107,7 @@ def _doublings(size):
     return count
 
 
-@njit(cache=True)
+@kernel
 def advance(Phi, Gamma, x, u, result):
     """result = Φ x + Γ u."""
     for i in range(x.size):
@@ -100,103 +119,166 @@ def advance(Phi, Gamma, x, u, result):
         result[i] = total
 
 
-@njit(cache=True)
+@kernel
+def _transition(Z, size, tau, Phi, W):
+    """Φ = e^{Zτ} and W = ∫₀^τ e^{Zs} ds, of |Z| τ = `size`."""
+    n, count = Z.shape[0], _doublings(size)
+    term, spare = np.zeros((n, n)), np.empty((n, n))
+    short, bound, k = tau / 2.0**count, 1.0, 1
+    for i in range(n):
+        term[i, i] = short
+        for j in range(n):
+            W[i, j] = term[i, j]
+    while bound > ROUND_OFF and k < 40:
+        k += 1
+        product(Z, term, spare)
+        for i in range(n):
+            for j in range(n):
+                term[i, j] = spare[i, j] * (short / k)
+                W[i, j] += term[i, j]
+        bound *= size / 2.0**count / k
+    product(Z, W, Phi)
+    for i in range(n):
+        Phi[i, i] += 1.0
+    for _ in range(count):
+        product(Phi, W, term)
+        product(Phi, Phi, spare)
+        for i in range(n):
+            for j in range(n):
+                W[i, j] += term[i, j]
+                Phi[i, j] = spare[i, j]
+
+
+@kernel
+def discretise_into(A, B, tau, Phi, Gamma):
+    """`discretise` into arrays at hand."""
+    n, m = B.shape
+    Z, W = np.empty((n, n)), np.empty((n, n))
+    unit = balance(A)
+    size = balanced_norm(A, unit) * tau
+    for i in range(n):
+        for j in range(n):
+            Z[i, j] = A[i, j] * unit[j] / unit[i]
+            Phi[i, j] = np.nan
+        for j in range(m):
+            Gamma[i, j] = np.nan
+    if size < np.inf:
+        _transition(Z, size, tau, Phi, W)
+        for i in range(n):
+            for j in range(n):
+                Phi[i, j] = Phi[i, j] * unit[i] / unit[j]
+                W[i, j] = W[i, j] * unit[i] / unit[j]
+        product(W, B, Gamma)
+
+
+@kernel
 def discretise(A, B, tau):
     """Φ (n, n) and Γ (n, m): dx/dt = A x + B u over `tau` seconds with the input held.
 
     Both are NaN where |A|τ is beyond what floats hold.
     """
-    n = A.shape[0]
-    unit = balance(A)
-    balanced = A * unit / unit.reshape(n, 1)
-    size = norm(balanced) * tau
-    count = _doublings(size)
-    if count < 0:
-        return np.full((n, n), np.nan), np.full(B.shape, np.nan)
-    short = tau / 2.0**count
-    term = short * np.eye(n)
-    W = term.copy()
-    bound, k = 1.0, 1
-    while bound > ROUND_OFF and k < 40:
-        k += 1
-        term = multiply(balanced, term)
-        term *= short / k
-        W += term
-        bound *= size / 2.0**count / k
-    Phi = multiply(balanced, W)
-    for i in range(n):
-        Phi[i, i] += 1.0
-    for _ in range(count):
-        W = W + multiply(Phi, W)
-        Phi = multiply(Phi, Phi)
-    back = unit.reshape(n, 1)
-    return Phi * back / unit, multiply(W * back / unit, B)
-
-
-@njit(cache=True)
-def discretise_modes(A, B, tau):
-    """`discretise` for every mode: Φ (modes, n, n) and Γ (modes, n, m)."""
-    Phi = np.empty_like(A)
-    Gamma = np.empty_like(B)
-    for i in range(A.shape[0]):
-        Phi[i], Gamma[i] = discretise(A[i], B[i], tau)
+    Phi, Gamma = np.empty(A.shape), np.empty(B.shape)
+    discretise_into(A, B, tau, Phi, Gamma)
     return Phi, Gamma
 
 
-@njit(cache=True)
-def energy_gramian(A, B, tau, Q=None):
-    """M (n + m, n + m) with ∫₀^τ xᵀQx dt = zᵀ M z, z = (x(0), u), the input held; None: Q = I.
+@kernel
+def discretise_modes(A, B, tau):
+    """`discretise` for every mode: Φ (modes, n, n) and Γ (modes, n, m)."""
+    Phi, Gamma = np.empty(A.shape), np.empty(B.shape)
+    for mode in range(A.shape[0]):
+        discretise_into(A[mode], B[mode], tau, Phi[mode], Gamma[mode])
+    return Phi, Gamma
 
-    States are measured in units in which A is balanced, inputs in units in which B is as large
-    as A, so that bad scaling does not ask for needless doublings. M is NaN where |A|τ is beyond
-    what floats hold.
+
+def energy_gramian(
+    A: np.ndarray, B: np.ndarray, tau: float, Q: np.ndarray | None = None
+) -> np.ndarray:
+    """M (n + m, n + m) with ∫₀^τ xᵀQx dt = zᵀ M z, z = (x(0), u), the input held; None: Q = I."""
+    return gramian(A, B, tau, read_only(np.eye(len(A))) if Q is None else Q)
+
+
+@kernel
+def _units(A, B, tau):
+    """Units (n + m,) of z: of x, in which A is balanced; of u, in which B is as large as A."""
+    n, m = B.shape
+    unit, states = np.ones(n + m), balance(A)
+    size = max(balanced_norm(A, states), 1.0 / tau)
+    for i in range(n):
+        unit[i] = states[i]
+    for j in range(m):
+        largest = 0.0
+        for i in range(n):
+            largest = max(largest, abs(B[i, j] / states[i]))
+        if largest > 0.0:
+            unit[n + j] = size / largest
+    return unit
+
+
+@kernel
+def gramian(A, B, tau, Q):
+    """`energy_gramian`.
+
+    Bad scaling of states or inputs asks for no needless doublings: they are counted in units in
+    which A is balanced and B as large as A. M is NaN where |A|τ is beyond what floats hold.
     """
     n, m = B.shape
+    q = n + m
+    M, Z = np.zeros((q, q)), np.zeros((q, q))
     if tau == 0.0:
-        return np.zeros((n + m, n + m))
-    unit = np.ones(n + m)
-    unit[:n] = balance(A)
-    back = unit[:n].copy().reshape(n, 1)
-    balanced, scaled = A * unit[:n] / back, B / back
-    for j in range(m):
-        largest = np.abs(scaled[:, j]).max()
-        if largest > 0.0:
-            unit[n + j] = max(norm(balanced), 1.0 / tau) / largest
-            scaled[:, j] *= unit[n + j]
-    Z = np.zeros((n + m, n + m))
-    Z[:n, :n] = balanced
-    Z[:n, n:] = scaled
-    size = 2.0 * norm(Z) * tau
+        return M
+    unit = _units(A, B, tau)
+    for i in range(n):
+        for j in range(n):
+            Z[i, j] = A[i, j] * unit[j] / unit[i]
+        for j in range(m):
+            Z[i, n + j] = B[i, j] / unit[i] * unit[n + j]
+    largest = 0.0
+    for i in range(n):
+        total = 0.0
+        for j in range(q):
+            total += abs(Z[i, j])
+        largest = max(largest, total)
+    size = 2.0 * largest * tau
     count = _doublings(size)
     if count < 0:
-        return np.full((n + m, n + m), np.nan)
-    short = tau / 2.0**count
-    term = np.zeros((n + m, n + m))
-    if Q is None:
-        for i in range(n):
-            term[i, i] = short * unit[i] ** 2
-    else:
-        term[:n, :n] = short * Q * np.outer(unit[:n], unit[:n])
-    M = term.copy()
+        for i in range(q):
+            for j in range(q):
+                M[i, j] = np.nan
+        return M
+    _double_gramian(Z, Q, unit, size, count, tau, M)
+    for i in range(q):
+        for j in range(q):
+            M[i, j] /= unit[i] * unit[j]
+    return M
+
+
+@kernel
+def _double_gramian(Z, Q, unit, size, count, tau, M):
+    """M += ∫₀^τ e^{Zᵀs} E e^{Zs} ds, its Taylor series over τ/2^count and then doubled."""
+    n, q = Q.shape[0], Z.shape[0]
+    term, half, spare = np.zeros((q, q)), np.empty((q, q)), np.empty((q, q))
+    Phi, short = np.empty((q, q)), tau / 2.0**count
+    for i in range(n):
+        for j in range(n):
+            term[i, j] = short * Q[i, j] * (unit[i] * unit[j])
+            M[i, j] = term[i, j]
     bound, k = 1.0, 1
     while bound > ROUND_OFF and k < 40:
         k += 1
-        half = multiply(term, Z)
-        term = (half + half.T) * (short / k)
-        M += term
+        product(term, Z, half)
+        for i in range(q):
+            for j in range(q):
+                term[i, j] = (half[i, j] + half[j, i]) * (short / k)
+                M[i, j] += term[i, j]
         bound *= size / 2.0**count / k
-    transition = extend(*discretise(balanced, scaled, short))
+    _transition(Z, size / 2.0 / 2.0**count, short, Phi, half)
     for _ in range(count):
-        M = M + multiply(multiply(transition.T, M), transition)
-        transition = multiply(transition, transition)
-    return M / np.outer(unit, unit)
-
-
-@njit(cache=True)
-def extend(Phi, Gamma):
-    """[[Φ, Γ], [0, I]], the transition of z = (x, u)."""
-    n, m = Gamma.shape
-    result = np.eye(n + m)
-    result[:n, :n] = Phi
-    result[:n, n:] = Gamma
-    return result
+        for i in range(q):
+            for j in range(q):
+                half[i, j] = M[i, j]
+        add_congruence(Phi, half, spare, M)
+        product(Phi, Phi, spare)
+        for i in range(q):
+            for j in range(q):
+                Phi[i, j] = spare[i, j]

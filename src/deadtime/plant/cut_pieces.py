@@ -1,18 +1,21 @@
-"""The pieces of periods that switches cut, compiled: `deadtime.plant.pieces.PieceTable`.
-
-This module needs Numba, so it is imported where it is used.
-"""
+"""The pieces of periods that switches cut, for kernels: `deadtime.plant.pieces.PieceTable`."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from deadtime.numerics.exponential import discretise, energy_gramian, extend, multiply
+from deadtime.numerics.exponential import (
+    add_congruence,
+    discretise,
+    discretise_into,
+    gramian,
+    product,
+)
+from deadtime.numerics.kernels import kernel
 from deadtime.plant.pieces import PieceTable
 
 
-@njit(cache=True)
+@kernel
 def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
     """The pieces of the periods 0, …, periods − 1; switch p goes to cut_mode[p + 1].
 
@@ -34,8 +37,9 @@ def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
     for i in range(modes):
         for s in range(stretches.first[i], stretches.first[i + 1]):
             start[s], stop[s], mode_of[s] = stretches.start[s], stretches.stop[s], i
-            lag[s] = stretches.lag[s]
-            Phi[s], Gamma[s] = discretise(A[i], B[i], stop[s] - start[s])
+            for j in range(m):
+                lag[s, j] = stretches.lag[s, j]
+            discretise_into(A[i], B[i], stop[s] - start[s], Phi[s], Gamma[s])
     e, q, p, mode = whole, 0, 0, cut_mode[0]
     for k in range(periods):
         first[k] = q
@@ -57,14 +61,15 @@ def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
                 entry[q] = s
                 q += 1
             else:
-                part_Phi, part_Gamma = discretise(A[mode], B[mode], end - now)
                 for j in range(m):
                     goes_on = goes_on and lag[e - 1, j] == lag[s, j]
                 if goes_on:
-                    Phi[e - 1] = multiply(part_Phi, Phi[e - 1])
-                    Gamma[e - 1] = multiply(part_Phi, Gamma[e - 1]) + part_Gamma
+                    part_Phi, part_Gamma = discretise(A[mode], B[mode], end - now)
+                    go_on(Phi[e - 1], Gamma[e - 1], part_Phi, part_Gamma)
                 else:
-                    Phi[e], Gamma[e], lag[e] = part_Phi, part_Gamma, lag[s]
+                    for j in range(m):
+                        lag[e, j] = lag[s, j]
+                    discretise_into(A[mode], B[mode], end - now, Phi[e], Gamma[e])
                     start[e], mode_of[e], cut[e, 0] = now, mode, p
                     entry[q] = e
                     e, q = e + 1, q + 1
@@ -78,7 +83,21 @@ def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
     )
 
 
-@njit(cache=True)
+@kernel
+def go_on(Phi, Gamma, part_Phi, part_Gamma):
+    """Let a part follow on Φ, Γ, which are overwritten."""
+    n, m = Gamma.shape
+    moved, entered = np.empty((n, n)), np.empty((n, m))
+    product(part_Phi, Phi, moved)
+    product(part_Phi, Gamma, entered)
+    for i in range(n):
+        for j in range(n):
+            Phi[i, j] = moved[i, j]
+        for j in range(m):
+            Gamma[i, j] = entered[i, j] + part_Gamma[i, j]
+
+
+@kernel
 def up_to(A, B, table, cut_offset, cut_mode, e, end):
     """Φ, Γ of entry e from its start up to `end` seconds after the period's sample."""
     n, m = B.shape[1:]
@@ -88,36 +107,45 @@ def up_to(A, B, table, cut_offset, cut_mode, e, end):
         until = min(cut_offset[p], end) if p < table.cut[e, 1] else end
         if until > now:
             part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
-            Phi, Gamma = multiply(part_Phi, Phi), multiply(part_Phi, Gamma) + part_Gamma
+            go_on(Phi, Gamma, part_Phi, part_Gamma)
             now = until
         if p < table.cut[e, 1]:
             mode = cut_mode[p + 1]
     return Phi, Gamma
 
 
-@njit(cache=True)
-def gramian_up_to(A, B, table, cut_offset, cut_mode, e, end, Q=None):
+@kernel
+def gramian_up_to(A, B, table, cut_offset, cut_mode, e, end, Q):
     """M with ∫xᵀQx dt = zᵀ M z, z = (x, u), over entry e from its start up to `end`."""
     n, m = B.shape[1:]
-    M, transition = np.zeros((n + m, n + m)), np.eye(n + m)
+    M, spare, carried = np.zeros((n + m, n + m)), np.empty((n + m, n + m)), np.eye(n + m)
+    Phi, Gamma = np.eye(n), np.zeros((n, m))
     mode, now = table.mode[e], table.start[e]
     for p in range(table.cut[e, 0], table.cut[e, 1] + 1):
         until = min(cut_offset[p], end) if p < table.cut[e, 1] else end
         if until > now:
-            part = energy_gramian(A[mode], B[mode], until - now, Q)
-            M += multiply(multiply(transition.T, part), transition)
-            transition = multiply(extend(*discretise(A[mode], B[mode], until - now)), transition)
+            for i in range(n):
+                for j in range(n):
+                    carried[i, j] = Phi[i, j]
+                for j in range(m):
+                    carried[i, n + j] = Gamma[i, j]
+            add_congruence(carried, gramian(A[mode], B[mode], until - now, Q), spare, M)
+            part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
+            go_on(Phi, Gamma, part_Phi, part_Gamma)
             now = until
         if p < table.cut[e, 1]:
             mode = cut_mode[p + 1]
     return M
 
 
-@njit(cache=True)
-def gramians(A, B, table, cut_offset, cut_mode, Q=None):
+@kernel
+def gramians(A, B, table, cut_offset, cut_mode, Q):
     """`gramian_up_to` of every entry, to its end."""
     size = B.shape[1] + B.shape[2]
     M = np.empty((table.mode.size, size, size))
     for e in range(table.mode.size):
-        M[e] = gramian_up_to(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
+        part = gramian_up_to(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
+        for i in range(size):
+            for j in range(size):
+                M[e, i, j] = part[i, j]
     return M

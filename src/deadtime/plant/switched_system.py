@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import brief, number, positive, real_array, require_shape
+from deadtime.base.checks import brief, number, positive, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 
@@ -110,6 +111,11 @@ class SwitchedSystem(Frozen):
     def inputs(self) -> int:
         """Number of inputs, m."""
         return self.B.shape[2]
+
+    @cached_property
+    def identity(self) -> Float[np.ndarray, "n n"]:
+        """The weight of |x|²."""
+        return read_only(np.eye(self.states))
 
     def mean(self) -> SwitchedSystem:
         """The plant with one mode, the element-wise mean (Ā, B̄) of all modes.

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from deadtime.numerics.exponential import advance
+from deadtime.numerics.kernels import kernel
 from deadtime.plant.cut_pieces import up_to
 
 LIMIT = 1e100
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@kernel
 def _dot(a, b):
-    """Σ a_i b_i, summed in any order (so that it vectorises)."""
-    total = 0.0
-    for i in range(a.size):
+    """Σ a_i b_i in four sums, so that it vectorises, in one order wherever it is run."""
+    first = second = third = fourth = 0.0
+    whole = a.size - a.size % 4
+    for i in range(0, whole, 4):
+        first += a[i] * b[i]
+        second += a[i + 1] * b[i + 1]
+        third += a[i + 2] * b[i + 2]
+        fourth += a[i + 3] * b[i + 3]
+    total = (first + second) + (third + fourth)
+    for i in range(whole, a.size):
         total += a[i] * b[i]
     return total
 
 
-@njit(cache=True)
+@kernel
 def _within_limit(x):
     """Whether |x| ≤ LIMIT (false when x is not a number)."""
     square = 0.0
@@ -29,16 +36,16 @@ def _within_limit(x):
     return square <= 1.0
 
 
-@njit(cache=True)
+@kernel
 def _finite(a):
     """Whether all are finite."""
     finite = True
-    for value in a:
-        finite &= np.isfinite(value)
+    for i in range(a.size):
+        finite &= np.isfinite(a[i])
     return finite
 
 
-@njit(cache=True)
+@kernel
 def _limit(u, before, low, high, relative):
     """An input under limits, one after the other, `before` being what was applied before it."""
     for j in range(relative.size):
@@ -47,7 +54,7 @@ def _limit(u, before, low, high, relative):
     return u
 
 
-@njit(cache=True)
+@kernel
 def closed_loop(table, rows, line, imperfect, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
@@ -62,7 +69,8 @@ def closed_loop(table, rows, line, imperfect, shift, x0):
     told = line.told.reshape(-1)
     seen, acting = np.empty(n), np.empty(m)
     path = np.empty((table.entry.size + 1, n))
-    path[0] = x0
+    for i in range(n):
+        path[0, i] = x0[i]
     for k in range(table.first.size - 1):
         x = path[table.first[k]]
         if k < samples and k > 0 and not _within_limit(x):
@@ -91,11 +99,12 @@ def closed_loop(table, rows, line, imperfect, shift, x0):
                 acting[i] = line.inputs[past + sample, i]
             advance(table.Phi[e], table.Gamma[e], path[q], acting, path[q + 1])
             if shift.size:
-                path[q + 1] += shift[q]
+                for i in range(n):
+                    path[q + 1, i] += shift[q, i]
     return samples, path
 
 
-@njit(cache=True)
+@kernel
 def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
     """x at the instants t_k + offset, k = `step`; acting[q] is held over piece q."""
     result = np.empty((step.size, A.shape[1]))
@@ -109,15 +118,17 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
     return result
 
 
-@njit(cache=True)
+@kernel
 def form_integral(M, entry, pieces, path, acting):
     """The sum of the forms M of the entries over the first pieces."""
     n, m = path.shape[1], acting.shape[1]
     total = 0.0
     z = np.empty(n + m)
     for q in range(pieces):
-        z[:n] = path[q]
-        z[n:] = acting[q]
+        for i in range(n):
+            z[i] = path[q, i]
+        for i in range(m):
+            z[n + i] = acting[q, i]
         form = M[entry[q]]
         for i in range(n + m):
             total += z[i] * _dot(form[i], z)

@@ -149,7 +149,8 @@ class DigitalRecord(Frozen):
     def integrals(self, end: float, weight: Weight | None = None) -> tuple[float, float]:
         """∫xᵀQx and ∫uᵀRu over [0, end], exact."""
         step, rest = (part[0] for part in self.locate(np.array([end])))
-        Q, R = (None, None) if weight is None else (weight.Q, weight.R)
+        R = None if weight is None else weight.R
+        Q = self.plant.identity if weight is None else weight.Q
         states = self._whole_steps(int(step), Q)
         held = self.inputs[self.past : self.past + step]
         inputs = self.step * float(np.vdot(held, held if R is None else held @ R))
@@ -163,7 +164,7 @@ class DigitalRecord(Frozen):
         """The pieces of a period."""
         return slice(self.table.first[k], self.table.first[k + 1])
 
-    def _whole_steps(self, steps: int, Q: np.ndarray | None) -> float:
+    def _whole_steps(self, steps: int, Q: np.ndarray) -> float:
         """∫xᵀQx over the steps 0, …, steps − 1."""
         from deadtime.plant.cut_pieces import gramians
         from deadtime.simulation.kernel import form_integral
@@ -182,13 +183,13 @@ class DigitalRecord(Frozen):
         forms = float(form_integral(M, table.entry, pieces, *still))
         return forms + sum(self._within_slide(k, self.step, Q) for k in slid)
 
-    def _within_slide(self, k: int, end: float, Q: np.ndarray | None) -> float:
+    def _within_slide(self, k: int, end: float, Q: np.ndarray) -> float:
         """`_within_step`, of a step that slides."""
         assert self.slides is not None
         rate = float(np.abs(self.plant.A).sum(axis=2).max())
         return self.slides.form_integral(k, end, self.driving_inputs[1][self._pieces(k)], rate, Q)
 
-    def _within_step(self, k: int, end: float, Q: np.ndarray | None) -> float:
+    def _within_step(self, k: int, end: float, Q: np.ndarray) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""
         from deadtime.plant.cut_pieces import gramian_up_to
 

@@ -53,7 +53,7 @@ class Slides:
         return self.motion.along(part.leg, acting[part.piece], offset - part.begin)
 
     def form_integral(
-        self, k: int, end: float, acting: np.ndarray, rate: float, Q: np.ndarray | None
+        self, k: int, end: float, acting: np.ndarray, rate: float, Q: np.ndarray
     ) -> float:
         """∫xᵀQx over [t_k, t_k + end] by Gauss quadrature; `rate` (1/s) is the modes' fastest."""
         nodes, total = gauss(_NODES), 0.0
@@ -66,7 +66,7 @@ class Slides:
             for i in range(count):
                 for point, weight in zip(nodes.points, nodes.weights, strict=True):
                     x = self.motion.along(part.leg, acting[part.piece], short * (i + point))
-                    total += short * weight * float(x @ x if Q is None else x @ Q @ x)
+                    total += short * weight * float(x @ Q @ x)
         return total
 
     def slides(self, step: float, end: float) -> list[Slide]:

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from deadtime.numerics.exponential import ROUND_OFF, balance, discretise, multiply, norm
+from deadtime.numerics.exponential import (
+    ROUND_OFF,
+    balance,
+    balanced_norm,
+    discretise,
+    discretise_into,
+    product,
+)
+from deadtime.numerics.kernels import kernel
 
 _SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
+_TERMS = 40  # of that series: far more than round-off needs at `_SHORT`
 
 
-@njit(cache=True)
+@kernel
 def march(Phi, Gamma, lags, F, G, x, inputs, first):
     """Run on from x and the inputs before step `first`; fill `inputs` and return the last x.
 
@@ -40,7 +48,7 @@ def march(Phi, Gamma, lags, F, G, x, inputs, first):
     return x
 
 
-@njit(cache=True)
+@kernel
 def transform(G, w):
     """Σ_j G_j w^j and Σ_j j G_j w^j, (points, m, m), for G (taps, m, m) and w (points,)."""
     taps, m, _ = G.shape
@@ -58,7 +66,7 @@ def transform(G, w):
     return value, slope
 
 
-@njit(cache=True)
+@kernel
 def cut_inputs(A, B, step, delays):
     """N, Γ_early, Γ_late and e^{A(h − φ)} B for each delay, a little below 0 too.
 
@@ -66,27 +74,41 @@ def cut_inputs(A, B, step, delays):
     While |A| h is small, Γ(τ) = Σ_k A^k B τ^{k+1}/(k + 1)! has the same terms for all delays.
     """
     n, m = B.shape
-    # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
-    count = np.maximum(1.0, np.ceil(delays / step))
-    rest = count * step - delays
-    early, late, last = np.empty((3, delays.size, n, m))
-    unit = balance(A)
-    size = norm(A * unit / unit.reshape(n, 1)) * max(step, rest.max())
-    terms, bound = [B / 1.0], 1.0
-    while bound > ROUND_OFF and size <= _SHORT:
-        terms.append(multiply(A, terms[-1]) / (len(terms) + 1.0))
-        bound *= size / len(terms)
+    count, points = np.empty(delays.size), delays.size
+    early, late, last = np.empty((points, n, m)), np.empty((points, n, m)), np.empty((points, n, m))
+    longest = step
+    for i in range(points):
+        # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
+        count[i] = max(1.0, np.ceil(delays[i] / step))
+        longest = max(longest, count[i] * step - delays[i])
+    size = balanced_norm(A, balance(A)) * longest
+    terms, length, bound = np.empty((_TERMS, n, m)), 1, 1.0
+    for row in range(n):
+        for column in range(m):
+            terms[0, row, column] = B[row, column]
+    while bound > ROUND_OFF and size <= _SHORT and length < _TERMS:
+        product(A, terms[length - 1], terms[length])
+        for row in range(n):
+            for column in range(m):
+                terms[length, row, column] /= length + 1.0
+        length += 1
+        bound *= size / length
     whole = discretise(A, B, step)[1]
-    for i in range(delays.size):
+    Phi = np.empty((n, n))
+    for i in range(points):
+        rest = count[i] * step - delays[i]
         if size <= _SHORT:
-            total = late[i]
-            total[:] = 0.0
-            for k in range(len(terms) - 1, -1, -1):
-                for row in range(n):
-                    for column in range(m):
-                        total[row, column] = rest[i] * (total[row, column] + terms[k][row, column])
+            for row in range(n):
+                for column in range(m):
+                    total = 0.0
+                    for k in range(length - 1, -1, -1):
+                        total = rest * (total + terms[k, row, column])
+                    late[i, row, column] = total
         else:
-            late[i] = discretise(A, B, rest[i])[1]
-        early[i] = whole - late[i]
-        last[i] = B + multiply(A, late[i])
+            discretise_into(A, B, rest, Phi, late[i])
+        product(A, late[i], last[i])
+        for row in range(n):
+            for column in range(m):
+                last[i, row, column] += B[row, column]
+                early[i, row, column] = whole[row, column] - late[i, row, column]
     return count, early, late, last

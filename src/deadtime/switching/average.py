@@ -20,10 +20,11 @@ This module needs Numba, so it is imported where it is used.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from deadtime.numerics.kernels import kernel
 
 
-@njit(cache=True)
+@kernel
 def least_slope(t, chatter):
     """min (t_j − t_i)/(j + 1 − chatter − i) over i ≤ j where positive; infinite for no pair."""
     hull = np.empty(t.size, np.int64)

@@ -15,10 +15,11 @@ it is imported where it is used.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from deadtime.numerics.kernels import kernel
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@kernel(eager=True, fastmath={"reassoc", "contract"})
 def _dot(a, b):
     """Σ a_i b_i, summed in any order (so that it vectorises)."""
     total = 0.0
@@ -27,7 +28,7 @@ def _dot(a, b):
     return total
 
 
-@njit(cache=True)
+@kernel
 def _control(F, G, x, line, now):
     """u = F x + G (past inputs), into its place in the delay line."""
     m, window = G.shape
@@ -35,7 +36,7 @@ def _control(F, G, x, line, now):
         line[now + i] = _dot(G[i], line[now - window : now]) + _dot(F[i], x)
 
 
-@njit(cache=True)
+@kernel
 def _powers(table, weight):
     """w^lag of the first input of every entry, and what those of the others are times that."""
     size, m = table.lag.shape
@@ -47,7 +48,7 @@ def _powers(table, weight):
     return power, others
 
 
-@njit(cache=True)
+@kernel
 def forward(loop, repeats, x, inputs, states):
     """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
 
@@ -81,7 +82,7 @@ def forward(loop, repeats, x, inputs, states):
             states[k, i] = x[i]
 
 
-@njit(cache=True)
+@kernel
 def after(loop, repeats, held, z):
     """The lifted state z = (x, the `held` last inputs, the oldest first) after some cycles."""
     m, n = loop.F.shape[1:]
@@ -95,7 +96,7 @@ def after(loop, repeats, held, z):
     return result
 
 
-@njit(cache=True)
+@kernel
 def _control_adjoint(F, G, p, line, now):
     """`_control`, transposed."""
     m, window = G.shape
@@ -107,7 +108,7 @@ def _control_adjoint(F, G, p, line, now):
             line[now - window + j] += G[i, j] * u
 
 
-@njit(cache=True)
+@kernel
 def carry_back(loop, p, inputs):
     """Carry a functional of the lifted state back over one cycle, in place.
 

@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Factor, Feedback
-from deadtime.numerics.exponential import discretise, discretise_modes, multiply
+from deadtime.numerics.exponential import discretise, discretise_into, discretise_modes, product
+from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
 
 
-@njit(cache=True)
+@kernel
 def place(tap, lag, G):
     """Add what a stretch gives its inputs to their taps, G (N, m, m), the youngest first."""
     m = tap.shape[0]
@@ -29,21 +29,29 @@ def place(tap, lag, G):
             G[lag[j] - 1, i, j] += tap[i, j]
 
 
-@njit(cache=True)
-def _rows(A, B, K, weights, ahead, delay):
-    """Σ_i w_i of the rows above: F (m, n), G (N, m, m)."""
+@kernel
+def _rows(A, B, K, weights, ahead, longest, delay):
+    """Σ_i w_i of the rows above: F (m, n), G (N, m, m), N = `longest`."""
     m, n = K.shape[1:]
     kinds, stretches = ahead.length.size, ahead.kind.size
-    F, G = np.zeros((m, n)), np.zeros((ahead.lag.max(), m, m))
+    F, G = np.zeros((m, n)), np.zeros((longest, m, m))
     Phi, Gamma = np.empty((kinds, n, n)), np.empty((kinds, n, m))
+    row, carried, tap = np.empty((m, n)), np.empty((m, n)), np.empty((m, m))
     for i in range(A.shape[0]):
         for kind in range(kinds):
-            Phi[kind], Gamma[kind] = discretise(A[i], B[i], ahead.length[kind])
-        row = weights[i] * K[i]
-        F += multiply(row, discretise(A[i], B[i], delay)[0])
+            discretise_into(A[i], B[i], ahead.length[kind], Phi[kind], Gamma[kind])
+        for a in range(m):
+            for b in range(n):
+                row[a, b] = weights[i] * K[i, a, b]
+        product(row, discretise(A[i], B[i], delay)[0], carried)
+        for a in range(m):
+            for b in range(n):
+                F[a, b] += carried[a, b]
         for p in range(stretches - 1, -1, -1):
-            place(multiply(row, Gamma[ahead.kind[p]]), ahead.lag[p], G)
-            row = multiply(row, Phi[ahead.kind[p]])
+            product(row, Gamma[ahead.kind[p]], tap)
+            place(tap, ahead.lag[p], G)
+            product(row, Phi[ahead.kind[p]], carried)
+            row, carried = carried, row
     return F, G
 
 
@@ -55,7 +63,9 @@ def constant_table(
     sampled: SampledPlant,
 ) -> Feedback:
     """The one-row table Σ_i w_i K_i P_i, with its factorisation (S block-diagonal over modes)."""
-    F, G = _rows(A, B, K, read_only(weights), sampled.ahead, sampled.window.delay)
+    F, G = _rows(
+        A, B, K, read_only(weights), sampled.ahead, sampled.longest_lag, sampled.window.delay
+    )
     Phi, Gamma = discretise_modes(A, B, sampled.step)
     modes, n, m = B.shape
     H = (weights[:, None, None] * K).transpose(1, 0, 2).reshape(1, m, modes * n)

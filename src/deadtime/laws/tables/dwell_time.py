@@ -14,17 +14,17 @@ import math
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
 from deadtime.feedback import Feedback
 from deadtime.feedback.law import require_room, room
 from deadtime.laws.tables.constant_mode import place
 from deadtime.numerics.exponential import discretise, discretise_modes, multiply
+from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
 from deadtime.plant.steps import snap
 
 
-@njit(cache=True)
+@kernel
 def _branches(A, B, K, ahead):
     """Σ_s of the functionals at the start of every stretch, apart per system, and their taps.
 
@@ -44,7 +44,7 @@ def _branches(A, B, K, ahead):
     return R, taps
 
 
-@njit(cache=True)
+@kernel
 def _kinds(A, B, length):
     """Φ (kinds, modes, n, n) and Γ (kinds, modes, n, m) over stretches of these lengths."""
     Phi, Gamma = np.empty((length.size, *A.shape)), np.empty((length.size, *B.shape))
@@ -53,7 +53,7 @@ def _kinds(A, B, length):
     return Phi, Gamma
 
 
-@njit(cache=True)
+@kernel
 def _rows(A, B, fA, fB, fK, ahead, rest):
     """F (modes·ages, m, n) and G (modes·ages, N, m, m); `rest` (ages,) are the r_a < D."""
     modes, n, m = B.shape

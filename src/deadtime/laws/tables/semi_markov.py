@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
 from deadtime.feedback import Feedback
 from deadtime.numerics.exponential import discretise_modes, multiply
+from deadtime.numerics.kernels import kernel
 from deadtime.plant import Window
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel(eager=True, fastmath={"contract"})
 def _one_sample_back(R, hazard, transition, ages, fresh):
     """R ← ⟨R⟩ in place for the ages below `ages`; R (modes, entries, ages), `fresh` is scratch."""
     modes, entries = R.shape[:2]
@@ -45,7 +45,7 @@ def _one_sample_back(R, hazard, transition, ages, fresh):
                 row[a] = row[a + 1] + hazard[i, a] * (new - row[a + 1])
 
 
-@njit(cache=True)
+@kernel
 def _apply(R, M, ages, result):
     """result(i, a) = R(i, a) M_i, the matrices of R and result flattened into entries."""
     modes, inner, columns = M.shape
@@ -61,7 +61,7 @@ def _apply(R, M, ages, result):
                         entry[a] += factor * source[a]
 
 
-@njit(cache=True)
+@kernel
 def _constant(matrices, ages):
     """The functional that is matrices[i] at every age, as (modes, entries, ages)."""
     modes, rows, columns = matrices.shape
@@ -73,7 +73,7 @@ def _constant(matrices, ages):
     return result
 
 
-@njit(cache=True)
+@kernel
 def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
     """F (modes, m·n, ages) and G (modes, N, m·m, ages); `hazard` (modes, ages + N)."""
     modes, m, n = K.shape

@@ -13,12 +13,12 @@ This module needs Numba, so it is imported where it is used.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from deadtime.numerics.kernels import kernel
 from deadtime.switching.rules.motion import ROUND_OFF
 
 
-@njit(cache=True)
+@kernel
 def times(M, x):
     """M x."""
     result = np.zeros(M.shape[0])
@@ -28,7 +28,7 @@ def times(M, x):
     return result
 
 
-@njit(cache=True)
+@kernel
 def move(transition, x, u):
     """Φ x + Γ u."""
     Phi, Gamma = transition
@@ -43,7 +43,7 @@ def move(transition, x, u):
     return result
 
 
-@njit(cache=True)
+@kernel
 def dot(a, b):
     """a·b."""
     total = 0.0
@@ -52,7 +52,7 @@ def dot(a, b):
     return total
 
 
-@njit(cache=True)
+@kernel
 def largest(a):
     """The largest |a_i|; NaN if one is."""
     result = 0.0
@@ -61,7 +61,7 @@ def largest(a):
     return result
 
 
-@njit(cache=True)
+@kernel
 def product(Q, a, b):
     """aᵀ Q b."""
     total = 0.0
@@ -71,7 +71,7 @@ def product(Q, a, b):
     return total
 
 
-@njit(cache=True)
+@kernel
 def own(regions, r):
     """The boundaries of one region."""
     forms, rows, offsets, first, _ = regions
@@ -79,7 +79,7 @@ def own(regions, r):
     return forms[part], rows[part], offsets[part]
 
 
-@njit(cache=True)
+@kernel
 def height(boundaries, j, x):
     """g_j(x)."""
     forms, rows, offsets = boundaries
@@ -89,7 +89,7 @@ def height(boundaries, j, x):
     return value
 
 
-@njit(cache=True)
+@kernel
 def gradient(boundaries, j, x):
     """∇g_j(x) = 2 Q x + row."""
     forms, rows, _ = boundaries
@@ -99,14 +99,14 @@ def gradient(boundaries, j, x):
     return result
 
 
-@njit(cache=True)
+@kernel
 def spread_of(noise, x, u):
     """The round-off M|x| + N|u| of x."""
     M, N = noise
     return times(M, np.abs(x)) + times(N, np.abs(u))
 
 
-@njit(cache=True)
+@kernel
 def band(boundaries, j, x, spread):
     """β, the round-off of g_j(x)."""
     forms, rows, offsets = boundaries
@@ -117,7 +117,7 @@ def band(boundaries, j, x, spread):
     return result
 
 
-@njit(cache=True)
+@kernel
 def slope(plant, mode, boundaries, j, x, u):
     """∇g·(A x + B u) in a mode, and its round-off."""
     A, B, M, N = plant
@@ -130,7 +130,7 @@ def slope(plant, mode, boundaries, j, x, u):
     return dot(normal, field), 4.0 * doubt
 
 
-@njit(cache=True)
+@kernel
 def nearest(regions, spread, x, left):
     """The region other than `left` that holds x, or is nearest to it in units of round-off."""
     forms, rows, offsets, first, _ = regions

@@ -21,10 +21,10 @@ This module needs Numba, so it is imported where it is used.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from deadtime.numerics.bernstein import first_positive, zero_before
 from deadtime.numerics.exponential import discretise, multiply
+from deadtime.numerics.kernels import kernel
 from deadtime.switching.rules.boundaries import (
     band,
     dot,
@@ -47,7 +47,7 @@ NONE, PILED_UP, STRAYED = 0, 1, 2  # why a plant cannot go on
 _INSIDE = (-1, -1)  # beside no boundary
 
 
-@njit(cache=True)
+@kernel
 def _parts(A, tau):
     """The least power of two that cuts τ into parts with |A|τ ≤ 1/2, and |A|τ of a part.
 
@@ -63,7 +63,7 @@ def _parts(A, tau):
     return parts, size
 
 
-@njit(cache=True)
+@kernel
 def growth(A, tau):
     """An upper bound on |e^{As}|_∞ over [0, τ]: its maximum on a grid, times e^{|A| spacing}."""
     parts, size = _parts(A, tau)
@@ -76,7 +76,7 @@ def growth(A, tau):
     return min(largest * np.exp(size), 1e300)
 
 
-@njit(cache=True)
+@kernel
 def _heights(boundaries, taylor):
     """The Taylor coefficients of every g along x(s) = Σ taylor[k] s^k."""
     forms, rows, _ = boundaries
@@ -92,7 +92,7 @@ def _heights(boundaries, taylor):
     return c
 
 
-@njit(cache=True)
+@kernel
 def exit_time(A, B, noise, boundaries, x, u, tau):
     """When within (0, τ] the trajectory first leaves a region, beyond round-off.
 
@@ -133,7 +133,7 @@ def exit_time(A, B, noise, boundaries, x, u, tau):
     return -1.0, -1.0, -1
 
 
-@njit(cache=True)
+@kernel
 def _facing(plant, regions, x, u, region, entered, j):
     """Whether both regions' modes point at the boundary, number j, between them.
 
@@ -155,7 +155,7 @@ def _facing(plant, regions, x, u, region, entered, j):
     return modes[nearest(regions, spread, beyond, entered)] == mode
 
 
-@njit(cache=True)
+@kernel
 def _leads_on(plant, regions, x, u, entered, j):
     """Whether the mode beyond boundary j leads on from it, surely."""
     forms, rows, offsets, _, modes = regions
@@ -163,7 +163,7 @@ def _leads_on(plant, regions, x, u, entered, j):
     return ahead > doubt
 
 
-@njit(cache=True)
+@kernel
 def region_of_mode(plant, regions, x, region, mode):
     """The region of a mode that x is in to round-off; `region`, which holds x, where there is none.
 
@@ -181,7 +181,7 @@ def region_of_mode(plant, regions, x, region, mode):
     return region
 
 
-@njit(cache=True)
+@kernel
 def _stays(A, B, bend, regions, region, x, end, u):
     """Whether a region is not left over a whole piece.
 
@@ -197,7 +197,7 @@ def _stays(A, B, bend, regions, region, x, end, u):
     return True
 
 
-@njit(cache=True)
+@kernel
 def advance(plant, regions, piece, x, u, region, beside, legs):
     """Run over one piece, from region to region and along boundaries.
 
@@ -267,7 +267,7 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
     return end, region, _INSIDE, count, halt
 
 
-@njit(cache=True)
+@kernel
 def room(most, n):
     """Empty legs for a piece with at most so many crossings."""
     size = 2 * most
@@ -280,7 +280,7 @@ def room(most, n):
     )
 
 
-@njit(cache=True)
+@kernel
 def follow(plant, regions, pieces, kinds, inputs, x, region):
     """Run over many pieces, number p of kind kinds[p] under inputs[p].
 
@@ -302,7 +302,7 @@ def follow(plant, regions, pieces, kinds, inputs, x, region):
     return x, region, beside, (-1, NONE, -1.0, region, region)
 
 
-@njit(cache=True)
+@kernel
 def path_in_modes(Phi, Gamma, kinds, inputs, x):
     """x (pieces, samples, n) at the samples of every piece, in one mode throughout.
 

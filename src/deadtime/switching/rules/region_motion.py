@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, SupportsInt
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -171,8 +171,8 @@ class RegionMotion(Motion):
         return ahead > doubt
 
 
-def _beside(place: int, boundary: int) -> Beside | None:
-    return None if place < 0 else Beside(place, boundary)
+def _beside(place: SupportsInt, boundary: SupportsInt) -> Beside | None:
+    return None if place < 0 else Beside(int(place), int(boundary))
 
 
 def _bend(A: np.ndarray, regions: Regions, tau: float) -> Float[np.ndarray, "mode row 3"]:

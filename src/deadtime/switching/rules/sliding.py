@@ -23,8 +23,8 @@ This module needs Numba, so it is imported where it is used.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from deadtime.numerics.kernels import kernel
 from deadtime.switching.rules.boundaries import (
     band,
     dot,
@@ -43,7 +43,7 @@ _HALVINGS = 40
 _SHARP = 2.0**-52
 
 
-@njit(cache=True)
+@kernel
 def _field(A, B, boundaries, pair, x, u):
     """The mean of the fields of modes i and j that is tangent to boundary number `row`."""
     i, j, row = pair
@@ -57,7 +57,7 @@ def _field(A, B, boundaries, pair, x, u):
     return first + share * (second - first)
 
 
-@njit(cache=True)
+@kernel
 def _step(A, B, boundaries, pair, x, u, tau):
     """x after τ, and how far the last two columns of the extrapolation are apart."""
     n = x.size
@@ -85,7 +85,7 @@ def _step(A, B, boundaries, pair, x, u, tau):
     return last, error
 
 
-@njit(cache=True)
+@kernel
 def _onto(boundaries, row, x):
     """The point of the boundary next to x."""
     for _ in range(2):
@@ -96,7 +96,7 @@ def _onto(boundaries, row, x):
     return x
 
 
-@njit(cache=True)
+@kernel
 def _opposite(regions, row, entered, x):
     """The boundary of the region entered that is the one left, seen from there; −1 if none."""
     forms, rows, offsets, first, _ = regions
@@ -109,7 +109,7 @@ def _opposite(regions, row, entered, x):
     return -1
 
 
-@njit(cache=True)
+@kernel
 def _ending(plant, regions, surface, x, u):
     """Whether and how the sliding motion has ended at x; and the region that is not there."""
     forms, rows, offsets, first, modes = regions
@@ -131,7 +131,7 @@ def _ending(plant, regions, surface, x, u):
     return STAYS, region
 
 
-@njit(cache=True)
+@kernel
 def slide(plant, regions, between, x, u, tau):
     """Slide for at most τ along boundary `row` from one region to another, `between` the three.
 

@@ -1,0 +1,136 @@
+"""Kernels: plain loops, run by Python until they have cost about what compiling them would.
+
+To compile a kernel takes seconds, once per machine; a run of a thousand periods spends
+milliseconds in it. So a kernel starts as the Python that it is, and goes over to Numba
+
+- as soon as a process has spent `START` seconds in kernels, where this machine has it compiled,
+- where not, once it has cost `PATIENCE` seconds itself,
+- at once where its arguments are large, and where it says so (`@kernel(eager=True)`).
+
+At worst that is twice the time of the better choice, and a short run needs neither Numba nor a
+compiler. Both ways do the same floating-point operations in the same order: no figure depends on
+which is taken. What is written for both keeps to loops and scalars over arrays that its caller or
+its first lines make: array expressions cost seconds of compiling each.
+
+DEADTIME_COMPILE=always compiles everything at its first call; =never compiles nothing but what is
+eager.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+START = 0.5  # seconds of all kernels of a process
+PATIENCE = 2.0  # seconds of one kernel
+LARGE = 50_000  # numbers in the arguments
+WISH = os.environ.get("DEADTIME_COMPILE", "auto")
+
+
+def notice() -> None:
+    """What is called while a kernel is compiled that takes a while; to be replaced."""
+
+
+class Kernel:
+    """A function of plain loops that is compiled where that pays.
+
+    Attributes
+    ----------
+    function : callable
+        What was decorated, as Python.
+    eager : bool
+        Whether it is never run as Python.
+    options : dict
+        For `numba.njit`.
+    """
+
+    spent = 0.0  # seconds of this process in the Python of kernels
+    within = False  # whether a kernel is being run by Python
+
+    def __init__(self, function: Callable[..., Any], eager: bool, options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.function, self.eager, self.options = function, eager, options
+        self._own, self._asked = 0.0, False
+        self._ready: Callable[..., Any] | None = None
+
+    def __reduce__(self) -> str:
+        return self.function.__qualname__
+
+    def __call__(self, *args: Any) -> Any:
+        if self._ready is not None:
+            return self._ready(*args)
+        if self._pays(args):
+            self._ready = self.dispatcher
+            return self._ready(*args)
+        began = time.perf_counter()
+        try:
+            return self.function(*args) if Kernel.within else self._interpret(args)
+        finally:
+            self._own += time.perf_counter() - began
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """What Numba makes of it."""
+        from deadtime.numerics.compiling import dispatcher_of
+
+        return dispatcher_of(self)
+
+    def _pays(self, args: tuple[Any, ...]) -> bool:
+        """Whether it is time to leave Python."""
+        if self.eager or WISH == "always" or self._own > PATIENCE:
+            return WISH != "never" or self.eager
+        if not Kernel.within and _size(args) > LARGE:
+            return WISH != "never"
+        if self._asked or Kernel.spent < START:
+            return False
+        from deadtime.numerics.compiling import is_cached
+
+        self._asked = True
+        return is_cached(self.dispatcher)
+
+    def _interpret(self, args: tuple[Any, ...]) -> Any:
+        began, Kernel.within = time.perf_counter(), True
+        try:
+            # Compiled code says nothing about overflow either.
+            with np.errstate(all="ignore"):
+                return self.function(*args)
+        finally:
+            Kernel.within = False
+            Kernel.spent += time.perf_counter() - began
+
+
+def kernel(
+    function: Callable[..., Any] | None = None, *, eager: bool = False, **options: Any
+) -> Any:
+    """Make a function of plain loops a kernel; options are those of `numba.njit`.
+
+    Examples
+    --------
+    >>> @kernel
+    ... def total(a):
+    ...     sum = 0.0
+    ...     for i in range(a.size):
+    ...         sum += a[i]
+    ...     return sum
+    >>> float(total(np.ones(3)))
+    3.0
+    """
+    if function is None:
+        return lambda inner: Kernel(inner, eager, options)
+    return Kernel(function, eager, options)
+
+
+def _size(args: tuple[Any, ...]) -> int:
+    """How many numbers the arguments hold."""
+    total = 0
+    for arg in args:
+        if isinstance(arg, np.ndarray):
+            total += arg.size
+        elif isinstance(arg, tuple):
+            total += _size(arg)
+    return total
