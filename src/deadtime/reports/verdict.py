@@ -33,7 +33,7 @@ def verdict(result: Comparison) -> list[str]:
     >>> import deadtime as dt
     >>> from deadtime.problems.comparison import compare
     >>> print(verdict(compare(dt.problems.paper()))[2])
-    Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
+    Ignoring the delay fails: |x| reaches 1.5 × 10¹³ by the end.
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
