@@ -24,7 +24,12 @@ from deadtime.reports.certificates_section import certificates_section, steps_of
 from deadtime.reports.figures.comparison import plot_norms, plot_signal, plot_verdict, plot_window
 from deadtime.reports.page import save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables.certificates import delay_sentence
-from deadtime.reports.tables.constants import bound_rows, bound_sentence, bounds_of
+from deadtime.reports.tables.constants import (
+    bound_headings,
+    bound_rows,
+    bound_sentence,
+    bounds_of,
+)
 from deadtime.reports.verdict import HEADINGS, table, verdict
 from deadtime.simulation.figure import plot_run
 from deadtime.switching import SwitchingSignal
@@ -198,6 +203,7 @@ def _constants(result: Comparison) -> dict[str, Any]:
         sentence = f"The theorem's constants were not computed: {error}"
         return {"rows": [], "sentence": sentence, "published": False}
     return {
+        "headings": bound_headings(problem.constants),
         "rows": bound_rows(bounds, problem.constants),
         "sentence": bound_sentence(bounds),
         "published": bool(problem.constants),

@@ -11,6 +11,13 @@ from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.theorem.bound import FORMS
 from deadtime.problems import Problem
 
+HEADINGS = ("constant", "as printed", "corrected", "sharp")
+
+
+def bound_headings(published: Mapping[str, float] | None = None) -> tuple[str, ...]:
+    """Of the columns of `bound_rows`."""
+    return (*HEADINGS, "figure in the text") if published else HEADINGS
+
 
 def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
     """The bound in its printed, corrected and sharp forms."""
