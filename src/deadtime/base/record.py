@@ -1,8 +1,4 @@
-"""Results as records: plain data, made once, for JSON, tables and pages.
-
-A record holds dictionaries, lists, texts, numbers and None. It has None for what JSON does not
-know: infinities and NaN.
-"""
+"""Results as records, for JSON: dictionaries, lists, texts, numbers, and None for ∞ and NaN."""
 
 from __future__ import annotations
 

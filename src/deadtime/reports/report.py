@@ -236,7 +236,7 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
         ending = result.outcomes[name]
         # A run settles where it comes to rest, which need not be 0.
         ends = {"outcome": ending.kind, "settling_time": ending.settling, "rest": ending.rest}
-        laws[name] = row | ends | record(result.runs[name], "diverged", "message")
+        laws[name] = {**row, **ends, **record(result.runs[name], "diverged", "message")}
     return plain({
         "problem": result.problem.name,
         "version": __version__,

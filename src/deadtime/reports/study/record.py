@@ -64,7 +64,8 @@ def _cells(data: xr.Dataset) -> Iterator[dict[str, Any]]:
     }
     axes = [str(name) for name in found.ise.dims[:-1]]
     for index in np.ndindex(found.ise.shape[:-1]):
-        cell = {name: found[name].values[i] for name, i in zip(axes, index, strict=True)}
+        places = zip(axes, index, strict=True)
+        cell: dict[str, Any] = {name: found[name].values[i] for name, i in places}
         cell["laws"] = {
             law: {name: found[name].values[(*index, row)] for name in FIGURES}
             for row, law in enumerate(laws)
