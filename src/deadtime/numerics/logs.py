@@ -9,8 +9,6 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
-
 
 def log(value: float) -> float:
     """log of a number ≥ 0."""
@@ -24,13 +22,16 @@ def exp(value: float) -> float:
 
 def log_sum(values: Iterable[float]) -> float:
     """log Σ e^{v}."""
-    # `scipy.special.logsumexp` takes a hundred times as long for the few terms that there are.
-    return float(np.logaddexp.reduce(list(values)))
+    terms = list(values)
+    top = max(terms)
+    if not math.isfinite(top):
+        return top
+    return top + math.log(math.fsum(math.exp(v - top) for v in terms))
 
 
 def log_one_plus(value: float) -> float:
     """log(1 + e^value)."""
-    return float(np.logaddexp(0.0, value))
+    return log_sum((0.0, value))
 
 
 def log_integral(rate: float, length: float) -> float:

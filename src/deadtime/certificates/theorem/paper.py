@@ -43,8 +43,8 @@ class Mismatch:
         D = self.delay
         inner = log_one_plus(self.M_A * D + self._log_intervals(1.0))
         first = log(D * self.M_B) + exp(x) * D + inner
-        outer = log_sum((log(self.M_K) + log_one_plus(first), log(self.M_B)))
-        return x + self.M_A * D + outer
+        outer = np.logaddexp(log(self.M_K) + log_one_plus(first), log(self.M_B))
+        return x + self.M_A * D + float(outer)
 
     def _log_intervals(self, more: float) -> float:
         """log(D/τ_d + more); D/τ_d itself may overflow."""
