@@ -43,7 +43,7 @@ def paper(delay=1.0, alpha=1.0):
     plant = dt.SwitchedSystem(A, B, delay)
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
     signal = dt.SwitchingSignal.random(
-        2, 15.0 + delay + 0.01, dwell_time=0.2, mean_sojourn=0.4, seed=184
+        2, 15.0 + delay + 0.01, dwell_time=0.2, mean_sojourn=0.4, seed=39
     )
     return plant, law, signal
 

@@ -61,7 +61,7 @@ def test_a_run_that_diverges_ends_as_by_periods(kinds, delay):
 
 
 def test_where_a_measurement_overflows_the_last_command_is_held():
-    kinds = [Noise([1e308, 0.0, 0.0]), Saturation(-4.0, 5.0)]
+    kinds = [Noise([1.7e308, 0.0, 0.0]), Saturation(-4.0, 5.0)]
     run = require_same(plants.LAWS["averaged"](MODEL), kinds)
     lost = np.flatnonzero(~np.isfinite(run.measured[0]))
     assert lost.size > 1

@@ -1,7 +1,6 @@
 """Limits and noise of a user's own: engines go by what they say of themselves, not by class."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -27,7 +26,6 @@ LAW = plants.LAWS["averaged"](MODEL)
 class Valve(Limiting, ActuatorImperfection):
     """A valve that closes faster than it opens."""
 
-    kind: ClassVar[int] = 101
     opens: float
     closes: float
 
@@ -40,7 +38,6 @@ class Valve(Limiting, ActuatorImperfection):
 class Fuse(Limiting, ActuatorImperfection):
     """At most so much of any input."""
 
-    kind: ClassVar[int] = 102
     most: float
 
     def limits(self, sizes):
@@ -52,7 +49,6 @@ class Fuse(Limiting, ActuatorImperfection):
 class Deadband(ActuatorImperfection):
     """Small inputs do nothing: this is no limit."""
 
-    kind: ClassVar[int] = 103
     width: float
 
     def actuator(self, sizes):
@@ -63,7 +59,6 @@ class Deadband(ActuatorImperfection):
 class Drift(Additive, SensorImperfection):
     """The sensors walk away at random."""
 
-    kind: ClassVar[int] = 104
     std: float
 
     def sampler(self, sizes, rng):

@@ -277,7 +277,7 @@ def test_fit_as_json_names_families_and_goodness(capsys, log):
     [
         ((), "logs must be given"),
         (("none.csv",), "none.csv cannot be read"),
-        (("log.csv",), "mode must be an integer counted from 0, got 'throttle'"),
+        (("log.csv",), "mode must be an integer counted from 0, got 'brake'"),
         (("log.csv", *LABELS, "--family", "gama"), "family"),
         (("short.csv",), "5"),
     ],

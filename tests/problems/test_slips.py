@@ -137,6 +137,7 @@ def test_robustness_leaves_margins_out_where_they_would_take_long():
     result = dt.robustness(plant, law, signal, [1.0], 61.0, 0.01, scenarios=1)
     assert result.delay is result.gain is None
     assert sum("was left out" in sentence for sentence in result.sentences) == 2
+    assert result.left_out == ("delay margin", "gain margin")
 
 
 def test_a_delay_that_floats_cannot_tell_from_none_is_compared_like_any_short_one():

@@ -1,6 +1,8 @@
 """Drawing many signals at once: the generator, the law of what is drawn, and what is refused."""
 
 import re
+import subprocess
+import sys
 from bisect import bisect_right
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,9 +13,11 @@ from scipy.linalg import expm
 
 from batches import equal
 from deadtime import ArgumentError
+from deadtime.numerics import streams
 from deadtime.numerics.philox import block_words, uniform, uniforms
-from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal, random
-from deadtime.switching.models import drawing
+from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
+from deadtime.switching.models import jump_process
+from deadtime.switching.models.quantiles import Quantiles
 
 RATES = np.array([[0.0, 2.0, 1.0], [0.5, 0.0, 1.5], [4.0, 1.0, 0.0]])
 JUMPS = np.array([[0.0, 0.8, 0.2], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]])
@@ -32,9 +36,6 @@ class Instant:
 
     def sf(self, t):
         return 1.0 - self.cdf(t)
-
-    def rvs(self, size, random_state):
-        raise NotImplementedError
 
     def mean(self):
         return 0.5
@@ -104,10 +105,11 @@ def test_words_are_those_of_numpy_and_of_the_published_vectors():
 
 
 def test_uniforms_are_the_words_in_order_and_lie_within_0_and_1():
-    key = drawing.key_of(7)
+    key = streams.key_of(7)
     scenarios = np.array([3, 2**40, 0], dtype=np.uint64)
     scenarios.flags.writeable = False
     found = uniforms(key, scenarios, 0, 5, 2)
+    assert streams.uniforms(key, scenarios, 0, 5, 2).tolist() == found.tolist()
     for row, scenario in zip(found, scenarios, strict=True):
         assert row.tolist() == numpy_uniforms(key, int(scenario), 2, 20).tolist()
     assert uniforms(key, scenarios, 3, 2, 2).tolist() == found[:, 12:].tolist()
@@ -150,6 +152,39 @@ def test_seeds_and_scenarios_differ():
     assert np.unique(firsts).size == 400
     one, other = (Markov(RATES).draw(50.0, first=2**62 + i) for i in (0, 1))  # not so as doubles
     assert one.times[1] != other.times[1]
+
+
+@MODELS
+def test_a_sample_is_the_first_signal_that_is_drawn(model):
+    for seed in range(20):
+        sample, batch = model.sample(30.0, seed), model.draw(30.0, seed, count=9)
+        assert equal(SignalBatch.of([sample]), batch.slice(0, 1))
+
+
+@MODELS
+def test_few_signals_by_plain_loops_are_those_of_the_compiled_ones(model, monkeypatch):
+    few = [model.draw(40.0, seed=6, first=first, count=8) for first in (0, 2**62)]
+    monkeypatch.setattr(jump_process, "FEW_BLOCKS", 3)  # compiled from the second round on
+    mixed = model.draw(40.0, seed=6, count=8)
+    monkeypatch.setattr(jump_process, "FEW_SIGNALS", 0)
+    many = [model.draw(40.0, seed=6, first=first, count=8) for first in (0, 2**62)]
+    assert all(map(equal, few, many))
+    assert equal(mixed, many[0])
+
+
+def test_one_signal_needs_no_compiler():
+    code = (
+        "import sys, deadtime as dt; dt.SwitchingSignal.random(3, 90.0, dwell_time=0.1, seed=1); "
+        "dt.Markov([[0, 2], [2, 0]]).sample(90.0); print('numba' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "False", result.stderr
+
+
+def test_a_random_signal_is_a_sample_of_its_semi_markov_model():
+    signal = SwitchingSignal.random(3, 60.0, dwell_time=0.3, mean_sojourn=0.5, seed=8)
+    model = SemiMarkov(stats.expon(loc=0.3, scale=0.5 - 0.3), modes=3)
+    assert equal(SignalBatch.of([signal]), model.draw(60.0, seed=8))
 
 
 def test_signals_are_those_read_by_hand_from_numpys_generator():
@@ -202,7 +237,7 @@ def test_sojourns_and_jumps_follow_the_model(model):
 def test_numbers_of_neighbouring_scenarios_blocks_and_streams_are_uncorrelated():
     numbers = np.arange(2000, dtype=np.uint64)
     numbers.flags.writeable = False
-    u, v = (uniforms(drawing.key_of(0), numbers, 0, 5, s) for s in (2, 3))
+    u, v = (uniforms(streams.key_of(0), numbers, 0, 5, s) for s in (2, 3))
     pairs = ((u[1:], u[:-1]), (u[:, 1:], u[:, :-1]), (u[:, 4:], u[:, :-4]), (u, v))
     for one, other in pairs:
         correlation = np.corrcoef(one.ravel(), other.ravel())[0, 1]
@@ -227,7 +262,7 @@ def time_in_mode_0(batch):
 
 
 @pytest.mark.parametrize("model", [Markov(RATES), MIXED], ids=str)
-def test_draw_and_sample_agree_in_law(model):
+def test_scenarios_of_a_seed_and_seeds_of_a_scenario_have_one_law(model):
     drawn = model.draw(8.0, seed=1, count=20000)
     sampled = SignalBatch.of([model.sample(8.0, seed=seed) for seed in range(2500)])
     for of in (time_in_mode_0, lambda batch: np.diff(batch.first)):
@@ -250,7 +285,7 @@ def test_one_distribution_of_all_modes_is_asked_once_and_through_ppf_if_need_be(
     shared = Quantile(lambda p: 0.2 + p)
     batch = SemiMarkov(shared, modes=3).draw(0.9, seed=2, count=50)
     assert shared.calls == 1
-    key = drawing.key_of(2)
+    key = streams.key_of(2)
     for i, signal in enumerate(batch):
         lengths = 1.2 - numpy_uniforms(key, i, 2, 6)
         assert signal.times[1:] == pytest.approx(np.cumsum(lengths)[: signal.switches], rel=1e-15)
@@ -267,18 +302,28 @@ def test_shifted_exponentials_are_read_however_they_are_written(sojourn):
     assert found.times == pytest.approx(expected.times, rel=1e-13)
 
 
-def test_what_only_a_search_or_rvs_would_draw_is_not_drawable():
-    class Bare(Instant):
-        isf = None
+class Bare:
+    """A distribution of scipy's without its quantiles."""
 
-    assert Markov(RATES).drawable
-    assert MIXED.drawable
-    searched = stats.gausshyper(2.0, 3.0, 1.0, 0.5)
-    for sojourn in (Bare(), searched):
-        model = SemiMarkov([stats.gamma(2.0), sojourn])
-        assert not model.drawable
-        with pytest.raises(ArgumentError, match=r"sojourn\[1\] must have an inverse survival"):
-            model.draw(5.0)
+    def __init__(self, of):
+        self.cdf, self.logsf, self.mean = of.cdf, of.logsf, of.mean
+
+
+@pytest.mark.parametrize(
+    "sojourn", [stats.gamma(2.0), stats.lognorm(0.5, scale=1e3), stats.geom(0.4)]
+)
+def test_a_distribution_without_quantiles_is_drawn_by_a_search(sojourn):
+    expected = SemiMarkov(sojourn).draw(40.0 * sojourn.mean(), seed=3, count=20)
+    found = SemiMarkov(Bare(sojourn)).draw(40.0 * sojourn.mean(), seed=3, count=20)
+    assert found.modes.tolist() == expected.modes.tolist()
+    assert found.times == pytest.approx(expected.times, rel=1e-12)
+
+
+def test_a_search_finds_the_sojourn_to_its_last_bit():
+    sojourn, u = stats.foldnorm(1.0), np.array([1e-12, 0.3, 1.0 - 1e-9])
+    found = Quantiles.of([sojourn])(np.zeros((1, 3), np.int64), u[None])[0]
+    assert (sojourn.logsf(found) <= np.log(u)).all()
+    assert (sojourn.logsf(np.nextafter(found, 0.0)) > np.log(u)).all()
 
 
 @pytest.mark.parametrize(
@@ -316,9 +361,8 @@ def test_what_cannot_be_drawn_is_refused(asked, message):
 
 
 def test_sojourns_shorter_than_their_mean_says_are_stopped(monkeypatch):
-    for module in (drawing, random):
-        monkeypatch.setattr(module, "MOST_SWITCHES", 1e3)
-    monkeypatch.setattr(drawing, "MOST_JUMPS", 1e4)
+    monkeypatch.setattr(jump_process, "MOST_SWITCHES", 1e3)
+    monkeypatch.setattr(jump_process, "MOST_JUMPS", 1e4)
     model = SemiMarkov(Quantile(lambda p: 1e-9 * p))
     with pytest.raises(ArgumentError, match=r"horizon = 5 s would hold about 1e\+10 switches"):
         model.draw(5.0)

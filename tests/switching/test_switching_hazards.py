@@ -21,9 +21,6 @@ class Erlang:
     def sf(self, t):
         return (1.0 + 3.0 * np.asarray(t)) * np.exp(-3.0 * np.asarray(t))
 
-    def rvs(self, size, random_state):
-        return random_state.gamma(2.0, 1.0 / 3.0, size)
-
 
 @pytest.mark.parametrize(
     ("sojourn", "survival"),

@@ -153,17 +153,6 @@ def input_names(count: int) -> tuple[str, ...]:
     return ("u",) if count == 1 else tuple(f"u{subscript(i + 1)}" for i in range(count))
 
 
-def finite_or_none(value: float | None) -> float | None:
-    """A number for JSON, which knows no infinity and no NaN: None in their place.
-
-    Examples
-    --------
-    >>> finite_or_none(2.5), finite_or_none(float("inf")), finite_or_none(None)
-    (2.5, None, None)
-    """
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
 def file_name(name: str) -> str:
     """The name of a law or a problem in names of files.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
+from deadtime.base.record import plain
 from deadtime.base.wording import file_name
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
@@ -149,7 +150,7 @@ def verify(
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why)
     if json_output:
-        print_json(asdict(result) | {"matches": matches})
+        print_json(plain(result) | {"matches": matches})
     else:
         _print_verification(result)
         if matches is not None:
@@ -160,34 +161,43 @@ def verify(
     return 0 if result.proven else 1
 
 
+class Bracket(NamedTuple):
+    """The least dwell time of a law lies between these, seconds; None where nothing is known."""
+
+    certified: float | None
+    refuted: float | None
+    message: str
+
+
 def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
     """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.asked import step_of
 
     period, names = step_of(problem), list(problem.laws) if law is None else [law]
-    laws, found = [problem.law(name) for name in names], {}
+    laws, brackets = [problem.law(name) for name in names], dict[str, Bracket]()
     with progress_bar(len(names), quiet=json_output) as advance:
         for name, one in zip(names, laws, strict=True):
             try:
                 margin = least_dwell_time(problem.plant, one, period)
-                found[name] = (margin.certified, margin.refuted, margin.message)
+                brackets[name] = Bracket(margin.certified, margin.refuted, margin.message)
             except ArgumentError as error:
                 if law is not None:
                     raise
-                found[name] = (None, None, str(error))
+                brackets[name] = Bracket(None, None, str(error))
             advance(name)
     if json_output:
-        keys = ("certified", "refuted", "message")
-        answers = {name: dict(zip(keys, one, strict=True)) for name, one in found.items()}
-        print_json({"problem": problem.name, "step": period, "least_dwell_times": answers})
+        print_json({"problem": problem.name, "step": period, "least_dwell_times": brackets})
     else:
         print(f"{problem.title}\nSampling period {period:g} s.\n")
-        rows = [[name, _seconds(one[0], True), _seconds(one[1])] for name, one in found.items()]
+        rows = [
+            (name, _seconds(one.certified, up=True), _seconds(one.refuted))
+            for name, one in brackets.items()
+        ]
         print_table(("law", "proved from", "refuted up to"), rows)
-        for name, (_, _, message) in found.items():
-            print(f"• {name}: {message}")
-    return 0 if law is None or found[law][0] is not None else 1
+        for name, one in brackets.items():
+            print(f"• {name}: {one.message}")
+    return 0 if law is None or brackets[law].certified is not None else 1
 
 
 def _seconds(value: float | None, up: bool = False) -> str:

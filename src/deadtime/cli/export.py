@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.record import record
 from deadtime.cli.entry import BUILD, AsJson, app, lines
 from deadtime.cli.printing import print_json
 from deadtime.cli.problems import problem_of
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from deadtime.controller import Controller
     from deadtime.controller.export import Exported, ExportedFmu
     from deadtime.problems import Problem
+
+_FMU = ("path", "version", "binary")
 
 
 @app.command(
@@ -110,12 +113,12 @@ def export(
     if json_output:
         made = {
             "c": code and _c_record(code),
-            "fmu": law_fmu and _fmu_record(law_fmu),
-            "plant_fmu": model and _fmu_record(model),
+            "fmu": law_fmu and record(law_fmu, *_FMU),
+            "plant_fmu": model and record(model, *_FMU),
         }
-        record = {"law": called, "step": controller.step}
-        record |= {kind: one for kind, one in made.items() if one is not None}
-        print_json(record, _files_of(record))
+        told = {"law": called, "step": controller.step}
+        told |= {kind: one for kind, one in made.items() if one is not None}
+        print_json(told, _files_of(told))
     else:
         print(f"{chosen.title}: law {called}, {_limits_in_words(controller)}")
         print("\n".join(_lines(code, precision, law_fmu, model)))
@@ -141,27 +144,16 @@ def _c_lines(written: Exported, precision: str) -> list[str]:
 
 
 def _c_record(written: Exported) -> dict[str, Any]:
-    return {
-        "folder": str(written.folder),
-        "files": written.files,
-        "form": written.form,
-        "rom": written.rom,
-        "ram": written.ram,
-        "error": written.error,
-        "passed": written.check.passed,
-        "check": written.check.message,
-    }
+    check = written.check
+    whole = record(written, "folder", "files", "form", "rom", "ram", "error")
+    return whole | {"passed": check.passed, "check": check.message}
 
 
-def _files_of(record: dict[str, Any]) -> list[Path]:
+def _files_of(told: dict[str, Any]) -> list[Path]:
     """Every file that the record tells of."""
-    written = record.get("c", {"folder": ".", "files": []})
+    written = told.get("c", {"folder": ".", "files": []})
     code = [Path(written["folder"]) / name for name in written["files"]]
-    return code + [Path(record[name]["path"]) for name in ("fmu", "plant_fmu") if name in record]
-
-
-def _fmu_record(made: ExportedFmu) -> dict[str, Any]:
-    return {"path": str(made.path), "version": made.version, "binary": made.binary}
+    return code + [Path(told[name]["path"]) for name in ("fmu", "plant_fmu") if name in told]
 
 
 def _controller(problem: Problem, law: str | None, step: float | None) -> Controller:

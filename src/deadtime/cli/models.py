@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -116,7 +115,7 @@ def study(
     with progress_of(plan, quiet=json_output, remote=scheduler is not None) as report:
         result = write_study(chosen, out, workers, report, command, scheduler)
     if json_output:
-        print_json(json.loads((out / "metrics.json").read_text(encoding="utf-8")), [result.path])
+        print_json(result.record, [result.path])
         return
     print_answers(chosen.title, result.answers)
     print(f"Report: {result.path}")

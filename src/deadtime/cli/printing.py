@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.record import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,22 +24,7 @@ def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None)
     whole = dict(record) if written is None else {**record, "written": [*map(str, written)]}
     # Characters as they are where the terminal or file can hold them, escaped elsewhere.
     wide = (sys.stdout.encoding or "").lower().startswith("utf")
-    print(json.dumps(strict(whole), indent=2, ensure_ascii=not wide, allow_nan=False))
-
-
-def strict(value: Any) -> Any:
-    """The value with null for what JSON does not know: NaN and infinities.
-
-    Examples
-    --------
-    >>> strict({"peak": [1.5, float("inf")]})
-    {'peak': [1.5, None]}
-    """
-    if isinstance(value, Mapping):
-        return {key: strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    print(json_text(whole, ascii_only=not wide))
 
 
 def print_heading(title: str, sentences: Iterable[str] = ()) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.checks import positive
+from deadtime.base.record import record
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
@@ -80,8 +81,8 @@ def robustness(
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
     slips = slips_of(chosen, period)
     if json_output:
-        record = {"problem": chosen.name, "law": name, "step": period, **_record(result, slips)}
-        print_json(record, [path])
+        setting = {"problem": chosen.name, "law": name, "step": period}
+        print_json(setting | _record(result, slips), [path])
         return
     print_heading(chosen.title)
     print(f"Law “{name}”, sampled every {period:g} s:")
@@ -91,29 +92,22 @@ def robustness(
 
 
 def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
-    """The figures for JSON, which knows no infinity: null where there is one."""
-    from deadtime.base.wording import finite_or_none
+    """The figures for JSON."""
     from deadtime.plant.weight import record_of
 
-    delay, gain, noise = result.delay, result.gain, result.noise
+    delay, gain = result.delay, result.gain
     return {
-        "delay_margin": None
-        if delay is None
-        else [*map(finite_or_none, (delay.lower, delay.upper))],
-        "gain_margin": None if gain is None else [*map(finite_or_none, (gain.lower, gain.upper))],
+        "delay_margin": delay and [delay.lower, delay.upper],
+        "gain_margin": gain and [gain.lower, gain.upper],
         "lost_samples": _tolerance(result.drops),
         "late_samples": _tolerance(result.late),
-        "detection_lag": None if result.lag is None else _tolerance(result.lag),
-        "noise": {"base": finite_or_none(noise.base), "doubling": finite_or_none(noise.doubling)},
+        "detection_lag": result.lag and _tolerance(result.lag),
+        "noise": record(result.noise, "base", "doubling"),
         "sentences": [*result.sentences, *slips],
         **record_of(result.weight),
     }
 
 
 def _tolerance(one: Tolerance) -> dict[str, Any]:
-    return {
-        "tolerated": one.tolerated,
-        "failed": one.failed,
-        "values": one.values.tolist(),
-        "lost": one.lost.mean(axis=1).tolist(),
-    }
+    lost = one.lost.mean(axis=1)
+    return record(one, "tolerated", "failed", "values") | {"lost": lost}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -46,14 +45,14 @@ def reproduce(
     json_output
         Print the metrics as JSON instead of text.
     """
-    from deadtime.reports.report import steps_of, write_report
+    from deadtime.reports.report import metrics_of, steps_of, write_report
 
     chosen = problem_of(problem)
     command = f"deadtime reproduce {problem}" + ("" if certificates else " --no-certificates")
     with progress_bar(steps_of(chosen, certificates), quiet=json_output) as advance:
         report = write_report(chosen, out, advance, command, certificates)
     if json_output:
-        print_json(json.loads((out / "metrics.json").read_text(encoding="utf-8")), [report.path])
+        print_json(metrics_of(report.comparison), [report.path])
         return
     print_result(chosen, report.sentences, report.comparison)
     print(f"\nReport: {report.path}")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.record import plain
 from deadtime.cli.entry import COMPARE, AsJson, Flag, app, lines
 from deadtime.cli.printing import on_terminal, print_heading, print_json
 
@@ -99,8 +100,7 @@ def sweep(
         return 130
     reasons = _reasons(data)
     if json_output:
-        record = {**dataclasses.asdict(plan_of(chosen, place)), "damaged": damaged}
-        print_json({**record, "reasons": reasons})
+        print_json({**plain(plan_of(chosen, place)), "damaged": damaged, "reasons": reasons})
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
     print_heading(chosen.title)
@@ -115,7 +115,7 @@ def with_scenarios(study: FileStudy, scenarios: int) -> FileStudy:
     """The study with another number of signals per cell."""
     from deadtime.base.checks import count
 
-    return dataclasses.replace(study, scenarios=count("scenarios", scenarios))
+    return replace(study, scenarios=count("scenarios", scenarios))
 
 
 def _verify(place: str) -> list[str]:
@@ -144,7 +144,7 @@ def _reasons(data: Any) -> dict[str, tuple[int, str]]:
 def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     """How far a store is, and how much there is to do."""
     if as_json:
-        print_json(dataclasses.asdict(plan))
+        print_json(plain(plan))
         return
     print_heading(study.title)
     axes = " × ".join(f"{len(values)} {name}" for name, values in study.grid.items())

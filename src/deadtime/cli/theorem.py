@@ -35,6 +35,7 @@ def bound(
     """
     from deadtime.problems.asked import dwell_time_of
     from deadtime.reports.tables.constants import (
+        bound_headings,
         bound_rows,
         bound_sentence,
         bounds_of,
@@ -47,7 +48,5 @@ def bound(
     if json_output:
         print_json(bounds_record(bounds))
         return
-    headings = ("constant", "as printed", "corrected", "sharp")
-    rows = bound_rows(bounds, chosen.constants)
-    print_table((*headings, "figure in the text") if chosen.constants else headings, rows)
+    print_table(bound_headings(chosen.constants), bound_rows(bounds, chosen.constants))
     print(f"\nDwell time {dwell:.4g} s ({source}). {bound_sentence(bounds)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -22,7 +21,6 @@ class Saturation(Limiting, ActuatorImperfection):
         Scalars or shape (m,), low < high; infinite for no limit on a side.
     """
 
-    kind: ClassVar[int] = 6
     low: ArrayLike
     high: ArrayLike
 
@@ -57,7 +55,6 @@ class RateLimit(Limiting, ActuatorImperfection):
         Units of the input per second, a scalar or shape (m,).
     """
 
-    kind: ClassVar[int] = 7
     rate: ArrayLike
 
     def limits(self, sizes: Sizes) -> Limits:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, instance, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.numerics.streams import stream
 from deadtime.plant import SwitchedSystem
 
 
@@ -53,8 +54,6 @@ class Limits(NamedTuple):
 
 class Imperfection(Frozen, ABC):
     """Something between the law and its plant."""
-
-    kind: ClassVar[int]
 
 
 class SensorImperfection(Imperfection):
@@ -137,14 +136,10 @@ def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.
         raise ArgumentError(
             f"imperfections must be a list of imperfections, got {type(imperfections).__name__}."
         )
-    seen: dict[int, int] = {}
-    result = []
-    for one in imperfections:
-        instance("imperfections", one, Imperfection)
-        place = seen.get(one.kind, 0)
-        seen[one.kind] = place + 1
-        result.append(np.random.default_rng(np.random.SeedSequence([seed, one.kind, place])))
-    return result
+    for each in imperfections:
+        instance("imperfections", each, Imperfection)
+    names = [type(each).__name__ for each in imperfections]
+    return [stream(seed, name, names[:place].count(name)) for place, name in enumerate(names)]
 
 
 def require(one: Imperfection, sizes: Sizes) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +36,6 @@ class WhiteDisturbance(Disturbance):
         in units of x² per second.
     """
 
-    kind: ClassVar[int] = 8
     intensity: ArrayLike
 
     def draws(
@@ -78,7 +76,6 @@ class ColouredDisturbance(Disturbance):
         E: how each of the q sources acts on dx/dt.
     """
 
-    kind: ClassVar[int] = 9
     std: ArrayLike
     time_constant: ArrayLike
     force: ArrayLike
@@ -147,7 +144,6 @@ class StepDisturbance(Disturbance):
         Seconds, 0 ≤ start < end.
     """
 
-    kind: ClassVar[int] = 10
     force: ArrayLike
     start: float = 0.0
     end: float = math.inf

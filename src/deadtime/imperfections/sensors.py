@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +36,6 @@ class Noise(Additive, SensorImperfection):
         measures outputs.
     """
 
-    kind: ClassVar[int] = 1
     std: ArrayLike
 
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
@@ -59,7 +57,6 @@ class Dropout(SensorImperfection):
         Of each sample, independently.
     """
 
-    kind: ClassVar[int] = 2
     probability: float
 
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
@@ -82,7 +79,6 @@ class LateSamples(SensorImperfection):
         Of each sample, independently; 1 for a constant measurement delay.
     """
 
-    kind: ClassVar[int] = 3
     periods: int
     probability: float = 1.0
 
@@ -116,7 +112,6 @@ class ModeDelay(SensorImperfection):
         How late, in periods.
     """
 
-    kind: ClassVar[int] = 4
     periods: int
 
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
@@ -142,7 +137,6 @@ class WrongMode(SensorImperfection):
         Of each sample, independently.
     """
 
-    kind: ClassVar[int] = 5
     probability: float
 
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:

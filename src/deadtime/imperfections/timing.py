@@ -24,7 +24,6 @@ class MeasurementDelay(TimingImperfection):
         d > 0, seconds, any fraction of the step.
     """
 
-    kind: ClassVar[int] = 11
     waits: ClassVar[bool] = True
     delay: float
 
@@ -45,7 +44,6 @@ class Jitter(TimingImperfection):
         0 < most ≤ step, seconds; beyond a period, samples are late: `LateSamples`.
     """
 
-    kind: ClassVar[int] = 12
     waits: ClassVar[bool] = False
     most: float
 

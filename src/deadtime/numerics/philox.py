@@ -12,7 +12,8 @@ the largest would round to 1.
 `numpy.random.Philox` gives the same words (it adds 1 to the counter before the first of them). Its
 own streams begin at s = 0, which is left to it.
 
-This module needs Numba, so it is imported where it is used.
+This module needs Numba, so it is imported where it is used: for few numbers,
+`deadtime.numerics.streams` has the same ones by `numpy.random.Philox`.
 
 References
 ----------
@@ -26,12 +27,12 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-WORDS = 4
+from deadtime.numerics.streams import DROPPED, WORDS
+
 _ROUNDS = 10
 # Salmon et al. 2011, table 2 and section 3.3: the golden ratio and √3 − 1 step the keys.
 _M0, _M1 = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
 _W0, _W1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
-_DROPPED = np.uint64(12)
 _ZERO = np.uint64(0)
 
 
@@ -64,7 +65,7 @@ def block_words(key, block, scenario, stream):
 @njit(cache=True, nogil=True)
 def uniform(word):
     """A word as a double in (0, 1)."""
-    return (np.float64(word >> _DROPPED) + 0.5) * 2.0**-52
+    return (np.float64(word >> DROPPED) + 0.5) * 2.0**-52
 
 
 @njit(cache=True, nogil=True)

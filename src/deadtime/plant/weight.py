@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, brief, number, read_only, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.base.record import record
 from deadtime.plant import SwitchedSystem
 
 PLAIN = "∫|x|² + |u|²"
@@ -119,7 +120,7 @@ def text_of(weight: Weight | None) -> str:
 
 def record_of(weight: Weight | None) -> dict[str, dict[str, list]]:
     """The weight for JSON: nothing for the identity."""
-    return {} if weight is None else {"weight": {"Q": weight.Q.tolist(), "R": weight.R.tolist()}}
+    return {} if weight is None else {"weight": record(weight, "Q", "R")}
 
 
 def costs(

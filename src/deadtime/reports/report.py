@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
+from deadtime.base.record import plain, record
 from deadtime.base.version import __version__
-from deadtime.base.wording import file_name, finite_or_none
+from deadtime.base.wording import file_name
 from deadtime.laws import DelayedStateFeedback
 from deadtime.plant.weight import record_of, text_of
 from deadtime.problems import Problem
@@ -24,11 +22,16 @@ from deadtime.problems.comparison import Comparison, Progress, compare
 from deadtime.reports.audit import STEPS, audit
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
 from deadtime.reports.figures.comparison import plot_norms, plot_signal, plot_verdict, plot_window
+from deadtime.reports.page import save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables.certificates import delay_sentence
-from deadtime.reports.tables.constants import bound_rows, bound_sentence, bounds_of
+from deadtime.reports.tables.constants import (
+    bound_headings,
+    bound_rows,
+    bound_sentence,
+    bounds_of,
+)
 from deadtime.reports.verdict import HEADINGS, table, verdict
 from deadtime.simulation.figure import plot_run
-from deadtime.simulation.outcome import Outcome
 from deadtime.switching import SwitchingSignal
 
 SCENARIOS = 1000
@@ -104,14 +107,8 @@ def write_report(
         If the folder cannot be written.
     """
     folder = Path(folder)
-    try:
-        for part in ("figures", "data"):
-            (folder / part).mkdir(parents=True, exist_ok=True)
+    with writing(folder):
         return _write(problem, folder, progress, command, certificates)
-    except OSError as error:
-        raise ArgumentError(
-            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
-        ) from None
 
 
 def _whose(result: Comparison) -> str:
@@ -152,9 +149,20 @@ def _write(
     progress("writing: data")
     _write_data(result, folder)
     progress("writing: report")
-    path = folder / "index.html"
-    page = _page(result, sentences, picture, images, command, audited, constants, certified)
-    path.write_text(page, encoding="utf-8")
+    path = write_page(
+        folder,
+        "report.html.j2",
+        **_setting(problem),
+        sentences=sentences,
+        picture=picture,
+        headings=HEADINGS,
+        rows=table(result),
+        figures=images,
+        audited=audited,
+        constants=constants,
+        certified=certified,
+        command=f" with “{command}”" if command else "",
+    )
     return Report(path, sentences, result)
 
 
@@ -195,6 +203,7 @@ def _constants(result: Comparison) -> dict[str, Any]:
         sentence = f"The theorem's constants were not computed: {error}"
         return {"rows": [], "sentence": sentence, "published": False}
     return {
+        "headings": bound_headings(problem.constants),
         "rows": bound_rows(bounds, problem.constants),
         "sentence": bound_sentence(bounds),
         "published": bool(problem.constants),
@@ -214,47 +223,27 @@ def _section_on_certificates(
     return {**vars(section), "figures": figures}
 
 
-def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
-    """Save as SVG and PNG; return the PNG inlined for the page."""
-    figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png")
-    (folder / "figures" / f"{name}.png").write_bytes(buffer.getvalue())
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return {"name": name, "caption": caption, "image": f"data:image/png;base64,{data}"}
-
-
 def _write_data(result: Comparison, folder: Path) -> None:
     for number, (name, run) in enumerate(result.runs.items(), 1):
         run.to_csv(folder / "data" / f"{number}-{file_name(name)}.csv")
-    text = json.dumps(metrics_of(result), indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    write_metrics(metrics_of(result), folder)
 
 
 def metrics_of(result: Comparison) -> dict[str, Any]:
     """The figures of a comparison for JSON."""
-    return {
+    laws = {}
+    for name, row in result.metrics.items():
+        ending = result.outcomes[name]
+        # A run settles where it comes to rest, which need not be 0.
+        ends = {"outcome": ending.kind, "settling_time": ending.settling, "rest": ending.rest}
+        laws[name] = {**row, **ends, **record(result.runs[name], "diverged", "message")}
+    return plain({
         "problem": result.problem.name,
         "version": __version__,
         **record_of(result.problem.weight),
-        "laws": {
-            name: {key: finite_or_none(value) for key, value in row.items()}
-            | _ending(result.outcomes[name])
-            | {"diverged": result.runs[name].diverged, "message": result.runs[name].message}
-            for name, row in result.metrics.items()
-        },
-        "growth_without_switching": {
-            name: finite_or_none(rate)
-            for name, rate in zip(result.problem.modes, result.growth, strict=True)
-        },
-    }
-
-
-def _ending(outcome: Outcome) -> dict[str, Any]:
-    """How a run ends; it settles where it comes to rest, which need not be 0."""
-    rest = None if outcome.rest is None else outcome.rest.tolist()
-    settles = finite_or_none(outcome.settling)
-    return {"outcome": outcome.kind, "settling_time": settles, "rest": rest}
+        "laws": laws,
+        "growth_without_switching": dict(zip(result.problem.modes, result.growth, strict=True)),
+    })  # fmt: skip
 
 
 def _matrix(array: np.ndarray) -> str:
@@ -262,47 +251,21 @@ def _matrix(array: np.ndarray) -> str:
     return (rows[0] if len(rows) == 1 else "[" + ", ".join(rows) + "]").replace("-", "−")
 
 
-def _page(
-    result: Comparison,
-    sentences: list[str],
-    picture: dict[str, str],
-    images: list[dict[str, str]],
-    command: str,
-    audited: dict[str, Any] | None,
-    constants: dict[str, Any],
-    certified: dict[str, Any] | None,
-) -> str:
-    from jinja2 import Environment, PackageLoader
-
-    problem, plant = result.problem, result.problem.plant
-    template = Environment(
-        loader=PackageLoader("deadtime.reports"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("report.html.j2")
-    return template.render(
-        problem=problem,
-        one_signal=isinstance(problem.signal, SwitchingSignal),
-        plant=plant,
-        sentences=sentences,
-        picture=picture,
-        headings=HEADINGS,
-        cost=text_of(problem.weight),
-        rows=table(result),
-        figures=images,
-        audited=audited,
-        constants=constants,
-        certified=certified,
-        published=[
+def _setting(problem: Problem) -> dict[str, Any]:
+    """The problem, as the page shows it."""
+    plant = problem.plant
+    return {
+        "problem": problem,
+        "plant": plant,
+        "one_signal": isinstance(problem.signal, SwitchingSignal),
+        "cost": text_of(problem.weight),
+        "published": [
             (row.name, _matrix(row.printed), _matrix(row.computed)) for row in problem.published
         ],
-        x0=_matrix(problem.x0),
-        u0=_matrix(np.atleast_1d(problem.u0)) if np.any(problem.u0) else "",
-        matrices=[
+        "x0": _matrix(problem.x0),
+        "u0": _matrix(np.atleast_1d(problem.u0)) if np.any(problem.u0) else "",
+        "matrices": [
             (name, _matrix(plant.A[i]), _matrix(plant.B[i]), _matrix(problem.gains[i]))
             for i, name in enumerate(problem.modes)
         ],
-        version=__version__,
-        command=f" with “{command}”" if command else "",
-    )
+    }

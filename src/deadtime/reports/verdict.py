@@ -18,7 +18,7 @@ from deadtime.laws import (
 from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
-from deadtime.problems.law_registry import LAWS, LEVELS, the_law
+from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.slips import disagreement_of, slips_of
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
@@ -33,7 +33,7 @@ def verdict(result: Comparison) -> list[str]:
     >>> import deadtime as dt
     >>> from deadtime.problems.comparison import compare
     >>> print(verdict(compare(dt.problems.paper()))[2])
-    Ignoring the delay fails: |x| reaches 2.2 × 10¹³ by the end.
+    Ignoring the delay fails: |x| reaches 1.5 × 10¹³ by the end.
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
@@ -68,13 +68,6 @@ def _names_of(result: Comparison, kind: type[Law]) -> list[str]:
     ]
 
 
-def _law(name: str) -> str:
-    """As `the_law` says it where files run it unasked and it could run on a plant."""
-    known = LAWS.get(name)
-    causal = known is not None and known.named.in_files and known.named.knows != LEVELS[-1]
-    return the_law(name) if causal else f"the law “{name}”"
-
-
 def _grows(result: Comparison, name: str) -> bool:
     return result.outcomes[name].lost
 
@@ -90,12 +83,12 @@ def _headline(result: Comparison) -> str:
             f"on a signal with {count} in {problem.horizon:g} s "
             f"(dwell time {signal.dwell_time:.2g} s)"
         )
-    law = _law(result.lead)
+    law = the_problem_law(result.lead)
     law = law[0].upper() + law[1:]
     if run.diverged:
         return f"{law} loses the plant {setting}: {run.message}"
     if _ends_early(result, run):
-        return f"The run of {_law(result.lead)} ends early: {run.message}"
+        return f"The run of {the_problem_law(result.lead)} ends early: {run.message}"
     outcome = result.outcomes[result.lead]
     if outcome.kind == "grows":
         verb = "fails" if outcome.start else "has not settled"
@@ -177,7 +170,8 @@ def _baseline(result: Comparison, name: str) -> str:
         ends = f"|x| falls to {amount(outcome.final)} here"
     times, formula = _times(result, name, result.lead), text_of(result.problem.weight)
     return (
-        f"Even ignoring the delay, {ends}, at {times} the cost ({formula}) of {_law(result.lead)}."
+        f"Even ignoring the delay, {ends}, at {times} the cost ({formula}) of "
+        f"{the_problem_law(result.lead)}."
     )
 
 
@@ -196,23 +190,22 @@ def _believing_one_mode(result: Comparison, singles: list[str]) -> str:
         grows = " (and |x| grows)" if _grows(result, name) else ""
         ratios.append(f"{_times(result, name, result.lead)}{grows} for {modes[law.mode]}")
     return (
-        f"Predicting as if the plant stayed in one mode costs, compared with {_law(result.lead)}, "
-        + ", ".join(ratios)
-        + "."
+        "Predicting as if the plant stayed in one mode costs, compared with "
+        f"{the_problem_law(result.lead)}, " + ", ".join(ratios) + "."
     )
 
 
 def _against_the_oracle(result: Comparison, oracle: str) -> str:
     text = (
-        f"Compared with an oracle that knows the future, {_law(result.lead)} costs "
+        f"Compared with an oracle that knows the future, {the_problem_law(result.lead)} costs "
         f"{_times(result, result.lead, oracle)} as much"
     )
     others = [*_names_of(result, MeanPredictor)[:1], *_names_of(result, ExpectedPredictor)[:1]]
-    text += "".join(f", {_law(name)} {_times(result, name, oracle)}" for name in others)
+    text += "".join(f", {the_problem_law(name)} {_times(result, name, oracle)}" for name in others)
     if others:
         best = min((result.lead, *others), key=lambda name: result.metrics[name]["cost"])
         word = "cheaper" if len(others) == 1 else "cheapest"
-        text += f": on this signal {_law(best)} is the {word}"
+        text += f": on this signal {the_problem_law(best)} is the {word}"
     return text + "."
 
 

@@ -55,7 +55,7 @@ class Given(Source):
 
 
 class Drawn(Source):
-    """A model that draws whole batches: `Markov`, and most `SemiMarkov`."""
+    """A model that draws whole batches: `Markov` and `SemiMarkov`."""
 
     def __init__(self, model: object, seed: int, reach: float, modes: int) -> None:
         self._model, self._seed, self._reach, self._modes = model, seed, reach, modes
@@ -112,7 +112,7 @@ def source_of(
             "model must have a method sample(horizon, seed) that returns a SwitchingSignal, or "
             f"be a list of signals, got {type(model).__name__}."
         )
-    kind = Drawn if getattr(model, "drawable", False) else Sampled
+    kind = Drawn if callable(getattr(model, "draw", None)) else Sampled
     return kind(model, seed, reach, modes), scenarios
 
 

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, brief, number, positive, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.switching.random import MOST_SWITCHES, random_switches
+from deadtime.switching.models.jump_process import require_few
+from deadtime.switching.random import random_switches
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -207,11 +208,7 @@ class SwitchingSignal(Frozen):
         if length.min() <= 0.0:
             raise ArgumentError(f"sojourns must be positive, in s, got {length.min():g}.")
         horizon = positive("horizon", horizon)
-        if horizon / length.mean() > MOST_SWITCHES:
-            raise ArgumentError(
-                f"horizon = {horizon:g} s would hold more than {MOST_SWITCHES:.0e} switches: "
-                "shorten it or lengthen the sojourns."
-            )
+        require_few(horizon, float(length.mean()))
         rounds = int(np.ceil(horizon / length.sum()))
         starts = np.concatenate(([0.0], np.cumsum(length)[:-1]))
         times = (np.arange(rounds)[:, None] * length.sum() + starts).ravel()
@@ -237,7 +234,8 @@ class SwitchingSignal(Frozen):
         spacing `mean_sojourn` (τ_a unless given) and pass a leaky bucket: it fills at the rate
         1/τ_a up to `chatter`, and each switch takes 1 from it, so every interval [s, t] holds at
         most chatter + (t − s)/τ_a switches. The first mode is uniform, each next one uniform over
-        the others.
+        the others. With a minimum dwell time it is the signal of a `SemiMarkov` model:
+        ``SemiMarkov(expon(loc=τ_d, scale=mean_sojourn − τ_d), modes=modes).sample(horizon, seed)``.
 
         Parameters
         ----------
@@ -268,7 +266,7 @@ class SwitchingSignal(Frozen):
         >>> signal.average_dwell_time(chatter=2) >= 0.5
         True
         """
-        times, visited = random_switches(
+        _, times, visited = random_switches(
             modes,
             horizon,
             dwell_time=dwell_time,

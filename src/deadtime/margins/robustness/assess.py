@@ -48,7 +48,7 @@ class Robustness:
         The loop.
     delay : DelayMargin or None
         True delays that keep every constant mode stable, from the spectrum; None for a law that is
-        no table, and where `sentences` say that it was left out.
+        no table, and where it is `left_out`.
     gain : GainMargin or None
         Factors of the inputs' effect that do; None likewise.
     drops : Tolerance
@@ -63,6 +63,8 @@ class Robustness:
         All of it, in words.
     weight : Weight or None
         Of the cost; None for the identity.
+    left_out : tuple of str
+        Which of "delay margin" and "gain margin" would have taken long; `sentences` say why.
     """
 
     plant: SwitchedSystem
@@ -76,6 +78,7 @@ class Robustness:
     noise: NoisePrice
     sentences: tuple[str, ...]
     weight: Weight | None = None
+    left_out: tuple[str, ...] = ()
 
 
 def robustness(
@@ -159,6 +162,7 @@ def robustness(
     table = isinstance(inner, TableLaw)
     progress("delay margin")
     dear = {asked: why_left_out(asked, plant, law, step) for asked in _MARGINS if table}
+    left_out = tuple(asked for asked, why in dear.items() if why)
     delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
     progress("gain margin")
     gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None
@@ -180,13 +184,15 @@ def robustness(
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     margins = "but for the imperfections of every run, " if setting.imperfections else ""
     sentences = [sentence_of(margins + part.message) for part in (delay, gain) if part is not None]
-    sentences += [sentence_of(why) for why in dear.values() if why]
+    sentences += [sentence_of(dear[asked]) for asked in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
         sentences.append("The law does not read the mode, so that it may be told late.")
     sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))
-    return Robustness(plant, law, step, delay, gain, drops, late, lag, noise, once, weight)
+    return Robustness(
+        plant, law, step, delay, gain, drops, late, lag, noise, once, weight, left_out
+    )
 
 
 def _future(signal: SwitchingSignal | Rule) -> tuple:

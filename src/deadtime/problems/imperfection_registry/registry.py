@@ -44,9 +44,9 @@ def collect(modules: Iterable[ModuleType]) -> tuple[Entry, ...]:
 
 
 def _names(entry: Entry) -> list[str]:
-    """What no two entries share: what they make, its stream of random numbers, their axis."""
+    """What no two entries share: the name of what they make, which keys its stream, their axis."""
     assert entry.made is not None
-    own = [entry.made.__name__, f"kind = {entry.made.kind} of random numbers"]
+    own = [entry.made.__name__]
     return own if entry.axis is None else [*own, entry.axis.name]
 
 
@@ -55,8 +55,6 @@ def _require_whole(entry: Entry) -> None:
     made, axis, slider = entry.made, entry.axis, entry.slider
     if made is None:
         _refuse(entry, "lacks made: give made = the class of the imperfection.")
-    if not isinstance(getattr(made, "kind", None), int):
-        _refuse(entry, f"makes {made.__name__}, which lacks kind: give it a ClassVar[int].")
     keys = [key for key in entry.model_fields if key != "kind"]
     asked = [field.name for field in fields(made)]  # pyright: ignore[reportArgumentType]
     if sorted(keys) != sorted(asked):
@@ -74,8 +72,8 @@ def require_all(known: Iterable[Entry], public: ModuleType = imperfections) -> N
     for name in public.__all__:
         one = getattr(public, name)
         is_kind = isinstance(one, type) and issubclass(one, Imperfection) and not isabstract(one)
-        # The base of all has nothing abstract of its own, and no kind.
-        if is_kind and hasattr(one, "kind") and one not in made:
+        # The base of all has nothing abstract of its own.
+        if is_kind and one is not Imperfection and one not in made:
             raise ArgumentError(
                 f"imperfection {name} has no entry: add one to {entries.__name__}, so that "
                 "problem files know it."

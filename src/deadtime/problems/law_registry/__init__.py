@@ -13,6 +13,7 @@ from deadtime.problems.law_registry.registry import (
     build_law,
     collect,
     the_law,
+    the_problem_law,
 )
 from deadtime.problems.law_registry.setting import NEEDS, Model, Setting
 
@@ -31,4 +32,5 @@ __all__ = [
     "build_law",
     "collect",
     "the_law",
+    "the_problem_law",
 ]

@@ -132,3 +132,18 @@ def the_law(name: str) -> str:
     if not noun:
         return f"the law “{name}”"
     return f"the {rest} {noun}" if rest else f"the {noun}"
+
+
+def the_problem_law(name: str) -> str:
+    """A law's name in a sentence about a problem, whose file may give a law any name.
+
+    A noun, as `the_law` has it, is for what runs where files name no laws and needs no future.
+
+    Examples
+    --------
+    >>> the_problem_law("mean"), the_problem_law("oracle")
+    ('the mean law', 'the law “oracle”')
+    """
+    known = LAWS.get(name)
+    usual = known is not None and known.named.in_files and known.named.knows != LEVELS[-1]
+    return the_law(name) if usual else f"the law “{name}”"

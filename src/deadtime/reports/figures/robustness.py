@@ -76,8 +76,7 @@ def _growth_curves(
 
 
 def _no_margin(result: Robustness) -> str:
-    left_out = any("was left out" in sentence for sentence in result.sentences)
-    return "left out: D/h is\ntoo large" if left_out else "the law is no table"
+    return "left out: D/h is\ntoo large" if result.left_out else "the law is no table"
 
 
 def _points(result: Robustness) -> int:

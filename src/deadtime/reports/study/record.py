@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deadtime.base.wording import finite_or_none
+from deadtime.base.record import plain, record
 from deadtime.problems.law_registry import LEVELS
 from deadtime.reports.study.findings import best, summary
 from deadtime.reports.study.phrases import Answer
@@ -40,20 +40,13 @@ def write_cells(data: xr.Dataset, path: Path) -> None:
 
 
 def record_of(data: xr.Dataset, answers: Sequence[Answer]) -> dict[str, Any]:
-    """The findings for JSON, which knows no infinity: null where there is one, or no figure."""
+    """The findings for JSON."""
     return {
         "title": data.attrs["title"],
         "version": data.attrs["version"],
         "seed": int(data.attrs["seed"]),
         "scenarios": int(data.attrs["scenarios"]),
-        "answers": [
-            {
-                "question": answer.question,
-                "sentences": list(answer.sentences),
-                "tables": [vars(table) for table in answer.tables],
-            }
-            for answer in answers
-        ],
+        "answers": [record(answer, "question", "sentences", "tables") for answer in answers],
         "cells": list(_cells(data)),
         "failures": failures(data),
     }
@@ -71,10 +64,10 @@ def _cells(data: xr.Dataset) -> Iterator[dict[str, Any]]:
     }
     axes = [str(name) for name in found.ise.dims[:-1]]
     for index in np.ndindex(found.ise.shape[:-1]):
-        place = {name: _plain(found[name].values[i]) for name, i in zip(axes, index, strict=True)}
-        cell: dict[str, Any] = dict(place)
+        places = zip(axes, index, strict=True)
+        cell: dict[str, Any] = {name: found[name].values[i] for name, i in places}
         cell["laws"] = {
-            law: {name: _plain(found[name].values[(*index, row)]) for name in FIGURES}
+            law: {name: found[name].values[(*index, row)] for name in FIGURES}
             for row, law in enumerate(laws)
         }
         cell["best"] = {
@@ -82,15 +75,8 @@ def _cells(data: xr.Dataset) -> Iterator[dict[str, Any]]:
                 "winner": str(table.winner.values[index]),
                 "runner_up": str(table.runner_up.values[index]),
                 "tied": bool(table.verdict.values[index] != 1.0),
-                **{name: _plain(table[name].values[index]) for name in DUEL},
+                **{name: table[name].values[index] for name in DUEL},
             }
             for level, table in ranked.items()
         }
-        yield cell
-
-
-def _plain(value: Any) -> float | str | None:
-    """A number of numpy's as one of Python's, or a text."""
-    if isinstance(value, str):
-        return str(value)
-    return finite_or_none(value)
+        yield plain(cell)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.base.errors import ArgumentError
-from deadtime.base.version import __version__
 from deadtime.base.wording import file_name
 from deadtime.problems.law_registry import LEVELS, the_law
-from deadtime.reports.report import save_figure
+from deadtime.reports.page import save_figure, write_metrics, write_page, writing
 from deadtime.reports.study import maps
 from deadtime.reports.study.answers import answers
 from deadtime.reports.study.phrases import Answer
@@ -42,6 +38,7 @@ class StudyReport:
     path: Path
     answers: list[Answer]
     data: xr.Dataset
+    record: dict[str, Any]
 
 
 def write_study(
@@ -78,22 +75,11 @@ def write_study(
         What `sweep` raises.
     """
     folder = Path(folder)
-    with _writing(folder):
-        for part in ("figures", "data"):
-            (folder / part).mkdir(parents=True, exist_ok=True)
+    with writing(folder):  # before an hour of runs
+        pass
     data = run_study(study, folder / "data" / "study.zarr", workers, progress, scheduler)
-    with _writing(folder):
+    with writing(folder):
         return write_findings(study, data, folder, command)
-
-
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise ArgumentError(
-            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
-        ) from None
 
 
 def write_findings(
@@ -103,13 +89,14 @@ def write_findings(
     found = answers(data)
     write_cells(data, folder / "data" / "cells.csv")
     record = record_of(data, found)
-    text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    write_metrics(record, folder, indent=1)
     causal = [law for law in study.laws if law != ORACLE]
     caption = "∫|x|² over the oracle’s, geometric mean and 95 % interval, on one line of the grid."
     picture = save_figure(maps.plot_lines(data, causal), folder, "lines", caption)
-    page = _page(
-        study,
+    path = write_page(
+        folder,
+        "study.html.j2",
+        **_setting(study),
         command=command,
         answers=[(answer, list(_duels(data, answer, folder))) for answer in found],
         picture=picture,
@@ -117,9 +104,7 @@ def write_findings(
         laws=[(law, the_law(law), list(_alone(data, law, folder))) for law in study.laws],
         failures=failures(data),
     )
-    path = folder / "index.html"
-    path.write_text(page, encoding="utf-8")
-    return StudyReport(path, found, data)
+    return StudyReport(path, found, data, record)
 
 
 def _duels(data: xr.Dataset, answer: Answer, folder: Path) -> Iterator[dict[str, str]]:
@@ -156,32 +141,24 @@ def _alone(data: xr.Dataset, law: str, folder: Path) -> Iterator[dict[str, str]]
     yield save_figure(figure, folder, f"stabilised-{file_name(law)}", caption)
 
 
-def _page(study: FileStudy, **parts: Any) -> str:
-    from jinja2 import Environment, PackageLoader
-
-    template = Environment(
-        loader=PackageLoader("deadtime.reports"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("study.html.j2")
-    return template.render(
-        study=study,
-        plant=study.base.plant,
-        step=study.base.step,
-        horizon=study.base.horizon,
-        grid=[
+def _setting(study: FileStudy) -> dict[str, Any]:
+    """The study, as the page shows it."""
+    base = study.base
+    return {
+        "study": study,
+        "plant": base.plant,
+        "step": base.step,
+        "horizon": base.horizon,
+        "grid": [
             (AXES[name].label, ", ".join(map(_value, values)), AXES[name].unit)
             for name, values in study.grid.items()
         ],
-        families=[
+        "families": [
             (name, FAMILIES[name][0]) for name in study.grid.get("sojourn", ("exponential",))
         ],
-        poles=", ".join(_value(pole) for pole in study.poles or ()),
-        x0=", ".join(f"{value:g}" for value in study.base.x0).replace("-", "−"),
-        version=__version__,
-        **parts,
-    )
+        "poles": ", ".join(_value(pole) for pole in study.poles or ()),
+        "x0": ", ".join(f"{value:g}" for value in base.x0).replace("-", "−"),
+    }
 
 
 def _value(value: object) -> str:

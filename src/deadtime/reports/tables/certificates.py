@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import as_rate, finite_or_none, sentence_of
+from deadtime.base.record import record
+from deadtime.base.wording import as_rate, sentence_of
 from deadtime.problems import Problem
 
 if TYPE_CHECKING:
@@ -145,22 +146,16 @@ def certificate_sentences(judged: Sequence[Judged]) -> list[str]:
 
 
 def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
-    """The same for JSON, which knows no infinity: null where there is one."""
+    """The same for JSON."""
+    from deadtime.certificates import Certificate
+
+    answer = ("stable", "decay_rate", "proven", "message", "statement")
+    worst = ("growth_rate", "proven", "modes", "sojourns", "phase", "message")
     return {
         one.law: {
-            "stable": one.stable,
-            "decay_rate": None if one.certificate is None else one.certificate.decay_rate,
-            "proven": one.certificate is not None and one.certificate.proven,
-            "message": one.reason if one.certificate is None else one.certificate.message,
-            "statement": [] if one.certificate is None else list(one.certificate.statement),
-            "worst_signal": _worst_record(one.worst),
-            "delay_margin": None
-            if one.margin is None
-            else {
-                "lower": finite_or_none(one.margin.lower),
-                "upper": finite_or_none(one.margin.upper),
-                "message": one.margin.message,
-            },
+            **record(one.certificate or Certificate(None, one.reason), *answer),
+            "worst_signal": one.worst and record(one.worst, *worst),
+            "delay_margin": one.margin and record(one.margin, "lower", "upper", "message"),
         }
         for one in judged
     }
@@ -231,16 +226,3 @@ def _proof_in_words(certificate: Certificate | None) -> str:
 def _growth(worst: WorstCase | None) -> str:
     rate = None if worst is None else worst.growth_rate
     return "–" if rate is None or not math.isfinite(rate) else as_rate(rate)
-
-
-def _worst_record(worst: WorstCase | None) -> dict[str, Any] | None:
-    if worst is None:
-        return None
-    return {
-        "growth_rate": finite_or_none(worst.growth_rate),
-        "proven": worst.proven,
-        "modes": list(worst.modes),
-        "sojourns": [finite_or_none(sojourn) for sojourn in worst.sojourns],
-        "phase": worst.phase,
-        "message": worst.message,
-    }

@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from deadtime.base.wording import compact, finite_or_none
+from deadtime.base.record import record
+from deadtime.base.wording import compact
 from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.theorem.bound import FORMS
 from deadtime.problems import Problem
+
+HEADINGS = ("constant", "as printed", "corrected", "sharp")
+
+
+def bound_headings(published: Mapping[str, float] | None = None) -> tuple[str, ...]:
+    """Of the columns of `bound_rows`."""
+    return (*HEADINGS, "figure in the text") if published else HEADINGS
 
 
 def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
@@ -82,14 +90,10 @@ def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
 
 def bounds_record(bounds: Mapping[str, TheoremBound]) -> dict[str, dict[str, Any]]:
     """The constants for JSON, which knows no infinity: their logarithms are always there."""
-
     names = ("epsilon", "epsilon_star", "nu1", "nu2", "kappa", "b", "mu", "rho", "xi")
     logs = [f"log10_{name}" for name in ("epsilon_star", "nu1", "nu2", "kappa", "rho")]
-    return {
-        form: {name: finite_or_none(getattr(bound, name)) for name in (*names, *logs)}
-        | {"holds": bound.holds, "message": bound.message}
-        for form, bound in bounds.items()
-    }
+    told = (*names, *logs, "holds", "message")
+    return {form: record(bound, *told) for form, bound in bounds.items()}
 
 
 def _optional(value: float | None) -> str:

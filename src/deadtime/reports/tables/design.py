@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.base.wording import as_rate, compact, finite_or_none
+from deadtime.base.record import plain, record
+from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import record_of
 from deadtime.synthesis import Design, TradeOff
@@ -15,6 +16,7 @@ from deadtime.synthesis.message import percent
 
 HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s", "misses")
 LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
+_FIGURES = ("margin", "cost", "decay_rate")
 
 
 def design_rows(design: Design) -> list[tuple[str, ...]]:
@@ -85,44 +87,21 @@ def _nested_lists(array: np.ndarray) -> str:
 
 
 def design_record(design: Design) -> dict[str, Any]:
-    """The design for JSON; null for what is infinite."""
-    margin = design.margin
-    return {
-        "asked": design.asked,
-        "decay_asked": design.decay_asked,
-        "reached": design.reached,
-        "delay_margin": {
-            "relative": finite_or_none(margin.relative),
-            "lower": finite_or_none(margin.lower),
-            "upper": finite_or_none(margin.upper),
-        },
-        "growth_at_both_ends": design.growth.tolist(),
-        "gains": design.gains.tolist(),
-        "time_constant": None if design.time_constant is None else design.time_constant.tolist(),
-        "step": design.step,
-        "cost": finite_or_none(design.cost),
+    """The design for JSON; None for what is infinite."""
+    points = [
+        record(point, *_FIGURES, "step")
+        | {"chosen": point.law is design.law, "missed": design.missed(point)}
+        for point in design.points
+    ]
+    return plain({
+        **record(design, "asked", "decay_asked", "reached"),
+        "delay_margin": record(design.margin, "relative", "lower", "upper"),
+        "growth_at_both_ends": design.growth,
+        **record(design, "gains", "time_constant", "step", "cost"),
         **record_of(design.weight),
-        "decay_rate": finite_or_none(design.decay_rate),
-        "plain": {
-            "margin": finite_or_none(design.plain.margin),
-            "cost": finite_or_none(design.plain.cost),
-            "decay_rate": finite_or_none(design.plain.decay_rate),
-        },
-        "limits": [
-            {"reached": finite_or_none(limit.reached), "most": finite_or_none(limit.most)}
-            for limit in design.limits
-        ],
-        "points": [
-            {
-                "margin": finite_or_none(point.margin),
-                "cost": point.cost,
-                "decay_rate": finite_or_none(point.decay_rate),
-                "step": point.step,
-                "chosen": point.law is design.law,
-                "missed": list(design.missed(point)),
-            }
-            for point in design.points
-        ],
-        "evaluated": design.evaluated,
-        "message": design.message,
-    }
+        "decay_rate": design.decay_rate,
+        "plain": record(design.plain, *_FIGURES),
+        "limits": [record(limit, "reached", "most") for limit in design.limits],
+        "points": points,
+        **record(design, "evaluated", "message"),
+    })  # fmt: skip

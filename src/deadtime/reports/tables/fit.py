@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from deadtime.base.wording import amount, finite_or_none
+from deadtime.base.record import plain, record
+from deadtime.base.wording import amount
 from deadtime.switching import SemiMarkov
 from deadtime.switching.models.families import Goodness
 from deadtime.switching.models.sojourns import Fixed
@@ -88,22 +89,17 @@ def _sojourn(dist: Any) -> str:
 
 def fit_record(model: SemiMarkov, names: Sequence[str]) -> dict[str, Any]:
     """The fit for JSON."""
-    return {
-        "modes": {
-            name: {
-                "family": good.family,
-                "parameters": {key: float(value) for key, value in good.parameters.items()},
-                "mean": float(mean),
-                "complete": good.complete,
-                "censored": good.censored,
-                "ks_distance": float(good.distance),
-                "p_value": float(good.p_value),
-                "aic": finite_or_none(good.aic),
-            }
-            for name, good, mean in zip(names, _goodness(model), model.mean, strict=True)
-        },
-        "transition": model.transition.tolist(),
+    modes = {
+        name: {
+            **record(good, "family", "parameters"),
+            "mean": mean,
+            **record(good, "complete", "censored"),
+            "ks_distance": good.distance,
+            **record(good, "p_value", "aic"),
+        }
+        for name, good, mean in zip(names, _goodness(model), model.mean, strict=True)
     }
+    return plain({"modes": modes, "transition": model.transition})
 
 
 def _goodness(model: SemiMarkov) -> tuple[Goodness, ...]:

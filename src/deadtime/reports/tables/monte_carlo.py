@@ -7,20 +7,29 @@ are only those up to its end, and would flatter the law.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import compact, finite_or_none
+from deadtime.base.record import plain
+from deadtime.base.wording import compact
 
 if TYPE_CHECKING:
     import xarray as xr
 
 ORACLE = "oracle"
 LEVELS = (0.05, 0.5, 0.95)
+
+
+class Quantiles(NamedTuple):
+    """The 5 % quantile, the median and the 95 % quantile; ∞ where diverged runs reach into them."""
+
+    low: float
+    median: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -30,9 +39,8 @@ class LawSummary:
     Attributes
     ----------
     law : str
-    cost, ise : tuple of float
-        5 % quantile, median and 95 % quantile of the cost and of ∫|x|²; ∞ where diverged
-        scenarios reach into them.
+    cost, ise : Quantiles
+        Of the cost and of ∫|x|².
     best : float
         Share of scenarios on which no law has a smaller cost, 0 to 1; ties count for each.
     relative : float
@@ -42,8 +50,8 @@ class LawSummary:
     """
 
     law: str
-    cost: tuple[float, float, float]
-    ise: tuple[float, float, float]
+    cost: Quantiles
+    ise: Quantiles
     best: float
     relative: float
     diverged: int
@@ -89,14 +97,7 @@ class Summary:
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
-        names = ("low", "median", "high")
-        records = []
-        for one in self.laws:
-            record = asdict(one)
-            for metric in ("cost", "ise"):
-                record[metric] = dict(zip(names, map(finite_or_none, record[metric]), strict=True))
-            records.append(record | {"relative": finite_or_none(one.relative)})
-        return records
+        return plain(self.laws)
 
 
 def summary(data: xr.Dataset) -> Summary:
@@ -140,7 +141,7 @@ def summary(data: xr.Dataset) -> Summary:
             _quantiles(cost[i]),
             _quantiles(ise[i]),
             float(best[i]),
-            float(_quantiles(ratios[i])[1]),
+            _quantiles(ratios[i]).median,
             int(diverged[i]),
         )
         for i, name in enumerate(names_of(data))
@@ -192,9 +193,8 @@ def quantile(values: Float[np.ndarray, " scenario"], level: float) -> float:
     return float(np.quantile(np.minimum(values, highest), level))
 
 
-def _quantiles(values: np.ndarray) -> tuple[float, float, float]:
-    low, middle, high = (quantile(values, level) for level in LEVELS)
-    return low, middle, high
+def _quantiles(values: np.ndarray) -> Quantiles:
+    return Quantiles(*(quantile(values, level) for level in LEVELS))
 
 
 def _share(share: float) -> str:

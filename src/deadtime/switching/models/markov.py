@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, positive, real_array
+from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.base.frozen import Frozen
+from deadtime.switching.models.jump_process import JumpProcess
+from deadtime.switching.models.model import JumpModel
 from deadtime.switching.models.quantiles import Quantiles
-from deadtime.switching.random import Draw, jump_switches, require_few
-from deadtime.switching.signal import SwitchingSignal
-
-if TYPE_CHECKING:
-    from deadtime.switching.batch import SignalBatch
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Markov(Frozen):
+class Markov(JumpModel):
     """A Markov process of modes: in mode i, a switch to mode j comes at the rate Λ_ij.
 
         P(σ(t + s) = j | σ(t) = i) = (e^{sΛ})_ij
@@ -102,73 +97,12 @@ class Markov(Frozen):
         with np.errstate(divide="ignore"):
             return 1.0 / self.rates.sum(axis=1)
 
-    def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
-        """A signal on [0, horizon).
-
-        The same seed gives the same signal; a longer horizon continues it.
-
-        Raises
-        ------
-        ArgumentError
-            If the horizon is not positive or would hold too many switches.
-        """
-        horizon = positive("horizon", horizon)
-        count("seed", seed, least=0)
-        mean = self.mean
-        require_few(horizon, float(mean.max()))
-        return SwitchingSignal(
-            *jump_switches([_exponential(scale) for scale in mean], self.rates, horizon, seed),
-            horizon,
-        )
-
     @property
-    def drawable(self) -> bool:
-        """Whether `draw` can be asked for; always."""
-        return True
-
-    def draw(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> SignalBatch:
-        """The signals of scenarios first, …, first + count − 1 on [0, horizon), in one batch.
-
-        A scenario's signal is a function of the model, `seed` and its number only, whatever else
-        is drawn with it; a longer horizon continues it. It follows the same law as those of
-        `sample`, but is none of them: other numbers are read.
-
-        Parameters
-        ----------
-        horizon : float
-            The signals end here, seconds.
-        seed : int
-            At least 0.
-        first, count : int
-            Number of the first scenario, at least 0, and how many, at least 1.
-
-        Raises
-        ------
-        ArgumentError
-            If the horizon is not positive, an integer is out of its range, or the batch would
-            hold too many switches.
-
-        Examples
-        --------
-        >>> model = Markov([[0.0, 2.0], [1.0, 0.0]])
-        >>> batch = model.draw(10.0, seed=1, count=1000)
-        >>> (batch[700].times == model.draw(10.0, seed=1, first=700)[0].times).all()
-        np.True_
-        """
-        from deadtime.switching.models.drawing import draw_signals
-
+    def process(self) -> JumpProcess:
+        """Exponential sojourns, and jumps by the rates."""
         mean = self.mean
-        quantiles = Quantiles(np.zeros(self.modes), mean)
-        longest = float(mean.max())
-        return draw_signals(quantiles, self.rates, longest, horizon, seed, (first, count))
+        return JumpProcess(Quantiles(np.zeros(self.modes), mean), self.rates, float(mean.max()))
 
     def __repr__(self) -> str:
         means = ", ".join(f"{mean:.3g}" for mean in self.mean)
         return f"Markov(modes={self.modes}, mean sojourns {means} s)"
-
-
-def _exponential(mean: float) -> Draw:
-    """Draws exponential sojourns; endless ones when the mean is infinite."""
-    if mean == np.inf:
-        return lambda _, size: np.full(size, np.inf)
-    return lambda rng, size: rng.exponential(mean, size)

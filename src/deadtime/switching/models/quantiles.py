@@ -5,57 +5,22 @@ with probability u:
 
     P(S_i > t) = u,    t = a_i − b_i log u for a shifted exponential or a fixed sojourn (b_i = 0)
 
-and what the distribution's own `isf` says otherwise, or `ppf` at 1 − u.
+and what the distribution's own `isf` says otherwise, or `ppf` at 1 − u, or a search where it has
+no formula for either.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.switching.models.sojourns import Distribution, Fixed, describe
-
-
-def drawable(dist: Distribution) -> bool:
-    """Whether a sojourn can be computed from one uniform number without a search.
-
-    Examples
-    --------
-    >>> from scipy.stats import exponnorm, gamma
-    >>> drawable(Fixed(0.5)), drawable(gamma(2.0)), drawable(exponnorm(2.0))
-    (True, True, False)
-    """
-    if isinstance(dist, Fixed):
-        return True
-    if not any(callable(getattr(dist, word, None)) for word in ("isf", "ppf")):
-        return False
-    family = getattr(dist, "dist", None)
-    if not type(dist).__module__.startswith("scipy.stats"):
-        return True
-    from scipy.stats import rv_continuous
-
-    # Without a formula of its own, scipy inverts cdf by a root search for each number.
-    searched = isinstance(family, rv_continuous) and all(
-        getattr(type(family), word, None) is getattr(rv_continuous, word, None)
-        for word in ("_ppf", "_isf")
-    )
-    return not searched
-
-
-def require_drawable(sojourn: Sequence[Distribution]) -> None:
-    """Refuse sojourns that cannot be computed from uniform numbers."""
-    for i, dist in enumerate(sojourn):
-        if not drawable(dist):
-            raise ArgumentError(
-                f"sojourn[{i}] must have an inverse survival function isf(u), or ppf(u), that "
-                f"needs no root search, got {describe(dist)}: use model.sample(horizon, seed), or "
-                "another distribution."
-            )
+from deadtime.switching.models.sojourns import Distribution, Fixed, log_survival
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +42,7 @@ class Quantiles(Frozen):
 
     @classmethod
     def of(cls, sojourn: Sequence[Distribution]) -> Quantiles:
-        """Those of one distribution per mode; each distinct one is asked once for all its modes.
-
-        Raises
-        ------
-        ArgumentError
-            If a distribution is not `drawable`.
-        """
-        require_drawable(sojourn)
+        """Those of one distribution per mode; each distinct one is asked once for all its modes."""
         shift, scale = np.zeros(len(sojourn)), np.zeros(len(sojourn))
         others: dict[int, tuple[str, Callable, np.ndarray]] = {}
         for i, dist in enumerate(sojourn):
@@ -127,10 +85,54 @@ def _formula(dist: Distribution) -> tuple[float, float] | None:
 
 def _inverse(name: str, dist: Distribution) -> tuple[str, Callable]:
     """The inverse survival function of a distribution, and its name in messages."""
-    if callable(isf := getattr(dist, "isf", None)):
+    isf, ppf = (getattr(dist, word, None) for word in ("isf", "ppf"))
+    if _is_searched(dist) or not (callable(isf) or callable(ppf)):
+        return f"{name}.sf", partial(_search, dist)
+    if callable(isf):
         return f"{name}.isf", isf
-    ppf = getattr(dist, "ppf")  # noqa: B009  # not in the protocol, as few need it
+    assert ppf is not None
     return f"{name}.ppf", lambda u: ppf(1.0 - u)  # exact for multiples of 2⁻⁵³
+
+
+def _is_searched(dist: Distribution) -> bool:
+    """Whether it is one of scipy's without a formula of its own, whose `isf` is slow.
+
+    Scipy inverts their cdf by a root search for each number, some milliseconds long.
+
+    Examples
+    --------
+    >>> from scipy.stats import foldnorm, gamma
+    >>> _is_searched(gamma(2.0)), _is_searched(foldnorm(1.0))
+    (False, True)
+    """
+    if not type(dist).__module__.startswith("scipy.stats"):
+        return False
+    from scipy.stats import rv_continuous
+
+    family = getattr(dist, "dist", None)
+    return isinstance(family, rv_continuous) and all(
+        getattr(type(family), word) is getattr(rv_continuous, word) for word in ("_ppf", "_isf")
+    )
+
+
+def _search(dist: Distribution, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The least doubles that sojourns exceed with a probability of at most u, by bisection.
+
+    Examples
+    --------
+    >>> _search(Fixed(0.3), np.array([0.2, 0.9]))
+    array([0.3, 0.3])
+    """
+    level, most = np.log(u), np.ones(u.size)
+    while (short := (log_survival(dist, most) > level) & (most < np.inf)).any():
+        most[short] *= 2.0
+    # Doubles ≥ 0 have the order of their bits read as integers.
+    low, high = np.zeros(u.size, np.int64), most.view(np.int64)
+    while (high - low > 1).any():
+        middle = low + (high - low) // 2
+        longer = log_survival(dist, middle.view(np.float64)) > level
+        low, high = np.where(longer, middle, low), np.where(longer, high, middle)
+    return high.view(np.float64)
 
 
 def _invert(name: str, inverse: Callable, u: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

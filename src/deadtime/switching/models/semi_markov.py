@@ -11,26 +11,23 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, number, positive, real_array, require_shape
+from deadtime.base.checks import count, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.base.frozen import Frozen
 from deadtime.switching.models.families import Goodness
 from deadtime.switching.models.hazards import count_ages, hazards, require_short
-from deadtime.switching.models.quantiles import Quantiles, drawable
+from deadtime.switching.models.jump_process import JumpProcess
+from deadtime.switching.models.model import JumpModel
+from deadtime.switching.models.quantiles import Quantiles
 from deadtime.switching.models.sojourns import (
     Distribution,
     check_sojourns,
     describe,
-    draw_from,
     mean_sojourn,
     survival,
 )
-from deadtime.switching.random import jump_switches, require_few
 from deadtime.switching.signal import SwitchingSignal
 
 if TYPE_CHECKING:
-    from deadtime.switching.batch import SignalBatch
-
     Sojourn = Distribution | float | Sequence[Distribution | float]
     Signals = SwitchingSignal | Sequence[SwitchingSignal]
     Families = str | Sequence[str]
@@ -39,7 +36,7 @@ else:
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class SemiMarkov(Frozen):
+class SemiMarkov(JumpModel):
     """A semi-Markov process of modes: stay in mode i for a random time S_i, then jump to mode j.
 
         P(S_i > t) = sf_i(t),    P(next mode is j) = T_ij,  whatever happened before
@@ -50,8 +47,8 @@ class SemiMarkov(Frozen):
     ----------
     sojourn : distribution, number, or a list of them with one per mode
         S_i in seconds: a frozen distribution of scipy.stats, anything else with vectorised
-        ``cdf``, ``sf`` or ``logsf``, and ``rvs(size=, random_state=)``, or a number for a fixed
-        sojourn. A single one holds for every mode.
+        ``cdf``, and ``sf`` or ``logsf``, or a number for a fixed sojourn. A single one holds for
+        every mode. Signals are drawn fast where it has a formula for ``isf`` or ``ppf``.
     transition : array_like, shape (modes, modes), optional
         T_ij ≥ 0 with rows that sum to 1 and a zero diagonal; by default all other modes are
         equally likely.
@@ -87,7 +84,7 @@ class SemiMarkov(Frozen):
     array([[0.   , 0.   , 0.   , 0.181, 0.181],
            [0.   , 0.   , 0.   , 1.   , 1.   ]])
     >>> model.sample(2.0, seed=3).switches
-    4
+    2
     """
 
     sojourn: tuple[Distribution, ...]
@@ -129,62 +126,10 @@ class SemiMarkov(Frozen):
         means.flags.writeable = False
         return means
 
-    def sample(self, horizon: float, seed: int = 0) -> SwitchingSignal:
-        """A signal on [0, horizon), which starts with a whole sojourn.
-
-        The same seed gives the same signal; a longer horizon continues it.
-
-        Raises
-        ------
-        ArgumentError
-            If the horizon is not positive or would hold too many switches.
-        """
-        horizon = positive("horizon", horizon)
-        count("seed", seed, least=0)
-        require_few(horizon, float(self.mean.max()))
-        draws = [draw_from(f"sojourn[{i}]", dist) for i, dist in enumerate(self.sojourn)]
-        return SwitchingSignal(*jump_switches(draws, self.transition, horizon, seed), horizon)
-
-    @cached_property
-    def drawable(self) -> bool:
-        """Whether `draw` can be asked for: every distribution has a quantile without a search."""
-        return all(map(drawable, self.sojourn))
-
-    def draw(self, horizon: float, seed: int = 0, first: int = 0, count: int = 1) -> SignalBatch:
-        """The signals of scenarios first, …, first + count − 1 on [0, horizon), in one batch.
-
-        A scenario's signal is a function of the model, `seed` and its number only, whatever else
-        is drawn with it; a longer horizon continues it. It follows the same law as those of
-        `sample`, but is none of them: other numbers are read, and sojourns come from the inverse
-        survival functions, not from `rvs`.
-
-        Parameters
-        ----------
-        horizon : float
-            The signals end here, seconds.
-        seed : int
-            At least 0.
-        first, count : int
-            Number of the first scenario, at least 0, and how many, at least 1.
-
-        Raises
-        ------
-        ArgumentError
-            If the model is not `drawable`, the horizon is not positive, an integer is out of its
-            range, or the batch would hold too many switches.
-
-        Examples
-        --------
-        >>> from scipy.stats import gamma
-        >>> model = SemiMarkov([gamma(2.0, scale=0.3), 0.4])
-        >>> batch = model.draw(10.0, seed=1, count=1000)
-        >>> (batch[700].times == model.draw(10.0, seed=1, first=700)[0].times).all()
-        np.True_
-        """
-        from deadtime.switching.models.drawing import draw_signals
-
-        quantiles, longest = Quantiles.of(self.sojourn), float(self.mean.max())
-        return draw_signals(quantiles, self.transition, longest, horizon, seed, (first, count))
+    @property
+    def process(self) -> JumpProcess:
+        """Sojourns by the inverse survival functions, and jumps by the transition."""
+        return JumpProcess(Quantiles.of(self.sojourn), self.transition, float(self.mean.max()))
 
     def hazard(self, step: float, ages: int) -> Float[np.ndarray, "mode age"]:
         """Probability that a sojourn which outlasted a samples ends by the next one.
@@ -282,7 +227,7 @@ class SemiMarkov(Frozen):
         >>> from scipy.stats import gamma
         >>> log = SemiMarkov(gamma(4.0, scale=0.2)).sample(400.0, seed=1)
         >>> SemiMarkov.fit(log, family="gamma").mean.round(2)
-        array([0.79, 0.81])
+        array([0.79, 0.78])
         """
         from deadtime.switching.models.fit import fit_model
 

@@ -1,13 +1,12 @@
 """Sojourn times in one mode: which distributions are accepted, and how they are read.
 
-A distribution is anything with vectorised `cdf(t)`, `sf(t)` or `logsf(t)`, and
-`rvs(size=, random_state=)`, such as those that scipy.stats freezes. Times are in seconds.
+A distribution is anything with vectorised `cdf(t)`, and `sf(t)` or `logsf(t)`, such as those that
+scipy.stats freezes. Times are in seconds.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
@@ -17,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.random import Draw
 
 
 @runtime_checkable
@@ -26,10 +24,6 @@ class Distribution(Protocol):
 
     def cdf(self, x: Any, /) -> Any:
         """P(S ≤ x)."""
-        ...
-
-    def rvs(self, *, size: int, random_state: Any) -> Any:
-        """Draw `size` sojourns with a numpy Generator."""
         ...
 
 
@@ -50,10 +44,6 @@ class Fixed:
     def logsf(self, t: ArrayLike) -> np.ndarray:
         """log P(S > t)."""
         return np.where(np.asarray(t) >= self.length, -np.inf, 0.0)
-
-    def rvs(self, size: int = 1, random_state: object = None) -> np.ndarray:
-        """The length, `size` times."""
-        return np.full(size, self.length)
 
     def mean(self) -> float:
         """The length."""
@@ -78,11 +68,11 @@ def check_sojourn(name: str, value: object) -> Distribution:
             if words
             else f"{name} must be a frozen distribution, got one that is not: call it, …()."
         )
-    usable = all(callable(getattr(value, word, None)) for word in ("cdf", "rvs"))
+    usable = callable(getattr(value, "cdf", None))
     if not usable or not (hasattr(value, "sf") or hasattr(value, "logsf")):
         raise ArgumentError(
             f"{name} must be a positive number of seconds or a frozen scipy.stats distribution "
-            f"(an object with cdf, sf or logsf, and rvs), got {type(value).__name__}."
+            f"(an object with cdf, and sf or logsf), got {type(value).__name__}."
         )
     dist: Distribution = value  # pyright: ignore[reportAssignmentType]
     at_zero = np.asarray(dist.cdf(0.0), dtype=np.float64)
@@ -162,17 +152,3 @@ def mean_sojourn(dist: Distribution) -> float:
     from scipy.integrate import quad
 
     return float(quad(lambda t: survival(dist, t), 0.0, np.inf, limit=200)[0])
-
-
-def draw_from(name: str, dist: Distribution) -> Draw:
-    """How `jump_switches` draws from a distribution."""
-    return partial(_draw, name, dist)
-
-
-def _draw(name: str, dist: Distribution, rng: np.random.Generator, size: int) -> np.ndarray:
-    drawn = np.asarray(dist.rvs(size=size, random_state=rng), dtype=np.float64)
-    if drawn.shape != (size,):
-        raise ArgumentError(f"{name}.rvs must have shape ({size},), got {drawn.shape}.")
-    if not drawn.min() >= 0.0:
-        raise ArgumentError(f"{name}.rvs must draw positive numbers, got {drawn.min():g}.")
-    return drawn

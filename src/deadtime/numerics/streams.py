@@ -1,0 +1,62 @@
+"""Streams of random numbers: each is a function of a seed and of what it is for.
+
+Whoever draws once in order takes the generator of `stream`. Whoever must reach any number at once
+takes `uniforms`, which addresses the generator Philox by its counter; this is NumPy's, for few
+numbers, and `deadtime.numerics.philox` gives the same ones compiled, for many.
+"""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+
+import numpy as np
+from jaxtyping import Float, UInt64
+
+from deadtime.base.checks import read_only
+
+WORDS = 4  # that Philox makes of a counter
+DROPPED = np.uint64(12)  # bits of a word, of which a double holds the others and a half
+
+
+def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
+    """The generator of number `index` of those called `name`; all are independent.
+
+    Examples
+    --------
+    >>> stream(1, "Noise").random() == stream(1, "Noise").random()
+    True
+    >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
+    False
+    """
+    word = int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(word, index)))
+
+
+def key_of(seed: int) -> UInt64[np.ndarray, 2]:
+    """Philox's key for a seed of at least 0."""
+    return read_only(np.random.SeedSequence(seed).generate_state(2, np.uint64))
+
+
+def uniforms(
+    key: UInt64[np.ndarray, 2],
+    scenarios: UInt64[np.ndarray, " count"],
+    start: int,
+    blocks: int,
+    stream: int,
+) -> Float[np.ndarray, "count number"]:
+    """The numbers in (0, 1) of blocks start, …, start + blocks − 1 of a stream, (count, 4 blocks).
+
+    Examples
+    --------
+    >>> whole = uniforms(key_of(1), np.array([7], np.uint64), start=0, blocks=3, stream=2)
+    >>> part = uniforms(key_of(1), np.array([7], np.uint64), start=2, blocks=1, stream=2)
+    >>> (part == whole[:, 8:]).all()
+    np.True_
+    """
+    result = np.empty((scenarios.size, WORDS * blocks))
+    for row, scenario in zip(result, scenarios, strict=True):
+        # NumPy adds 1 to the counter before the first word.
+        counter = (start + (int(scenario) << 64) + (stream << 128) - 1) % 2**256
+        words = np.random.Philox(key=key, counter=counter).random_raw(row.size)
+        row[:] = ((words >> DROPPED) + 0.5) * 2.0**-52
+    return result

@@ -1,0 +1,66 @@
+"""A report on disk: its folder, figures, metrics, and the page that shows them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.record import json_text
+from deadtime.base.version import __version__
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Make the folders of a report; refuse by name what cannot be written.
+
+    Raises
+    ------
+    ArgumentError
+        If the folder cannot be written, now or while the context lasts.
+    """
+    try:
+        for part in ("figures", "data"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise ArgumentError(
+            f"folder {str(folder)!r} cannot be written ({error.strerror}): choose another one."
+        ) from None
+
+
+def save_figure(figure: Figure, folder: Path, name: str, caption: str) -> dict[str, str]:
+    """Save as SVG and PNG; return the PNG inlined for the page."""
+    figure.savefig(folder / "figures" / f"{name}.svg", metadata={"Date": None})
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png")
+    (folder / "figures" / f"{name}.png").write_bytes(buffer.getvalue())
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return {"name": name, "caption": caption, "image": f"data:image/png;base64,{data}"}
+
+
+def write_metrics(record: Mapping[str, Any], folder: Path, indent: int = 2) -> None:
+    """Write metrics.json."""
+    (folder / "metrics.json").write_text(json_text(record, indent) + "\n", encoding="utf-8")
+
+
+def write_page(folder: Path, template: str, **parts: Any) -> Path:
+    """Write index.html, by a template of `templates/`; its path."""
+    from jinja2 import Environment, PackageLoader
+
+    environment = Environment(
+        loader=PackageLoader("deadtime.reports"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    path = folder / "index.html"
+    text = environment.get_template(template).render(version=__version__, **parts)
+    path.write_text(text, encoding="utf-8")
+    return path
