@@ -1,15 +1,13 @@
-"""Loops over the jumps of signals, in plain Python: for few signals, which need no compiler then.
-
-`deadtime.switching.models.jump_kernel` has the same loops compiled, for many.
-"""
+"""Loops over the jumps of signals; compiled, they release Python's lock."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from deadtime.numerics.streams import uniforms as uniforms
+from deadtime.numerics.kernels import kernel
 
 
+@kernel(nogil=True)
 def walk(bounds, mode, u):
     """The modes of the next sojourns of every signal, and the mode after them.
 
@@ -30,6 +28,7 @@ def walk(bounds, mode, u):
     return path, after
 
 
+@kernel(nogil=True)
 def lay(path, sojourns, time, last, horizon):
     """When the sojourns start: times and modes (signal, jump), of which the first `used` hold.
 
@@ -56,10 +55,11 @@ def lay(path, sojourns, time, last, horizon):
     return times, modes, used, end, held
 
 
+@kernel(nogil=True)
 def place(to, rows, used, times, modes, flat_times, flat_modes):
     """Move the sojourns of a round to where their signals' next ones belong, `to`; move `to`."""
     for i in range(rows.size):
         at, kept = to[rows[i]], used[i]
-        flat_times[at : at + kept] = times[i, :kept]
-        flat_modes[at : at + kept] = modes[i, :kept]
+        for j in range(kept):
+            flat_times[at + j], flat_modes[at + j] = times[i, j], modes[i, j]
         to[rows[i]] = at + kept

@@ -11,9 +11,8 @@ horizon leave.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,14 +21,14 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import count, positive, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.numerics.streams import WORDS, key_of
-from deadtime.switching.models import jump_loops
+from deadtime.numerics.streams import WORDS, key_of, uniforms
+from deadtime.switching.models.jump_loops import lay, place, walk
 from deadtime.switching.models.quantiles import Quantiles
 
 MOST_SWITCHES = 1e7
 MOST_JUMPS = 1e8
 FEW_SIGNALS = 8
-FEW_BLOCKS = 2**12  # of a signal: beyond them plain loops take longer than a compiler
+FEW_BLOCKS = 2**12  # of a signal: beyond them NumPy's generators take longer than a compiler
 _FIRST_MODE, _SOJOURNS, _JUMPS = 1, 2, 3
 _FIRST_BLOCKS = 2
 _TINY = float(np.finfo(float).tiny)
@@ -86,7 +85,7 @@ class JumpProcess(Frozen):
             _refuse(size, horizon)
         bounds, key = self._bounds(), key_of(seed)
         numbers = read_only(np.uint64(first) + np.arange(size, dtype=np.uint64))
-        start = _loops(size, 0).uniforms(key, numbers, 0, 1, _FIRST_MODE)[:, 0]
+        start = _numbers(size, 0)(key, numbers, 0, 1, _FIRST_MODE)[:, 0]
         mode = (start * self.transition.shape[0]).astype(np.int64)
         rows, time, last = np.arange(size), np.zeros(size), np.full(size, -1)
         rounds, block, jumps_read = [], 0, 0
@@ -98,10 +97,10 @@ class JumpProcess(Frozen):
                 require_few(horizon, max(float(time.min()), _TINY) / (WORDS * block))
             if jumps_read > 2.0 * MOST_JUMPS:
                 _refuse(size, horizon)
-            loops, own = _loops(size, block), read_only(numbers[rows])
-            path, mode = loops.walk(bounds, mode, loops.uniforms(key, own, block, blocks, _JUMPS))
-            sojourns = self.sojourn(path, loops.uniforms(key, own, block, blocks, _SOJOURNS))
-            times, modes, used, time, last = loops.lay(path, sojourns, time, last, horizon)
+            draw, own = _numbers(size, block), read_only(numbers[rows])
+            path, mode = walk(bounds, mode, draw(key, own, block, blocks, _JUMPS))
+            sojourns = self.sojourn(path, draw(key, own, block, blocks, _SOJOURNS))
+            times, modes, used, time, last = lay(path, sojourns, time, last, horizon)
             rounds.append((rows, used, times, modes))
             going = time < horizon
             rows, mode, time, last = rows[going], mode[going], time[going], last[going]
@@ -126,13 +125,13 @@ def require_few(horizon: float, mean: float) -> None:
         )
 
 
-def _loops(signals: int, block: int) -> ModuleType:
-    """What draws a round: plain loops for few short signals, else compiled ones; bitwise equal."""
+def _numbers(signals: int, block: int) -> Callable[..., np.ndarray]:
+    """What gives random numbers: NumPy where few are asked for, else compiled; bitwise equal."""
     if signals <= FEW_SIGNALS and block <= FEW_BLOCKS:
-        return jump_loops
-    from deadtime.switching.models import jump_kernel
+        return uniforms
+    from deadtime.numerics import philox
 
-    return jump_kernel
+    return philox.uniforms
 
 
 def _pack(rounds: Sequence[tuple[np.ndarray, ...]], size: int) -> Switches:
@@ -144,7 +143,7 @@ def _pack(rounds: Sequence[tuple[np.ndarray, ...]], size: int) -> Switches:
     times, modes = np.empty(first[-1]), np.empty(first[-1], np.int64)
     to = first[:-1].copy()
     for rows, used, round_times, round_modes in rounds:
-        _loops(size, 0).place(to, rows, used, round_times, round_modes, times, modes)
+        place(to, rows, used, round_times, round_modes, times, modes)
     return Switches(first, times, modes)
 
 

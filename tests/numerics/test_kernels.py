@@ -1,0 +1,157 @@
+"""Kernels: the same numbers by Python and compiled, and when they go over."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.numerics import kernels
+from deadtime.numerics.exponential import discretise, gramian
+from deadtime.numerics.kernels import Kernel, kernel
+from deadtime.plant import SampledPlant
+from deadtime.plant.cut_pieces import gramians
+from deadtime.switching.grid import cuts_of
+
+
+@kernel
+def mean_square(a):
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * a[i]
+    return total / a.size
+
+
+@pytest.fixture
+def plant():
+    rng = np.random.default_rng(2)
+    return dt.SwitchedSystem(rng.normal(size=(3, 4, 4)), rng.normal(size=(3, 4, 2)), delay=0.234)
+
+
+def test_both_ways_give_the_same_bits(monkeypatch, plant):
+    def python_and_compiled(function, *args):
+        return function.function(*args), function.dispatcher(*args)
+
+    monkeypatch.setattr(kernels, "WISH", "never")
+    A, B = plant.A[0], plant.B[0]
+    for tau in (1e-3, 0.3, 7.0):
+        ways = python_and_compiled(discretise, A, B, tau)
+        for one, other in zip(*ways, strict=True):
+            assert np.array_equal(one, other)
+        assert np.array_equal(*python_and_compiled(gramian, A, B, tau, plant.identity))
+    sampled = SampledPlant(plant, 0.1)
+    signal = dt.SwitchingSignal([0.0, 0.17, 0.31], [0, 2, 1])
+    cuts = cuts_of(signal, sampled.window)
+    table = sampled.along(cuts, 8)
+    given = plant.A, plant.B, table, cuts.offset, cuts.mode, plant.identity
+    assert np.array_equal(*python_and_compiled(gramians, *given))
+
+
+def test_a_kernel_is_python_until_it_has_cost_its_patience(monkeypatch):
+    own = kernel(mean_square.function)
+    a = np.ones(10)
+    assert own(a) == 1.0
+    assert own._ready is None
+    monkeypatch.setattr(kernels, "PATIENCE", -1.0)
+    assert own(a) == 1.0
+    assert own._ready is not None
+
+
+@pytest.mark.parametrize(("wish", "compiled"), [("always", True), ("never", False)])
+def test_the_wish_decides(monkeypatch, wish, compiled):
+    own = kernel(mean_square.function)
+    monkeypatch.setattr(kernels, "WISH", wish)
+    assert own(np.ones(kernels.LARGE + 1)) == 1.0
+    assert (own._ready is not None) == compiled
+
+
+def test_large_arguments_are_compiled_for_at_once_wherever_they_are_held():
+    own, nested = kernel(mean_square.function), kernel(lambda pair: pair[0][0])
+    own(np.ones(kernels.LARGE + 1))
+    nested((np.ones(kernels.LARGE + 1), 1))
+    assert own._ready is not None
+    assert nested._ready is not None
+
+
+def test_overflow_is_silent_both_ways():
+    with np.errstate(all="raise"):
+        assert kernel(mean_square.function)(np.full(3, 1e200)) == np.inf
+        assert mean_square.dispatcher(np.full(3, 1e200)) == np.inf
+
+
+def test_an_error_leaves_python_s_way_open():
+    @kernel
+    def fails(a):
+        return a[7]
+
+    with pytest.raises(IndexError):
+        fails(np.ones(2))
+    assert not Kernel.within
+
+
+def run(code, folder, **environment):
+    """A program in a process of its own, its compile cache in a folder; what it prints."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder), "NUMBA_OPT": "0", **environment}
+    program = [sys.executable, "-c", textwrap.dedent(code)]
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_one_run_needs_no_compiler(tmp_path):
+    code = """
+        import sys
+        import deadtime as dt
+        run = dt.problems.follower().simulate("averaged")
+        run.metrics()
+        print("numba" in sys.modules, "scipy.signal" in sys.modules)
+    """
+    assert run(code, tmp_path) == ["False", "False"]
+    assert not list(tmp_path.rglob("*.nbi"))
+
+
+MODULES = {
+    "inner_kernel.py": """
+        from deadtime.numerics.kernels import kernel
+        @kernel
+        def one(x):
+            return {} * x
+    """,
+    "outer_kernel.py": """
+        from deadtime.numerics.kernels import kernel
+        from inner_kernel import one
+        @kernel
+        def two(x):
+            return one(x) + 1.0
+    """,
+}
+
+
+def test_a_change_in_a_kernel_that_another_file_calls_is_noticed(tmp_path):
+    def write(factor):
+        for name, text in MODULES.items():
+            (tmp_path / name).write_text(textwrap.dedent(text).replace("{}", factor))
+
+    code = "import outer_kernel; print(outer_kernel.two(1.0), outer_kernel.two.dispatcher.stats)"
+    path = os.pathsep.join((str(tmp_path), *sys.path))
+    found = []
+    for factor in ("2.0", "2.0", "30.0"):
+        if not (found and factor == "2.0"):
+            write(factor)
+        wish = {"PYTHONPATH": path, "DEADTIME_COMPILE": "always"}
+        found.append(run(code, tmp_path / "cache", **wish)[0])
+    assert found == ["3.0", "3.0", "31.0"]
+
+
+def test_where_no_folder_can_be_written_kernels_are_compiled_all_the_same(tmp_path):
+    code = """
+        import numpy as np
+        from numba.core import caching
+        caching.CacheImpl._locator_classes = []
+        from deadtime.numerics.exponential import discretise
+        print(discretise(np.zeros((1, 1)), np.ones((1, 1)), 0.5)[1].item())
+    """
+    assert run(code, tmp_path, DEADTIME_COMPILE="always") == ["0.5"]
