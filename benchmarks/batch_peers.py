@@ -14,7 +14,7 @@ from batch_problem import LAWS, PAPER, USUAL, X0
 from numba import njit, prange
 
 import deadtime as dt
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
 from deadtime.scenarios.loop import Loop
 
 WIDTH = 64  # scenarios side by side in `side_by_side`
@@ -42,7 +42,7 @@ class Problem(NamedTuple):
 def problem_of(law: dt.Law) -> Problem:
     """The tables of a peer; the window's recursion is that of the averaged law."""
     feedback, averaged = law.digital(USUAL.step), LAWS["averaged"].digital(USUAL.step)
-    loop = Loop(PAPER.plant, Window.of(1.0, USUAL.step), np.array(X0), USUAL.horizon)
+    loop = Loop(SampledPlant(PAPER.plant, USUAL.step), np.array(X0), USUAL.horizon)
     factor = averaged.factor
     assert factor is not None
     values, vectors = np.linalg.eig(factor.S)

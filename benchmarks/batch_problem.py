@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import expon
 
 import deadtime as dt
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.window_form import window_form
 from deadtime.switching import SignalBatch
@@ -90,8 +90,8 @@ def require_accuracy(law: dt.Law, batch: SignalBatch, setting: Setting, **more: 
 
 def fmas_of(law: dt.Law, setting: Setting) -> float:
     """Fused multiply-adds of a scenario-step; see the module."""
-    loop = Loop(PAPER.plant, Window.of(PAPER.plant.delay, setting.step), np.array(X0), 1.0)
-    _, n, wide = loop.maps.move.shape
+    loop = Loop(SampledPlant(PAPER.plant, setting.step), np.array(X0), 1.0)
+    n, wide = loop.plant.states, loop.acting.wide
     feedback = law.digital(setting.step, dt.SwitchingSignal.constant(0), 1)
     rows, taps, m, _ = feedback.input_gain.shape
     metrics = n + 1 + m + 1 + 2

@@ -12,7 +12,8 @@ import scipy.linalg
 import deadtime as dt
 import plants
 import reference
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
+from deadtime.plant.pieces import Stretch
 from deadtime.scenarios import draw_signals
 from deadtime.scenarios.engine import Engine
 from deadtime.scenarios.loop import Loop
@@ -70,7 +71,7 @@ def test_trajectories_are_those_of_exact_fractions_and_taylor_series():
 def test_maps_of_cut_periods_are_products_of_exponentials():
     # Random switches, up to several in a period, against SciPy's exponential of [[A, B], [0, 0]].
     plant = plants.generic(0.234)
-    loop = Loop(plant, Window.of(0.234, 0.1), np.ones(3), 3.03)
+    loop = Loop(SampledPlant(plant, 0.1), np.ones(3), 3.03)
     rng = np.random.default_rng(1)
     times = np.concatenate(([0.0], np.sort(rng.uniform(0.0, 3.03, 70))))
     signal = dt.SwitchingSignal(times, rng.integers(0, 3, 71))
@@ -92,6 +93,50 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
             z = scipy.linalg.expm(own * (b - a)) @ z
         move = laid.maps[laid.map[record], :21].reshape(3, 7)
         np.testing.assert_allclose(move, z[:3], rtol=0, atol=2e-14 * np.abs(z).max())
+
+
+class OwnLags(SampledPlant):
+    """A plant that reads inputs of lags of their own, input by input and mode by mode."""
+
+    PIECES = (
+        ((0.03, (3, 2)), (0.06, (2, 2)), (0.1, (2, 1))),
+        ((0.1, (2, 2)),),
+        ((0.05, (3, 3)), (0.1, (2, 3))),
+    )
+
+    def stretches(self, mode):
+        start, result = 0.0, []
+        for stop, lag in self.PIECES[mode]:
+            result.append(Stretch(start, stop, np.array(lag)))
+            start = stop
+        return tuple(result)
+
+
+@pytest.mark.parametrize("tabulated", [True, False])
+def test_every_input_and_mode_may_have_lags_of_its_own(tabulated, monkeypatch):
+    # Against a loop that reads who acts when between any two events, with SciPy's exponential.
+    if not tabulated:
+        monkeypatch.setattr("deadtime.scenarios.cut_periods._MOST_NUMBERS", 0.0)
+    plant, step, samples = plants.generic(0.234), 0.1, 30
+    loop = Loop(OwnLags(plant, step), np.ones(3), samples * step + 0.03)
+    rng = np.random.default_rng(1)
+    times = np.concatenate(([0.0], np.sort(rng.uniform(0.0, 3.0, 40))))
+    signal = dt.SwitchingSignal(times, rng.integers(0, 3, 41))
+    table = plants.LAWS["averaged"](plant).digital(step)
+    engine = Engine(loop)
+    _, path = engine.path(engine.table(table), loop.lay(SignalBatch.of([signal])), 0, 1)
+    F, G = table.state_gain[0], table.latest_first[0].reshape(2, -1, 2)
+    x, inputs = np.ones(3), [np.zeros(2)] * table.taps
+    for k in range(samples):
+        inputs.append(F @ x + np.einsum("ijp,jp->i", G, inputs[: -table.taps - 1 : -1]))
+        np.testing.assert_allclose(path.x[0, :, k], x, rtol=1e-11)
+        np.testing.assert_allclose(path.u[0, :, k], inputs[-1], rtol=1e-11)
+        events = {0.0, 0.03, 0.05, 0.06, 0.1, *(signal.times - k * step)}
+        for a, b in itertools.pairwise(sorted(t for t in events if 0.0 <= t <= step)):
+            mode = int(signal(k * step + 0.5 * (a + b)))
+            lag = next(lag for stop, lag in OwnLags.PIECES[mode] if 0.5 * (a + b) < stop)
+            Phi, Gamma = plants.held(plant.A[mode], plant.B[mode], b - a)
+            x = Phi @ x + Gamma @ [inputs[-1 - lag[0]][0], inputs[-1 - lag[1]][1]]
 
 
 @pytest.mark.parametrize("fast", [pytest.param(False, marks=pytest.mark.long), True])
@@ -132,7 +177,7 @@ def test_window_sums_are_exact_after_millions_of_periods(periods):
     step = 0.01
     signals = dt.Markov([[0, 30.0], [30.0, 0]]).draw(2e3, seed=3, count=8)
     signals = [dt.SwitchingSignal(one.times, one.modes) for one in signals]
-    loop = Loop(plant, Window.of(0.75, step), np.array([0.1, 0.0, 1.0, 0.0]), periods * step)
+    loop = Loop(SampledPlant(plant, step), np.array([0.1, 0.0, 1.0, 0.0]), periods * step)
     engine, table = Engine(loop), law.digital(step)
     taps = table.taps
     assert window_form(table) is not None

@@ -9,7 +9,7 @@ import scipy.linalg
 import deadtime as dt
 import plants
 from deadtime.imperfections import RateLimit, Saturation
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
 from deadtime.scenarios.engine import Engine
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.kernel import run_scenarios
@@ -37,7 +37,7 @@ SIGNALS = signals()
 
 
 def loop_of(plant=TRUTH, actuators=()):
-    return Loop(plant, Window.of(plant.delay, H), X0, HORIZON, actuators)
+    return Loop(SampledPlant(plant, H), X0, HORIZON, actuators)
 
 
 def table_of(engine, loop, law, own=SIGNALS):

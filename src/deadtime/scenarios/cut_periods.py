@@ -1,22 +1,24 @@
 """Transitions over a period, whole or cut by switches.
 
-Over a period the plant sees z = (x, u_{k−N}, u_{k−N+1}), or (x, u_{k−N}) where N periods are the
-delay, and moves by x_{k+1} = M z with ∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts
-the period, M and E are analytic in the instant of the switch: series in it replace two
-exponentials by one short polynomial.
+Over a period the plant sees z, its state and the inputs that act (`scenarios.acting`), and moves by
+x_{k+1} = M z with ∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts the period, M and E
+are analytic in the instant of the switch, as long as no piece of either mode ends there: series in
+it replace two exponentials by one short polynomial.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
-from deadtime.plant import SwitchedSystem, Weight
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight
+from deadtime.scenarios.acting import Acting, acting_of
 
 WIDE = 8  # entries of a map come in vectors of so many
 _NODES, _ROUND_OFF = 20, 2e-15
@@ -34,8 +36,8 @@ class Tables(NamedTuple):
     """Series by cells of a period, in δ ∈ [−1, 1] across each, the lowest power first.
 
     switched : (mode·mode, part, cell, degree, size), M and E of a period with one switch from
-        mode i to mode j, row i·modes + j, in either part of the period; without cells where there
-        are too many modes for it
+        mode i to mode j, row i·modes + j, in every part of the period (`Acting.edges`); without
+        cells where there are too many modes for it
     pieces : (mode, cell, degree, size), Φ, Γ and the energy of one mode over a time
     width : the size of a map, in whole vectors
     """
@@ -65,20 +67,35 @@ def balanced_norm(A: Float[np.ndarray, "n n"]) -> float:
     return float(np.abs(A * unit / unit[:, None]).sum(axis=1).max())
 
 
+class Part(NamedTuple):
+    """A time in one mode under the inputs z[column]."""
+
+    A: Float[np.ndarray, "n n"]
+    B: Float[np.ndarray, "n m"]
+    length: float
+    column: Int[np.ndarray, " m"]
+
+
+def parts_of(plant: SwitchedSystem, acting: Acting, i: int, low: float, high: float) -> list[Part]:
+    """What mode i does between two instants of a period."""
+    stretches, parts = acting.stretches, []
+    for s in range(stretches.first[i], stretches.first[i + 1]):
+        start, stop = max(low, stretches.start[s]), min(high, stretches.stop[s])
+        if stop > start:
+            parts.append(Part(plant.A[i], plant.B[i], stop - start, acting.column[s]))
+    return parts
+
+
 def compose(
-    pieces: Sequence[tuple[np.ndarray, np.ndarray, float]],
-    weight: Weight | None = None,
-    inputs: Sequence[int] = (0, 1),
+    parts: Sequence[Part], wide: int, weight: Weight | None = None
 ) -> tuple[Float[np.ndarray, "n z"], Float[np.ndarray, "z z"]]:
-    """M and E over pieces (A, B, seconds), piece p seeing the block inputs[p] of the inputs."""
+    """M and E over parts of a period, z having `wide` entries."""
     from deadtime.numerics.exponential import discretise, energy_gramian
 
-    n, m = pieces[0][1].shape
-    which, Q = list(inputs)[: len(pieces)], None if weight is None else weight.Q
-    wide = n + m * (1 + max(which))
+    n, Q = parts[0].A.shape[0], None if weight is None else weight.Q
     move, energy = np.eye(n, wide), np.zeros((wide, wide))
-    for (A, B, length), block in zip(pieces, which, strict=True):
-        u = np.eye(m, wide, n + block * m)
+    for A, B, length, column in parts:
+        u = np.eye(wide)[column]
         z = np.vstack((move, u))
         Phi, Gamma = discretise(A, B, length)
         energy += z.T @ energy_gramian(A, B, length, Q) @ z
@@ -86,45 +103,45 @@ def compose(
     return move, energy
 
 
+def whole_periods(sampled: SampledPlant, acting: Acting, weight: Weight | None = None) -> Maps:
+    """The periods that no switch cuts."""
+    plant, step = sampled.plant, sampled.step
+    pairs = [
+        compose(parts_of(plant, acting, i, 0.0, step), acting.wide, weight)
+        for i in range(plant.modes)
+    ]
+    return Maps(*(np.array(part) for part in zip(*pairs, strict=True)))
+
+
 @lru_cache(8)
-def tables_of(
-    plant: SwitchedSystem, lengths: tuple[float, ...], cells: int, weight: Weight | None = None
-) -> Tables:
-    """The series of a plant, `lengths` being those for which one input acts at a time."""
-    A, B, modes, step = plant.A, plant.B, plant.modes, sum(lengths)
-    n, wide = plant.states, plant.states + plant.inputs * len(lengths)
+def tables_of(sampled: SampledPlant, cells: int, weight: Weight | None = None) -> Tables:
+    """The series of a plant at a period."""
+    plant, step, acting = sampled.plant, sampled.step, acting_of(sampled)
+    modes, n = plant.modes, plant.states
+    wide, edges, alone = acting.wide, acting.edges, np.arange(n, n + plant.inputs)
 
     def piece(i: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
-            move, energy = compose([(A[i], B[i], t)], weight)
+            parts = [Part(plant.A[i], plant.B[i], t, alone)]
+            move, energy = compose(parts, n + plant.inputs, weight)
             return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), pack(energy)))
 
         return at
 
-    def with_switch(i: int, j: int, part: int) -> Callable[[float], np.ndarray]:
+    def with_switch(i: int, j: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
-            both = [(A[i], B[i], t), (A[j], B[j], sum(lengths[: part + 1]) - t)]
-            blocks = [part, part]
-            if part == 1:
-                both = [(A[i], B[i], lengths[0]), (A[i], B[i], t - lengths[0]), both[1]]
-                blocks = [0, 1, 1]
-            elif len(lengths) > 1:
-                both, blocks = [*both, (A[j], B[j], lengths[1])], [0, 0, 1]
-            move, energy = compose(both, weight, blocks)
+            before = parts_of(plant, acting, i, 0.0, t)
+            move, energy = compose([*before, *parts_of(plant, acting, j, t, step)], wide, weight)
             return np.concatenate((move.ravel(), pack(energy)))
 
         return at
 
-    edges = np.concatenate(([0.0], np.cumsum(lengths)))
     width = -(-(n * wide + wide * (wide + 1) // 2) // WIDE) * WIDE
     pieces = _stack([[_series(piece(i), 0.0, step, cells)] for i in range(modes)])[:, 0]
-    if modes * modes * len(lengths) * cells * _NODES * width > _MOST_NUMBERS:
+    if modes * modes * (edges.size - 1) * cells * _NODES * width > _MOST_NUMBERS:
         return Tables(np.zeros((1, 1, 0, 1, width)), pieces, width)
     pairs = [
-        [
-            _series(with_switch(i, j, part), edges[part], edges[part + 1], cells)
-            for part in range(len(lengths))
-        ]
+        [_series(with_switch(i, j), low, high, cells) for low, high in itertools.pairwise(edges)]
         for i in range(modes)
         for j in range(modes)
     ]

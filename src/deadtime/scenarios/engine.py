@@ -69,7 +69,7 @@ class Engine:
 
     def _plant(self, laid: Laid) -> Plant:
         return Plant(
-            self._loop.window.count,
+            self._loop.acting.lags,
             laid.maps,
             laid.first,
             laid.step,
@@ -81,7 +81,8 @@ class Engine:
     def _shape(self, order: int, block: int, rows: int, dense: bool = False) -> Shape:
         plant = self._loop.plant
         n, m = plant.states, plant.inputs
-        sizes = n, m, n + m, self._loop.maps.move.shape[2], order, block, rows * m, m * (n + m)
+        wide = self._loop.acting.wide
+        sizes = n, m, n + m, wide - n, wide, order, block, rows * m, m * (n + m)
         flags = int(dense), int(len(self._loop.actuators) > 0)
         return Shape(*((0.0,) * size for size in (*sizes, *flags)))
 

@@ -26,6 +26,7 @@ from deadtime.numerics.lanes import (
     gather,
     larger,
     load,
+    load_each,
     mantissa,
     matrix_product,
     own_form,
@@ -51,13 +52,15 @@ _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out
 
 
 class Shape(NamedTuple):
-    """Sizes, as the lengths of tuples: state, input, both, what acts over a period, window, its
-    blocks, the inputs that the law's rows ask for, m (n + m) for the heads of dense rows. The last
-    two are empty where rows are factorised, and where no actuator limits the input."""
+    """Sizes, as the lengths of tuples: state, input, both, the inputs that act over a period, these
+    and the state, window, its blocks, the inputs that the law's rows ask for, m (n + m) for the
+    heads of dense rows. The last two are empty where rows are factorised, and where no actuator
+    limits the input."""
 
     x: tuple
     u: tuple
     both: tuple
+    acting: tuple
     z: tuple
     b: tuple
     block: tuple
@@ -94,9 +97,10 @@ class Rows(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """The truth: its delay N in periods, and signals laid on them (`loop.Laid`)."""
+    """The truth: l of the inputs u_{k−l} that act, oldest first, and signals laid on its periods
+    (`loop.Laid`)."""
 
-    delay: int
+    lags: np.ndarray
     maps: np.ndarray
     first: np.ndarray
     step: np.ndarray
@@ -163,7 +167,8 @@ class Work(NamedTuple):
     window : for dense rows, scenario by scenario, inputs twice over, so that N of them lie side
     by side wherever the ring begins;  own : maps;
     mode, its number as one that `choose` reads, when it began, the row of the law;
-    at, stop, coming : the next record, the end of records, 8·period + place of the next one.
+    at, stop, coming : the next record, the end of records, 8·period + place of the next one;
+    acting : where in `ring` the inputs that act lie, lag by lag.
     """
 
     ring: np.ndarray
@@ -179,6 +184,7 @@ class Work(NamedTuple):
     at: np.ndarray
     stop: np.ndarray
     coming: np.ndarray
+    acting: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -188,6 +194,9 @@ def _work(shape, rows, plant, run, start, count, period):
     at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     mode, mode_row = np.empty(LANES, np.int64), np.zeros(LANES)
     began, xs = np.empty(LANES, np.int64), np.empty(n * LANES)
+    acting = np.empty(plant.lags.size, np.int64)
+    for p in range(plant.lags.size):
+        acting[p] = (period - min(plant.lags[p], run.samples)) % period * m * LANES
     for lane in range(LANES):
         scenario = start + min(lane, count - 1)
         at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
@@ -211,6 +220,7 @@ def _work(shape, rows, plant, run, start, count, period):
         at,
         stop,
         np.arange(LANES),
+        acting,
     )
 
 
@@ -276,7 +286,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest."""
     n, m, wide, asked = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
-    period = min(max(plant.delay, rows.taps), run.samples) + 1
+    period = min(max(plant.lags[0], rows.taps), run.samples) + 1
     work = _work(shape, rows, plant, run, start, count, period)
     ring, own = work.ring, work.own
     none, one = same(0.0, _ONE), same(1.0, _ONE)
@@ -285,9 +295,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
     ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
     # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
     P, Q, EP, EQ = one, one, none, none
-    now, old = 0, period - min(plant.delay, run.samples)
-    new = (period - min(plant.delay - 1, run.samples)) % period
-    older = period - min(rows.taps, run.samples)
+    now, older = 0, period - min(rows.taps, run.samples)
     places = m * np.arange(LANES)
     soon, r, place, width = np.int64(0), 0, 0, work.window.size // LANES
     for k in range(run.samples):
@@ -332,16 +340,17 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
         if path.size and k >= keep:
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
-        recent = load(ring, new * m * LANES, shape.u)
-        z = first_of(x, load(ring, old * m * LANES, shape.u), recent, shape.z)
+        acting = load_each(ring, work.acting, shape.u, shape.acting)
+        z = first_of(x, acting, acting, shape.z)
         ise = own_form(own, n * wide * LANES, z, ise)
         x = own_product(own, 0, z, same(0.0, shape.x))
         weight = run.rest if k == run.samples - 1 else 1.0
         felt = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
         energy = times(same(weight, _ONE), squares(felt, none), energy)
         now = 0 if now + 1 == period else now + 1
-        old = 0 if old + 1 == period else old + 1
-        new = 0 if new + 1 == period else new + 1
+        for p in range(len(shape.acting) // m):
+            after = work.acting[p] + m * LANES
+            work.acting[p] = 0 if after == ring.size else after
         older = 0 if older + 1 == period else older + 1
     figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
     for f, figure in enumerate(figures):

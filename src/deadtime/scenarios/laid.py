@@ -25,22 +25,22 @@ def _snap(ratio):
 
 
 @njit(cache=True, nogil=True)
-def _place(time, step, phase, count, rate):
+def _place(time, step, acting, rate):
     """The period that a switch falls in, and when in it; `rate` is 1/step."""
     ratio = _snap(time * rate)
     k = np.floor(ratio)
     if ratio == k:
         return np.int64(k), 0.0
-    offset = time - k * step
-    if phase < step:
-        late = _snap((time - (count - 1) * step - phase) * rate)
+    for a in range(acting.arrival.size):
+        lag, arrival = acting.arriving[a], acting.arrival[a]
+        late = _snap((time - lag * step - arrival) * rate)
         if late == np.floor(late):
-            k, offset = late + count - 1, phase
-    return np.int64(k), offset
+            return np.int64(late) + lag, arrival
+    return np.int64(k), time - k * step
 
 
 @njit(cache=True, nogil=True)
-def lay(offset, times, modes, samples, step, phase, count, plants):
+def lay(offset, times, modes, samples, step, acting, plants):
     """Records (step, mode at the sample, map) of every scenario for the periods 0, …, samples − 1.
 
     Scenario s has the sojourns offset[s], …, offset[s + 1] − 1. A map below `plants`, the number
@@ -65,7 +65,7 @@ def lay(offset, times, modes, samples, step, phase, count, plants):
             # Switches at the sample come first: they are what the law sees.
             ahead, within = final + 1, 0.0
             while i + 1 < stop:
-                ahead, within = _place(times[i + 1], step, phase, count, rate)
+                ahead, within = _place(times[i + 1], step, acting, rate)
                 if ahead != k or within > 0.0:
                     break
                 i += 1
@@ -78,7 +78,7 @@ def lay(offset, times, modes, samples, step, phase, count, plants):
                     at[i] = within
                     ahead = final + 1
                     if i + 1 < stop:
-                        ahead, within = _place(times[i + 1], step, phase, count, rate)
+                        ahead, within = _place(times[i + 1], step, acting, rate)
                 until[c] = i + 1
                 c += 1
                 r += 1
@@ -106,13 +106,13 @@ def _series(flat, index, cells, degrees, size, start, cell, t, width):
 
 
 @njit(cache=True, nogil=True)
-def _compose(piece, n, m, column, move, energy, own):
-    """Follow the map (move, energy) by a piece whose input is z[column], …."""
-    wide = move.shape[1]
+def _compose(piece, column, move, energy, own):
+    """Follow the map (move, energy) by a piece whose inputs are z[column]."""
+    (n, wide), m = move.shape, column.size
     own[:n] = move
     own[n:] = 0.0
     for j in range(m):
-        own[n + j, column + j] = 1.0
+        own[n + j, column[j]] = 1.0
     at = n * n + n * m
     for i in range(n + m):
         for j in range(i, n + m):
@@ -134,11 +134,11 @@ def _compose(piece, n, m, column, move, energy, own):
 
 
 @njit(cache=True, nogil=True)
-def _compose_period(first, last, modes, at, end, phase, pieces, cell, n, m, result, scratch, width):
+def _compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
-    flat = pieces.reshape(-1)
-    wide = n + m if phase == 0.0 else n + 2 * m
+    flat, wide, m = pieces.reshape(-1), acting.wide, acting.column.shape[1]
+    n = wide - acting.lags.size * m
     move, energy = np.zeros((n, wide)), np.zeros((wide, wide))
     own = np.empty((n + m, wide))
     for i in range(n):
@@ -146,15 +146,13 @@ def _compose_period(first, last, modes, at, end, phase, pieces, cell, n, m, resu
     start = 0.0
     for i in range(first, last):
         stop = end if i + 1 == last else min(at[i + 1], end)
-        for part in range(2):
-            edge = stop if part == 1 or phase == 0.0 else min(stop, phase)
+        mode = modes[i]
+        for s in range(acting.stretches.first[mode], acting.stretches.first[mode + 1]):
+            edge = min(stop, acting.stretches.stop[s])
             if edge > start:
-                value = _series(
-                    flat, modes[i], cells, degrees, size, 0.0, cell, edge - start, width
-                )
+                value = _series(flat, mode, cells, degrees, size, 0.0, cell, edge - start, width)
                 store(scratch, 0, value)
-                late = phase > 0.0 and start >= phase
-                _compose(scratch, n, m, n + m if late else n, move, energy, own)
+                _compose(scratch, acting.column[s], move, energy, own)
                 start = edge
     k = 0
     for i in range(n):
@@ -177,21 +175,18 @@ def fill_maps(
     last,
     step,
     rest,
-    phase,
+    acting,
     switched,
     pieces,
-    n,
-    m,
     width,
     piece_width,
 ):
     """Fill maps[modes + c] for every cut period c; `last` as from `lay`.
 
     A period with one switch is read from `switched` (mode·modes + mode, part, cell, degree, size),
-    the others are composed from `pieces` (mode, cell, degree, size). `phase` is 0 where one input
-    acts throughout.
+    the others are composed from `pieces` (mode, cell, degree, size).
     """
-    count = pieces.shape[0]
+    count, edges = pieces.shape[0], acting.edges
     _, parts, cells, degrees, size = switched.shape
     flat, place = switched.reshape(-1), maps.reshape(-1)
     scratch = np.empty(pieces.shape[3])
@@ -200,9 +195,10 @@ def fill_maps(
         i = sojourn[c]
         if cells > 0 and until[c] == i + 2 and not last[c]:
             t = at[i + 1]
-            part = 1 if phase > 0.0 and t >= phase else 0
-            low = phase if part == 1 else 0.0
-            high = phase if part == 0 and phase > 0.0 else step
+            part = 0
+            while part + 1 < parts and t >= edges[part + 1]:
+                part += 1
+            low, high = edges[part], edges[part + 1]
             index = (modes[i] * count + modes[i + 1]) * parts + part
             value = _series(flat, index, cells, degrees, size, low, (high - low) / cells, t, width)
             store(place, (count + c) * size, value)
@@ -214,11 +210,9 @@ def fill_maps(
                 modes,
                 at,
                 end,
-                phase,
+                acting,
                 pieces,
                 cell,
-                n,
-                m,
                 maps[count + c],
                 scratch,
                 piece_width,

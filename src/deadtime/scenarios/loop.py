@@ -14,16 +14,17 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.imperfections import Limiting, Sizes
 from deadtime.numerics.covariance import square_root
-from deadtime.plant import SwitchedSystem, Weight, Window
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight, Window
 from deadtime.plant.steps import snap, snap_all
+from deadtime.scenarios.acting import Acting, acting_of
 from deadtime.scenarios.cut_periods import (
     WIDE,
     Maps,
     Tables,
     balanced_norm,
-    compose,
     pack,
     tables_of,
+    whole_periods,
 )
 from deadtime.switching import SignalBatch
 
@@ -59,6 +60,10 @@ class Loop:
 
     Attributes
     ----------
+    sampled : SampledPlant
+    x0 : (n,)
+    horizon : float
+        Seconds.
     whole : int
         K, periods within the horizon; samples are t_0, …, t_K.
     rest : float
@@ -68,12 +73,24 @@ class Loop:
         What engines measure: ∫xᵀQx as their ise, uᵀRu as their energy; None for the identity.
     """
 
-    plant: SwitchedSystem
-    window: Window
+    sampled: SampledPlant
     x0: Float[np.ndarray, " n"]
     horizon: float
     actuators: Sequence[Limiting] = ()
     weight: Weight | None = None
+
+    @property
+    def plant(self) -> SwitchedSystem:
+        return self.sampled.plant
+
+    @property
+    def window(self) -> Window:
+        return self.sampled.window
+
+    @cached_property
+    def acting(self) -> Acting:
+        """What acts on the plant over a period."""
+        return acting_of(self.sampled)
 
     @cached_property
     def whole(self) -> int:
@@ -98,19 +115,10 @@ class Loop:
             return np.zeros((0, self.plant.inputs))
         return read_only(square_root(self.weight.R).T)
 
-    @property
-    def lengths(self) -> list[float]:
-        """For how long one input acts at a time within a period, seconds."""
-        window = self.window
-        return [window.phase, window.step - window.phase][: 1 + (window.phase < window.step)]
-
     @cached_property
     def maps(self) -> Maps:
         """The uncut periods."""
-        A, B = self.plant.A, self.plant.B
-        whole = [[(A[i], B[i], t) for t in self.lengths] for i in range(len(A))]
-        pairs = [compose(pieces, self.weight) for pieces in whole]
-        return Maps(*(np.array(part) for part in zip(*pairs, strict=True)))
+        return whole_periods(self.sampled, self.acting, self.weight)
 
     @cached_property
     def tables(self) -> Tables | None:
@@ -120,7 +128,7 @@ class Loop:
         cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
         if cells > _CELLS:
             return None
-        return tables_of(self.plant, tuple(self.lengths), cells, self.weight)
+        return tables_of(self.sampled, cells, self.weight)
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -144,8 +152,7 @@ class Loop:
             signals.modes,
             self.whole + 1,
             window.step,
-            window.phase,
-            window.count,
+            self.acting,
             self.plant.modes,
         )
         modes = self.plant.modes
@@ -162,11 +169,9 @@ class Loop:
             last,
             window.step,
             self.rest,
-            window.phase if len(self.lengths) > 1 else 0.0,
+            self.acting,
             tables.switched,
             tables.pieces,
-            self.plant.states,
-            self.plant.inputs,
             (0.0,) * (tables.width // WIDE),
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.imperfections import Imperfection, Limiting, streams
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
 from deadtime.scenarios.dataset import METRICS, Results, dataset_of
@@ -152,7 +153,7 @@ def monte_carlo(
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    loop = Loop(plant, Window.of_plant(plant, step), x0, horizon, _actuators(imperfections))
+    loop = Loop(_sampled(plant, step), x0, horizon, _actuators(imperfections))
     results = _room(loop, len(named), scenarios, trajectories)
     engine = Engine(loop)
     tables = _tables(engine, loop, named, imperfections)
@@ -180,6 +181,12 @@ def monte_carlo(
         "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
     }
     return dataset_of(list(named), results, step, attributes, weight)
+
+
+@lru_cache(8)
+def _sampled(plant: SwitchedSystem, step: float) -> SampledPlant:
+    """A plant at a period: one object for many calls, as series of cut periods are kept with it."""
+    return SampledPlant(plant, step)
 
 
 def _block(loop: Loop) -> int:
@@ -216,7 +223,7 @@ def _tables(
     imperfections: Sequence[Imperfection],
 ) -> dict[str, Any]:
     """The tables of the laws that the engine can run: None for rows per sample."""
-    n, wide = loop.maps.move.shape[1:]
+    n, wide = loop.plant.states, loop.acting.wide
     if len(imperfections) > len(loop.actuators) or loop.tables is None:
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):

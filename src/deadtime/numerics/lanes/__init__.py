@@ -18,7 +18,15 @@ from deadtime.numerics.lanes.choices import (
     where_larger,
 )
 from deadtime.numerics.lanes.code import LANES
-from deadtime.numerics.lanes.moves import first_of, gather, load, same, spread, store
+from deadtime.numerics.lanes.moves import (
+    first_of,
+    gather,
+    load,
+    load_each,
+    same,
+    spread,
+    store,
+)
 from deadtime.numerics.lanes.sums import (
     block_product,
     matrix_product,
@@ -40,6 +48,7 @@ __all__ = [
     "gather",
     "larger",
     "load",
+    "load_each",
     "mantissa",
     "matrix_product",
     "own_form",

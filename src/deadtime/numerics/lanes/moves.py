@@ -25,6 +25,20 @@ def load(_, array, index, like):
 
 
 @intrinsic
+def load_each(_, array, places, like, all_like):
+    """len(like) vectors from each of the places, the first of them at array[place]."""
+
+    def work(code: Code, source: Any, starts: Any, *_: Any) -> list[Any]:
+        zero, result = ir.Constant(WORD, 0), []
+        for place in range(len(all_like) // len(like)):
+            start = code.builder.load(code.place(*starts, zero, place))
+            result += [code.vector(*source, start, LANES * k) for k in range(len(like))]
+        return result
+
+    return make_code(vectors(len(all_like))(array, places, like, all_like), work)
+
+
+@intrinsic
 def store(_, array, index, values):
     """Put vectors into an array, the first at array[index]."""
 

@@ -1,0 +1,59 @@
+"""What acts on a plant over a period: its state at the sample, and inputs of several lags."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.base.checks import read_only
+from deadtime.plant import SampledPlant
+from deadtime.plant.pieces import Stretches
+
+
+class Acting(NamedTuple):
+    """The stretches of all modes on one vector, z = (x_k, u_{k−l} for the l of `lags`).
+
+    wide : the entries of z
+    lags : (lags,), oldest first
+    stretches : those of every mode; column : (stretches, m), the entry of z that acts as input j
+    edges : (parts + 1,), seconds: between two of these no stretch of any mode begins or ends
+    arrival, arriving : (arrivals,), seconds into the period at which an input u_{k−l} begins to
+        act, and its l
+    """
+
+    wide: int
+    lags: Int[np.ndarray, " lag"]
+    stretches: Stretches
+    column: Int[np.ndarray, "stretch m"]
+    edges: Float[np.ndarray, " part+1"]
+    arrival: Float[np.ndarray, " arrival"]
+    arriving: Int[np.ndarray, " arrival"]
+
+
+def acting_of(sampled: SampledPlant) -> Acting:
+    """What acts on a sampled plant.
+
+    Examples
+    --------
+    >>> from deadtime.plant import SwitchedSystem
+    >>> acting = acting_of(SampledPlant(SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.27), 0.1))
+    >>> acting.lags, acting.column.ravel(), acting.edges.round(12), acting.arriving
+    (array([3, 2]), array([1, 2]), array([0.  , 0.07, 0.1 ]), array([2]))
+    """
+    stretches, n, m = sampled.every_stretch, sampled.plant.states, sampled.plant.inputs
+    lags = np.unique(stretches.lag)[::-1]
+    block = np.searchsorted(-lags, -stretches.lag)
+    column = n + block * m + np.arange(m)
+    edges = np.unique(np.concatenate((stretches.start, stretches.stop)))
+    begins = np.flatnonzero(stretches.start > 0.0)
+    arrivals = {
+        (float(stretches.start[s]), int(lag))
+        for s in begins
+        for lag in stretches.lag[s][stretches.lag[s] != stretches.lag[s - 1]]
+    }
+    pairs = np.reshape(sorted(arrivals), (-1, 2))
+    arrays = lags.copy(), column, edges, pairs[:, 0].copy(), pairs[:, 1].astype(np.int64)
+    lags, column, edges, arrival, arriving = map(read_only, arrays)
+    return Acting(n + lags.size * m, lags, stretches, column, edges, arrival, arriving)
