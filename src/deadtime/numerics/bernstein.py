@@ -3,8 +3,6 @@
 A polynomial lies between the least and the greatest of its Bernstein coefficients on an interval.
 So an interval on which all of them are ≤ 0 holds no positive value, which is a proof and not a
 sample; any other is halved, the left half first, down to 2⁻⁴⁸.
-
-This module needs Numba, so it is imported where it is used.
 """
 
 from __future__ import annotations

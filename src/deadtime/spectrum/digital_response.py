@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.feedback import Feedback
+from deadtime.numerics.exponential import ROUND_OFF, balance, balanced_norm, discretise
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 from deadtime.spectrum.input_units import in_units, units_of
@@ -15,6 +16,7 @@ from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.response import Response
 
 _CUTS = 5  # delays within a period at which the delay line is tried
+_SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +73,9 @@ class DigitalResponse(Response):
     def delay_line(
         self, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        from deadtime.spectrum.compiled import cut_inputs
-
-        A, B = np.ascontiguousarray(self.A), np.ascontiguousarray(self.B)
-        count, early, late, last = cut_inputs(A, B, self.step, delay)
+        count, early, late, last = cut_inputs(
+            self.A, np.ascontiguousarray(self.B), self.step, delay
+        )
         z = np.exp(1j * omega * self.step)
         old, new = ((z**-c)[:, None, None] for c in (count, count - 1.0))
         rate = -1j * self.step * count[:, None, None]
@@ -88,3 +89,34 @@ class DigitalResponse(Response):
     @property
     def period(self) -> float | None:
         return self.step
+
+
+def cut_inputs(
+    A: Float[np.ndarray, "n n"],
+    B: Float[np.ndarray, "n m"],
+    step: float,
+    delay: Float[np.ndarray, " point"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """N, Γ_early, Γ_late and e^{A(h − φ)} B for each delay, a little below 0 too.
+
+    Γ_late = Γ(h − φ) and Γ_early = Γ(h) − Γ(h − φ), whose round-off is no more than p has anyway.
+    While |A| h is small, Γ(τ) = Σ_k A^k B τ^{k+1}/(k + 1)! has the same terms for all delays.
+    """
+    # Not snapped to whole periods as a `Window` is: p must be continuous in the delay.
+    count = np.maximum(1.0, np.ceil(delay / step))
+    rest = count * step - delay
+    longest = max(step, float(rest.max(initial=0.0)))
+    unit = balance(A)
+    size = balanced_norm(A, unit) * longest
+    if size > _SHORT:
+        late = np.array([discretise(A, B, tau)[1] for tau in rest]).reshape(-1, *B.shape)
+    else:
+        terms, bound = [B], 1.0
+        while bound > ROUND_OFF:
+            terms.append(A @ terms[-1] / (len(terms) + 1.0))
+            bound *= size / len(terms)
+        late, tau = np.zeros((delay.size, *B.shape)), rest[:, None, None]
+        for term in reversed(terms):
+            late = tau * (late + term)
+    whole = discretise(A, B, step)[1]
+    return count, whole - late, late, B + A @ late

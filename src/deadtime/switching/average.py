@@ -13,8 +13,6 @@ References
 ----------
 K.-M. Chung and H.-I. Lu, "An optimal algorithm for the maximum-density segment problem", SIAM J.
 Comput. 34(2), 2004.
-
-This module needs Numba, so it is imported where it is used.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ overflows nor underflows when w is near 1/(growth over a period):
     x̃_{k+1} = w x̃.
 
 A period begins with its sample. A `loop` is a `Table` of `deadtime.certificates.worst_case.loop`:
-its pieces, and the rows of the law, weighted, the oldest input first. This module needs Numba, so
-it is imported where it is used.
+its pieces, and the rows of the law, weighted, the oldest input first. Searches
+run these loops for long, so Python never does.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _dot(a, b):
     return total
 
 
-@kernel
+@kernel(eager=True)
 def _control(F, G, x, line, now):
     """u = F x + G (past inputs), into its place in the delay line."""
     m, window = G.shape
@@ -36,7 +36,7 @@ def _control(F, G, x, line, now):
         line[now + i] = _dot(G[i], line[now - window : now]) + _dot(F[i], x)
 
 
-@kernel
+@kernel(eager=True)
 def _powers(table, weight):
     """w^lag of the first input of every entry, and what those of the others are times that."""
     size, m = table.lag.shape
@@ -48,7 +48,7 @@ def _powers(table, weight):
     return power, others
 
 
-@kernel
+@kernel(eager=True)
 def forward(loop, repeats, x, inputs, states):
     """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
 
@@ -76,27 +76,35 @@ def forward(loop, repeats, x, inputs, states):
                 for j in range(n):
                     total += table.Phi[e, i, j] * x[j]
                 moved[i] = total
-            x[:] = moved
+            for i in range(n):
+                x[i] = moved[i]
         for i in range(n):
             x[i] *= weight
             states[k, i] = x[i]
 
 
-@kernel
+@kernel(eager=True)
 def after(loop, repeats, held, z):
     """The lifted state z = (x, the `held` last inputs, the oldest first) after some cycles."""
     m, n = loop.F.shape[1:]
     samples = repeats * loop.rows.size
-    x, result = z[:n].copy(), np.empty(z.size)
+    x, result = np.empty(n), np.empty(z.size)
     inputs, states = np.empty((held + samples, m)), np.empty((samples, n))
-    inputs[:held] = z[n:].copy().reshape(held, m)
+    for i in range(n):
+        x[i] = z[i]
+    for j in range(held):
+        for i in range(m):
+            inputs[j, i] = z[n + j * m + i]
     forward(loop, repeats, x, inputs, states)
-    result[:n] = x
-    result[n:] = inputs[samples:].reshape(-1)
+    for i in range(n):
+        result[i] = x[i]
+    for j in range(held):
+        for i in range(m):
+            result[n + j * m + i] = inputs[samples + j, i]
     return result
 
 
-@kernel
+@kernel(eager=True)
 def _control_adjoint(F, G, p, line, now):
     """`_control`, transposed."""
     m, window = G.shape
@@ -108,7 +116,7 @@ def _control_adjoint(F, G, p, line, now):
             line[now - window + j] += G[i, j] * u
 
 
-@kernel
+@kernel(eager=True)
 def carry_back(loop, p, inputs):
     """Carry a functional of the lifted state back over one cycle, in place.
 
@@ -134,5 +142,6 @@ def carry_back(loop, p, inputs):
                 moved[j] = 0.0
                 for i in range(n):
                     moved[j] += end * table.Phi[e, i, j] * p[i]
-            p[:] = moved
+            for j in range(n):
+                p[j] = moved[j]
         _control_adjoint(loop.F[row], loop.G[row], p, line, now * m)

@@ -6,8 +6,6 @@ Polyhedra have no Q: `forms` is then empty. A tuple `boundaries` is (forms, rows
 
 A state is known up to its spread M|x| + N|u| only (`switching.rules.motion.round_off`), and so
 g up to its band β, and the direction in which a vector field crosses a boundary.
-
-This module needs Numba, so it is imported where it is used.
 """
 
 from __future__ import annotations

@@ -14,8 +14,6 @@ g is known to its round-off β only, so that a trajectory along a boundary would
 random: what is looked for is g > β, and the zero of g before it is the crossing. Which region is
 entered is asked where g = β. If at the crossing both modes point at the boundary, beyond the
 round-off of either, the plant slides along it (`deadtime.switching.rules.sliding`).
-
-This module needs Numba, so it is imported where it is used.
 """
 
 from __future__ import annotations

@@ -16,8 +16,6 @@ References
 ----------
 A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988, Chapter 2.
 E. Hairer, S. P. Nørsett and G. Wanner, Solving Ordinary Differential Equations I, Section II.9.
-
-This module needs Numba, so it is imported where it is used.
 """
 
 from __future__ import annotations
