@@ -165,18 +165,19 @@ def test_an_object_takes_its_own_copy_of_what_can_be_written_to():
 
 
 @pytest.mark.parametrize("again", [pickled, copy.deepcopy])
-def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(again):
+def test_a_law_and_a_run_answer_alike_after_pickle_and_compile_nothing(monkeypatch, again):
     from deadtime.laws.tables import constant_mode as rows
-    from deadtime.numerics.exponential import discretise
+    from deadtime.numerics import exponential, kernels
     from deadtime.plant import cut_pieces
     from deadtime.simulation import kernel
 
+    monkeypatch.setattr(kernels, "WISH", "always")
     compiled = [
-        function
-        for module in (kernel, rows, cut_pieces)
+        function.dispatcher
+        for module in (kernel, rows, cut_pieces, exponential)
         for function in vars(module).values()
-        if hasattr(function, "signatures")
-    ] + [discretise]
+        if isinstance(function, kernels.Kernel)
+    ]
 
     def ask(plant, law, signal):
         run = dt.simulate(plant, law, signal, [-1, 1], 1.25, step=H, times=[0.07, 1.0, 1.21])

@@ -1,11 +1,13 @@
-"""What Numba does for kernels: compiles them, and keeps them as long as their sources stand."""
+"""What Numba does for kernels: compiles them, and keeps them as long as their sources stand.
+
+A kernel is a `deadtime.numerics.kernels.Kernel`, which imports this module when it needs Numba.
+"""
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
-from collections.abc import Iterator
-from types import FunctionType
 from typing import Any
 
 from numba import njit, types
@@ -13,21 +15,13 @@ from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 from numba.extending import typeof_impl
 
-from deadtime.numerics import kernels
-from deadtime.numerics.kernels import Kernel
-
 _LONG = 1.0  # seconds of one compilation after which it is said
 
 
-@typeof_impl.register(Kernel)
-def _typeof_kernel(kernel: Kernel, _: Any) -> types.Dispatcher:
-    """Kernels that call kernels call what Numba makes of them."""
-    return types.Dispatcher(kernel.dispatcher)
-
-
-def dispatcher_of(kernel: Kernel) -> Any:
+def dispatcher_of(kernel: Any) -> Any:
     """A kernel's dispatcher, which keeps what it compiles on disk where it can."""
-    dispatcher = njit(**kernel.options)(kernel.function)
+    _introduce(type(kernel))
+    dispatcher: Any = njit(**kernel.options)(kernel.function)
     try:
         dispatcher.enable_caching()
     except RuntimeError:  # no folder can be written: it is compiled anew in each process
@@ -35,53 +29,50 @@ def dispatcher_of(kernel: Kernel) -> Any:
     cache = dispatcher._cache
     # Numba's own stamp is that of one file, and calls into others would go unnoticed.
     cache._cache_file = IndexDataCacheFile(
-        cache.cache_path, cache._impl.filename_base, _stamp(kernel.function)
+        cache.cache_path, cache._impl.filename_base, _stamp(kernel)
     )
     return dispatcher
 
 
 def is_cached(dispatcher: Any) -> bool:
     """Whether this machine has it compiled, for whatever arguments."""
-    cache = getattr(dispatcher, "_cache", None)
-    return hasattr(cache, "_cache_file") and bool(cache._cache_file._load_index())
+    files = getattr(dispatcher._cache, "_cache_file", None)
+    return files is not None and bool(files._load_index())
 
 
-def _stamp(function: FunctionType) -> tuple[Any, ...]:
-    """Name, time and size of the files that a function and the kernels that it calls lie in."""
-    files = sorted({each.__code__.co_filename for each in _reached(function, set())})
+def _stamp(kernel: Any) -> tuple[Any, ...]:
+    """Name, time and size of the files that a kernel and the kernels that it calls lie in."""
+    reached: list[Any] = [kernel]
+    for one in reached:
+        names = (one.function.__globals__.get(name) for name in one.function.__code__.co_names)
+        reached += [each for each in names if type(each) is type(kernel) and each not in reached]
+    files = sorted({each.function.__code__.co_filename for each in reached})
     found = [(name, os.stat(name)) for name in files if os.path.exists(name)]
     return tuple((os.path.basename(name), at.st_mtime_ns, at.st_size) for name, at in found)
 
 
-def _reached(function: FunctionType, seen: set[FunctionType]) -> Iterator[FunctionType]:
-    """A function and all kernels that it calls."""
-    if function in seen:
-        return
-    seen.add(function)
-    yield function
-    for name in function.__code__.co_names:
-        called = function.__globals__.get(name)
-        if isinstance(called, Kernel):
-            yield from _reached(called.function, seen)
+@functools.cache
+def _introduce(kind: Any) -> None:
+    """Let kernels call kernels, and let them say when compiling takes a while."""
+    typeof_impl.register(kind)(lambda kernel, _: types.Dispatcher(kernel.dispatcher))
+    event.register("numba:compile", _Notice(kind))
 
 
 class _Notice(event.Listener):
-    """Calls `kernels.notice` once compiling takes a while."""
+    """Calls the kernels' `notice` once compiling takes a while."""
 
-    def __init__(self) -> None:
-        self._depth, self._timer = 0, threading.Timer(0.0, kernels.notice)
+    def __init__(self, kind: Any) -> None:
+        self._kind, self._depth = kind, 0
+        self._timer: threading.Timer | None = None
 
     def on_start(self, event: Any) -> None:
         self._depth += 1
         if self._depth == 1:
-            self._timer = threading.Timer(_LONG, kernels.notice)
+            self._timer = threading.Timer(_LONG, self._kind.notice)
             self._timer.daemon = True
             self._timer.start()
 
     def on_end(self, event: Any) -> None:
         self._depth -= 1
-        if self._depth == 0:
+        if self._depth == 0 and self._timer is not None:
             self._timer.cancel()
-
-
-event.register("numba:compile", _Notice())

@@ -22,7 +22,7 @@ import functools
 import os
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,10 +30,6 @@ START = 0.5  # seconds of all kernels of a process
 PATIENCE = 2.0  # seconds of one kernel
 LARGE = 50_000  # numbers in the arguments
 WISH = os.environ.get("DEADTIME_COMPILE", "auto")
-
-
-def notice() -> None:
-    """What is called while a kernel is compiled that takes a while; to be replaced."""
 
 
 class Kernel:
@@ -47,10 +43,13 @@ class Kernel:
         Whether it is never run as Python.
     options : dict
         For `numba.njit`.
+    notice : callable
+        What is called once compiling any of them takes a while; to be replaced.
     """
 
     spent = 0.0  # seconds of this process in the Python of kernels
     within = False  # whether a kernel is being run by Python
+    notice: ClassVar[Any] = staticmethod(lambda: None)
 
     def __init__(self, function: Callable[..., Any], eager: bool, options: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
@@ -66,7 +65,7 @@ class Kernel:
             return self._ready(*args)
         if self._pays(args):
             self._ready = self.dispatcher
-            return self._ready(*args)
+            return self.dispatcher(*args)
         began = time.perf_counter()
         try:
             return self.function(*args) if Kernel.within else self._interpret(args)

@@ -172,7 +172,8 @@ class RegionMotion(Motion):
 
 
 def _beside(place: SupportsInt, boundary: SupportsInt) -> Beside | None:
-    return None if place < 0 else Beside(int(place), int(boundary))
+    beside = Beside(int(place), int(boundary))
+    return None if beside.place < 0 else beside
 
 
 def _bend(A: np.ndarray, regions: Regions, tau: float) -> Float[np.ndarray, "mode row 3"]:
