@@ -51,6 +51,7 @@ from batch_problem import (
 from machine import Machine, heading, measured, median_of, processors
 
 import deadtime as dt
+from deadtime.numerics import kernels
 from deadtime.switching import SignalBatch
 
 QUICK = "--quick" in sys.argv[1:]
@@ -273,6 +274,7 @@ def million() -> str:
 
 
 def main() -> None:
+    kernels.WISH = "always"  # what is timed is warm
     before = measured(QUICK)
     rows = [*ours(), *peer_rows()]
     machine = Machine(*map(max, before, measured(QUICK)))

@@ -46,6 +46,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import deadtime as dt
+from deadtime.numerics import kernels
 
 HORIZON, LATE, POINTS = 10.0, 30.0, 1001
 EVERY = 100  # more delays than any run here has
@@ -398,6 +399,7 @@ def relative(x: np.ndarray, exact: np.ndarray) -> float:
 
 
 def main() -> None:
+    kernels.WISH = "always"  # what is timed is warm
     problem = dt.problems.paper()
     loop = Loop(problem, problem.signal)
     drawn = dt.SwitchingSignal.random(2, LATE + 2.0, dwell_time=0.2, mean_sojourn=0.4, seed=1)
