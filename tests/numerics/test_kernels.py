@@ -82,6 +82,17 @@ def test_overflow_is_silent_both_ways():
         assert mean_square.dispatcher(np.full(3, 1e200)) == np.inf
 
 
+def test_numbers_are_python_s_both_ways(monkeypatch):
+    @kernel
+    def ends(a):
+        return a[0], (a.size > 1, a.size), a[-1:]
+
+    monkeypatch.setattr(kernels, "WISH", "never")
+    for first, (several, count), last in (ends(np.ones(3)), ends.dispatcher(np.ones(3))):
+        assert [type(one) for one in (first, several, count)] == [float, bool, int]
+        assert isinstance(last, np.ndarray)
+
+
 def test_an_error_leaves_python_s_way_open():
     @kernel
     def fails(a):

@@ -97,7 +97,7 @@ class Kernel:
         try:
             # Compiled code says nothing about overflow either.
             with np.errstate(all="ignore"):
-                return self.function(*args)
+                return _plain_numbers(self.function(*args))
         finally:
             Kernel.within = False
             Kernel.spent += time.perf_counter() - began
@@ -122,6 +122,16 @@ def kernel(
     if function is None:
         return lambda inner: Kernel(inner, eager, options)
     return Kernel(function, eager, options)
+
+
+def _plain_numbers(result: Any) -> Any:
+    """A result with Python's numbers in place of NumPy's, as Numba returns it."""
+    if isinstance(result, np.generic):
+        return result.item()
+    if isinstance(result, tuple):
+        parts = [_plain_numbers(part) for part in result]
+        return type(result)(*parts) if hasattr(result, "_fields") else tuple(parts)
+    return result
 
 
 def _size(args: tuple[Any, ...]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, SupportsInt
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -171,9 +171,8 @@ class RegionMotion(Motion):
         return ahead > doubt
 
 
-def _beside(place: SupportsInt, boundary: SupportsInt) -> Beside | None:
-    beside = Beside(int(place), int(boundary))
-    return None if beside.place < 0 else beside
+def _beside(place: int, boundary: int) -> Beside | None:
+    return None if place < 0 else Beside(place, boundary)
 
 
 def _bend(A: np.ndarray, regions: Regions, tau: float) -> Float[np.ndarray, "mode row 3"]:
