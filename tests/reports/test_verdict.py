@@ -19,7 +19,7 @@ def sentences(**changes):
 
 def test_paper_verdict_has_five_sentences_in_order():
     first, second, third, fourth, fifth = sentences()
-    assert first.startswith("The averaged law works on a signal with 34 switches in 15 s")
+    assert first.startswith("The averaged law works on a signal with 41 switches in 15 s")
     assert second == (
         "Yet the same loop is unstable if it stops switching: held in mode 0 it grows at "
         "+0.13 /s, held in mode 1 at +0.28 /s."
@@ -31,7 +31,8 @@ def test_paper_verdict_has_five_sentences_in_order():
 
 def test_growth_without_switching_does_not_depend_on_a_short_horizon():
     """Shorter than the delay: that leads, and a loop that fails is unstable "too"."""
-    slip, headline, still, *_ = sentences(horizon=0.3)
+    late = dt.SwitchingSignal([0.0, 0.4], [0, 1])
+    slip, headline, still, *_ = sentences(horizon=0.3, signal=late)
     assert slip.startswith("The delay, 1 s, is not shorter than the horizon, 0.3 s")
     assert headline.startswith("The averaged law fails in 0.3 s without a switch")
     assert still.startswith("The same loop is unstable without switching, too: held in mode 0 it ")
@@ -80,7 +81,9 @@ def test_a_loop_that_neither_grows_nor_decays_is_said_to_do_neither(second, said
     A = [[[0.0, 1.0], [0.0, -1.0]], [[0.0, 1.0], [0.0, second]]]
     plant = dt.SwitchedSystem(A, [[[0.0], [1.0]]] * 2, delay=0.3)
     law = dt.DelayedStateFeedback(plant, np.zeros((2, 1, 2)), allow_unstable=True)
-    text = " ".join(sentences(plant=plant, laws={"none": law}, model=None, step=0.1, horizon=5.0))
+    mostly_second = dt.SwitchingSignal([0.0, 0.3, 0.6], [1, 0, 1])
+    loop = {"plant": plant, "laws": {"none": law}, "signal": mostly_second, "model": None}
+    text = " ".join(sentences(**loop, step=0.1, horizon=5.0))
     assert said in text
     assert "in the long run" not in text
     assert "+0.00 /s" not in text

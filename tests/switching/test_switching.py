@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.stats import expon, kstest
 
 import deadtime as dt
+from deadtime.numerics import kernels
 from strategies import signals
 
 quick = settings(max_examples=60, deadline=None, derandomize=True)
@@ -100,7 +101,8 @@ def test_the_average_dwell_time_is_that_of_all_pairs_of_switches(seed, chatter):
 
 
 @pytest.mark.parametrize("switches", [20_000, 1_000_000])
-def test_the_average_dwell_time_of_many_switches_takes_memory_in_proportion(switches):
+def test_the_average_dwell_time_of_many_switches_takes_memory_in_proportion(monkeypatch, switches):
+    monkeypatch.setattr(kernels, "WISH", "always")
     gaps = np.random.default_rng(7).exponential(1.0, switches)
     gaps[switches // 2 :][:50] = 0.01
     signal = dt.SwitchingSignal(np.append(0.0, np.cumsum(gaps)), np.arange(switches + 1) % 2)

@@ -168,7 +168,7 @@ def test_a_signal_that_memory_cannot_hold_is_refused_while_it_is_drawn(monkeypat
     monkeypatch.setattr(jump_process, "MOST_SWITCHES", 1000.0)
     model = SemiMarkov([1e-4, 1e-4, 1e6], [[0, 1, 0], [1, 0, 0], [1, 0, 0]])
     with pytest.raises(ArgumentError, match=re.escape("would hold about 1e+04 switches")):
-        model.sample(1.0, seed=2)
+        model.sample(1.0, seed=0)
 
 
 semi = SemiMarkov
