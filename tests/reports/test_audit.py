@@ -215,9 +215,8 @@ def test_sweeps_hold_the_example_itself(claims):
 def test_the_text_and_the_computation_disagree_where_the_design_says_so(claims):
     assert claims["numbers"].verdict == "holds"
     assert claims["predicts-better"].verdict == "holds"
-    assert claims["transient"].holds_in_run
-    assert not claims["faster"].holds_in_run
     for key in ("faster", "transient"):
+        assert not claims[key].holds_in_run
         assert claims[key].verdict in ("does not hold on most signals", "not decided")
     assert not claims["shorter-dwell-gains"].verdict.startswith("holds")
     assert claims["shorter-dwell-better"].verdict.startswith("holds")
