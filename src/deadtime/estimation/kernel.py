@@ -9,7 +9,7 @@ from deadtime.numerics.kernels import kernel
 _ROUND_OFF = 1e-9
 
 
-@kernel
+@kernel(eager=True)
 def correct(C, L, y, x, spare, innovation):
     """x += L (y − C x), if y and the answer are finite; says whether it did."""
     for i in range(y.size):
@@ -29,7 +29,7 @@ def correct(C, L, y, x, spare, innovation):
     return True
 
 
-@kernel
+@kernel(eager=True)
 def measure(C, H, x, y, use, value):
     """value = H y, or H C x where y is of no use."""
     for i in range(H.shape[0]):
@@ -43,7 +43,7 @@ def measure(C, H, x, y, use, value):
             value[i] += H[i, j] * output
 
 
-@kernel
+@kernel(eager=True)
 def integrate(step, before, now, reference, asked, applied, push, q):
     """q += h ((before + now)/2 − reference), unless that asks for more of what was refused.
 

@@ -95,7 +95,8 @@ def _place_one_input(A: np.ndarray, B: np.ndarray, poles: np.ndarray) -> np.ndar
     pairs = A - poles[:, None, None] * np.eye(len(A))
     pairs = np.concatenate((pairs, np.broadcast_to(B, (len(poles), *B.shape))), axis=2)
     null = np.linalg.svd(pairs)[2][:, -1].conj()
-    K = np.linalg.solve(null[:, :-1], null[:, -1]).real[None]
+    # Nearly equal poles have nearly the same null vectors: a rough K will do to refine.
+    K = np.linalg.lstsq(null[:, :-1], null[:, -1])[0].real[None]
     return _refine(A, B, K, poles)
 
 

@@ -14,7 +14,7 @@ from deadtime.numerics.kernels import kernel
 _DEPTH = 48
 
 
-@kernel
+@kernel(eager=True)
 def _bernstein(c):
     """The Bernstein coefficients on [0, 1] of the polynomial Σ c_k s^k."""
     degree = c.size - 1
@@ -29,7 +29,7 @@ def _bernstein(c):
     return b
 
 
-@kernel
+@kernel(eager=True)
 def first_positive(c):
     """Where in (0, 1] Σ c_k s^k first exceeds 0, to 2⁻⁴⁸ and at the right end; −1 if nowhere."""
     b = _bernstein(c)
@@ -62,7 +62,7 @@ def first_positive(c):
     return -1.0
 
 
-@kernel
+@kernel(eager=True)
 def zero_before(c, s, band):
     """The zero of Σ c_k s^k next to `s`, where it exceeds `band`; `s` itself if there is none."""
     root = s

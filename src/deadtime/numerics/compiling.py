@@ -41,14 +41,23 @@ def is_cached(dispatcher: Any) -> bool:
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:
-    """Name, time and size of the files that a kernel and the kernels that it calls lie in."""
+    """What a kernel and the kernels that it calls are made of.
+
+    That is name, time and size of the files that they lie in, and the numbers that they read.
+    """
     reached: list[Any] = [kernel]
+    numbers = []
     for one in reached:
-        names = (one.function.__globals__.get(name) for name in one.function.__code__.co_names)
-        reached += [each for each in names if type(each) is type(kernel) and each not in reached]
+        for name in one.function.__code__.co_names:
+            named = one.function.__globals__.get(name)
+            if type(named) is type(kernel) and named not in reached:
+                reached.append(named)
+            elif isinstance(named, int | float | tuple):
+                numbers.append((name, repr(named)))
     files = sorted({each.function.__code__.co_filename for each in reached})
     found = [(name, os.stat(name)) for name in files if os.path.exists(name)]
-    return tuple((os.path.basename(name), at.st_mtime_ns, at.st_size) for name, at in found)
+    times = ((os.path.basename(name), at.st_mtime_ns, at.st_size) for name, at in found)
+    return (*times, *numbers)
 
 
 @functools.cache

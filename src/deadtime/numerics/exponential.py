@@ -25,6 +25,7 @@ from deadtime.base.checks import read_only
 from deadtime.numerics.kernels import kernel
 
 ROUND_OFF = 1e-18
+LARGEST = 2.0**1000  # |A|τ beyond which no exponential is tried
 
 
 @kernel
@@ -97,8 +98,8 @@ def balanced_norm(A, t):
 
 @kernel
 def _doublings(size):
-    """The least s with size / 2^s ≤ 1/2, at most 1025; −1 where no s is, of a size not finite."""
-    if not size < np.inf:
+    """The least s with size / 2^s ≤ 1/2; −1 for a size whose 2^s floats hardly hold, or none."""
+    if not size < LARGEST:
         return -1
     count = 0
     while size > 0.5:
@@ -162,7 +163,7 @@ def discretise_into(A, B, tau, Phi, Gamma):
             Phi[i, j] = np.nan
         for j in range(m):
             Gamma[i, j] = np.nan
-    if size < np.inf:
+    if size < LARGEST:
         _transition(Z, size, tau, Phi, W)
         for i in range(n):
             for j in range(n):
@@ -198,7 +199,7 @@ def energy_gramian(
     return gramian(A, B, tau, read_only(np.eye(len(A))) if Q is None else Q)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _units(A, B, tau):
     """Units (n + m,) of z: of x, in which A is balanced; of u, in which B is as large as A."""
     n, m = B.shape
@@ -215,7 +216,7 @@ def _units(A, B, tau):
     return unit
 
 
-@kernel
+@kernel(error_model="numpy")  # of units beyond floats, infinity is the answer
 def gramian(A, B, tau, Q):
     """`energy_gramian`.
 

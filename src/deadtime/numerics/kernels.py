@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import functools
 import os
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -28,8 +29,9 @@ import numpy as np
 
 START = 0.5  # seconds of all kernels of a process
 PATIENCE = 2.0  # seconds of one kernel
-LARGE = 50_000  # numbers in the arguments
+LARGE = 50_000  # numbers in the arguments, or times that they say
 WISH = os.environ.get("DEADTIME_COMPILE", "auto")
+_HERE = threading.local()  # of each thread: whether it runs a kernel as Python
 
 
 class Kernel:
@@ -48,7 +50,6 @@ class Kernel:
     """
 
     spent = 0.0  # seconds of this process in the Python of kernels
-    within = False  # whether a kernel is being run by Python
     notice: ClassVar[Any] = staticmethod(lambda: None)
 
     def __init__(self, function: Callable[..., Any], eager: bool, options: dict[str, Any]) -> None:
@@ -68,7 +69,7 @@ class Kernel:
             return self.dispatcher(*args)
         began = time.perf_counter()
         try:
-            return self.function(*args) if Kernel.within else self._interpret(args)
+            return self.function(*args) if _is_within() else self._interpret(args)
         finally:
             self._own += time.perf_counter() - began
 
@@ -81,10 +82,12 @@ class Kernel:
 
     def _pays(self, args: tuple[Any, ...]) -> bool:
         """Whether it is time to leave Python."""
-        if self.eager or WISH == "always" or self._own > PATIENCE:
-            return WISH != "never" or self.eager
-        if not Kernel.within and _size(args) > LARGE:
-            return WISH != "never"
+        if self.eager or WISH == "never":
+            return self.eager
+        if WISH == "always" or self._own > PATIENCE:
+            return True
+        if not _is_within() and _size(args) > LARGE:
+            return True
         if self._asked or Kernel.spent < START:
             return False
         from deadtime.numerics.compiling import is_cached
@@ -93,13 +96,13 @@ class Kernel:
         return is_cached(self.dispatcher)
 
     def _interpret(self, args: tuple[Any, ...]) -> Any:
-        began, Kernel.within = time.perf_counter(), True
+        began, _HERE.within = time.perf_counter(), True
         try:
             # Compiled code says nothing about overflow either.
             with np.errstate(all="ignore"):
                 return _plain_numbers(self.function(*args))
         finally:
-            Kernel.within = False
+            _HERE.within = False
             Kernel.spent += time.perf_counter() - began
 
 
@@ -124,6 +127,10 @@ def kernel(
     return Kernel(function, eager, options)
 
 
+def _is_within() -> bool:
+    return getattr(_HERE, "within", False)
+
+
 def _plain_numbers(result: Any) -> Any:
     """A result with Python's numbers in place of NumPy's, as Numba returns it."""
     if isinstance(result, np.generic):
@@ -135,11 +142,13 @@ def _plain_numbers(result: Any) -> Any:
 
 
 def _size(args: tuple[Any, ...]) -> int:
-    """How many numbers the arguments hold."""
+    """How many numbers the arguments hold, and what counts among them count."""
     total = 0
     for arg in args:
         if isinstance(arg, np.ndarray):
             total += arg.size
         elif isinstance(arg, tuple):
             total += _size(arg)
+        elif isinstance(arg, int):
+            total += arg
     return total

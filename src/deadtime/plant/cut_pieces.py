@@ -130,8 +130,9 @@ def gramian_up_to(A, B, table, cut_offset, cut_mode, e, end, Q):
                 for j in range(m):
                     carried[i, n + j] = Gamma[i, j]
             add_congruence(carried, gramian(A[mode], B[mode], until - now, Q), spare, M)
-            part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
-            go_on(Phi, Gamma, part_Phi, part_Gamma)
+            if p < table.cut[e, 1]:
+                part_Phi, part_Gamma = discretise(A[mode], B[mode], until - now)
+                go_on(Phi, Gamma, part_Phi, part_Gamma)
             now = until
         if p < table.cut[e, 1]:
             mode = cut_mode[p + 1]

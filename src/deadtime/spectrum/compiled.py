@@ -6,8 +6,10 @@ import numpy as np
 
 from deadtime.numerics.kernels import kernel
 
+_POWERS = 200_000  # of w that are held at a time
 
-@kernel
+
+@kernel(eager=True)
 def march(Phi, Gamma, lags, F, G, x, inputs, first):
     """Run on from x and the inputs before step `first`; fill `inputs` and return the last x.
 
@@ -37,19 +39,16 @@ def march(Phi, Gamma, lags, F, G, x, inputs, first):
     return x
 
 
-@kernel
 def transform(G, w):
     """Σ_j G_j w^j and Σ_j j G_j w^j, (points, m, m), for G (taps, m, m) and w (points,)."""
     taps, m, _ = G.shape
-    value = np.zeros((w.size, m, m), np.complex128)
-    slope = np.zeros((w.size, m, m), np.complex128)
-    for i in range(w.size):
-        power = 1.0 + 0.0j
-        for j in range(taps):
-            power *= w[i]
-            for a in range(m):
-                for b in range(m):
-                    term = power * G[j, a, b]
-                    value[i, a, b] += term
-                    slope[i, a, b] += (j + 1.0) * term
+    flat = G.reshape(taps, m * m)
+    both = np.concatenate((flat, flat * np.arange(1.0, taps + 1.0)[:, None]), axis=1)
+    result = np.empty((w.size, 2 * m * m), np.complex128)
+    size = max(1, _POWERS // taps)
+    for start in range(0, w.size, size):
+        some = w[start : start + size, None]
+        with np.errstate(all="ignore"):  # far outside the unit circle powers overflow
+            result[start : start + size] = np.cumprod(np.repeat(some, taps, axis=1), axis=1) @ both
+    value, slope = result.reshape(-1, 2, m, m).transpose(1, 0, 2, 3)
     return value, slope

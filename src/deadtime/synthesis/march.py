@@ -10,7 +10,7 @@ from deadtime.numerics.kernels import kernel
 LARGEST = 1e60  # |x|²: beyond, the loop grows
 
 
-@kernel
+@kernel(eager=True)
 def _form(Q, x, u):
     """zᵀ Q z, z = (x, u)."""
     n = x.size
@@ -25,7 +25,7 @@ def _form(Q, x, u):
     return total
 
 
-@kernel
+@kernel(eager=True)
 def cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, most, done, R):
     """∫ xᵀQx + uᵀRu from x0 with no inputs in the past.
 

@@ -24,7 +24,7 @@ from deadtime.plant import SampledPlant
 from deadtime.plant.steps import snap
 
 
-@kernel
+@kernel(eager=True)
 def _branches(A, B, K, ahead):
     """Σ_s of the functionals at the start of every stretch, apart per system, and their taps.
 
@@ -44,7 +44,7 @@ def _branches(A, B, K, ahead):
     return R, taps
 
 
-@kernel
+@kernel(eager=True)
 def _kinds(A, B, length):
     """Φ (kinds, modes, n, n) and Γ (kinds, modes, n, m) over stretches of these lengths."""
     Phi, Gamma = np.empty((length.size, *A.shape)), np.empty((length.size, *B.shape))
@@ -53,7 +53,7 @@ def _kinds(A, B, length):
     return Phi, Gamma
 
 
-@kernel
+@kernel(eager=True)
 def _rows(A, B, fA, fB, fK, ahead, rest):
     """F (modes·ages, m, n) and G (modes·ages, N, m, m); `rest` (ages,) are the r_a < D."""
     modes, n, m = B.shape

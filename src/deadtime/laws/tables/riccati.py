@@ -32,7 +32,7 @@ BATCH, MOST_SWEEPS, HUGE = 100, 10_000, 1e60
 ROUGH = 1e-6
 
 
-@kernel
+@kernel(eager=True)
 def _pieces(E, L, stage, weight, cross, quad, forced, uu):
     """What the state's motion adds to the shifted E, and the rows of W that belong to u_k.
 
@@ -67,7 +67,7 @@ def _pieces(E, L, stage, weight, cross, quad, forced, uu):
                 uu[a, c - d] = value + weight[a, c - d]
 
 
-@kernel
+@kernel(eager=True)
 def _solve(uu, forced, gain):
     """gain ← −W_uu⁻¹ W_uξ by Cholesky's method, in the lower triangle of uu."""
     m, d = forced.shape
@@ -88,7 +88,7 @@ def _solve(uu, forced, gain):
             gain[a, c] /= uu[a, a]
 
 
-@kernel
+@kernel(eager=True)
 def _backup(E, L, stage, weight, scratch, P, gain):
     """P ← W / W_uu and gain ← −W_uu⁻¹ W_uξ from E; `weight` is h R."""
     m, d = gain.shape
@@ -114,7 +114,7 @@ def _backup(E, L, stage, weight, scratch, P, gain):
                 P[r, c] += forced[a, r] * gain[a, c]
 
 
-@kernel
+@kernel(eager=True)
 def sweep(P, gain, L, stage, weight, hazard, transition, visits):
     """Back up the ages `visits`, in their order, of every mode: P and gain in place.
 

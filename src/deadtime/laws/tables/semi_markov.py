@@ -45,7 +45,7 @@ def _one_sample_back(R, hazard, transition, ages, fresh):
                 row[a] = row[a + 1] + hazard[i, a] * (new - row[a + 1])
 
 
-@kernel
+@kernel(eager=True)
 def _apply(R, M, ages, result):
     """result(i, a) = R(i, a) M_i, the matrices of R and result flattened into entries."""
     modes, inner, columns = M.shape
@@ -61,7 +61,7 @@ def _apply(R, M, ages, result):
                         entry[a] += factor * source[a]
 
 
-@kernel
+@kernel(eager=True)
 def _constant(matrices, ages):
     """The functional that is matrices[i] at every age, as (modes, entries, ages)."""
     modes, rows, columns = matrices.shape
@@ -73,7 +73,7 @@ def _constant(matrices, ages):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
     """F (modes, m·n, ages) and G (modes, N, m·m, ages); `hazard` (modes, ages + N)."""
     modes, m, n = K.shape

@@ -26,7 +26,7 @@ from deadtime.numerics.exponential import discretise, multiply
 from deadtime.numerics.kernels import kernel
 
 
-@kernel
+@kernel(eager=True)
 def locate(edges, t, hint):
     """The segment that holds t: edges[i] ≤ t < edges[i + 1]."""
     i = min(max(hint, 0), edges.size - 2)
@@ -37,7 +37,7 @@ def locate(edges, t, hint):
     return i
 
 
-@kernel
+@kernel(eager=True)
 def interpolate(values, support, barycentric, c, result):
     """The polynomial through `values` (nodes, k) at c ∈ [0, 1]."""
     total = 0.0
@@ -55,7 +55,7 @@ def interpolate(values, support, barycentric, c, result):
         result[i] /= total
 
 
-@kernel
+@kernel(eager=True)
 def sample(edges, values, support, barycentric, times, hint):
     """A segmented function at increasing times, (T, k)."""
     result = np.empty((times.size, values.shape[2]))
@@ -67,7 +67,7 @@ def sample(edges, values, support, barycentric, times, hint):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def add_product(M, x, result):
     """result += M x, for small matrices."""
     for i in range(M.shape[0]):
@@ -75,7 +75,7 @@ def add_product(M, x, result):
             result[i] += M[i, j] * x[j]
 
 
-@kernel
+@kernel(eager=True)
 def flows(A, length, points):
     """e^{A c_k length} at the nodes of a segment, (p, n, n).
 
@@ -108,7 +108,7 @@ def flows(A, length, points):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def convolve_whole(flow, B, length, weights, u):
     """∫ e^{A(b − θ)} B u(θ) dθ over a segment [a, b], u at its nodes, flow as from `flows`."""
     total, forced = np.zeros(B.shape[0]), np.empty(B.shape[0])
@@ -122,7 +122,7 @@ def convolve_whole(flow, B, length, weights, u):
     return total
 
 
-@kernel
+@kernel(eager=True)
 def convolve_part(A, B, start, end, edges, inputs, segment, nodes):
     """∫ e^{A(end − θ)} B u(θ) dθ over [start, end] within one segment."""
     points = nodes.points
@@ -135,7 +135,7 @@ def convolve_part(A, B, start, end, edges, inputs, segment, nodes):
     return convolve_whole(flows(A, end - start, points), B, end - start, nodes.weights, u)
 
 
-@kernel
+@kernel(eager=True)
 def integrate(A, start, forcing, length, integral):
     """y(c_k) with y = start + ∫ A y + forcing (p, n, columns), over a segment of that length."""
     p, n, columns = forcing.shape
@@ -156,7 +156,7 @@ def integrate(A, start, forcing, length, integral):
     return np.ascontiguousarray(np.linalg.solve(matrix, right)).reshape(p, n, columns)
 
 
-@kernel
+@kernel(eager=True)
 def solve_state(A, B, x, delayed, length, integral, weights):
     """x at the support nodes of a segment that starts at x, under the delayed inputs (p, m)."""
     p, n = delayed.shape[0], x.size
@@ -173,7 +173,7 @@ def solve_state(A, B, x, delayed, length, integral, weights):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def solve_input(starts, shifts, ends, A, B, gains, length, nodes):
     """u at the support nodes: u = Σ_b K_b P_b with every P_b collocated.
 

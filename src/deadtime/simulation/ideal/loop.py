@@ -19,7 +19,7 @@ from deadtime.simulation.ideal.kernel import (
 from deadtime.simulation.kernel import LIMIT
 
 
-@kernel
+@kernel(eager=True)
 def _prediction(y, g, end_system, flow, moved, line, ahead, nodes):
     """P_b at the start of segment g and its transition M_b, summed over the inputs in flight.
 
@@ -46,7 +46,7 @@ def _prediction(y, g, end_system, flow, moved, line, ahead, nodes):
     return P, M
 
 
-@kernel
+@kernel(eager=True)
 def _shift(A, B, first, x, delayed, recent, ahead, M, back, onward):
     """M_b r_b at the nodes of a segment; see the module `ideal_kernel`."""
     p, q = recent.shape[0], ahead.lift.shape[0]
@@ -64,7 +64,7 @@ def _shift(A, B, first, x, delayed, recent, ahead, M, back, onward):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def march(plant, line, ahead, x0, nodes):
     """Solve the segments from `begin` on; u is sought before segment `stop`, x on all.
 

@@ -16,7 +16,7 @@ from deadtime.numerics.kernels import kernel
 from deadtime.switching.rules.motion import ROUND_OFF
 
 
-@kernel
+@kernel(eager=True)
 def times(M, x):
     """M x."""
     result = np.zeros(M.shape[0])
@@ -26,7 +26,7 @@ def times(M, x):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def move(transition, x, u):
     """Φ x + Γ u."""
     Phi, Gamma = transition
@@ -41,7 +41,7 @@ def move(transition, x, u):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def dot(a, b):
     """a·b."""
     total = 0.0
@@ -50,7 +50,7 @@ def dot(a, b):
     return total
 
 
-@kernel
+@kernel(eager=True)
 def largest(a):
     """The largest |a_i|; NaN if one is."""
     result = 0.0
@@ -59,7 +59,7 @@ def largest(a):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def product(Q, a, b):
     """aᵀ Q b."""
     total = 0.0
@@ -69,7 +69,7 @@ def product(Q, a, b):
     return total
 
 
-@kernel
+@kernel(eager=True)
 def own(regions, r):
     """The boundaries of one region."""
     forms, rows, offsets, first, _ = regions
@@ -77,7 +77,7 @@ def own(regions, r):
     return forms[part], rows[part], offsets[part]
 
 
-@kernel
+@kernel(eager=True)
 def height(boundaries, j, x):
     """g_j(x)."""
     forms, rows, offsets = boundaries
@@ -87,7 +87,7 @@ def height(boundaries, j, x):
     return value
 
 
-@kernel
+@kernel(eager=True)
 def gradient(boundaries, j, x):
     """∇g_j(x) = 2 Q x + row."""
     forms, rows, _ = boundaries
@@ -97,14 +97,14 @@ def gradient(boundaries, j, x):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def spread_of(noise, x, u):
     """The round-off M|x| + N|u| of x."""
     M, N = noise
     return times(M, np.abs(x)) + times(N, np.abs(u))
 
 
-@kernel
+@kernel(eager=True)
 def band(boundaries, j, x, spread):
     """β, the round-off of g_j(x)."""
     forms, rows, offsets = boundaries
@@ -115,7 +115,7 @@ def band(boundaries, j, x, spread):
     return result
 
 
-@kernel
+@kernel(eager=True)
 def slope(plant, mode, boundaries, j, x, u):
     """∇g·(A x + B u) in a mode, and its round-off."""
     A, B, M, N = plant
@@ -128,7 +128,7 @@ def slope(plant, mode, boundaries, j, x, u):
     return dot(normal, field), 4.0 * doubt
 
 
-@kernel
+@kernel(eager=True)
 def nearest(regions, spread, x, left):
     """The region other than `left` that holds x, or is nearest to it in units of round-off."""
     forms, rows, offsets, first, _ = regions

@@ -45,7 +45,7 @@ NONE, PILED_UP, STRAYED = 0, 1, 2  # why a plant cannot go on
 _INSIDE = (-1, -1)  # beside no boundary
 
 
-@kernel
+@kernel(eager=True)
 def _parts(A, tau):
     """The least power of two that cuts τ into parts with |A|τ ≤ 1/2, and |A|τ of a part.
 
@@ -61,7 +61,7 @@ def _parts(A, tau):
     return parts, size
 
 
-@kernel
+@kernel(eager=True)
 def growth(A, tau):
     """An upper bound on |e^{As}|_∞ over [0, τ]: its maximum on a grid, times e^{|A| spacing}."""
     parts, size = _parts(A, tau)
@@ -74,7 +74,7 @@ def growth(A, tau):
     return min(largest * np.exp(size), 1e300)
 
 
-@kernel
+@kernel(eager=True)
 def _heights(boundaries, taylor):
     """The Taylor coefficients of every g along x(s) = Σ taylor[k] s^k."""
     forms, rows, _ = boundaries
@@ -90,7 +90,7 @@ def _heights(boundaries, taylor):
     return c
 
 
-@kernel
+@kernel(eager=True)
 def exit_time(A, B, noise, boundaries, x, u, tau):
     """When within (0, τ] the trajectory first leaves a region, beyond round-off.
 
@@ -131,7 +131,7 @@ def exit_time(A, B, noise, boundaries, x, u, tau):
     return -1.0, -1.0, -1
 
 
-@kernel
+@kernel(eager=True)
 def _facing(plant, regions, x, u, region, entered, j):
     """Whether both regions' modes point at the boundary, number j, between them.
 
@@ -153,7 +153,7 @@ def _facing(plant, regions, x, u, region, entered, j):
     return modes[nearest(regions, spread, beyond, entered)] == mode
 
 
-@kernel
+@kernel(eager=True)
 def _leads_on(plant, regions, x, u, entered, j):
     """Whether the mode beyond boundary j leads on from it, surely."""
     forms, rows, offsets, _, modes = regions
@@ -161,7 +161,7 @@ def _leads_on(plant, regions, x, u, entered, j):
     return ahead > doubt
 
 
-@kernel
+@kernel(eager=True)
 def region_of_mode(plant, regions, x, region, mode):
     """The region of a mode that x is in to round-off; `region`, which holds x, where there is none.
 
@@ -179,7 +179,7 @@ def region_of_mode(plant, regions, x, region, mode):
     return region
 
 
-@kernel
+@kernel(eager=True)
 def _stays(A, B, bend, regions, region, x, end, u):
     """Whether a region is not left over a whole piece.
 
@@ -195,7 +195,7 @@ def _stays(A, B, bend, regions, region, x, end, u):
     return True
 
 
-@kernel
+@kernel(eager=True)
 def advance(plant, regions, piece, x, u, region, beside, legs):
     """Run over one piece, from region to region and along boundaries.
 
@@ -265,7 +265,7 @@ def advance(plant, regions, piece, x, u, region, beside, legs):
     return end, region, _INSIDE, count, halt
 
 
-@kernel
+@kernel(eager=True)
 def room(most, n):
     """Empty legs for a piece with at most so many crossings."""
     size = 2 * most
@@ -278,7 +278,7 @@ def room(most, n):
     )
 
 
-@kernel
+@kernel(eager=True)
 def follow(plant, regions, pieces, kinds, inputs, x, region):
     """Run over many pieces, number p of kind kinds[p] under inputs[p].
 
@@ -300,7 +300,7 @@ def follow(plant, regions, pieces, kinds, inputs, x, region):
     return x, region, beside, (-1, NONE, -1.0, region, region)
 
 
-@kernel
+@kernel(eager=True)
 def path_in_modes(Phi, Gamma, kinds, inputs, x):
     """x (pieces, samples, n) at the samples of every piece, in one mode throughout.
 

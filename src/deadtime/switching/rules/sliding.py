@@ -41,7 +41,7 @@ _HALVINGS = 40
 _SHARP = 2.0**-52
 
 
-@kernel
+@kernel(eager=True)
 def _field(A, B, boundaries, pair, x, u):
     """The mean of the fields of modes i and j that is tangent to boundary number `row`."""
     i, j, row = pair
@@ -55,7 +55,7 @@ def _field(A, B, boundaries, pair, x, u):
     return first + share * (second - first)
 
 
-@kernel
+@kernel(eager=True)
 def _step(A, B, boundaries, pair, x, u, tau):
     """x after τ, and how far the last two columns of the extrapolation are apart."""
     n = x.size
@@ -83,7 +83,7 @@ def _step(A, B, boundaries, pair, x, u, tau):
     return last, error
 
 
-@kernel
+@kernel(eager=True)
 def _onto(boundaries, row, x):
     """The point of the boundary next to x."""
     for _ in range(2):
@@ -94,7 +94,7 @@ def _onto(boundaries, row, x):
     return x
 
 
-@kernel
+@kernel(eager=True)
 def _opposite(regions, row, entered, x):
     """The boundary of the region entered that is the one left, seen from there; −1 if none."""
     forms, rows, offsets, first, _ = regions
@@ -107,7 +107,7 @@ def _opposite(regions, row, entered, x):
     return -1
 
 
-@kernel
+@kernel(eager=True)
 def _ending(plant, regions, surface, x, u):
     """Whether and how the sliding motion has ended at x; and the region that is not there."""
     forms, rows, offsets, first, modes = regions
@@ -129,7 +129,7 @@ def _ending(plant, regions, surface, x, u):
     return STAYS, region
 
 
-@kernel
+@kernel(eager=True)
 def slide(plant, regions, between, x, u, tau):
     """Slide for at most τ along boundary `row` from one region to another, `between` the three.
 
