@@ -76,10 +76,10 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
     times = np.concatenate(([0.0], np.sort(rng.uniform(0.0, 3.03, 70))))
     signal = dt.SwitchingSignal(times, rng.integers(0, 3, 71))
     laid = loop.lay(SignalBatch.of([signal]))
-    cut = np.flatnonzero(laid.map >= 3)
+    cut = np.flatnonzero(laid.records.map >= 3)
     assert cut.size > 20
     for record in cut:
-        k = int(laid.step[record])
+        k = int(laid.records.step[record])
         end = 0.03 if k == 30 else 0.1
         edges = [0.0, 0.034, *(signal.times[1:] - k * 0.1), end]
         edges = sorted(t for t in set(edges) if 0.0 <= t <= end)
@@ -91,7 +91,7 @@ def test_maps_of_cut_periods_are_products_of_exponentials():
             own[:3, 3:5] = plant.B[mode] if b <= 0.034 else 0.0
             own[:3, 5:] = plant.B[mode] if b > 0.034 else 0.0
             z = scipy.linalg.expm(own * (b - a)) @ z
-        move = laid.maps[laid.map[record], :21].reshape(3, 7)
+        move = laid.maps[laid.records.map[record], :21].reshape(3, 7)
         np.testing.assert_allclose(move, z[:3], rtol=0, atol=2e-14 * np.abs(z).max())
 
 

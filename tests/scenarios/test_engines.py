@@ -14,6 +14,7 @@ from deadtime.scenarios.engine import Engine
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.switching import SignalBatch
 
 X0 = np.array([0.3, -0.6, 0.9])
@@ -42,10 +43,10 @@ def loop_of(plant=TRUTH, actuators=()):
 
 def table_of(engine, loop, law, own=SIGNALS):
     samples = loop.whole + 1
-    feedback = law.digital(H, own[0], samples)
-    if feedback.context == "step":
-        return engine.tables([law.digital(H, signal, samples) for signal in own])
-    return engine.table(feedback)
+    if law.foresight(H, own[0], samples) is not None:
+        ahead = ModelAhead(law, law.sampled_plant(H), samples)
+        return engine.foresee(ahead, SignalBatch.of(own))
+    return engine.table(law.digital(H, own[0], samples))
 
 
 def check_as_simulated(loop, law, scenarios=(3, 6)):
@@ -97,6 +98,46 @@ def test_a_window_longer_than_the_run_is_as_simulated(name):
 
 def test_a_window_of_one_input_is_as_simulated():
     check_as_simulated(loop_of(plants.generic(H)), plants.LAWS["averaged"](plants.generic(0.06)))
+
+
+# -- a law that knows the signal ---------------------------------------------------------------
+
+
+def predicted(plant, signal, x, inputs, start):
+    """x a delay after `start` along a signal; inputs[j](t) is held, by SciPy's exponential."""
+    end = start + plant.delay
+    back = np.arange(1, int(plant.delay / H) + 2)
+    arrivals = [(np.round(start / H) - j) * H + plant.delay for j in back]
+    edges = sorted({start, end, *(t for t in (*arrivals, *signal.times) if start < t < end)})
+    for low, high in itertools.pairwise(edges):
+        if high - low > 1e-12:
+            middle = 0.5 * (low + high)
+            mode, sample = int(signal(middle)), int(np.floor((middle - plant.delay) / H))
+            u = inputs[sample] if sample >= 0 else np.zeros(plant.inputs)
+            x = (held(plant.A[mode], plant.B[mode], high - low)[0] @ [*x, *u])[: plant.states]
+    return x
+
+
+@pytest.mark.parametrize("delay", [0.06, 0.1, 0.234, 0.3, 8.54])
+def test_an_oracle_predicts_along_its_signal(delay):
+    loop, law = loop_of(), plants.LAWS["exact"](plants.generic(delay, seed=5))
+    engine = Engine(loop)
+    laid = loop.lay(SignalBatch.of(SIGNALS))
+    _, path = engine.path(table_of(engine, loop, law), laid, 0, COUNT)
+    for i in (0, 3, 6):
+        for k in (0, 1, 2, 17, 40, 60):
+            x, u = path.x[i, :, k], path.u[i, :, :k].T
+            ahead = predicted(law.plant, SIGNALS[i], x, u, k * H)
+            mode = int(SIGNALS[i](k * H + delay + 1e-9 * H))
+            np.testing.assert_allclose(path.u[i, :, k], law.gains[mode] @ ahead, rtol=1e-10)
+
+
+def test_an_oracle_may_be_filtered_and_may_believe_in_a_signal_of_its_own():
+    believed = plants.generic(0.234, seed=5)
+    gains = plants.gains(believed)
+    own = dt.ExactPredictor(believed, gains, SIGNALS[2])
+    for law in (dt.LowPassPredictor(plants.LAWS["exact"](believed), 0.08), own):
+        check_as_simulated(loop_of(), law, scenarios=(1, 4))
 
 
 # -- against a plain loop ----------------------------------------------------------------------

@@ -1,3 +1,4 @@
 from .forecast import Forecast as Forecast
+from .foresight import Foresight as Foresight
 from .law import Law as Law, TableLaw as TableLaw, remember_table as remember_table
 from .table import Factor as Factor, Feedback as Feedback

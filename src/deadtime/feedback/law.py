@@ -15,6 +15,7 @@ from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
+from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
@@ -123,6 +124,15 @@ class Law(Frozen, ABC):
 @dataclass(frozen=True, eq=False, repr=False)
 class TableLaw(Law):
     """A law that is a table of linear functionals: every one but the state-dependent."""
+
+    def foresight(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Foresight | None:
+        """What a law that knows the signal does with its prediction; None for every other law.
+
+        `signal` and `steps` as in `digital`.
+        """
+        return None
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -10,12 +11,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback import Feedback, Forecast, Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.grid import cuts_of, modes_at
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -97,13 +97,10 @@ class ExactPredictor(TableLaw):
             )
         return known
 
-    def digital(
+    def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Feedback:
-        from deadtime.laws.tables.known_signal import future_rows
-
+    ) -> Foresight:
         sampled = self.sampled_plant(step)
-        window = sampled.window
         if steps is None:
             raise ArgumentError(
                 "steps must be given, the number of samples to make rows for, and the future "
@@ -112,10 +109,15 @@ class ExactPredictor(TableLaw):
             )
         count("steps", steps)
         known = self._require_signal(signal, (steps - 1) * step)
-        cuts = cuts_of(known, window)
-        future = modes_at(known, np.arange(steps) * step + window.delay, step)
-        F, G = future_rows(sampled, self.gains[future], cuts)
-        return Feedback(F, G, "step", window.step)
+        m = self.plant.inputs
+        return Foresight(sampled, self.gains, np.zeros((m, m)), known)
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        foresight = self.foresight(step, signal, steps)
+        F, G = foresight.rows(cast(int, steps))
+        return Feedback(F, G, "step", foresight.sampled.step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         plant = self.plant

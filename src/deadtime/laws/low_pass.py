@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, real_array, require_unmasked
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Factor, Feedback, Forecast, Law
+from deadtime.feedback import Factor, Feedback, Forecast, Foresight, Law
 from deadtime.feedback.law import TableLaw
 from deadtime.switching import SwitchingSignal
 
@@ -85,18 +85,32 @@ class LowPassPredictor(TableLaw):
     def foreseen(self) -> SwitchingSignal | None:
         return self.law.foreseen
 
+    def foresight(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Foresight | None:
+        inner = self.law.foresight(step, signal, steps)
+        if inner is None:
+            return None
+        kept, passed = self._filter(inner.sampled.step)
+        gains, latest = passed @ inner.gains, passed @ inner.latest + kept
+        return inner._replace(gains=gains, latest=latest)
+
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        from scipy.linalg import expm
-
         table = self.law.digital(step, signal, steps)
-        kept = expm(-table.step * np.linalg.inv(self.time_constant))
-        passed = np.eye(self.plant.inputs) - kept
+        kept, passed = self._filter(table.step)
         G = passed @ table.input_gain
         G[:, 0] += kept
         factor = None if table.factor is None else _factor(table.factor, kept, passed, G[:, -1])
         return Feedback(passed @ table.state_gain, G, table.context, table.step, table.ages, factor)
+
+    def _filter(self, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """E and 1 − E: what is kept of u_{k−1}, and let pass of v_k."""
+        from scipy.linalg import expm
+
+        kept = expm(-step * np.linalg.inv(self.time_constant))
+        return kept, np.eye(self.plant.inputs) - kept
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         raise ArgumentError(

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Imperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
-from deadtime.scenarios.loop import Laid, Loop
+from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.records import Laid
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
 from deadtime.switching import SignalBatch, SwitchingSignal
 from deadtime.switching.grid import modes_at
 
 if TYPE_CHECKING:
-    from deadtime.scenarios.engine import Engine
+    from deadtime.scenarios.engine import Engine, Table
 
-_ROWS_BYTES = 5e7  # of rows per sample that are held at a time
-_FEW = 8  # scenarios whose rows per sample, or whose trajectories, the engine takes at a time
+_FEW = 8  # scenarios whose trajectories the engine takes at a time
 
 Stopped = Callable[[], bool]
 
@@ -35,8 +34,8 @@ class Block:
     Attributes
     ----------
     tables : mapping
-        From the name of a law to its table for the engine; None for rows per sample, which each
-        scenario has of its own. Laws without an entry are run one by one by `simulate`.
+        From the name of a law to a function that makes its table along signals for the engine.
+        Laws without an entry are run one by one by `simulate`.
     weighed : pair of Loop and Engine, or None
         Of the cost's weight, where that is not the identity: runs are run again to measure it.
     """
@@ -44,7 +43,7 @@ class Block:
     loop: Loop
     source: Source
     laws: Mapping[str, Law]
-    tables: Mapping[str, Any]
+    tables: Mapping[str, Callable[[SignalBatch], Table]]
     engine: Engine
     imperfections: Sequence[Imperfection]
     seed: int
@@ -63,8 +62,8 @@ class Block:
             laid = [loop.lay(signals) for loop in loops]
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
-            if laid is not None and isinstance(law, TableLaw) and name in self.tables:
-                left = self._at_once(row, law, self.tables[name], signals, laid, first, stopped)
+            if laid is not None and name in self.tables:
+                left = self._at_once(row, self.tables[name](signals), laid, first, stopped)
             for i in left:
                 if stopped():
                     return 0
@@ -80,46 +79,27 @@ class Block:
         return int((signals.end < self.loop.horizon).sum())
 
     def _at_once(
-        self,
-        row: int,
-        law: TableLaw,
-        table: Any,
-        signals: SignalBatch,
-        laid: Sequence[Laid],
-        first: int,
-        stopped: Stopped,
+        self, row: int, table: Table, laid: Sequence[Laid], first: int, stopped: Stopped
     ) -> Sequence[int]:
         """Run a law by the engine; which scenarios are left to `simulate`."""
-        results, loop, count = self.results, self.loop, len(signals)
-        size = self._size(law) if table is None else count
-        size = size if results.x is None else min(size, _FEW)
+        results, count = self.results, laid[0].scenarios
+        size = count if results.x is None else min(count, _FEW)
         left: list[int] = []
         for start in range(0, count, size):
             if stopped():
                 return []
             these = slice(first + start, first + min(start + size, count))
-            figures = self._figures(row, law, table, signals, laid, start, these)
-            for metric, values in metrics_of(loop, *figures).items():
+            figures = self._figures(row, table, laid, start, these)
+            for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
-            left += (start + np.flatnonzero(needs_own_run(loop, figures[0]))).tolist()
+            left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
         return left
 
     def _figures(
-        self,
-        row: int,
-        law: TableLaw,
-        table: Any,
-        signals: SignalBatch,
-        laid: Sequence[Laid],
-        start: int,
-        these: slice,
+        self, row: int, table: Table, laid: Sequence[Laid], start: int, these: slice
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
-        count, results, loop = these.stop - these.start, self.results, self.loop
-        if table is None:
-            step, samples = loop.window.step, loop.whole + 1
-            futures = (signals[start + i] for i in range(count))
-            table = self.engine.tables([law.digital(step, one, samples) for one in futures])
+        count, results = these.stop - these.start, self.results
         if results.x is None or results.u is None:
             figures = self.engine.run(table, laid[0], start, count)
         else:
@@ -128,12 +108,6 @@ class Block:
         if self.weighed is None:
             return [figures]
         return [figures, self.weighed[1].run(table, laid[1], start, count)]
-
-    def _size(self, law: TableLaw) -> int:
-        """For how many scenarios rows per sample fit into memory at a time."""
-        taps, inputs = law.window(self.loop.window.step).count, self.loop.plant.inputs
-        rows = 8.0 * (self.loop.whole + 1) * taps * inputs**2
-        return int(np.clip(_ROWS_BYTES / rows, 1, _FEW))
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""

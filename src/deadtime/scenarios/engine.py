@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from deadtime.feedback import Feedback
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
-from deadtime.scenarios.kernel import Plant, Rows, Run, Shape, run_scenarios
-from deadtime.scenarios.loop import Laid, Loop
+from deadtime.scenarios.foreseen import NO_MODEL, Model
+from deadtime.scenarios.kernel import run_scenarios
+from deadtime.scenarios.layout import Plant, Rows, Run, Shape
+from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.model_ahead import ModelAhead
+from deadtime.scenarios.records import Laid
 from deadtime.scenarios.window_form import WindowForm, window_form
+from deadtime.switching import SignalBatch
 
-_KINDS = {"none": 0, "mode": 1, "mode_age": 2, "step": 3}
+_KINDS = {"none": 0, "mode": 1, "mode_age": 2}
 _NOTHING = np.zeros(0)
+
+
+class Table(NamedTuple):
+    """A law as `scenarios.kernel` takes it."""
+
+    shape: Shape
+    rows: Rows
+    model: Model
 
 
 class Engine:
@@ -35,31 +47,35 @@ class Engine:
             loop.root.ravel(),
         )
 
-    def table(self, feedback: Feedback) -> tuple[Shape, Rows]:
+    def table(self, feedback: Feedback) -> Table:
         """A law's rows as the compiled loop reads them."""
         form = window_form(feedback)
         if form is None:
-            return self._shape(1, 1, 1, dense=True), _dense([feedback])
+            return Table(self._shape(1, 1, 1, dense=1), _dense_rows(feedback), NO_MODEL)
         rows, _, q = form.out.shape
-        return self._shape(q, form.transition.shape[1], rows), _factor_rows(feedback, form)
+        shape = self._shape(q, form.transition.shape[1], rows)
+        return Table(shape, _factor_rows(feedback, form), NO_MODEL)
 
-    def tables(self, feedbacks: Sequence[Feedback]) -> tuple[Shape, Rows]:
-        """Rows per sample, one table for each of up to eight scenarios."""
-        return self._shape(1, 1, 1, dense=True), _dense(feedbacks)
+    def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
+        """What a law that knows these signals does, of each of them."""
+        model = ahead.lay(signals)
+        n, m = self._loop.plant.states, self._loop.plant.inputs
+        unused = np.zeros(m * max(m, n))
+        rows = Rows(0, ahead.loop.sampled.longest_lag, *[unused] * 7, _NOTHING, _NOTHING, 0, 0, 1)
+        shape = self._shape(1, 1, 1, foreseeing=1, entering=model.lags.size * m)
+        return Table(shape, rows, model)
 
-    def run(
-        self, table: tuple[Shape, Rows], laid: Laid, first: int = 0, count: int | None = None
-    ) -> Figures:
+    def run(self, table: Table, laid: Laid, first: int = 0, count: int | None = None) -> Figures:
         """Run a table along the scenarios first, …, first + count − 1."""
         count = laid.scenarios - first if count is None else count
         plant = self._plant(laid)
         return Figures(*run_scenarios(*table, plant, self._run, first, count, _NOTHING, 0))
 
     def path(
-        self, table: tuple[Shape, Rows], laid: Laid, first: int, count: int, keep: int = 0
+        self, table: Table, laid: Laid, first: int, count: int, keep: int = 0
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
-        n, m = len(table[0].x), len(table[0].u)
+        n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
         plant = self._plant(laid)
@@ -68,23 +84,25 @@ class Engine:
         return Figures(*result), Path(both[:, :n], both[:, n:])
 
     def _plant(self, laid: Laid) -> Plant:
-        return Plant(
-            self._loop.acting.lags,
-            laid.maps,
-            laid.first,
-            laid.step,
-            laid.mode,
-            laid.map,
-            laid.age,
-        )
+        first, step, mode, which = laid.records[:4]
+        return Plant(self._loop.acting.lags, laid.maps, first, step, mode, which, laid.age)
 
-    def _shape(self, order: int, block: int, rows: int, dense: bool = False) -> Shape:
-        plant = self._loop.plant
+    def _shape(
+        self,
+        order: int,
+        block: int,
+        rows: int,
+        dense: int = 0,
+        foreseeing: int = 0,
+        entering: int | None = None,
+    ) -> Shape:
+        plant, wide = self._loop.plant, self._loop.acting.wide
         n, m = plant.states, plant.inputs
-        wide = self._loop.acting.wide
+        entering = m if entering is None else entering
         sizes = n, m, n + m, wide - n, wide, order, block, rows * m, m * (n + m)
-        flags = int(dense), int(len(self._loop.actuators) > 0)
-        return Shape(*((0.0,) * size for size in (*sizes, *flags)))
+        model = n * n, entering, n + entering
+        flags = dense, int(len(self._loop.actuators) > 0), foreseeing
+        return Shape(*((0.0,) * size for size in (*sizes, *model, *flags)))
 
 
 def _factor_rows(feedback: Feedback, form: WindowForm) -> Rows:
@@ -96,23 +114,17 @@ def _factor_rows(feedback: Feedback, form: WindowForm) -> Rows:
     return Rows(length, taps, *parts, _NOTHING, _NOTHING, 0, kind, 1)
 
 
-def _dense(feedbacks: Sequence[Feedback]) -> Rows:
+def _dense_rows(feedback: Feedback) -> Rows:
     """Dense rows, the latest input beside F, the others padded to whole vectors."""
-    first = feedbacks[0]
-    taps, (m, n) = first.taps, first.state_gain.shape[1:]
+    taps, (rows, m, n) = feedback.taps, feedback.state_gain.shape
     width = max(1, -(-(taps - 1) * m // LANES)) * LANES
-    rows = sum(feedback.state_gain.shape[0] for feedback in feedbacks)
-    head = np.empty((rows, m, n + m))
-    dense, start = _zeros_on_cache_lines(rows * m * width).reshape(rows, m, width), 0
-    for feedback in feedbacks:
-        stop = start + feedback.state_gain.shape[0]
-        G = feedback.latest_first
-        head[start:stop, :, :n], head[start:stop, :, n:] = feedback.state_gain, G[:, :, :m]
-        dense[start:stop, :, : (taps - 1) * m] = G[:, :, m:]
-        start = stop
-    unused, kind = np.zeros(m * max(m, n)), _KINDS[first.context]
+    dense = _zeros_on_cache_lines(rows * m * width).reshape(rows, m, width)
+    G = feedback.latest_first
+    head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
+    dense[:, :, : (taps - 1) * m] = G[:, :, m:]
+    unused, kind = np.zeros(m * max(m, n)), _KINDS[feedback.context]
     # Sizes of what only factorised rows use: the code for them is there, and never run.
-    flat = head.ravel(), dense.ravel(), width, kind, first.ages
+    flat = head.ravel(), dense.ravel(), width, kind, feedback.ages
     return Rows(0, taps, *[unused] * 7, *flat)  # pyright: ignore[reportCallIssue]
 
 

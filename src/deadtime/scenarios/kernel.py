@@ -41,6 +41,7 @@ from deadtime.numerics.lanes import (
     total,
     where_larger,
 )
+from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -49,81 +50,6 @@ _NEVER = np.int64(2**62)
 _ONE = (0.0,)
 _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
-
-
-class Shape(NamedTuple):
-    """Sizes, as the lengths of tuples: state, input, both, the inputs that act over a period, these
-    and the state, window, its blocks, the inputs that the law's rows ask for, m (n + m) for the
-    heads of dense rows. The last two are empty where rows are factorised, and where no actuator
-    limits the input."""
-
-    x: tuple
-    u: tuple
-    both: tuple
-    acting: tuple
-    z: tuple
-    b: tuple
-    block: tuple
-    rows: tuple
-    head: tuple
-    dense: tuple
-    limited: tuple
-
-
-class Rows(NamedTuple):
-    """A law. Of a factorised one `length` is the window, and `head` and `dense` are empty.
-
-    state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
-    ahead (length, q, m) and behind (length, rows, m, q), flat. Of dense rows, `head`
-    (rows, m, n + m): what x and the latest input, and `dense` (rows, m, width): what the others,
-    the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per mode and
-    age, 3 per sample.
-    """
-
-    length: int
-    taps: int
-    state: np.ndarray
-    out: np.ndarray
-    last: np.ndarray
-    transition: np.ndarray
-    enter: np.ndarray
-    ahead: np.ndarray
-    behind: np.ndarray
-    head: np.ndarray
-    dense: np.ndarray
-    width: int
-    kind: int
-    ages: int
-
-
-class Plant(NamedTuple):
-    """The truth: l of the inputs u_{k−l} that act, oldest first, and signals laid on its periods
-    (`loop.Laid`)."""
-
-    lags: np.ndarray
-    maps: np.ndarray
-    first: np.ndarray
-    step: np.ndarray
-    mode: np.ndarray
-    map: np.ndarray
-    age: np.ndarray
-
-
-class Run(NamedTuple):
-    """samples, the weight of the last one's input, where the late half begins, x0, actuators, root.
-
-    Energy is |root u|², root (m, m) flat, or |u|² where that is empty. Actuator
-    a clips to [low[a], high[a]], relative to the input before where `rate[a]`.
-    """
-
-    samples: int
-    rest: float
-    late: int
-    x0: np.ndarray
-    rate: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    root: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -248,7 +174,7 @@ def _switch(rows, plant, work, k, soon):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _sum_dense(shape, rows, work, k, count, samples, place):
+def _sum_dense(shape, rows, work, k, place):
     """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
 
     They do not wait for what the last period gave: a processor works on both at once.
@@ -261,8 +187,6 @@ def _sum_dense(shape, rows, work, k, count, samples, place):
             row = work.mode[lane]
         elif rows.kind == 2:
             row = work.mode[lane] * rows.ages + min(k - work.began[lane], rows.ages - 1)
-        elif rows.kind == 3:
-            row = min(lane, count - 1) * samples + k
         work.row[lane] = row * head
         start = lane * width + (place + 1) * m
         for i in range(m):
@@ -281,14 +205,23 @@ def _limit(shape, run, u, before):
     return u
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _turn_around(places, m, size):
+    """The places of the next inputs in a ring."""
+    for p in range(places.size):
+        after = places[p] + m * LANES
+        places[p] = 0 if after == size else after
+
+
 @njit(cache=True, nogil=True)
-def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
+def _run_eight(shape, rows, model, plant, run, start, count, out, path, keep):
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest."""
     n, m, wide, asked = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
     period = min(max(plant.lags[0], rows.taps), run.samples) + 1
     work = _work(shape, rows, plant, run, start, count, period)
     ring, own = work.ring, work.own
+    ahead, enters = look_ahead(shape, model, start, count, period)
     none, one = same(0.0, _ONE), same(1.0, _ONE)
     small = same(OUTSIDE, _ONE)
     x, b = load(work.xs, 0, shape.x), same(0.0, shape.b)
@@ -297,7 +230,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
     P, Q, EP, EQ = one, one, none, none
     now, older = 0, period - min(rows.taps, run.samples)
     places = m * np.arange(LANES)
-    soon, r, place, width = np.int64(0), 0, 0, work.window.size // LANES
+    soon, r, place, width = np.int64(0), model.length, 0, work.window.size // LANES
     for k in range(run.samples):
         if soon // LANES == k:
             soon = _switch(rows, plant, work, k, soon)
@@ -311,7 +244,15 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             if (k - run.late) % _GROUP == _GROUP - 1:
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
-        if len(shape.dense) == 0:
+        if len(shape.foreseeing) > 0:
+            if enters // LANES == k:
+                enters = turn(model, ahead, k, enters)
+            if r == model.length:
+                sum_up(shape, model.length, ahead)
+                r = 0
+            latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
+            u = foresee(shape, model.length, ahead, r, x, latest)
+        elif len(shape.dense) == 0:
             if r == rows.length:
                 _refill(shape, rows, ring, period, now, work.carry)
                 b, r = same(0.0, shape.b), 0
@@ -320,7 +261,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             sums = product(rows.out, 0, b, product(rows.state, 0, x, sums))
             u = choose(sums, load(work.mode_row, 0, _ONE), shape.u)
         else:
-            _sum_dense(shape, rows, work, k, count, run.samples, place)
+            _sum_dense(shape, rows, work, k, place)
             latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
             heads = gather(rows.head, work.row, shape.head)
             sums = gather(work.ask, places, shape.u)
@@ -329,7 +270,12 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
             before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
             u = _limit(shape, run, u, before)
         store(ring, now * m * LANES, u)
-        if len(shape.dense) == 0:
+        if len(shape.foreseeing) > 0:
+            if model.length > 0:
+                enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
+                r += 1
+                _turn_around(ahead.acting, m, ring.size)
+        elif len(shape.dense) == 0:
             entered = product(rows.enter, 0, u, same(0.0, shape.b))
             b = block_product(rows.transition, 0, b, entered, shape.block)
             r += 1
@@ -348,9 +294,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
         felt = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
         energy = times(same(weight, _ONE), squares(felt, none), energy)
         now = 0 if now + 1 == period else now + 1
-        for p in range(len(shape.acting) // m):
-            after = work.acting[p] + m * LANES
-            work.acting[p] = 0 if after == ring.size else after
+        _turn_around(work.acting, m, ring.size)
         older = 0 if older + 1 == period else older + 1
     figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
     for f, figure in enumerate(figures):
@@ -362,7 +306,7 @@ def _run_eight(shape, rows, plant, run, start, count, out, path, keep):
 
 
 @njit(cache=True, nogil=True)
-def run_scenarios(shape, rows, plant, run, start, count, path, keep):
+def run_scenarios(shape, rows, model, plant, run, start, count, path, keep):
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
     `path`, empty or for at most eight scenarios, gets x and u of every sample from `keep` on.
@@ -371,7 +315,7 @@ def run_scenarios(shape, rows, plant, run, start, count, path, keep):
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
-        _run_eight(shape, rows, plant, run, start + at, few, out, path, keep)
+        _run_eight(shape, rows, model, plant, run, start + at, few, out, path, keep)
         for f in range(FIGURES):
             for lane in range(few):
                 result[f, at + lane] = out[f * LANES + lane]

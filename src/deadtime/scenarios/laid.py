@@ -1,7 +1,6 @@
 """Switching signals laid on the periods of a digital loop, many at once, compiled.
 
-A record says which map takes a scenario over a period, from that period on: its mode's own, or
-that of a period which a switch cuts. As `plant.steps.Cuts` has it, a switch within 1e-9 of a
+As `plant.steps.Cuts` has it, a switch within 1e-9 of a
 period of a sample, or of an arriving input, is at it.
 """
 
@@ -14,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from deadtime.numerics.lanes import load, same, store, times
+from deadtime.scenarios.records import Records
 
 TOLERANCE = 1e-9
 
@@ -41,13 +41,9 @@ def _place(time, step, acting, rate):
 
 @njit(cache=True, nogil=True)
 def lay(offset, times, modes, samples, step, acting, plants):
-    """Records (step, mode at the sample, map) of every scenario for the periods 0, …, samples − 1.
+    """The records of every scenario for the periods 0, …, samples − 1.
 
-    Scenario s has the sojourns offset[s], …, offset[s + 1] − 1. A map below `plants`, the number
-    of modes, is that mode's. Map plants + c is that of cut period c with the sojourns sojourn[c],
-    …, until[c] − 1, of which sojourn i begins at[i] into the period, the first one before it or
-    at its start. A scenario's last period counts as cut, and is marked in `last`.
-    Returns first, step, mode, map, sojourn, until, last, at.
+    Scenario s has the sojourns offset[s], …, offset[s + 1] − 1; `plants` is the number of modes.
     """
     scenarios, most = offset.size - 1, 2 * modes.size + 2 * (offset.size - 1)
     first = np.empty(scenarios + 1, np.int64)
@@ -89,7 +85,9 @@ def lay(offset, times, modes, samples, step, acting, plants):
                 r += 1
                 k = min(ahead, final)
     first[scenarios] = r
-    return first, step_of[:r], mode_of[:r], map_of[:r], sojourn[:c], until[:c], last[:c], at
+    return Records(
+        first, step_of[:r], mode_of[:r], map_of[:r], sojourn[:c], until[:c], last[:c], at
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -134,7 +132,7 @@ def _compose(piece, column, move, energy, own):
 
 
 @njit(cache=True, nogil=True)
-def _compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
+def compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
     flat, wide, m = pieces.reshape(-1), acting.wide, acting.column.shape[1]
@@ -168,11 +166,8 @@ def _compose_period(first, last, modes, at, end, acting, pieces, cell, result, s
 @njit(cache=True, nogil=True)
 def fill_maps(
     maps,
-    sojourn,
-    until,
+    records,
     modes,
-    at,
-    last,
     step,
     rest,
     acting,
@@ -181,7 +176,7 @@ def fill_maps(
     width,
     piece_width,
 ):
-    """Fill maps[modes + c] for every cut period c; `last` as from `lay`.
+    """Fill maps[modes + c] for every cut period c.
 
     A period with one switch is read from `switched` (mode·modes + mode, part, cell, degree, size),
     the others are composed from `pieces` (mode, cell, degree, size).
@@ -191,6 +186,7 @@ def fill_maps(
     flat, place = switched.reshape(-1), maps.reshape(-1)
     scratch = np.empty(pieces.shape[3])
     cell = step / pieces.shape[1]
+    sojourn, until, last, at = records.sojourn, records.until, records.last, records.at
     for c in range(sojourn.size):
         i = sojourn[c]
         if cells > 0 and until[c] == i + 2 and not last[c]:
@@ -204,7 +200,7 @@ def fill_maps(
             store(place, (count + c) * size, value)
         else:
             end = rest if last[c] else step
-            _compose_period(
+            compose_period(
                 i,
                 until[c],
                 modes,

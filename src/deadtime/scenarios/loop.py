@@ -1,4 +1,4 @@
-"""What a batch engine runs: the loop, the laws' rows, and the scenarios' signals laid on it."""
+"""What a batch engine runs: the loop, and the scenarios' signals laid on it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.imperfections import Limiting, Sizes
@@ -26,32 +25,11 @@ from deadtime.scenarios.cut_periods import (
     tables_of,
     whole_periods,
 )
+from deadtime.scenarios.records import Laid, Records
 from deadtime.switching import SignalBatch
 
 _CELLS = 1024  # of a period, for a plant that is so fast
 _OLDEST = 2.0**31  # samples: older than any table tells apart
-
-
-class Laid(NamedTuple):
-    """Signals laid on the periods.
-
-    Record r of scenario s, first[s] ≤ r < first[s + 1], says that from period `step[r]` on the
-    sampled mode is `mode[r]` and row `map[r]` of `maps` takes the plant over a period: `move` and
-    the upper triangle of `energy` with its off-diagonal doubled, flat (`Maps`). The last period,
-    K, goes on to the horizon only. `age` is that of the first mode at time 0, in samples.
-    """
-
-    first: Int[np.ndarray, " scenario+1"]
-    step: Int[np.ndarray, " record"]
-    mode: Int[np.ndarray, " record"]
-    map: Int[np.ndarray, " record"]
-    maps: Float[np.ndarray, "map size"]
-    age: Int[np.ndarray, " scenario"]
-
-    @property
-    def scenarios(self) -> int:
-        """How many there are."""
-        return self.first.size - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,33 +118,35 @@ class Loop:
         low = np.reshape([limit.low for limit in limits], (-1, m))
         return rate, low, np.reshape([limit.high for limit in limits], (-1, m))
 
-    def lay(self, signals: SignalBatch) -> Laid:
-        """Signals laid on the periods up to the horizon."""
-        from deadtime.scenarios.laid import fill_maps, lay
+    def place(self, signals: SignalBatch) -> Records:
+        """In which period, and when in it, the switches of signals fall."""
+        from deadtime.scenarios.laid import lay
 
-        window, tables = self.window, self.tables
-        assert tables is not None
-        first, step, mode, which, sojourn, until, last, at = lay(
+        return lay(
             signals.first,
             signals.times,
             signals.modes,
             self.whole + 1,
-            window.step,
+            self.window.step,
             self.acting,
             self.plant.modes,
         )
+
+    def lay(self, signals: SignalBatch) -> Laid:
+        """Signals laid on the periods up to the horizon."""
+        from deadtime.scenarios.laid import fill_maps
+
+        records, window, tables = self.place(signals), self.window, self.tables
+        assert tables is not None
         modes = self.plant.modes
         own = np.concatenate((self.maps.move.reshape(modes, -1), pack(self.maps.energy)), axis=1)
-        maps = np.empty((modes + sojourn.size, tables.width))
+        maps = np.empty((modes + records.sojourn.size, tables.width))
         maps[:modes] = 0.0
         maps[:modes, : own.shape[1]] = own
         fill_maps(
             maps,
-            sojourn,
-            until,
+            records,
             signals.modes,
-            at,
-            last,
             window.step,
             self.rest,
             self.acting,
@@ -176,4 +156,4 @@ class Loop:
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
         ages = np.floor(snap_all(np.minimum(signals.initial_age / window.step, _OLDEST)))
-        return Laid(first, step, mode, which, maps, ages.astype(np.int64))
+        return Laid(records, maps, ages.astype(np.int64))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,7 +31,7 @@ from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 if TYPE_CHECKING:
     import xarray as xr
 
-    from deadtime.scenarios.engine import Engine
+    from deadtime.scenarios.engine import Engine, Table
 
     Laws = Sequence[Law] | Mapping[str, Law]
     Model = SwitchingModel | Sequence[SwitchingSignal] | SignalBatch
@@ -221,20 +221,34 @@ def _tables(
     loop: Loop,
     laws: Mapping[str, Law],
     imperfections: Sequence[Imperfection],
-) -> dict[str, Any]:
-    """The tables of the laws that the engine can run: None for rows per sample."""
+) -> dict[str, Callable[[SignalBatch], Table]]:
+    """The laws that the engine can run: what makes a table of each along signals."""
     n, wide = loop.plant.states, loop.acting.wide
     if len(imperfections) > len(loop.actuators) or loop.tables is None:
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}
-    step, anything = loop.window.step, SwitchingSignal.constant(0)
-    tables = {}
-    for name, law in laws.items():
-        if isinstance(law, TableLaw):
-            feedback = law.digital(step, anything, 1)
-            tables[name] = None if feedback.context == "step" else engine.table(feedback)
-    return tables
+    tables = {name: _table(engine, loop, law) for name, law in laws.items()}
+    return {name: table for name, table in tables.items() if table is not None}
+
+
+def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Table] | None:
+    """What makes a table of a law along signals; None for one that the engine cannot run."""
+    from deadtime.scenarios.model_ahead import ModelAhead
+
+    if not isinstance(law, TableLaw):
+        return None
+    step, samples, anything = loop.window.step, loop.whole + 1, SwitchingSignal.constant(0)
+    if law.foresight(step, anything, samples) is not None:
+        ahead = ModelAhead(law, _sampled(law.plant, step), samples)
+        if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:
+            return None
+        return lambda signals: engine.foresee(ahead, signals)
+    feedback = law.digital(step, anything, 1)
+    if feedback.context == "step":
+        return None
+    table = engine.table(feedback)
+    return lambda signals: table
 
 
 def _whole(name: str, value: object, least: int) -> int:

@@ -1,0 +1,80 @@
+"""A law that knows the signal: its model laid along signals, as far ahead as it looks."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from deadtime.feedback import Foresight
+from deadtime.feedback.law import TableLaw
+from deadtime.plant import SampledPlant
+from deadtime.scenarios.cut_periods import WIDE, compose, parts_of
+from deadtime.scenarios.foreseen import Model, fill_tails
+from deadtime.scenarios.loop import Loop
+from deadtime.switching import SignalBatch, SwitchingSignal
+
+
+class ModelAhead:
+    """The model of a law over the periods 0, …, K + W, W = ⌊D/h⌋ (`scenarios.foreseen`).
+
+    Attributes
+    ----------
+    loop : Loop
+        What it does in a period; of no plant's state.
+    """
+
+    def __init__(self, law: TableLaw, sampled: SampledPlant, samples: int) -> None:
+        window, n = sampled.window, sampled.plant.states
+        self._law, self._step, self._samples = law, window.step, samples
+        self._foresight = self._ask(SwitchingSignal.constant(0))
+        whole = window.phase >= window.step
+        self._length = window.count if whole else window.count - 1
+        self._rest = 0.0 if whole else window.phase
+        self.loop = Loop(sampled, np.zeros(n), (samples - 1 + self._length) * window.step)
+
+    def lay(self, signals: SignalBatch) -> Model:
+        """The model along signals; an error where one is not known as far as the law looks."""
+        self._ask(signals[int(signals.end.argmin())])
+        if self._law.foreseen is not None:
+            signals = SignalBatch.of([self._law.foreseen] * len(signals))
+        loop, laid = self.loop, self.loop.lay(signals)
+        records, tables = laid.records, loop.tables
+        assert tables is not None
+        modes = len(self._own_tails)
+        tails = np.empty((laid.maps.shape[0], self._own_tails.shape[1]))
+        tails[:modes] = self._own_tails
+        fill_tails(
+            tails,
+            self._foresight.gains,
+            self._foresight.latest,
+            records,
+            signals.modes,
+            self._rest,
+            loop.window.step,
+            loop.acting,
+            tables.pieces,
+            (0.0,) * (tables.pieces.shape[-1] // WIDE),
+        )
+        first, step, which = records.first, records.step, records.map
+        return Model(self._length, loop.acting.lags, laid.maps, first, step, which, tails)
+
+    def _ask(self, signal: SwitchingSignal) -> Foresight:
+        found = self._law.foresight(self._step, signal, self._samples)
+        assert found is not None
+        return found
+
+    @cached_property
+    def _own_tails(self) -> np.ndarray:
+        """The tails of modes that no switch cuts."""
+        loop, plant = self.loop, self.loop.plant
+        n, m, tails = plant.states, plant.inputs, []
+        for i, K in enumerate(self._foresight.gains):
+            move = np.eye(n, loop.acting.wide)
+            if self._rest > 0.0:
+                parts = parts_of(plant, loop.acting, i, 0.0, self._rest)
+                move, _ = compose(parts, loop.acting.wide)
+            tail = K @ move[:, : n + m]
+            tail[:, n:] += self._foresight.latest
+            tails.append(tail.ravel())
+        return np.array(tails)
