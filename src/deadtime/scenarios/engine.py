@@ -60,8 +60,7 @@ class Engine:
         """What a law that knows these signals does, of each of them."""
         model = ahead.lay(signals)
         n, m = self._loop.plant.states, self._loop.plant.inputs
-        unused = np.zeros(m * max(m, n))
-        rows = Rows(0, ahead.loop.sampled.longest_lag, *[unused] * 7, _NOTHING, _NOTHING, 0, 0, 1)
+        rows = _unfactored(ahead.loop.sampled.longest_lag, m * max(m, n))
         shape = self._shape(1, 1, 1, foreseeing=1, entering=model.lags.size * m)
         return Table(shape, rows, model)
 
@@ -122,10 +121,16 @@ def _dense_rows(feedback: Feedback) -> Rows:
     G = feedback.latest_first
     head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
     dense[:, :, : (taps - 1) * m] = G[:, :, m:]
-    unused, kind = np.zeros(m * max(m, n)), _KINDS[feedback.context]
-    # Sizes of what only factorised rows use: the code for them is there, and never run.
-    flat = head.ravel(), dense.ravel(), width, kind, feedback.ages
-    return Rows(0, taps, *[unused] * 7, *flat)  # pyright: ignore[reportCallIssue]
+    kind = _KINDS[feedback.context]
+    return _unfactored(taps, m * max(m, n))._replace(
+        head=head.ravel(), dense=dense.ravel(), width=width, kind=kind, ages=feedback.ages
+    )
+
+
+def _unfactored(taps: int, size: int) -> Rows:
+    """Rows with nothing of a factorised law: the code for it is there, and never run."""
+    unused: list[Any] = [np.zeros(size)] * 7
+    return Rows(0, taps, *unused, head=_NOTHING, dense=_NOTHING, width=0, kind=0, ages=1)
 
 
 def _zeros_on_cache_lines(size: int) -> np.ndarray:
