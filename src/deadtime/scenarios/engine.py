@@ -10,6 +10,7 @@ from deadtime.feedback import Feedback
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import NO_MODEL, Model
+from deadtime.scenarios.hearing import PERFECT, Told
 from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.layout import Plant, Rows, Run, Shape
 from deadtime.scenarios.loop import Loop
@@ -23,11 +24,12 @@ _NOTHING = np.zeros(0)
 
 
 class Table(NamedTuple):
-    """A law as `scenarios.kernel` takes it."""
+    """A law as `scenarios.kernel` takes it; `feedback` is what its rows are, where it has one."""
 
     shape: Shape
     rows: Rows
     model: Model
+    feedback: Feedback | None
 
 
 class Engine:
@@ -51,10 +53,10 @@ class Engine:
         """A law's rows as the compiled loop reads them."""
         form = window_form(feedback)
         if form is None:
-            return Table(self._shape(1, 1, 1, dense=1), _dense_rows(feedback), NO_MODEL)
+            return Table(self._shape(1, 1, 1, dense=1), _dense_rows(feedback), NO_MODEL, feedback)
         rows, _, q = form.out.shape
         shape = self._shape(q, form.transition.shape[1], rows)
-        return Table(shape, _factor_rows(feedback, form), NO_MODEL)
+        return Table(shape, _factor_rows(feedback, form), NO_MODEL, feedback)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
         """What a law that knows these signals does, of each of them."""
@@ -62,29 +64,52 @@ class Engine:
         n, m = self._loop.plant.states, self._loop.plant.inputs
         rows = _unfactored(ahead.loop.sampled.longest_lag, m * max(m, n))
         shape = self._shape(1, 1, 1, foreseeing=1, entering=model.lags.size * m)
-        return Table(shape, rows, model)
+        return Table(shape, rows, model, None)
 
-    def run(self, table: Table, laid: Laid, first: int = 0, count: int | None = None) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1."""
+    def run(
+        self,
+        table: Table,
+        laid: Laid,
+        first: int = 0,
+        count: int | None = None,
+        told: Told = PERFECT,
+    ) -> Figures:
+        """Run a table along the scenarios first, …, first + count − 1, which hear `told`."""
         count = laid.scenarios - first if count is None else count
-        plant = self._plant(laid)
-        return Figures(*run_scenarios(*table, plant, self._run, first, count, _NOTHING, 0))
+        return self._run_kernel(table, laid, first, count, told, _NOTHING, 0)
 
     def path(
-        self, table: Table, laid: Laid, first: int, count: int, keep: int = 0
+        self,
+        table: Table,
+        laid: Laid,
+        first: int,
+        count: int,
+        keep: int = 0,
+        told: Told = PERFECT,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        plant = self._plant(laid)
-        result = run_scenarios(*table, plant, self._run, first, count, path, keep)
+        figures = self._run_kernel(table, laid, first, count, told, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
-        return Figures(*result), Path(both[:, :n], both[:, n:])
+        return figures, Path(both[:, :n], both[:, n:])
 
-    def _plant(self, laid: Laid) -> Plant:
-        first, step, mode, which = laid.records[:4]
-        return Plant(self._loop.acting.lags, laid.maps, first, step, mode, which, laid.age)
+    def _run_kernel(
+        self,
+        table: Table,
+        laid: Laid,
+        first: int,
+        count: int,
+        told: Told,
+        path: np.ndarray,
+        keep: int,
+    ) -> Figures:
+        records, lags = laid.records, self._loop.acting.lags
+        plant = Plant(lags, laid.maps, *records[:4], laid.age)
+        shape = table.shape._replace(told=(0.0,) * int(told.sample.size > 0))
+        law = shape, table.rows, table.model
+        return Figures(*run_scenarios(*law, plant, self._run, told, first, count, path, keep))
 
     def _shape(
         self,
@@ -99,8 +124,8 @@ class Engine:
         n, m = plant.states, plant.inputs
         entering = m if entering is None else entering
         sizes = n, m, n + m, wide - n, wide, order, block, rows * m, m * (n + m)
-        model = n * n, entering, n + entering
-        flags = dense, int(len(self._loop.actuators) > 0), foreseeing
+        model = n * n, entering, n + entering, 2 * m
+        flags = dense, int(len(self._loop.actuators) > 0), foreseeing, 0
         return Shape(*((0.0,) * size for size in (*sizes, *model, *flags)))
 
 

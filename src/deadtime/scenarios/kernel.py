@@ -42,6 +42,7 @@ from deadtime.numerics.lanes import (
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
+from deadtime.scenarios.hearing import command, hear, memory_of
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -174,7 +175,7 @@ def _switch(rows, plant, work, k, soon):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _sum_dense(shape, rows, work, k, place):
+def _sum_dense(shape, rows, work, told, k, place, at):
     """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
 
     They do not wait for what the last period gave: a processor works on both at once.
@@ -183,15 +184,17 @@ def _sum_dense(shape, rows, work, k, place):
     width = work.window.size // LANES
     for lane in range(LANES):
         row = 0
-        if rows.kind == 1:
+        if len(shape.told) > 0 and told.row.size > 0:
+            row = np.int64(told.row[at * LANES + lane])
+        elif rows.kind == 1:
             row = work.mode[lane]
         elif rows.kind == 2:
             row = work.mode[lane] * rows.ages + min(k - work.began[lane], rows.ages - 1)
         work.row[lane] = row * head
         start = lane * width + (place + 1) * m
         for i in range(m):
-            at = (row * m + i) * rows.width
-            work.ask[lane * m + i] = _dot(rows.dense, at, work.window, start, rows.width)
+            begin = (row * m + i) * rows.width
+            work.ask[lane * m + i] = _dot(rows.dense, begin, work.window, start, rows.width)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -214,14 +217,18 @@ def _turn_around(places, m, size):
 
 
 @njit(cache=True, nogil=True)
-def _run_eight(shape, rows, model, plant, run, start, count, out, path, keep):
-    """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest."""
-    n, m, wide, asked = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
+def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, keep, group):
+    """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
+
+    They are group number `group` of those that `told` is about.
+    """
+    n, m, wide, sizes = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
     period = min(max(plant.lags[0], rows.taps), run.samples) + 1
     work = _work(shape, rows, plant, run, start, count, period)
     ring, own = work.ring, work.own
     ahead, enters = look_ahead(shape, model, start, count, period)
+    memory, asked = memory_of(shape, told), same(0.0, shape.u)
     none, one = same(0.0, _ONE), same(1.0, _ONE)
     small = same(OUTSIDE, _ONE)
     x, b = load(work.xs, 0, shape.x), same(0.0, shape.b)
@@ -244,6 +251,9 @@ def _run_eight(shape, rows, model, plant, run, start, count, out, path, keep):
             if (k - run.late) % _GROUP == _GROUP - 1:
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
+        seen, at = x, group * run.samples + k
+        if len(shape.told) > 0:
+            seen = hear(shape, told, memory, x, at, k)
         if len(shape.foreseeing) > 0:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
@@ -251,21 +261,27 @@ def _run_eight(shape, rows, model, plant, run, start, count, out, path, keep):
                 sum_up(shape, model.length, ahead)
                 r = 0
             latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            u = foresee(shape, model.length, ahead, r, x, latest)
+            u = foresee(shape, model.length, ahead, r, seen, latest)
         elif len(shape.dense) == 0:
             if r == rows.length:
                 _refill(shape, rows, ring, period, now, work.carry)
                 b, r = same(0.0, shape.b), 0
-            sums = load(work.carry, r * asked * LANES, shape.rows)
+            sums = load(work.carry, r * sizes * LANES, shape.rows)
             sums = product(rows.last, 0, load(ring, older * m * LANES, shape.u), sums)
-            sums = product(rows.out, 0, b, product(rows.state, 0, x, sums))
-            u = choose(sums, load(work.mode_row, 0, _ONE), shape.u)
+            sums = product(rows.out, 0, b, product(rows.state, 0, seen, sums))
+            row = load(work.mode_row, 0, _ONE)
+            if len(shape.told) > 0 and told.row.size > 0:
+                row = load(told.row, at * LANES, _ONE)
+            u = choose(sums, row, shape.u)
         else:
-            _sum_dense(shape, rows, work, k, place)
+            _sum_dense(shape, rows, work, told, k, place, at)
             latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
             heads = gather(rows.head, work.row, shape.head)
             sums = gather(work.ask, places, shape.u)
-            u = matrix_product(heads, first_of(x, latest, latest, shape.both), sums)
+            u = matrix_product(heads, first_of(seen, latest, latest, shape.both), sums)
+        if len(shape.told) > 0:
+            u = command(shape, told, u, asked, at)
+            asked = u
         if len(shape.limited) > 0:
             before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
             u = _limit(shape, run, u, before)
@@ -306,16 +322,19 @@ def _run_eight(shape, rows, model, plant, run, start, count, out, path, keep):
 
 
 @njit(cache=True, nogil=True)
-def run_scenarios(shape, rows, model, plant, run, start, count, path, keep):
+def run_scenarios(shape, rows, model, plant, run, told, start, count, path, keep):
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    `path`, empty or for at most eight scenarios, gets x and u of every sample from `keep` on.
+    `told` is what their laws hear; `path`, empty or for at most eight scenarios, gets x and u of
+    every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
-        _run_eight(shape, rows, model, plant, run, start + at, few, out, path, keep)
+        _run_eight(
+            shape, rows, model, plant, run, told, start + at, few, out, path, keep, at // LANES
+        )
         for f in range(FIGURES):
             for lane in range(few):
                 result[f, at + lane] = out[f * LANES + lane]

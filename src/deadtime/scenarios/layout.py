@@ -10,9 +10,10 @@ import numpy as np
 class Shape(NamedTuple):
     """Sizes, as the lengths of tuples: state, input, both, the inputs that act over a period, these
     and the state, window, its blocks, the inputs that the law's rows ask for, m (n + m) for the
-    heads of dense rows; n², the inputs that act on the model over a period, these and the state.
-    `dense`, `limited` and `foreseeing` are empty where rows are factorised, where no actuator
-    limits the input, and where the law does not know the signal."""
+    heads of dense rows; n², the inputs that act on the model over a period, these and the state;
+    two inputs. `dense`, `limited`, `foreseeing` and `told` are empty where rows are factorised,
+    where no actuator limits the input, where the law does not know the signal, and where it is told
+    of every sample as it is."""
 
     x: tuple
     u: tuple
@@ -26,9 +27,11 @@ class Shape(NamedTuple):
     square: tuple
     entering: tuple
     model: tuple
+    pair: tuple
     dense: tuple
     limited: tuple
     foreseeing: tuple
+    told: tuple
 
 
 class Rows(NamedTuple):

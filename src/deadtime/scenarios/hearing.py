@@ -1,0 +1,71 @@
+"""What the laws of eight scenarios hear: samples late or lost, noise, rows by the modes told.
+
+What reaches a law is drawn before the run (`deadtime.imperfections.Heard`) and laid out as the
+compiled loop reads it, eight scenarios to a vector.
+"""
+
+# Intrinsics take one argument less than the functions that declare them.
+# pyright: reportCallIssue=false
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deadtime.numerics.lanes import LANES, choose, first_of, gather, load, same, spread, times
+
+_ONE = (0.0,)
+
+
+class Told(NamedTuple):
+    """What reaches a law, in groups of eight scenarios, flat; of a perfect loop all is empty.
+
+    sample : (group, sample, 8), whose measurement is used, −1 for none
+    reach : how many samples back these go, at most
+    noise : (group, sample, n, 8), what was added to it
+    lost : (group, sample, 8), 1 where the last command is held
+    row : (group, sample, 8), the row of the law's table; empty where there is one
+    """
+
+    sample: np.ndarray
+    reach: int
+    noise: np.ndarray
+    lost: np.ndarray
+    row: np.ndarray
+
+
+PERFECT = Told(np.zeros(0, np.int32), 0, np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+class Memory(NamedTuple):
+    """The last states of eight scenarios, scenario by scenario, and where to read in them."""
+
+    states: np.ndarray
+    places: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def memory_of(shape, told):
+    """Room for as many states as are looked back to."""
+    return Memory(np.zeros(LANES * (told.reach + 1) * len(shape.x)), np.zeros(LANES, np.int64))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def hear(shape, told, memory, x, at, k):
+    """What the law takes x_k to be; `at` counts samples from the first of all groups."""
+    n, slots = len(shape.x), told.reach + 1
+    spread(memory.states, k % slots * n, slots * n, x)
+    for lane in range(LANES):
+        sample = max(0, told.sample[at * LANES + lane])
+        memory.places[lane] = (lane * slots + sample % slots) * n
+    heard = gather(memory.states, memory.places, shape.x)
+    return times(same(1.0, shape.x), heard, load(told.noise, at * n * LANES, shape.x))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def command(shape, told, u, before, at):
+    """What is asked for: u, or what was asked for before where nothing was heard."""
+    both = first_of(u, before, before, shape.pair)
+    return choose(both, load(told.lost, at * LANES, _ONE), shape.u)
