@@ -83,7 +83,7 @@ class Backstepping(Frozen):
 
         The state obeys dP/dθ = A P + B drive, or (A + B K) P + B drive when `closed`.
         """
-        from deadtime.simulation.ideal.kernel import solve_state
+        from deadtime.simulation.ideal.kernel import solve_alone
 
         plant, delay = self.plant, self.plant.delay
         require_shape("x", x, (plant.states,), "(n,)")
@@ -99,14 +99,13 @@ class Backstepping(Frozen):
         flow = closed_loop if closed else plant.A
         states, start = np.empty((modes.size, NODES + 2, plant.states)), x
         for g, mode in enumerate(modes):
-            states[g] = solve_state(
+            states[g] = solve_alone(
                 flow[mode],
                 plant.B[mode],
                 np.ascontiguousarray(start),
                 np.ascontiguousarray(values[g, 1:-1]),
                 edges[g + 1] - edges[g],
-                nodes.integral,
-                nodes.weights,
+                nodes,
             )
             start = states[g, -1]
         return values, edges, self.gains[modes], states

@@ -12,17 +12,22 @@ Time is cut into segments on which everything is analytic. On a segment [a, b] i
    D' the law's delay and L its lift (I, unless it predicts more than the state), f and e the
    systems in which the branch starts (at t) and ends (at t + D'), M_b its transition from t to
    t + D': the last term is how the plant, moving otherwise than the branch believes, shifts the
-   prediction.
+   prediction. From a on M_b(t) = e^{A_e(t−a)} M_b(a) e^{−A_f(t−a)}.
 3. u = Σ_b K_b P_b turns this into a linear system for u at the nodes.
 
-Both differential equations are collocated at Gauss nodes in their integral form.
+Both differential equations are solved by variation of constants,
+
+    y(t) = e^{A(t−a)} (y(a) + ∫_a^t e^{−A(θ−a)} f(θ) dθ),
+
+the integral from a to each Gauss node by collocation; a segment is so short that e^{−A(θ−a)} is
+far from losing digits. No system is solved but the one for u.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from deadtime.numerics.exponential import discretise, multiply
+from deadtime.numerics.exponential import discretise, product
 from deadtime.numerics.kernels import kernel
 
 
@@ -38,21 +43,23 @@ def locate(edges, t, hint):
 
 
 @kernel(eager=True)
-def interpolate(values, support, barycentric, c, result):
-    """The polynomial through `values` (nodes, k) at c ∈ [0, 1]."""
-    total = 0.0
-    result[:] = 0.0
+def interpolate(values, segment, support, barycentric, c, result, k):
+    """Row k of result: the polynomial through values[segment] (nodes, columns) at c ∈ [0, 1]."""
+    columns, total = values.shape[2], 0.0
+    for i in range(columns):
+        result[k, i] = 0.0
     for j in range(support.size):
         difference = c - support[j]
         if difference == 0.0:
-            result[:] = values[j]
+            for i in range(columns):
+                result[k, i] = values[segment, j, i]
             return
         weight = barycentric[j] / difference
         total += weight
-        for i in range(result.size):
-            result[i] += weight * values[j, i]
-    for i in range(result.size):
-        result[i] /= total
+        for i in range(columns):
+            result[k, i] += weight * values[segment, j, i]
+    for i in range(columns):
+        result[k, i] /= total
 
 
 @kernel(eager=True)
@@ -63,7 +70,7 @@ def sample(edges, values, support, barycentric, times, hint):
     for k in range(times.size):
         i = locate(edges, times[k], i)
         c = (times[k] - edges[i]) / (edges[i + 1] - edges[i])
-        interpolate(values[i], support, barycentric, min(max(c, 0.0), 1.0), result[k])
+        interpolate(values, i, support, barycentric, min(max(c, 0.0), 1.0), result, k)
     return result
 
 
@@ -76,143 +83,153 @@ def add_product(M, x, result):
 
 
 @kernel(eager=True)
-def flows(A, length, points):
-    """e^{A c_k length} at the nodes of a segment, (p, n, n).
+def flows(A, length, points, result):
+    """e^{A c length} at the points c of a segment, in units of it, and at 1: (points + 1, n, n).
 
-    On a short segment one Taylor series serves all nodes.
+    On a short segment one Taylor series serves all points.
     """
     n, p = A.shape[0], points.size
-    result = np.empty((p, n, n))
     size = 0.0
     for i in range(n):
-        size = max(size, np.abs(A[i]).sum() * length)
+        row = 0.0
+        for j in range(n):
+            row += abs(A[i, j] * length)
+        size = max(size, row)
     if size > 3.0:
         none = np.zeros((n, 1))
-        for k in range(p):
-            result[k], _ = discretise(A, none, points[k] * length)
-        return result
-    term, power = np.eye(n), np.ones(p)
-    for k in range(p):
-        result[k] = term
-    bound, j = 1.0, 0
+        for k in range(p + 1):
+            result[k], _ = discretise(A, none, (points[k] if k < p else 1.0) * length)
+        return
+    term, following, power = np.eye(n), np.empty((n, n)), np.ones(p + 1)
+    for k in range(p + 1):
+        for i in range(n):
+            for j in range(n):
+                result[k, i, j] = term[i, j]
+    bound, order = 1.0, 0
     while bound > 1e-18:
-        j += 1
-        term = multiply(A, term)
-        term *= length / j
-        bound *= size / j
-        for k in range(p):
-            power[k] *= points[k]
-            for a in range(n):
-                for b in range(n):
-                    result[k, a, b] += power[k] * term[a, b]
-    return result
+        order += 1
+        product(A, term, following)
+        bound *= size / order
+        for i in range(n):
+            for j in range(n):
+                term[i, j] = following[i, j] * (length / order)
+        for k in range(p + 1):
+            power[k] *= points[k] if k < p else 1.0
+            for i in range(n):
+                for j in range(n):
+                    result[k, i, j] += power[k] * term[i, j]
 
 
 @kernel(eager=True)
-def convolve_whole(flow, B, length, weights, u):
-    """∫ e^{A(b − θ)} B u(θ) dθ over a segment [a, b], u at its nodes, flow as from `flows`."""
-    total, forced = np.zeros(B.shape[0]), np.empty(B.shape[0])
-    p = weights.size
+def undo(A, length, forward, backward):
+    """e^{−A c length} at the nodes, (points, n, n), from `flows`.
+
+    It is e^{−A length} e^{A (1 − c) length}, and the nodes are symmetric.
+    """
+    p = backward.shape[0]
+    whole = np.empty((1, A.shape[0], A.shape[0]))
+    flows(A, -length, np.empty(0), whole)
     for k in range(p):
-        forced[:] = 0.0
-        add_product(B, u[k], forced)
-        forced *= weights[k] * length
+        product(whole[0], forward[p - 1 - k], backward[k])
+
+
+@kernel(eager=True)
+def convolve(flow, B, length, weights, u, total):
+    """total += ∫ e^{A(b − θ)} B u(θ) dθ over a segment [a, b], u at its nodes, flow its `flows`."""
+    n, p = B.shape[0], weights.size
+    forced = np.empty(n)
+    for k in range(p):
+        for i in range(n):
+            forced[i] = 0.0
+            for j in range(B.shape[1]):
+                forced[i] += B[i, j] * u[k, j] * (weights[k] * length)
         # The nodes are symmetric: b − t_k is the node p − 1 − k after a.
         add_product(flow[p - 1 - k], forced, total)
-    return total
 
 
 @kernel(eager=True)
-def convolve_part(A, B, start, end, edges, inputs, segment, nodes):
-    """∫ e^{A(end − θ)} B u(θ) dθ over [start, end] within one segment."""
-    points = nodes.points
-    u = np.empty((points.size, B.shape[1]))
-    length = edges[segment + 1] - edges[segment]
-    for k in range(points.size):
-        c = (start + points[k] * (end - start) - edges[segment]) / length
-        place = min(max(c, 0.0), 1.0)
-        interpolate(inputs[segment], nodes.support, nodes.barycentric, place, u[k])
-    return convolve_whole(flows(A, end - start, points), B, end - start, nodes.weights, u)
-
-
-@kernel(eager=True)
-def integrate(A, start, forcing, length, integral):
-    """y(c_k) with y = start + ∫ A y + forcing (p, n, columns), over a segment of that length."""
-    p, n, columns = forcing.shape
-    matrix = np.eye(p * n)
-    right = np.zeros((p * n, columns))
-    for k in range(p):
-        for j in range(p):
-            factor = length * integral[k, j]
-            for i in range(n):
-                for q in range(n):
-                    matrix[k * n + i, j * n + q] -= factor * A[i, q]
-                for q in range(columns):
-                    right[k * n + i, q] += factor * forcing[j, i, q]
-        for i in range(n):
-            for q in range(columns):
-                right[k * n + i, q] += start[i, q]
-    # The solver answers in Fortran order.
-    return np.ascontiguousarray(np.linalg.solve(matrix, right)).reshape(p, n, columns)
-
-
-@kernel(eager=True)
-def solve_state(A, B, x, delayed, length, integral, weights):
+def solve_state(forward, backward, B, x, delayed, length, nodes, states):
     """x at the support nodes of a segment that starts at x, under the delayed inputs (p, m)."""
     p, n = delayed.shape[0], x.size
-    forcing = np.zeros((p, n, 1))
+    undone, forced = np.zeros((p, n)), np.empty(n)
     for k in range(p):
-        add_product(B, delayed[k], forcing[k, :, 0])
-    inner = integrate(A, x.reshape(n, 1), forcing, length, integral)
-    result = np.empty((p + 2, n))
-    result[0], result[p + 1] = x, x
-    for k in range(p):
-        result[k + 1] = inner[k, :, 0]
-        add_product(A, inner[k, :, 0], forcing[k, :, 0])
-        result[p + 1] += length * weights[k] * forcing[k, :, 0]
-    return result
+        for i in range(n):
+            forced[i] = 0.0
+        add_product(B, delayed[k], forced)
+        add_product(backward[k], forced, undone[k])
+    states[0] = x
+    vary(forward, x, undone, length, nodes, states[1:])
 
 
 @kernel(eager=True)
-def solve_input(starts, shifts, ends, A, B, gains, length, nodes):
-    """u at the support nodes: u = Σ_b K_b P_b with every P_b collocated.
+def solve_alone(A, B, x, u, length, nodes):
+    """The same of a segment whose flows nobody else needs: (p + 2, n), u at the nodes (p, m)."""
+    p, n = u.shape[0], x.size
+    forward, backward = np.empty((p + 1, n, n)), np.empty((p, n, n))
+    flows(A, length, nodes.points, forward)
+    undo(A, length, forward, backward)
+    states = np.empty((p + 2, n))
+    solve_state(forward, backward, B, x, u, length, nodes, states)
+    return states
 
-    starts (branches, n): P_b(a); shifts (branches, p, n): M_b r_b at the nodes; ends: the
-    systems e. Solves for u at the nodes, then evaluates both ends.
-    """
-    branches, p, n = shifts.shape
-    m = B.shape[2]
-    forced = np.zeros((p, n, 1 + p * m))
-    inner = np.empty((branches, p, n, 1 + p * m))
-    matrix, right = np.eye(p * m), np.zeros(p * m)
-    for b in range(branches):
-        forced[:] = 0.0
-        start = np.zeros((n, 1 + p * m))
-        start[:, 0] = starts[b]
-        for k in range(p):
-            forced[k, :, 0] = shifts[b, k]
-            forced[k, :, 1 + k * m : 1 + (k + 1) * m] = B[ends[b]]
-        inner[b] = integrate(A[ends[b]], start, forced, length, nodes.integral)
-        for k in range(p):
-            value = multiply(gains[b], inner[b, k])
-            for i in range(m):
-                right[k * m + i] += value[i, 0]
-                for q in range(p * m):
-                    matrix[k * m + i, q] -= value[i, 1 + q]
-    u = np.linalg.solve(matrix, right)
-    result = np.zeros((p + 2, m))
-    result[1 : p + 1] = u.reshape(p, m)
-    for b in range(branches):
-        last, P = starts[b].copy(), np.empty(n)
-        for k in range(p):
-            slope = shifts[b, k].copy()
+
+@kernel(eager=True)
+def vary(forward, start, undone, length, nodes, result):
+    """e^{A(t−a)} (start + ∫_a^t undone) at the nodes and at the end (p + 1, n)."""
+    p, n = undone.shape
+    y = np.empty(n)
+    for k in range(p + 1):
+        for i in range(n):
+            y[i] = start[i]
+        for j in range(p):
+            factor = length * (nodes.integral[k, j] if k < p else nodes.weights[j])
             for i in range(n):
-                P[i] = inner[b, k, i, 0]
-                for q in range(p * m):
-                    P[i] += inner[b, k, i, 1 + q] * u[q]
-            add_product(A[ends[b]], P, slope)
-            add_product(B[ends[b]], u[k * m : (k + 1) * m], slope)
-            last += length * nodes.weights[k] * slope
-        add_product(gains[b], starts[b], result[0])
-        add_product(gains[b], last, result[p + 1])
-    return result
+                y[i] += factor * undone[j, i]
+        for i in range(n):
+            result[k, i] = 0.0
+        add_product(forward[k], y, result[k])
+
+
+@kernel(eager=True)
+def add_branch(forward, backward, B, K, start, shift, length, nodes, matrix, right):
+    """Add a branch to the system matrix u = right for u at the nodes.
+
+    `shift` (p, n) is M_b(a) e^{−A_f(t−a)} r_b at the nodes, which e^{A_e(t−a)} takes into P_b.
+    """
+    p, n = shift.shape
+    m = B.shape[1]
+    free = np.empty((p + 1, n))
+    vary(forward, start, shift, length, nodes, free)
+    ahead, behind = np.zeros((p * m, n)), np.zeros((n, p * m))
+    for k in range(p):
+        for i in range(m):
+            for a in range(n):
+                right[k * m + i] += K[i, a] * free[k, a]
+                for b in range(n):
+                    ahead[k * m + i, b] += K[i, a] * forward[k, a, b]
+                    behind[b, k * m + i] += backward[k, b, a] * B[a, i]
+    for row in range(p * m):
+        for column in range(p * m):
+            total = 0.0
+            for a in range(n):
+                total += ahead[row, a] * behind[a, column]
+            matrix[row, column] -= length * nodes.integral[row // m, column // m] * total
+
+
+@kernel(eager=True)
+def end_branch(forward, backward, B, start, shift, length, nodes, u, last):
+    """P_b at the end of a segment, u at its nodes (p, m) known."""
+    p, n = shift.shape
+    forced, y = np.empty(n), start.copy()
+    for k in range(p):
+        factor = length * nodes.weights[k]
+        for i in range(n):
+            forced[i] = 0.0
+        add_product(B, u[k], forced)
+        for i in range(n):
+            y[i] += factor * shift[k, i]
+            for j in range(n):
+                y[i] += factor * backward[k, i, j] * forced[j]
+    for i in range(n):
+        last[i] = 0.0
+    add_product(forward[p], y, last)
