@@ -1,9 +1,10 @@
-"""The compiled steps of an observer; nothing is allocated."""
+"""The compiled steps of an observer, and of a `deadtime.feedback.memory.Memory` over a run."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 
 _ROUND_OFF = 1e-9
@@ -63,3 +64,33 @@ def integrate(step, before, now, reference, asked, applied, push, q):
         return
     for j in range(q.size):
         q[j] += step * (0.5 * (before[j] + now[j]) - reference[j])
+
+
+@kernel
+def remember(memory, mode, k, told, past, y, asked, before, now, z):
+    """z at sample k, from what it was at sample k − 1; `mode` is that of every sample.
+
+    `told` are the inputs that the law knows of, u_k in row past + k, and `asked` is its answer at
+    sample k − 1. `before` is H y of that sample, and becomes that of this one; `now` is spare.
+    """
+    n, r = memory.gain.shape[1], memory.tracked.shape[0]
+    x, q, reference = z[:n], z[n : z.size - r], z[z.size - r :]
+    spare, acting, innovation = np.empty(n), np.empty(asked.size), np.empty(y.size)
+    if k > 0:
+        for piece in range(memory.first[mode[k - 1]], memory.first[mode[k - 1] + 1]):
+            for i in range(asked.size):
+                acting[i] = told[past + k - 1 - memory.lag[piece, i], i]
+            advance(memory.Phi[piece], memory.Gamma[piece], x, acting, spare)
+            for i in range(n):
+                x[i] = spare[i]
+    C = memory.C[mode[k]]
+    use = correct(C, memory.gain[mode[k]], y, x, spare, innovation)
+    if r == 0:
+        return
+    measure(C, memory.tracked, x, y, use, now)
+    if k > 0 and q.size > 0:
+        latest, push = told[past + k - 1], memory.push[mode[k]]
+        integrate(memory.step, before, now, reference, asked, latest, push, q)
+    for i in range(r):
+        before[i] = now[i]
+        reference[i] = memory.reference[k, i]

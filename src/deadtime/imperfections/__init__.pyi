@@ -1,7 +1,6 @@
 from .actuators import RateLimit as RateLimit, Saturation as Saturation
 from .base import (
     ActuatorImperfection as ActuatorImperfection,
-    Additive as Additive,
     Disturbance as Disturbance,
     Imperfection as Imperfection,
     Limiting as Limiting,
@@ -18,6 +17,7 @@ from .disturbances import (
     StepDisturbance as StepDisturbance,
     WhiteDisturbance as WhiteDisturbance,
 )
+from .heard import Additive as Additive, Heard as Heard, Relaying as Relaying
 from .sensors import (
     Dropout as Dropout,
     LateSamples as LateSamples,

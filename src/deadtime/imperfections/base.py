@@ -38,9 +38,7 @@ class Seen(NamedTuple):
 
 
 Sense = Callable[[Seen], Seen]
-Lag = Callable[[], float]
 Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from u_k as asked and u_{k−1} as applied
-Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
 Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
 
 
@@ -57,27 +55,11 @@ class Imperfection(Frozen, ABC):
 
 
 class SensorImperfection(Imperfection):
-    """Changes what the law is told."""
+    """Changes what the law is told; one that reads no state says so by `Relaying`."""
 
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
         """What the law is told: a function to be called once a sample, with a memory of its own."""
-
-
-class Additive(ABC):
-    """What adds to the measured state, whatever it is, and leaves the mode as it is.
-
-    A base beside `SensorImperfection`, by which the compiled loop knows what it can take.
-    """
-
-    @abstractmethod
-    def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
-        """A function of a count that draws noise (count, n), the same in blocks or one by one."""
-
-    @final
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        draw = self.sampler(sizes, rng)
-        return lambda seen: Seen(seen.x + draw(1)[0], seen.mode)
 
 
 class TimingImperfection(Imperfection):
@@ -89,8 +71,8 @@ class TimingImperfection(Imperfection):
     waits: ClassVar[bool]
 
     @abstractmethod
-    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
-        """A function to be called once a sample: how long before it x is measured, seconds."""
+    def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
+        """How long before each sample x is measured, seconds (samples,)."""
 
 
 class ActuatorImperfection(Imperfection):
@@ -102,7 +84,7 @@ class ActuatorImperfection(Imperfection):
 
 
 class Limiting(ABC):
-    """What clips the input: a base beside `ActuatorImperfection`, as `Additive` is."""
+    """What clips the input: a base beside `ActuatorImperfection`, as `Relaying` is."""
 
     @abstractmethod
     def limits(self, sizes: Sizes) -> Limits:
@@ -149,7 +131,7 @@ def require(one: Imperfection, sizes: Sizes) -> None:
         case SensorImperfection():
             one.sensor(sizes, rng)
         case TimingImperfection():
-            one.lag(sizes, rng)
+            one.lags(sizes, 0, rng)
         case ActuatorImperfection():
             one.actuator(sizes)
         case Disturbance():
