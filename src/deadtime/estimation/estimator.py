@@ -159,6 +159,7 @@ class Estimator:
             read_only(tracked.H),
             read_only(tracked.push),
             read_only(r),
+            np.empty(r.shape),
             observer.step,
         )
 

@@ -67,15 +67,17 @@ def integrate(step, before, now, reference, asked, applied, push, q):
 
 
 @kernel
-def remember(memory, mode, k, told, past, y, asked, before, now, z):
-    """z at sample k, from what it was at sample k − 1; `mode` is that of every sample.
+def remember(memory, mode, k, told, past, y, asked, estimates):
+    """z at sample k, in its row of the estimates; `mode` is that of every sample.
 
     `told` are the inputs that the law knows of, u_k in row past + k, and `asked` is its answer at
-    sample k − 1. `before` is H y of that sample, and becomes that of this one; `now` is spare.
+    sample k − 1.
     """
-    n, r = memory.gain.shape[1], memory.tracked.shape[0]
+    z, n, r = estimates[k], memory.gain.shape[1], memory.tracked.shape[0]
     x, q, reference = z[:n], z[n : z.size - r], z[z.size - r :]
     spare, acting, innovation = np.empty(n), np.empty(asked.size), np.empty(y.size)
+    for i in range(z.size):
+        z[i] = memory.start[i] if k == 0 else estimates[k - 1, i]
     if k > 0:
         for piece in range(memory.first[mode[k - 1]], memory.first[mode[k - 1] + 1]):
             for i in range(asked.size):
@@ -85,12 +87,11 @@ def remember(memory, mode, k, told, past, y, asked, before, now, z):
                 x[i] = spare[i]
     C = memory.C[mode[k]]
     use = correct(C, memory.gain[mode[k]], y, x, spare, innovation)
-    if r == 0:
-        return
-    measure(C, memory.tracked, x, y, use, now)
-    if k > 0 and q.size > 0:
-        latest, push = told[past + k - 1], memory.push[mode[k]]
-        integrate(memory.step, before, now, reference, asked, latest, push, q)
-    for i in range(r):
-        before[i] = now[i]
-        reference[i] = memory.reference[k, i]
+    if r > 0:
+        value = memory.value[k]
+        measure(C, memory.tracked, x, y, use, value)
+        if k > 0 and q.size > 0:
+            before, latest, push = memory.value[k - 1], told[past + k - 1], memory.push[mode[k]]
+            integrate(memory.step, before, value, reference, asked, latest, push, q)
+        for i in range(r):
+            reference[i] = memory.reference[k, i]

@@ -19,21 +19,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.checks import read_only
 from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.table import Feedback
 from deadtime.switching import SwitchingSignal
 
 
 class Memory(NamedTuple):
-    """How z moves; of a law that remembers nothing, `Memory.none`.
+    """How z moves.
 
     start : (z,), z before the first measurement
     first : (modes + 1,), the pieces of mode i are first[i], …, first[i + 1] − 1
     Phi : (pieces, n, n), Gamma : (pieces, n, m), lag : (pieces, m), as in a `PieceTable`
     C : (modes, p, n), gain : (modes, n, p)
     tracked : (r, p), H; push : (modes, m, q), how the input answers q
-    reference : (samples, r)
+    reference : (samples, r); value : (samples, r), v, which a run fills
     step : float, h in seconds
     """
 
@@ -47,21 +46,15 @@ class Memory(NamedTuple):
     tracked: Float[np.ndarray, "r p"]
     push: Float[np.ndarray, "mode m q"]
     reference: Float[np.ndarray, "sample r"]
+    value: Float[np.ndarray, "sample r"]
     step: float
-
-    @classmethod
-    def none(cls) -> Memory:
-        """That of a law that is given what is measured."""
-        flat, matrix, block = (read_only(np.empty((0,) * size)) for size in (1, 2, 3))
-        index, lag = (read_only(np.empty((0,) * size, np.int64)) for size in (1, 2))
-        return cls(flat, index, block, block, lag, block, block, matrix, block, matrix, 0.0)
 
 
 class Tables(NamedTuple):
-    """A law as tables: its rows, and what they are multiplied with."""
+    """A law as tables: its rows, and what they are multiplied with where that is not x or y."""
 
     feedback: Feedback
-    memory: Memory
+    memory: Memory | None
 
 
 class WithMemory(ABC):
@@ -75,5 +68,5 @@ class WithMemory(ABC):
 def tables_of(law: Law, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
     """A law's tables for a run along a signal; None of a law that must be called."""
     if isinstance(law, TableLaw):
-        return Tables(law.digital(step, signal, steps), Memory.none())
+        return Tables(law.digital(step, signal, steps), None)
     return law.tables(step, signal, steps) if isinstance(law, WithMemory) else None

@@ -195,7 +195,10 @@ class Feedback(Frozen):
         >>> table.rows(np.array([0, 0, 0, 0, 1, 1]))
         array([0, 1, 2, 2, 3, 4])
         """
-        return self.rows_at(modes, ages_along(modes, min(initial_age, self.ages)))
+        ages = modes  # which only tables with ages read
+        if self.context == "mode_age":
+            ages = ages_along(modes, min(initial_age, self.ages))
+        return self.rows_at(modes, ages)
 
     def rows_at(self, modes: np.ndarray, ages: np.ndarray) -> np.ndarray:
         """The row that applies at each sample of a run, from the modes and their ages.
@@ -206,7 +209,9 @@ class Feedback(Frozen):
             return np.zeros(modes.size, np.int64)
         if self.context == "step":
             return np.arange(modes.size)
-        rows = modes * self.ages + np.minimum(ages, self.ages - 1)
+        rows = modes
+        if self.context == "mode_age":
+            rows = modes * self.ages + np.minimum(ages, self.ages - 1)
         return rows.astype(np.int64) % len(self.state_gain)
 
     def __repr__(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -45,6 +46,12 @@ class Clip(NamedTuple):
             read_only(np.reshape([limit.high for limit in limits], shape)),
             read_only(np.array([limit.relative for limit in limits], np.bool_)),
         )
+
+
+@functools.cache
+def no_clip(inputs: int) -> Clip:
+    """No limits at all."""
+    return Clip(*map(read_only, (*np.empty((2, 0, inputs)), np.empty(0, np.bool_))))
 
 
 class Lags(NamedTuple):

@@ -13,10 +13,10 @@ from deadtime.base.checks import read_only
 from deadtime.feedback import Law
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import follow
-from deadtime.imperfections import Disturbance, Sizes
+from deadtime.imperfections import Disturbance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
-from deadtime.simulation.compiled import Arrays, Clip
+from deadtime.simulation.compiled import Arrays, no_clip
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
@@ -159,8 +159,8 @@ def run_table(
     modes = mode_at(np.arange(samples) * step)
     rows = _rows(tables, modes, initial_age(signal, step), arrays)
     sight = Sight.of(arrays, sampled, table, cuts, forces, law.outputs, modes)
-    line = Line.of(grid, arrays, sight.C.shape[1], memory.start.size)
-    clip = arrays.clip if arrays else Clip.of((), Sizes.of(sampled.plant, step))
+    line = Line.of(grid, arrays, sight.C.shape[1], 0 if memory is None else memory.start.size)
+    clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     kept, path = closed_loop(table, rows, memory, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,
@@ -176,7 +176,7 @@ def run_table(
     end = (kept - 1) * step if diverged else None
     told = None
     if arrays is not None or law.outputs is not None:
-        estimates = line.estimates[:kept] if memory.start.size else None
+        estimates = None if memory is None else line.estimates[:kept]
         told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
     return Outcome(record, signal, mode_at, end, diverged, told=told)
 
@@ -190,7 +190,7 @@ def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) ->
         modes, ages = follow(arrays.heard.modes(modes), modes, age)
         # A law that must estimate before it knows a mode assumes the first.
         assumed = np.maximum(modes, 0)
-        row = feedback.rows_at(assumed if tables.memory.gain.size else modes, ages)
+        row = feedback.rows_at(modes if tables.memory is None else assumed, ages)
     F, G = feedback.state_gain, read_only(feedback.oldest_first)
     return Rows(F, G, row, read_only(assumed))
 

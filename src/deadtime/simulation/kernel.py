@@ -56,45 +56,30 @@ def _limit(u, before, low, high, relative):
 
 
 @kernel
-def _see(sight, k, table, line, path, spare, seen):
-    """What the law is told at sample k: x or y there or before, and noise; NaN for nothing."""
-    q, way = sight.piece[k], sight.way[k]
-    if q < 0:
-        for i in range(seen.size):
-            seen[i] = np.nan
-        return
-    x, m = path[q], line.inputs.shape[1]
-    if way >= 0:
-        acting = np.empty(sight.Gamma.shape[2])
-        for i in range(acting.size):
-            if i < m:
-                lag = table.lag[table.entry[q], i]
-                acting[i] = line.inputs[line.past + sight.step[k] - lag, i]
-            else:
-                acting[i] = sight.force[q, i - m]
-        advance(sight.Phi[way], sight.Gamma[way], x, acting, spare)
-        x = spare
-    for i in range(seen.size):
-        seen[i] = x[i] if sight.C.shape[0] == 0 else _dot(sight.C[sight.mode[k], i], x)
-        if sight.noise.size:
-            seen[i] += sight.noise[k, i]
+def _go_on(Phi, Gamma, x, inputs, now, lag, force, result):
+    """x further on in its piece, under the inputs of `lag` samples before `now`, and the force."""
+    m = lag.size
+    acting = np.empty(Gamma.shape[1])
+    for i in range(acting.size):
+        acting[i] = inputs[now - lag[i], i] if i < m else force[i - m]
+    advance(Phi, Gamma, x, acting, result)
 
 
 @kernel
 def closed_loop(table, rows, memory, line, sight, clip, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
-    `table` is a `deadtime.plant.pieces.PieceTable`, `memory` a `deadtime.feedback.memory.Memory`,
-    `rows` and `line` are those of `deadtime.simulation.digital`, `sight` and `clip` those of
+    `table` is a `deadtime.plant.pieces.PieceTable`, `memory` a `deadtime.feedback.memory.Memory` or
+    None, `rows` and `line` are those of `deadtime.simulation.digital`, `sight` and `clip` those of
     `deadtime.simulation.sight` and `compiled`. `shift` (pieces, n), or empty, is what disturbances
     add over the pieces. Returns (samples, path): how many samples were kept before |x| left the
     limit, and x at the start of every piece that was run and at the end of the last.
     """
     m, window = rows.G.shape[1:]
     n, past, samples = x0.size, line.past, rows.row.size
-    told, sums = line.told.reshape(-1), memory.tracked.shape[0]
-    spare, acting, answer = np.empty(n), np.zeros(m), np.zeros(m)
-    before, now = np.zeros(sums), np.zeros(sums)
+    told, measures = line.told.reshape(-1), sight.C.size > 0
+    noises = line.measured.shape[1] if sight.noise.size else 0
+    spare, acting, answer = np.empty(n), np.empty(m), np.zeros(m)
     path = np.empty((table.entry.size + 1, n))
     for i in range(n):
         path[0, i] = x0[i]
@@ -102,15 +87,29 @@ def closed_loop(table, rows, memory, line, sight, clip, shift, x0):
         if k < samples and k > 0 and not _within_limit(path[table.first[k]]):
             samples = k
         if k < samples:
-            row, at = rows.row[k], past + k
-            recent, asked = told[at * m - window : at * m], line.asked[at]
-            seen = known = line.measured[k]
-            _see(sight, k, table, line, path, spare, seen)
-            if memory.gain.size:
+            row, at, q, way = rows.row[k], past + k, sight.piece[k], sight.way[k]
+            recent, asked, seen = told[at * m - window : at * m], line.asked[at], line.measured[k]
+            x = path[max(q, 0)]
+            if way >= 0:
+                now, lag = past + sight.step[k], table.lag[table.entry[q]]
+                Phi, Gamma, force = sight.Phi[way], sight.Gamma[way], sight.force[q]
+                _go_on(Phi, Gamma, x, line.inputs, now, lag, force, spare)
+                x = spare
+            if q < 0:
+                for i in range(seen.size):
+                    seen[i] = np.nan
+            elif measures:
+                for i in range(seen.size):
+                    seen[i] = _dot(sight.C[sight.mode[k], i], x)
+            else:
+                for i in range(n):
+                    seen[i] = x[i]
+            for i in range(noises):
+                seen[i] += sight.noise[k, i]
+            known = seen
+            if memory is not None:
                 known = line.estimates[k]
-                for i in range(known.size):
-                    known[i] = memory.start[i] if k == 0 else line.estimates[k - 1, i]
-                remember(memory, rows.mode, k, line.told, past, seen, answer, before, now, known)
+                remember(memory, rows.mode, k, line.told, past, seen, answer, line.estimates)
             for i in range(m):
                 answer[i] = _dot(rows.G[row, i], recent) + _dot(rows.F[row, i], known)
             held = not (_finite(seen) or _finite(answer))

@@ -22,7 +22,7 @@ class Sight(NamedTuple):
     way : (samples,), how x follows from the start of the piece; −1 where it is measured there
     Phi : (ways, n, n), Gamma : (ways, n, q), from x and what acts to x; q = m, or m + n with
         the forces of the pieces behind the inputs
-    force : (pieces, n) or (0, n)
+    force : (pieces, n) or (pieces, 0)
     noise : (samples, p) or (0, p), what is added
     C : (modes, p, n), or (0, p, n) where x is measured itself
     mode : (samples,), the mode of the sample that is heard
@@ -33,7 +33,7 @@ class Sight(NamedTuple):
     way: Int[np.ndarray, " sample"]
     Phi: Float[np.ndarray, "way n n"]
     Gamma: Float[np.ndarray, "way n q"]
-    force: Float[np.ndarray, "piece n"]
+    force: Float[np.ndarray, "piece f"]
     noise: Float[np.ndarray, "sample p"]
     C: Float[np.ndarray, "c p n"]
     mode: Int[np.ndarray, " sample"]
@@ -50,20 +50,21 @@ class Sight(NamedTuple):
         modes: Int[np.ndarray, " sample"],
     ) -> Sight:
         """The sight of a run in which the plant has these modes at the samples."""
-        n, samples = sampled.plant.states, modes.size
+        n, m = sampled.plant.B.shape[1:]
         C = np.zeros((0, n, n)) if outputs is None else outputs
-        force = np.zeros((0, n)) if forces is None else forces
-        heard = np.arange(samples) if arrays is None else arrays.heard.sample
-        noise = np.zeros((0, C.shape[1])) if arrays is None else arrays.heard.noise
-        step, offset = heard, np.zeros(samples)
+        force = np.zeros((table.entry.size, 0)) if forces is None else forces
+        heard, noise = np.arange(modes.size), np.zeros((0, C.shape[1]))
+        piece = table.first[: modes.size]
+        if arrays is not None:
+            heard, noise = arrays.heard.sample, arrays.heard.noise
+            piece = np.where(heard < 0, -1, table.first[heard])
         if arrays is not None and arrays.lags is not None:
-            measured, offset = _instants(arrays.lags, sampled.step)
-            step = np.where(heard < 0, -1, measured[heard])
-            offset = np.where(step < 0, 0.0, offset[heard])
-        piece = np.where(step < 0, -1, table.first[step])
-        way, Phi, Gamma = _ways(sampled, table, cuts, forces, piece, step, offset)
-        mode = modes[heard]
-        return cls(*map(read_only, (piece, step, way, Phi, Gamma, force, noise, C, mode)))
+            place = _within(arrays.lags, heard, sampled, table, cuts, forces)
+        else:
+            ways = np.full(heard.size, -1), np.empty((0, n, n)), np.empty((0, n, m))
+            place = piece, heard, *ways
+        mode = modes[heard] if C.size else heard
+        return cls(*map(read_only, (*place, force, noise, C, mode)))
 
 
 def _instants(lags: Lags, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -75,31 +76,31 @@ def _instants(lags: Lags, h: float) -> tuple[np.ndarray, np.ndarray]:
     return step, (ratio - whole) * h
 
 
-def _ways(
+def _within(
+    lags: Lags,
+    heard: np.ndarray,
     sampled: SampledPlant,
     table: PieceTable,
     cuts: Cuts,
     forces: np.ndarray | None,
-    piece: np.ndarray,
-    step: np.ndarray,
-    offset: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """`way`, `Phi` and `Gamma`; measurements within periods are moved to their `piece`."""
+) -> tuple[np.ndarray, ...]:
+    """`piece`, `step`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
     A, B = sampled.plant.A, sampled.plant.B
-    n, m = B.shape[1:]
-    way, within = np.full(step.size, -1), np.flatnonzero(offset > 0.0)
-    if within.size == 0:
-        return way, np.zeros((0, n, n)), np.zeros((0, n, m))
     from deadtime.simulation.kernel import ways
 
-    first, stop = table.first[step[within]], table.first[step[within] + 1]
-    for more in range(1, int((stop - first).max())):
+    measured, offset = _instants(lags, sampled.step)
+    step = np.where(heard < 0, -1, measured[heard])
+    offset = np.where(step < 0, 0.0, offset[heard])
+    piece, way, inside = table.first[step], np.full(step.size, -1), np.flatnonzero(offset > 0.0)
+    first, stop = table.first[step[inside]], table.first[step[inside] + 1]
+    for more in range(1, int((stop - first).max(initial=0))):
         q = np.minimum(first + more, stop - 1)
-        begun = table.start[table.entry[q]] <= offset[within]
-        piece[within] = np.where(begun, q, piece[within])
-    pairs = np.column_stack((table.entry[piece[within]], offset[within]))
-    distinct, way[within] = np.unique(pairs, axis=0, return_inverse=True)
+        begun = table.start[table.entry[q]] <= offset[inside]
+        piece[inside] = np.where(begun, q, piece[inside])
+    pairs = np.column_stack((table.entry[piece[inside]], offset[inside]))
+    distinct, way[inside] = np.unique(pairs, axis=0, return_inverse=True)
     if forces is not None:
-        B = np.concatenate((B, np.broadcast_to(np.eye(n), A.shape)), axis=2)
+        B = read_only(np.concatenate((B, np.broadcast_to(np.eye(A.shape[1]), A.shape)), axis=2))
     entry, at = distinct[:, 0].astype(np.int64), distinct[:, 1].copy()
-    return way, *ways(A, read_only(B), table, cuts.offset, cuts.mode, entry, at)
+    Phi, Gamma = ways(A, B, table, cuts.offset, cuts.mode, entry, at)
+    return np.where(step < 0, -1, piece), step, way, Phi, Gamma
