@@ -8,6 +8,7 @@ from .base import (
     Seen as Seen,
     SensorImperfection as SensorImperfection,
     Sizes as Sizes,
+    Stacked as Stacked,
     TimingImperfection as TimingImperfection,
     require as require,
     streams as streams,

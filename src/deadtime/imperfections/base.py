@@ -112,6 +112,20 @@ class Disturbance(Imperfection):
         """(n, r): from a stretch's numbers to what w adds to x over these pieces of it."""
 
 
+class Stacked(ABC):
+    """A disturbance that spreads over many stretches at once: a base beside `Disturbance`."""
+
+    @abstractmethod
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """`Disturbance.spread` of many, (count, n, r), from A (count, pieces, n, n) and how many
+        seconds of it there are, tau (count, pieces), 0 where a stretch has fewer pieces."""
+
+    @final
+    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+        A, tau = (np.array(part, float)[None] for part in zip(*pieces, strict=True))
+        return self.spreads(sizes, A, tau)[0]
+
+
 def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.Generator]:
     """A generator for each, which the presence of the others does not change."""
     if not isinstance(imperfections, Sequence) or isinstance(imperfections, str):

@@ -97,10 +97,10 @@ def _within(
         q = np.minimum(first + more, stop - 1)
         begun = table.start[table.entry[q]] <= offset[inside]
         piece[inside] = np.where(begun, q, piece[inside])
-    pairs = np.column_stack((table.entry[piece[inside]], offset[inside]))
-    distinct, way[inside] = np.unique(pairs, axis=0, return_inverse=True)
+    pairs = table.entry[piece[inside]] + 1j * offset[inside]
+    distinct, way[inside] = np.unique(pairs, return_inverse=True)
     if forces is not None:
         B = read_only(np.concatenate((B, np.broadcast_to(np.eye(A.shape[1]), A.shape)), axis=2))
-    entry, at = distinct[:, 0].astype(np.int64), distinct[:, 1].copy()
+    entry, at = distinct.real.astype(np.int64), distinct.imag.copy()
     Phi, Gamma = ways(A, B, table, cuts.offset, cuts.mode, entry, at)
     return np.where(step < 0, -1, piece), step, way, Phi, Gamma
