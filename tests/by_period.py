@@ -4,7 +4,8 @@ import numpy as np
 
 import deadtime as dt
 import plants
-from deadtime.imperfections import Disturbance, Noise, RateLimit, Saturation, streams
+from by_sample import by_sample
+from deadtime.imperfections import Disturbance, Noise, RateLimit, Saturation, Sizes, streams
 from deadtime.simulation.digital import Grid
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.online import run_online
@@ -25,13 +26,16 @@ def by_periods(plant, law, signal, x0, horizon, step, kinds, predict, u0):
     forces = [pair for pair in pairs if isinstance(pair[0], Disturbance)]
     others = [pair for pair in pairs if not isinstance(pair[0], Disturbance)]
     update = law.online(step, signal, grid.samples)
-    imperfect = ImperfectLaw(plant, update, step, others, predict)
+    measured = plant.states if law.outputs is None else law.outputs.shape[1]
+    sizes = Sizes(plant.modes, measured, plant.inputs, step)
+    others = [(by_sample(kind), rng) for kind, rng in others]
+    imperfect = ImperfectLaw(update, sizes, others, predict, grid.samples, law.outputs)
     return run_online(law, signal, x0, horizon, grid, imperfect, forces)
 
 
 def same(value, reference):
     assert value.shape == reference.shape
-    scale = np.abs(reference[np.isfinite(reference)]).max()
+    scale = np.abs(reference[np.isfinite(reference)]).max(initial=0.0)
     np.testing.assert_allclose(value, reference, rtol=1e-12, atol=1e-12 * scale)
 
 
@@ -51,7 +55,14 @@ def require_same(
     assert run.record.samples == reference.record.samples
     same(run.measured, reference.told.measured.T)
     same(run.commanded, reference.told.commanded.T)
+    assert (run.estimates is None) == (reference.told.estimates is None)
+    if run.estimates is not None:
+        same(run.estimates, reference.told.estimates.T)
     same(run.history, reference.record.history(run.end))
-    if plant.inputs == 2 and any(isinstance(kind, Saturation | RateLimit) for kind in kinds):
+    if (
+        plant.inputs == 2
+        and law.outputs is None
+        and any(isinstance(kind, Saturation | RateLimit) for kind in kinds)
+    ):
         assert (run.record.inputs[run.record.past :] != run.commanded.T).any()
     return run

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -17,6 +18,7 @@ from deadtime.imperfections import (
     Noise,
     RateLimit,
     Saturation,
+    SensorImperfection,
     WrongMode,
 )
 
@@ -140,17 +142,24 @@ def test_late_samples_are_those_of_before_and_the_newest_counts():
     assert all(later <= before + 1 for before, later in itertools.pairwise(age[4:]))
 
 
-def test_wrong_modes_are_other_modes_as_often_as_said(monkeypatch):
-    told = []
-    law = plants.LAWS["expected"](MODEL)
-    update = law.online(STEP)
+@dataclass(frozen=True)
+class Listen(SensorImperfection):
+    """Changes nothing, and notes the modes."""
 
-    def listen(x, past, mode, age):
-        told.append(mode)
-        return update(x, past, mode, age)
+    told: list
 
-    monkeypatch.setattr(type(law), "online", lambda self, step, signal, steps: listen)
-    loop = dt.simulate(PLANT, law, SIGNAL, X0, 30.0, 0.01, imperfections=[WrongMode(0.25)])
+    def sensor(self, sizes, rng):
+        def sense(seen):
+            self.told.append(seen.mode)
+            return seen
+
+        return sense
+
+
+def test_wrong_modes_are_other_modes_as_often_as_said():
+    told, law = [], plants.LAWS["expected"](MODEL)
+    kinds = [WrongMode(0.25), Listen(told)]
+    loop = dt.simulate(PLANT, law, SIGNAL, X0, 30.0, 0.01, imperfections=kinds)
     wrong = np.array(told) != loop.mode
     assert abs(wrong.mean() - 0.25) < 0.03
     assert set(told) == {0, 1, 2}

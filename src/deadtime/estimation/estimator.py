@@ -17,7 +17,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.checks import read_only
 from deadtime.estimation.observer import Observer
+from deadtime.estimation.reference import Reference
+from deadtime.feedback.memory import Memory
 from deadtime.plant import SampledPlant
 
 
@@ -133,6 +136,32 @@ class Estimator:
             acting = self.ring[(latest - lag) % size, self._channels]
             advance(Phi, Gamma, self._x, acting, self._spare)
             self._x[:] = self._spare
+
+    def memory(self, reference: Reference | None, samples: int) -> Memory:
+        """All of it as arrays, for a run of so many samples."""
+        observer, pieces = self.observer, [part for parts in self._pieces for part in parts]
+        time, r = np.arange(samples) * observer.step, np.zeros((samples, self._r.size))
+        tracked = self.tracked
+        if tracked is None:
+            tracked = Tracked(np.zeros((0, observer.outputs)), np.zeros((0, 0, 0)), False)
+        if reference is not None:
+            r = reference.along(time)
+        start = np.zeros(self.z.size)
+        start[: self._start.size] = self._start
+        return Memory(
+            read_only(start),
+            read_only(np.cumsum([0, *map(len, self._pieces)])),
+            read_only(np.stack([Phi for Phi, _, _ in pieces])),
+            read_only(np.stack([Gamma for _, Gamma, _ in pieces])),
+            read_only(np.stack([stretch.lag for _, _, stretch in pieces])),
+            read_only(observer.C),
+            read_only(observer.gain),
+            read_only(tracked.H),
+            read_only(tracked.push),
+            read_only(r),
+            np.empty(r.shape),
+            observer.step,
+        )
 
     def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""

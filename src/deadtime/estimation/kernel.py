@@ -1,9 +1,10 @@
-"""The compiled steps of an observer; nothing is allocated."""
+"""The compiled steps of an observer, and of a `deadtime.feedback.memory.Memory` over a run."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 
 _ROUND_OFF = 1e-9
@@ -63,3 +64,34 @@ def integrate(step, before, now, reference, asked, applied, push, q):
         return
     for j in range(q.size):
         q[j] += step * (0.5 * (before[j] + now[j]) - reference[j])
+
+
+@kernel
+def remember(memory, mode, k, told, past, y, asked, estimates):
+    """z at sample k, in its row of the estimates; `mode` is that of every sample.
+
+    `told` are the inputs that the law knows of, u_k in row past + k, and `asked` is its answer at
+    sample k − 1.
+    """
+    z, n, r = estimates[k], memory.gain.shape[1], memory.tracked.shape[0]
+    x, q, reference = z[:n], z[n : z.size - r], z[z.size - r :]
+    spare, acting, innovation = np.empty(n), np.empty(asked.size), np.empty(y.size)
+    for i in range(z.size):
+        z[i] = memory.start[i] if k == 0 else estimates[k - 1, i]
+    if k > 0:
+        for piece in range(memory.first[mode[k - 1]], memory.first[mode[k - 1] + 1]):
+            for i in range(asked.size):
+                acting[i] = told[past + k - 1 - memory.lag[piece, i], i]
+            advance(memory.Phi[piece], memory.Gamma[piece], x, acting, spare)
+            for i in range(n):
+                x[i] = spare[i]
+    C = memory.C[mode[k]]
+    use = correct(C, memory.gain[mode[k]], y, x, spare, innovation)
+    if r > 0:
+        value = memory.value[k]
+        measure(C, memory.tracked, x, y, use, value)
+        if k > 0 and q.size > 0:
+            before, latest, push = memory.value[k - 1], told[past + k - 1], memory.push[mode[k]]
+            integrate(memory.step, before, value, reference, asked, latest, push, q)
+        for i in range(r):
+            reference[i] = memory.reference[k, i]

@@ -17,12 +17,13 @@ from deadtime.estimation.reference import Reference
 from deadtime.estimation.servo import Servo
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Remembering, TableLaw, Update
+from deadtime.feedback.memory import Tables, WithMemory
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class OutputFeedback(Law):
+class OutputFeedback(WithMemory, Law):
     """A law that measures y = C_σ x and is run on what an observer makes of it.
 
     Every law may be used: it is given x̂ instead of x. Its model and the observer's are the same
@@ -154,6 +155,12 @@ class OutputFeedback(Law):
         push = self._push(self.law.digital(step, signal, steps))
         tracked = Tracked(self.servo.tracked, push, self.servo.integral)
         return Estimator(self.observer, self.estimate, tracked)
+
+    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
+        if not isinstance(self.law, TableLaw):
+            return None
+        memory = self.estimator(step, signal, steps).memory(self.reference, steps)
+        return Tables(self.law.digital(step, signal, steps), memory)
 
     def _push(self, table: Feedback) -> np.ndarray:
         """How the law's input answers the sum of errors, on average over a mode's rows."""

@@ -20,9 +20,16 @@ class Reference:
 
     function: Callable[[float], Any]
     size: int
+    schedule: Schedule | None = None
 
     def __call__(self, time: float) -> Float[np.ndarray, " size"]:
         return check_reference(self.function(time), self.size)
+
+    def along(self, time: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T size"]:
+        """r at many times."""
+        if self.schedule is not None:
+            return self.schedule.along(time)
+        return np.array([self(t) for t in time.tolist()]).reshape(time.size, self.size)
 
     @classmethod
     def of(cls, value: Any, size: int) -> Reference:
@@ -32,9 +39,10 @@ class Reference:
         if callable(value):
             return cls(value, size)
         if isinstance(value, tuple) and len(value) == 2 and np.ndim(value[0]) == 1:
-            return cls(_schedule(*value, size), size)
-        constant = check_reference(value, size)
-        return cls(lambda time: constant, size)
+            schedule = Schedule.of(*value, size)
+        else:
+            schedule = Schedule(np.zeros(1), check_reference(value, size)[None])
+        return cls(schedule, size, schedule)
 
 
 def check_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
@@ -45,14 +53,29 @@ def check_reference(value: Any, size: int) -> Float[np.ndarray, " size"]:
     return require_shape("reference", array, (size,), "(tracked,)")
 
 
-def _schedule(times: Any, values: Any, size: int) -> Callable[[float], np.ndarray]:
+@dataclass(frozen=True, eq=False)
+class Schedule:
     """Each value from its time on; the first from the start."""
-    times = real_array("reference, times", times, "(T,)", 1)
-    values = as_floats("reference, values", values, "(T,) or (T, tracked)")
-    values = np.tile(values[:, None], size) if values.ndim == 1 else values
-    values = real_array("reference, values", values, "(T,) or (T, tracked)", 2)
-    require_shape("reference, values", values, (times.size, size), "(T, tracked)")
-    if (np.diff(times) <= 0.0).any():
-        raise ArgumentError(f"reference, times must increase, got {times.tolist()}.")
-    slack = TOLERANCE * max(1.0, float(np.abs(times).max()))
-    return lambda time: values[max(0, int(np.searchsorted(times, time + slack, "right")) - 1)]
+
+    times: Float[np.ndarray, " change"]
+    values: Float[np.ndarray, "change size"]
+
+    @classmethod
+    def of(cls, times: Any, values: Any, size: int) -> Schedule:
+        """From a number or (size,) for every time."""
+        times = real_array("reference, times", times, "(T,)", 1)
+        values = as_floats("reference, values", values, "(T,) or (T, tracked)")
+        values = np.tile(values[:, None], size) if values.ndim == 1 else values
+        values = real_array("reference, values", values, "(T,) or (T, tracked)", 2)
+        require_shape("reference, values", values, (times.size, size), "(T, tracked)")
+        if (np.diff(times) <= 0.0).any():
+            raise ArgumentError(f"reference, times must increase, got {times.tolist()}.")
+        return cls(times, values)
+
+    def __call__(self, time: float) -> Float[np.ndarray, " size"]:
+        return self.along(np.array([time]))[0]
+
+    def along(self, time: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T size"]:
+        """The values at many times."""
+        slack = TOLERANCE * max(1.0, float(np.abs(self.times).max()))
+        return self.values[np.maximum(np.searchsorted(self.times, time + slack, "right") - 1, 0)]

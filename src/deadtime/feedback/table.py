@@ -63,6 +63,41 @@ def row_of(context: Context, ages: int, mode: int, age: int) -> int:
     return 0 if context == "none" else mode * ages + min(age, ages - 1)
 
 
+def ages_along(modes: np.ndarray, initial_age: int) -> np.ndarray:
+    """How many samples ago the mode last changed, `initial_age` at the first.
+
+    Examples
+    --------
+    >>> ages_along(np.array([0, 0, 1, 1]), 5)
+    array([5, 6, 0, 1])
+    """
+    samples = np.arange(modes.size)
+    began = np.where(np.diff(modes, prepend=modes[:1]) != 0, samples, -initial_age)
+    return samples - np.maximum.accumulate(began)
+
+
+def follow(
+    told: np.ndarray, sampled: np.ndarray, initial_age: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The mode that a law goes by at each sample, and its age, from the modes that it is told.
+
+    Where it is told none (−1) the last goes on; before the first it is −1, at the age of the
+    `sampled` mode, and the first is taken to be as old as that.
+
+    Examples
+    --------
+    >>> follow(np.array([-1, 0, -1, 1, 1]), np.array([0, 0, 1, 1, 1]), 3)
+    (array([-1,  0,  0,  1,  1]), array([3, 4, 5, 0, 1]))
+    """
+    known = np.flatnonzero(told >= 0)
+    last = np.maximum.accumulate(np.where(told >= 0, np.arange(told.size), 0))
+    mode, age = told[last], ages_along(sampled, initial_age)
+    if known.size:
+        first = known[0]
+        age[first:] = ages_along(mode[first:], int(age[first]))
+    return mode, age
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Feedback(Frozen):
     """A digital feedback law as a table (immutable).
@@ -160,20 +195,24 @@ class Feedback(Frozen):
         >>> table.rows(np.array([0, 0, 0, 0, 1, 1]))
         array([0, 1, 2, 2, 3, 4])
         """
-        count = modes.size
+        ages = modes  # which only tables with ages read
+        if self.context == "mode_age":
+            ages = ages_along(modes, min(initial_age, self.ages))
+        return self.rows_at(modes, ages)
+
+    def rows_at(self, modes: np.ndarray, ages: np.ndarray) -> np.ndarray:
+        """The row that applies at each sample of a run, from the modes and their ages.
+
+        Before any mode is known (−1) it is one of the last mode's, as an index from the end.
+        """
         if self.context == "none":
-            return np.zeros(count, np.int64)
-        if self.context == "mode":
-            return modes.astype(np.int64)
-        samples = np.arange(count)
+            return np.zeros(modes.size, np.int64)
         if self.context == "step":
-            return samples
-        changed = np.concatenate(([True], np.diff(modes) != 0))
-        initial_age = min(initial_age, self.ages)
-        began = np.where(changed, samples, -initial_age)
-        began[0] = -initial_age
-        age = samples - np.maximum.accumulate(began)
-        return modes * self.ages + np.minimum(age, self.ages - 1)
+            return np.arange(modes.size)
+        rows = modes
+        if self.context == "mode_age":
+            rows = modes * self.ages + np.minimum(ages, self.ages - 1)
+        return rows.astype(np.int64) % len(self.state_gain)
 
     def __repr__(self) -> str:
         rows, m = self.state_gain.shape[:2]

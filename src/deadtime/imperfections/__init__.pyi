@@ -1,7 +1,6 @@
 from .actuators import RateLimit as RateLimit, Saturation as Saturation
 from .base import (
     ActuatorImperfection as ActuatorImperfection,
-    Additive as Additive,
     Disturbance as Disturbance,
     Imperfection as Imperfection,
     Limiting as Limiting,
@@ -9,6 +8,7 @@ from .base import (
     Seen as Seen,
     SensorImperfection as SensorImperfection,
     Sizes as Sizes,
+    Stacked as Stacked,
     TimingImperfection as TimingImperfection,
     require as require,
     streams as streams,
@@ -18,6 +18,7 @@ from .disturbances import (
     StepDisturbance as StepDisturbance,
     WhiteDisturbance as WhiteDisturbance,
 )
+from .heard import Additive as Additive, Heard as Heard, Relaying as Relaying
 from .sensors import (
     Dropout as Dropout,
     LateSamples as LateSamples,

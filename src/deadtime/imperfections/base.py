@@ -38,9 +38,7 @@ class Seen(NamedTuple):
 
 
 Sense = Callable[[Seen], Seen]
-Lag = Callable[[], float]
 Act = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from u_k as asked and u_{k−1} as applied
-Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
 Piece = tuple[np.ndarray, float]  # A and how many seconds the plant has it
 
 
@@ -57,27 +55,11 @@ class Imperfection(Frozen, ABC):
 
 
 class SensorImperfection(Imperfection):
-    """Changes what the law is told."""
+    """Changes what the law is told; one that reads no state says so by `Relaying`."""
 
     @abstractmethod
     def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
         """What the law is told: a function to be called once a sample, with a memory of its own."""
-
-
-class Additive(ABC):
-    """What adds to the measured state, whatever it is, and leaves the mode as it is.
-
-    A base beside `SensorImperfection`, by which the compiled loop knows what it can take.
-    """
-
-    @abstractmethod
-    def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
-        """A function of a count that draws noise (count, n), the same in blocks or one by one."""
-
-    @final
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        draw = self.sampler(sizes, rng)
-        return lambda seen: Seen(seen.x + draw(1)[0], seen.mode)
 
 
 class TimingImperfection(Imperfection):
@@ -89,8 +71,8 @@ class TimingImperfection(Imperfection):
     waits: ClassVar[bool]
 
     @abstractmethod
-    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
-        """A function to be called once a sample: how long before it x is measured, seconds."""
+    def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
+        """How long before each sample x is measured, seconds (samples,)."""
 
 
 class ActuatorImperfection(Imperfection):
@@ -102,7 +84,7 @@ class ActuatorImperfection(Imperfection):
 
 
 class Limiting(ABC):
-    """What clips the input: a base beside `ActuatorImperfection`, as `Additive` is."""
+    """What clips the input: a base beside `ActuatorImperfection`, as `Relaying` is."""
 
     @abstractmethod
     def limits(self, sizes: Sizes) -> Limits:
@@ -130,6 +112,20 @@ class Disturbance(Imperfection):
         """(n, r): from a stretch's numbers to what w adds to x over these pieces of it."""
 
 
+class Stacked(ABC):
+    """A disturbance that spreads over many stretches at once: a base beside `Disturbance`."""
+
+    @abstractmethod
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """`Disturbance.spread` of many, (count, n, r), from A (count, pieces, n, n) and how many
+        seconds of it there are, tau (count, pieces), 0 where a stretch has fewer pieces."""
+
+    @final
+    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+        A, tau = (np.array(part, float)[None] for part in zip(*pieces, strict=True))
+        return self.spreads(sizes, A, tau)[0]
+
+
 def streams(imperfections: Sequence[Imperfection], seed: int) -> list[np.random.Generator]:
     """A generator for each, which the presence of the others does not change."""
     if not isinstance(imperfections, Sequence) or isinstance(imperfections, str):
@@ -149,7 +145,7 @@ def require(one: Imperfection, sizes: Sizes) -> None:
         case SensorImperfection():
             one.sensor(sizes, rng)
         case TimingImperfection():
-            one.lag(sizes, rng)
+            one.lags(sizes, 0, rng)
         case ActuatorImperfection():
             one.actuator(sizes)
         case Disturbance():

@@ -8,7 +8,6 @@ force that adds as much is held, so that a run can be evaluated anywhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +15,13 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, number, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Disturbance, Piece, Sizes, per_signal
-from deadtime.numerics.covariance import noise_covariance, square_root, transition
+from deadtime.imperfections.base import Disturbance, Sizes, Stacked, per_signal
+from deadtime.numerics.covariance import noise_covariances, square_root, transitions
 from deadtime.plant.steps import snap
 
 
 @dataclass(frozen=True)
-class WhiteDisturbance(Disturbance):
+class WhiteDisturbance(Stacked, Disturbance):
     """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s).
 
     The states at the samples and at the arrivals of inputs have exactly the distribution of the
@@ -44,9 +43,8 @@ class WhiteDisturbance(Disturbance):
         self._check(sizes.states)
         return rng.standard_normal((steps, len(lengths), sizes.states))
 
-    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        W = self._check(sizes.states)
-        return square_root(_accumulate(pieces, lambda A: (A, W), sizes.states))
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        return square_root(_accumulate(A, self._check(sizes.states), tau)[1])
 
     def _check(self, n: int) -> np.ndarray:
         name = "WhiteDisturbance.intensity"
@@ -63,7 +61,7 @@ class WhiteDisturbance(Disturbance):
 
 
 @dataclass(frozen=True)
-class ColouredDisturbance(Disturbance):
+class ColouredDisturbance(Stacked, Disturbance):
     """Coloured noise w = E c with c' = −c/T + white noise (Ornstein–Uhlenbeck), stationary.
 
     Parameters
@@ -90,32 +88,26 @@ class ColouredDisturbance(Disturbance):
         c[0] = std * normal[0]
         tau = np.tile(lengths, steps)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
-        for i in range(pieces):
-            c[i + 1] = kept[i] * c[i] + fresh[i] * normal[i + 1]
+        fresh *= normal[1:]
+        for j in range(q):
+            c[1:, j] = _filter(kept[:, j].tolist(), fresh[:, j].tolist(), float(c[0, j]))
         rest = rng.standard_normal((pieces, n))
         return np.hstack((c[:-1], c[1:], rest)).reshape(steps, len(lengths), 2 * q + n)
 
-    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """From c at both ends and n normal numbers: the mean given c, and what is left."""
         E, std, T = self._check(sizes.states)
         n, q = E.shape
-        total = sum(tau for _, tau in pieces)
-        if total == 0.0:
-            return np.zeros((n, 2 * q + n))
+        total = tau.sum(axis=1)[:, None]
         W = np.zeros((n + q, n + q))
         W[n:, n:] = np.diag(2.0 * std**2 / T)
-
-        def joint(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return np.block([[A, E], [np.zeros((q, n)), np.diag(-1.0 / T)]]), W
-
-        M = np.eye(n + q)
-        for A, tau in pieces:
-            M = transition(joint(A)[0], tau) @ M
-        Q = _accumulate(pieces, joint, n + q)
+        joint = np.zeros((*A.shape[:2], n + q, n + q))
+        joint[..., :n, :n], joint[..., :n, n:], joint[..., n:, n:] = A, E, np.diag(-1.0 / T)
+        M, Q = _accumulate(joint, W, tau)
         kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
-        slope = Q[:n, n:] / np.where(variance > 0.0, variance, 1.0)
-        left = square_root(Q[:n, :n] - slope @ Q[n:, :n])
-        return np.hstack((M[:n, n:] - slope * kept, slope, left))
+        slope = Q[:, :n, n:] / np.where(variance > 0.0, variance, 1.0)[:, None]
+        left = square_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
+        return np.concatenate((M[:, :n, n:] - slope * kept[:, None], slope, left), axis=2)
 
     def _check(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         given = as_floats("ColouredDisturbance.force", self.force, "(n, q)")
@@ -133,7 +125,7 @@ class ColouredDisturbance(Disturbance):
 
 
 @dataclass(frozen=True)
-class StepDisturbance(Disturbance):
+class StepDisturbance(Stacked, Disturbance):
     """A constant force on dx/dt from the first sample at or after `start` up to that of `end`.
 
     Parameters
@@ -165,24 +157,35 @@ class StepDisturbance(Disturbance):
         active[first:stop] = 1.0
         return active
 
-    def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
-        from deadtime.numerics.exponential import discretise
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        from deadtime.numerics.exponential import discretise_each
 
         name = "StepDisturbance.force"
         force = real_array(name, self.force, "(n,)", 1)
         require_shape(name, force, (sizes.states,), "(n,)")
-        total = np.zeros((sizes.states, 1))
-        for A, tau in pieces:
-            Phi, Gamma = discretise(read_only(A), read_only(force[:, None]), tau)
+        total = np.zeros((len(A), sizes.states, 1))
+        B = np.broadcast_to(force[:, None], total.shape)
+        for i in range(tau.shape[1]):
+            Phi, Gamma = discretise_each(*map(read_only, (A[:, i], B, tau[:, i])))
             total = Phi @ total + Gamma
         return total
 
 
-def _accumulate(pieces: Sequence[Piece], system, order: int) -> np.ndarray:
-    """The covariance over pieces, each under its own (A, W) = system(A of the plant)."""
-    Q = np.zeros((order, order))
-    for A, tau in pieces:
-        F, W = system(A)
-        Phi = transition(F, tau)
-        Q = Phi @ Q @ Phi.T + noise_covariance(F, W, tau)
-    return Q
+def _filter(kept: list[float], fresh: list[float], c: float) -> list[float]:
+    """c_{i+1} = kept_i c_i + fresh_i."""
+    path = []
+    for factor, more in zip(kept, fresh, strict=True):
+        c = factor * c + more
+        path.append(c)
+    return path
+
+
+def _accumulate(A: np.ndarray, W: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and covariance over pieces, W being the intensity in all of them."""
+    M = np.broadcast_to(np.eye(len(W)), (len(A), *W.shape))
+    Q = np.zeros(M.shape)
+    for i in range(tau.shape[1]):
+        Phi = transitions(A[:, i], tau[:, i])
+        M = Phi @ M
+        Q = Phi @ Q @ Phi.transpose(0, 2, 1) + noise_covariances(A[:, i], W, tau[:, i])
+    return M, Q

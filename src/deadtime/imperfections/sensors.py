@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +9,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import (
-    Additive,
-    Draw,
-    Seen,
-    Sense,
-    SensorImperfection,
-    Sizes,
-    per_signal,
-    probability_of,
-)
+from deadtime.imperfections.base import SensorImperfection, Sizes, per_signal, probability_of
+from deadtime.imperfections.heard import Additive, Draw, Heard, Relaying
 
 _MOST = 10**9  # periods
 
@@ -46,7 +36,7 @@ class Noise(Additive, SensorImperfection):
 
 
 @dataclass(frozen=True)
-class Dropout(SensorImperfection):
+class Dropout(Relaying, SensorImperfection):
     """Lost samples: the law learns neither x nor σ, and its last input is held.
 
     A law that measures outputs goes on instead: its observer predicts.
@@ -59,16 +49,16 @@ class Dropout(SensorImperfection):
 
     probability: float
 
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        p, nothing = (
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        p, each = (
             probability_of("Dropout.probability", self.probability),
-            np.full(sizes.states, math.nan),
+            np.arange(len(heard.noise)),
         )
-        return lambda seen: Seen(nothing, -1) if rng.random() < p else seen
+        return heard.at(np.where(rng.random(each.size) < p, -1, each))
 
 
 @dataclass(frozen=True)
-class LateSamples(SensorImperfection):
+class LateSamples(Relaying, SensorImperfection):
     """Samples that come late: the law uses the newest that has arrived, as if it were fresh.
 
     Parameters
@@ -82,28 +72,20 @@ class LateSamples(SensorImperfection):
     periods: int
     probability: float = 1.0
 
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
         late = count("LateSamples.periods", self.periods)
         p = probability_of("LateSamples.probability", self.probability)
-        on_their_way: deque[tuple[int, int, Seen]] = deque()
-        newest, now = (-1, Seen(np.full(sizes.states, math.nan), -1)), 0
-
-        def sense(seen: Seen) -> Seen:
-            nonlocal newest, now
-            arrival = now + late if rng.random() < p else now
-            on_their_way.append((arrival, now, seen))
-            for entry in [one for one in on_their_way if one[0] <= now]:
-                on_their_way.remove(entry)
-                if entry[1] > newest[0]:
-                    newest = entry[1:]
-            now += 1
-            return newest[1]
-
-        return sense
+        each = np.arange(len(heard.noise))
+        delayed = rng.random(each.size) < p
+        newest = np.where(delayed, -1, each)
+        # Of those that are due at a sample its own is newer, where that is there.
+        due = each[: max(0, each.size - late)]
+        newest[late:] = np.maximum(newest[late:], np.where(delayed[: due.size], due, -1))
+        return heard.at(np.maximum.accumulate(newest))
 
 
 @dataclass(frozen=True)
-class ModeDelay(SensorImperfection):
+class ModeDelay(Relaying, SensorImperfection):
     """Late mode detection: the law is told the mode of some samples ago.
 
     Parameters
@@ -114,21 +96,16 @@ class ModeDelay(SensorImperfection):
 
     periods: int
 
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
         periods = count("ModeDelay.periods", self.periods)
         if periods > _MOST:
             raise ArgumentError(f"ModeDelay.periods must be at most {_MOST:,}, got {periods}.")
-        modes: deque[int] = deque(maxlen=periods + 1)
-
-        def sense(seen: Seen) -> Seen:
-            modes.append(seen.mode)
-            return Seen(seen.x, modes[0])
-
-        return sense
+        then = np.maximum(np.arange(len(heard.noise)) - periods, 0)
+        return heard._replace(mode_of=heard.mode_of[then], named=heard.named[then])
 
 
 @dataclass(frozen=True)
-class WrongMode(SensorImperfection):
+class WrongMode(Relaying, SensorImperfection):
     """Wrong mode detection: the law is told another mode, any with equal probability.
 
     Parameters
@@ -139,13 +116,15 @@ class WrongMode(SensorImperfection):
 
     probability: float
 
-    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
-        p = probability_of("WrongMode.probability", self.probability)
-
-        def sense(seen: Seen) -> Seen:
-            wrong, other = rng.random() < p, int(rng.integers(max(1, sizes.modes - 1)))
-            if not wrong or seen.mode < 0 or sizes.modes == 1:
-                return seen
-            return Seen(seen.x, other + (other >= seen.mode))
-
-        return sense
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        p, samples = probability_of("WrongMode.probability", self.probability), len(heard.noise)
+        if sizes.modes <= 2:  # there is no choice to be drawn
+            wrong, other = rng.random(samples) < p, np.zeros(samples, np.int64)
+        else:
+            pairs = [(rng.random(), rng.integers(sizes.modes - 1)) for _ in range(samples)]
+            drawn = np.array(pairs).reshape(samples, 2)
+            wrong, other = drawn[:, 0] < p, drawn[:, 1].astype(np.int64)
+        if sizes.modes == 1:
+            return heard
+        others = other[:, None] + (other[:, None] >= heard.named)
+        return heard._replace(named=np.where(wrong[:, None], others, heard.named))

@@ -9,7 +9,7 @@ import numpy as np
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Lag, Sizes, TimingImperfection
+from deadtime.imperfections.base import Sizes, TimingImperfection
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class MeasurementDelay(TimingImperfection):
     waits: ClassVar[bool] = True
     delay: float
 
-    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
+    def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
         delay = positive("MeasurementDelay.delay", self.delay)
-        return lambda: delay
+        return np.full(samples, delay)
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class Jitter(TimingImperfection):
     waits: ClassVar[bool] = False
     most: float
 
-    def lag(self, sizes: Sizes, rng: np.random.Generator) -> Lag:
+    def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
         most = positive("Jitter.most", self.most)
         if most > sizes.step * (1.0 + 1e-9):
             raise ArgumentError(
                 f"Jitter.most must be at most one period, {sizes.step:g} s, got {most:g}: samples "
                 "that come later are LateSamples."
             )
-        return lambda: most * rng.random()
+        return most * rng.random(samples)

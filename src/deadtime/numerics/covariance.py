@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from jaxtyping import Float
 
@@ -25,38 +23,52 @@ def noise_covariance(
     array([[8., 6.],
            [6., 6.]])
     """
-    n, size = A.shape[0], float(np.abs(W).max())
-    if tau == 0.0 or size == 0.0:
-        return np.zeros((n, n))
+    return noise_covariances(A[None], W, np.array([tau]))[0]
+
+
+def noise_covariances(
+    A: Float[np.ndarray, "count n n"], W: Float[np.ndarray, "n n"], tau: Float[np.ndarray, " count"]
+) -> Float[np.ndarray, "count n n"]:
+    """`noise_covariance` of many, not finite where e^{Aτ} is not."""
+    count, n = A.shape[:2]
+    size = float(np.abs(W).max())
+    if size == 0.0:
+        return np.zeros(A.shape)
     with np.errstate(over="ignore", invalid="ignore"):
-        return _covariance(A, W, tau, size)
-
-
-def _covariance(A: np.ndarray, W: np.ndarray, tau: float, size: float) -> np.ndarray:
-    """`noise_covariance` with |W|_max = `size`; not finite where e^{Aτ} is not."""
-    n, span = A.shape[0], 2.0 * tau * float(np.abs(A).sum(axis=0).max())
-    if not math.isfinite(span):
-        return np.full((n, n), np.nan)
-    doublings = max(0, math.ceil(math.log2(max(span, 1.0))))
-    short = tau / 2.0**doublings
-    E = transition(np.block([[-A, W / size], [np.zeros((n, n)), A.T]]), short)
-    Phi = E[n:, n:].T
-    Q = Phi @ E[:n, n:]
-    for _ in range(doublings):
-        Q, Phi = Q + Phi @ Q @ Phi.T, Phi @ Phi
-    return 0.5 * size * (Q + Q.T)
+        span = 2.0 * tau * np.abs(A).sum(axis=1).max(axis=1)
+        finite = np.isfinite(span)
+        doublings = np.ceil(np.log2(np.maximum(np.where(finite, span, 1.0), 1.0)))
+        joint = np.zeros((count, 2 * n, 2 * n))
+        joint[:, :n, :n], joint[:, :n, n:], joint[:, n:, n:] = -A, W / size, A.transpose(0, 2, 1)
+        joint[~finite] = 0.0
+        E = transitions(joint, tau / 2.0**doublings)
+        Phi = E[:, n:, n:].transpose(0, 2, 1)
+        Q = np.where(finite[:, None, None], Phi @ E[:, :n, n:], np.nan)
+        for i in range(int(doublings.max(initial=0.0))):
+            on = doublings > i
+            P = Phi[on]
+            Q[on], Phi[on] = Q[on] + P @ Q[on] @ P.transpose(0, 2, 1), P @ P
+        return 0.5 * size * (Q + Q.transpose(0, 2, 1))
 
 
 def transition(A: Float[np.ndarray, "n n"], tau: float) -> Float[np.ndarray, "n n"]:
     """e^{Aτ}."""
-    from deadtime.numerics.exponential import discretise
-
-    return discretise(read_only(A), read_only(np.zeros((A.shape[0], 1))), tau)[0]
+    return transitions(A[None], np.array([tau]))[0]
 
 
-def square_root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def transitions(
+    A: Float[np.ndarray, "count n n"], tau: Float[np.ndarray, " count"]
+) -> Float[np.ndarray, "count n n"]:
+    """e^{Aτ} of many."""
+    from deadtime.numerics.exponential import discretise_each
+
+    none = np.zeros((*A.shape[:2], 1))
+    return discretise_each(read_only(A), read_only(none), read_only(tau))[0]
+
+
+def square_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n n"]:
     """L with L Lᵀ = Q, Q positive semidefinite up to round-off, whatever the units of its rows."""
-    unit = np.sqrt(np.diag(Q))
+    unit = np.sqrt(np.diagonal(Q, axis1=-2, axis2=-1))
     scale = np.where(unit > 0.0, unit, 1.0)
-    values, vectors = np.linalg.eigh(Q / np.outer(scale, scale))
-    return unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    values, vectors = np.linalg.eigh(Q / (scale[..., :, None] * scale[..., None, :]))
+    return unit[..., :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]

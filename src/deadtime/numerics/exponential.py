@@ -192,6 +192,15 @@ def discretise_modes(A, B, tau):
     return Phi, Gamma
 
 
+@kernel
+def discretise_each(A, B, tau):
+    """`discretise` of many, each with its own A (count, n, n), B (count, n, m) and tau (count,)."""
+    Phi, Gamma = np.empty(A.shape), np.empty(B.shape)
+    for i in range(tau.size):
+        discretise_into(A[i], B[i], tau[i], Phi[i], Gamma[i])
+    return Phi, Gamma
+
+
 def energy_gramian(
     A: np.ndarray, B: np.ndarray, tau: float, Q: np.ndarray | None = None
 ) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,48 +10,102 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.base.checks import read_only
-from deadtime.imperfections import Additive, Imperfection, Limiting, Sizes
-from deadtime.simulation.imperfect import tells_commands
+from deadtime.base.errors import ArgumentError
+from deadtime.imperfections import (
+    ActuatorImperfection,
+    Heard,
+    Imperfection,
+    Limiting,
+    Relaying,
+    SensorImperfection,
+    Sizes,
+    TimingImperfection,
+)
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
 
 
+class Clip(NamedTuple):
+    """The limits of the inputs in their order.
+
+    low, high : (count, m)
+    relative : (count,), whether the bounds are of the change from the input applied before
+    """
+
+    low: Float[np.ndarray, "limit m"]
+    high: Float[np.ndarray, "limit m"]
+    relative: Bool[np.ndarray, " limit"]
+
+    @classmethod
+    def of(cls, pairs: Pairs, sizes: Sizes) -> Clip:
+        """The limits among them."""
+        limits = [each.limits(sizes) for each, _ in pairs if isinstance(each, Limiting)]
+        shape = len(limits), sizes.inputs
+        return cls(
+            read_only(np.reshape([limit.low for limit in limits], shape)),
+            read_only(np.reshape([limit.high for limit in limits], shape)),
+            read_only(np.array([limit.relative for limit in limits], np.bool_)),
+        )
+
+
+@functools.cache
+def no_clip(inputs: int) -> Clip:
+    """No limits at all."""
+    return Clip(*map(read_only, (*np.empty((2, 0, inputs)), np.empty(0, np.bool_))))
+
+
+class Lags(NamedTuple):
+    """How long before its sample each state is measured, seconds.
+
+    missing : (samples,), of which what was before time 0 is missing
+    early : (samples,), of which time 0 is taken instead
+    """
+
+    missing: Float[np.ndarray, " sample"]
+    early: Float[np.ndarray, " sample"]
+
+    @classmethod
+    def of(cls, pairs: Pairs, sizes: Sizes, samples: int) -> Lags | None:
+        """The lags of a run, None where every state is measured at its sample."""
+        timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
+        if not timings:
+            return None
+        sums = cls(np.zeros(samples), np.zeros(samples))
+        for each, rng in timings:
+            sums[0 if each.waits else 1][:] += each.lags(sizes, samples, rng)
+        return sums
+
+
 class Arrays(NamedTuple):
-    """What is added to the measured states, and the limits of the inputs in their order.
+    """What imperfections do to a run, all that is random drawn; it needs neither plant nor signal.
 
     Attributes
     ----------
-    noise : (samples, n), or (0, n) for none
-    low, high : (count, m)
-    relative : (count,)
-        Whether the bounds are of the change from the input applied before.
     commanded : bool
         Whether the law takes the inputs that it asked for to be those applied.
     """
 
-    noise: Float[np.ndarray, "sample n"]
-    low: Float[np.ndarray, "limit m"]
-    high: Float[np.ndarray, "limit m"]
-    relative: Bool[np.ndarray, " limit"]
+    heard: Heard
+    lags: Lags | None
+    clip: Clip
     commanded: bool
 
     @classmethod
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
         """The arrays of a run; everything random is drawn from the streams."""
-        sensors = [(each, rng) for each, rng in pairs if isinstance(each, Additive)]
-        limits = [each.limits(sizes) for each, _ in pairs if isinstance(each, Limiting)]
-        noise = np.zeros((samples if sensors else 0, sizes.states))
-        with np.errstate(over="ignore", invalid="ignore"):
-            for sensor, rng in sensors:
-                noise += sensor.sampler(sizes, rng)(samples)
-        shape = len(limits), sizes.inputs
-        return cls(
-            read_only(noise),
-            read_only(np.reshape([limit.low for limit in limits], shape)),
-            read_only(np.reshape([limit.high for limit in limits], shape)),
-            read_only(np.array([limit.relative for limit in limits], np.bool_)),
-            tells_commands(predict),
-        )
+        commanded, heard = tells_commands(predict), Heard.perfect(samples, sizes)
+        for each, rng in pairs:
+            if isinstance(each, Relaying):
+                heard = each.relay(heard, sizes, rng)
+        lags = Lags.of(pairs, sizes, samples)
+        return cls(heard, lags, Clip.of(pairs, sizes), commanded)
+
+
+def tells_commands(predict: str) -> bool:
+    """Whether the law's past inputs are those asked for."""
+    if predict not in ("applied", "commanded"):
+        raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
+    return predict == "commanded"
 
 
 def takes(pairs: Pairs) -> bool:
@@ -58,9 +113,18 @@ def takes(pairs: Pairs) -> bool:
 
     Examples
     --------
-    >>> from deadtime.imperfections import Dropout, Noise
+    >>> from deadtime.imperfections import Dropout, Noise, SensorImperfection
+    >>> class Own(SensorImperfection):
+    ...     def sensor(self, sizes, rng):
+    ...         return lambda seen: seen
     >>> rng = np.random.default_rng(0)
-    >>> takes([(Noise(0.1), rng)]), takes([(Noise(0.1), rng), (Dropout(0.1), rng)])
+    >>> takes([(Noise(0.1), rng), (Dropout(0.1), rng)]), takes([(Noise(0.1), rng), (Own(), rng)])
     (True, False)
     """
-    return all(isinstance(each, Additive | Limiting) for each, _ in pairs)
+    return all(_is_known(each) for each, _ in pairs)
+
+
+def _is_known(each: Imperfection) -> bool:
+    if isinstance(each, SensorImperfection):
+        return isinstance(each, Relaying)
+    return isinstance(each, Limiting) or not isinstance(each, ActuatorImperfection)

@@ -11,15 +11,18 @@ import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Law
-from deadtime.imperfections import Disturbance, Sizes
+from deadtime.feedback.memory import Tables
+from deadtime.feedback.table import follow
+from deadtime.imperfections import Disturbance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
-from deadtime.simulation.compiled import Arrays
+from deadtime.simulation.compiled import Arrays, no_clip
 from deadtime.simulation.forcing import Forcing
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
 from deadtime.simulation.record import DigitalRecord
+from deadtime.simulation.sight import Sight
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import cuts_of, modes_at
 
@@ -29,25 +32,39 @@ Drawn = Sequence[tuple[Disturbance, np.random.Generator]]  # disturbances and th
 
 class Rows(NamedTuple):
     """The rows of a law's table for the compiled loop: F (contexts, m, n), G (contexts, m, taps·m)
-    with the oldest input first, and the row of every sample.
+    with the oldest input first, the row of every sample, and the mode that a memory goes by.
     """
 
     F: np.ndarray
     G: np.ndarray
     row: np.ndarray
+    mode: np.ndarray
 
 
 class Line(NamedTuple):
-    """What goes into the delay line, (past + samples, m), u_k in row past + k.
+    """What goes into the delay line, (past + samples, m), u_k in row past + k, and comes before.
 
     The law asks for `asked`, the plant is given `inputs`, and the law is `told` past inputs: all
-    three are one array where what is asked for is applied.
+    three are one array where what is asked for is applied. What is `measured` (samples, n or p) is
+    what reaches the law, and a law with a memory makes `estimates` (samples, z) of it.
     """
 
     past: int
     inputs: np.ndarray
     asked: np.ndarray
     told: np.ndarray
+    measured: np.ndarray
+    estimates: np.ndarray
+
+    @classmethod
+    def of(cls, grid: Grid, arrays: Arrays | None, measured: int, remembered: int) -> Line:
+        """A line before its run, for states or outputs and a memory of these sizes."""
+        inputs, samples = grid.inputs, grid.samples
+        limited = arrays is not None and arrays.clip.relative.size
+        asked = inputs.copy() if limited else inputs
+        told = asked if arrays is not None and arrays.commanded else inputs
+        sizes = (samples, measured), (samples if remembered else 0, remembered)
+        return cls(grid.past, inputs, asked, told, *map(np.empty, sizes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,18 +134,18 @@ class Outcome:
 
 def run_table(
     law: Law,
+    tables: Tables,
     signal: SwitchingSignal,
     x0: np.ndarray,
     grid: Grid,
-    imperfect: Arrays | None = None,
+    arrays: Arrays | None = None,
     disturbances: Drawn = (),
 ) -> Outcome:
-    """Run a table law, or what imperfections make of it, along a signal."""
+    """Run a law by its tables, or what imperfections make of it, along a signal."""
     from deadtime.simulation.kernel import closed_loop
 
-    sampled, samples, past, inputs = grid.sampled, grid.samples, grid.past, grid.inputs
-    step = sampled.step
-    feedback = law.digital(step, signal, samples)
+    sampled, samples, past = grid.sampled, grid.samples, grid.past
+    step, memory = sampled.step, tables.memory
     cuts = cuts_of(signal, sampled.window)
     table = sampled.along(cuts, grid.periods)
     shift, forces = np.zeros((0, x0.size)), None
@@ -139,18 +156,18 @@ def run_table(
     def mode_at(time: np.ndarray) -> np.ndarray:
         return modes_at(signal, time, step)
 
-    row = feedback.rows(mode_at(np.arange(samples) * step), initial_age(signal, step))
-    rows = Rows(feedback.state_gain, read_only(feedback.oldest_first), row)
-    arrays = imperfect or Arrays.of((), Sizes.of(sampled.plant, step), samples, "applied")
-    asked = inputs.copy() if arrays.relative.size else inputs
-    line = Line(past, inputs, asked, asked if arrays.commanded else inputs)
-    kept, path = closed_loop(table, rows, line, arrays, shift, x0)
+    modes = mode_at(np.arange(samples) * step)
+    rows = _rows(tables, modes, initial_age(signal, step), arrays)
+    sight = Sight.of(arrays, sampled, table, cuts, forces, law.outputs, modes)
+    line = Line.of(grid, arrays, sight.C.shape[1], 0 if memory is None else memory.start.size)
+    clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
+    kept, path = closed_loop(table, rows, memory, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,
         cuts,
         table,
         read_only(path),
-        read_only(inputs[: past + kept]),
+        read_only(grid.inputs[: past + kept]),
         past,
         kept,
         forces,
@@ -158,10 +175,24 @@ def run_table(
     diverged = kept < samples
     end = (kept - 1) * step if diverged else None
     told = None
-    if imperfect is not None:
-        measured = record.states[:kept] + (arrays.noise[:kept] if arrays.noise.size else 0.0)
-        told = Told(measured, asked[past : past + kept])
+    if arrays is not None or law.outputs is not None:
+        estimates = None if memory is None else line.estimates[:kept]
+        told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
     return Outcome(record, signal, mode_at, end, diverged, told=told)
+
+
+def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) -> Rows:
+    """The rows of a run in which the plant has these modes at the samples."""
+    feedback, assumed = tables.feedback, modes
+    if arrays is None:
+        row = feedback.rows(modes, age)
+    else:
+        modes, ages = follow(arrays.heard.modes(modes), modes, age)
+        # A law that must estimate before it knows a mode assumes the first.
+        assumed = np.maximum(modes, 0)
+        row = feedback.rows_at(modes if tables.memory is None else assumed, ages)
+    F, G = feedback.state_gain, read_only(feedback.oldest_first)
+    return Rows(F, G, row, read_only(assumed))
 
 
 def initial_age(signal: SwitchingSignal, step: float) -> int:

@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections import Disturbance, Sizes
+from deadtime.imperfections import Disturbance, Sizes, Stacked
+from deadtime.imperfections.base import Piece
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import Cuts
@@ -38,59 +39,66 @@ class Forcing:
         lengths = tuple(lengths[: max(2, len(lengths) - 1)])
         self._kinds = [force for force, _ in disturbances]
         self._draws = [force.draws(self._sizes, lengths, steps, rng) for force, rng in disturbances]
+        held = [sampled.stretches(mode) for mode in range(plant.modes)]
+        self._first = np.cumsum([0, *map(len, held)])
         self._held = [
-            [self._spreads([(A, part.stop - part.start)]) for part in sampled.stretches(mode)]
-            for mode, A in enumerate(plant.A)
+            [(A, part.stop - part.start)]
+            for A, parts in zip(plant.A, held, strict=True)
+            for part in parts
         ]
+        self._of_held = self._maps(self._held)
 
     def along(
         self, table: PieceTable, cuts: Cuts
     ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece n"]]:
         """ξ and d over the pieces of a known signal."""
-        shift, force = np.zeros((2, table.entry.size, self._plant.states))
-        period = table.period
+        A, shift = self._plant.A, np.zeros((table.entry.size, self._plant.states))
+        period, entry = table.period, table.entry
         place = np.arange(period.size) - table.first[period]
-        entries = self._entries(table, cuts)
-        for entry in np.unique(table.entry):
-            of = table.entry == entry
-            spreads, inverse = entries[entry]
-            for spread, draws in zip(spreads, self._draws, strict=True):
-                shift[of] += draws[period[of], place[of]] @ spread.T
-            force[of] = shift[of] @ inverse.T
-        return shift, force
+        # The entries of modes held come first.
+        cut = [table.parts(e, cuts) for e in range(len(self._held), table.mode.size)]
+        spreads, inverse = self._maps(self._held + [[(A[i], b - a) for i, a, b in e] for e in cut])
+        for spread, draws in zip(spreads, self._draws, strict=True):
+            shift += np.einsum("qnr,qr->qn", spread[entry], draws[period, place])
+        return shift, np.einsum("qij,qj->qi", inverse[entry], shift)
 
     def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " n"]:
         """d over a piece that starts in a mode; a switch within it leaves d as it is."""
-        spreads, inverse = self._held[mode][piece]
+        (spreads, inverse), entry = self._of_held, self._first[mode] + piece
         pairs = zip(spreads, self._draws, strict=True)
-        return inverse @ np.sum([spread @ draws[k, piece] for spread, draws in pairs], axis=0)
+        shift = np.sum([spread[entry] @ draws[k, piece] for spread, draws in pairs], axis=0)
+        return inverse[entry] @ shift
 
-    def _entries(self, table: PieceTable, cuts: Cuts) -> list[tuple[list[np.ndarray], np.ndarray]]:
-        """What the numbers of every entry become; those of modes held come first."""
-        held = [piece for pieces in self._held for piece in pieces]
-        cut = [table.parts(entry, cuts) for entry in range(len(held), table.mode.size)]
-        A = self._plant.A
-        return held + [self._spreads([(A[i], b - a) for i, a, b in parts]) for parts in cut]
+    def _maps(self, entries: list[list[Piece]]) -> tuple[list[np.ndarray], np.ndarray]:
+        """How each disturbance's numbers become ξ over every entry, and Γ_I⁻¹."""
+        n, longest = self._plant.states, max(map(len, entries))
+        A, tau = np.zeros((len(entries), longest, n, n)), np.zeros((len(entries), longest))
+        for entry, pieces in enumerate(entries):
+            for i, (matrix, seconds) in enumerate(pieces):
+                A[entry, i], tau[entry, i] = matrix, seconds
+        spreads = [
+            force.spreads(self._sizes, A, tau)
+            if isinstance(force, Stacked)
+            else np.stack([force.spread(self._sizes, pieces) for pieces in entries])
+            for force in self._kinds
+        ]
+        return spreads, self._inverse(A, tau)
 
-    def _spreads(
-        self, pieces: list[tuple[np.ndarray, float]]
-    ) -> tuple[list[np.ndarray], np.ndarray]:
-        """How each disturbance's numbers become ξ over these pieces, and Γ_I⁻¹."""
-        from deadtime.numerics.exponential import discretise, multiply
+    def _inverse(self, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Γ_I⁻¹ of every entry, 0 where it takes no time."""
+        from deadtime.numerics.exponential import discretise_each
 
-        n = self._plant.states
-        Gamma = np.zeros((n, n))
-        for A, tau in pieces:
-            Phi, own = discretise(read_only(A), read_only(np.eye(n)), tau)
-            Gamma = multiply(Phi, Gamma) + own
-        total = sum(tau for _, tau in pieces)
-        if total == 0.0:
-            inverse = np.zeros((n, n))
-        elif np.abs(np.linalg.eigvals(Gamma)).min() > _SINGULAR * total:
-            inverse = np.linalg.inv(Gamma)
-        else:
+        Gamma, total = np.zeros((len(A), *A.shape[2:])), tau.sum(axis=1)
+        unit = np.broadcast_to(np.eye(A.shape[2]), Gamma.shape)
+        for i in range(tau.shape[1]):
+            Phi, own = discretise_each(*map(read_only, (A[:, i], unit, tau[:, i])))
+            Gamma = Phi @ Gamma + own
+        size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
+        if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():
             raise ArgumentError(
                 f"step = {self._step:g} s is too long for disturbances: a mode of the plant "
                 "oscillates a whole number of times within it; shorten it."
             )
-        return [force.spread(self._sizes, pieces) for force in self._kinds], inverse
+        inverse = np.zeros(Gamma.shape)
+        inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
+        return inverse

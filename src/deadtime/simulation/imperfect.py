@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.base.errors import ArgumentError
 from deadtime.feedback.law import Remembering, Update
 from deadtime.imperfections import (
     ActuatorImperfection,
@@ -15,11 +14,8 @@ from deadtime.imperfections import (
     Seen,
     SensorImperfection,
     Sizes,
-    TimingImperfection,
 )
-from deadtime.plant import SwitchedSystem
-
-Lags = Callable[[], tuple[float, float]]
+from deadtime.simulation.compiled import Lags, tells_commands
 
 
 class Told(NamedTuple):
@@ -35,13 +31,6 @@ class Told(NamedTuple):
     estimates: np.ndarray | None = None
 
 
-def tells_commands(predict: str) -> bool:
-    """Whether the law's past inputs are those asked for."""
-    if predict not in ("applied", "commanded"):
-        raise ArgumentError(f'predict must be "applied" or "commanded", got {predict!r}.')
-    return predict == "commanded"
-
-
 class ImperfectLaw:
     """An `Update` that senses and acts through imperfections.
 
@@ -51,9 +40,8 @@ class ImperfectLaw:
 
     Attributes
     ----------
-    lag : callable or None
-        How long before a sample its state is to be measured, seconds, in two parts: what is missing
-        before time 0, and what is not; called once a sample.
+    lags : Lags or None
+        How long before each sample its state is to be measured.
     measured : (samples, n) or (samples, p)
         What the law was told of x or y, NaN where nothing arrived.
     commanded : (samples, m)
@@ -62,29 +50,22 @@ class ImperfectLaw:
 
     def __init__(
         self,
-        plant: SwitchedSystem,
         update: Update,
-        step: float,
+        sizes: Sizes,
         pairs: Sequence[tuple[Imperfection, np.random.Generator]],
         predict: str,
+        samples: int,
         outputs: np.ndarray | None = None,
     ) -> None:
         self._tells_commands = tells_commands(predict)
         self._outputs = outputs
-        measured = plant.states if outputs is None else outputs.shape[1]
-        sizes = Sizes(plant.modes, measured, plant.inputs, step)
         self._sensors = [
             each.sensor(sizes, rng) for each, rng in pairs if isinstance(each, SensorImperfection)
         ]
         self._actuators = [
             each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
         ]
-        timings = [(each, rng) for each, rng in pairs if isinstance(each, TimingImperfection)]
-        waits = [each.lag(sizes, rng) for each, rng in timings if each.waits]
-        early = [each.lag(sizes, rng) for each, rng in timings if not each.waits]
-        self.lag: Lags | None = None
-        if timings:
-            self.lag = lambda: (sum(lag() for lag in waits), sum(lag() for lag in early))
+        self.lags = Lags.of(pairs, sizes, samples)
         self._update = update
         self._line: np.ndarray | None = None
         self._mode, self._age = -1, 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deadtime.estimation.kernel import remember
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.cut_pieces import up_to
@@ -55,40 +56,68 @@ def _limit(u, before, low, high, relative):
 
 
 @kernel
-def closed_loop(table, rows, line, imperfect, shift, x0):
+def _go_on(Phi, Gamma, x, inputs, now, lag, force, result):
+    """x further on in its piece, under the inputs of `lag` samples before `now`, and the force."""
+    m = lag.size
+    acting = np.empty(Gamma.shape[1])
+    for i in range(acting.size):
+        acting[i] = inputs[now - lag[i], i] if i < m else force[i - m]
+    advance(Phi, Gamma, x, acting, result)
+
+
+@kernel
+def closed_loop(table, rows, memory, line, sight, clip, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
-    `table` is a `deadtime.plant.pieces.PieceTable`, `rows` and `line` are those of
-    `deadtime.simulation.digital`, `imperfect` the `Arrays` of `deadtime.simulation.compiled`.
-    `shift` (pieces, n), or empty, is what disturbances add over the pieces. Returns
-    (samples, path): how many samples were kept before |x| left the limit, and x at the start of
-    every piece that was run and at the end of the last.
+    `table` is a `deadtime.plant.pieces.PieceTable`, `memory` a `deadtime.feedback.memory.Memory` or
+    None, `rows` and `line` are those of `deadtime.simulation.digital`, `sight` and `clip` those of
+    `deadtime.simulation.sight` and `compiled`. `shift` (pieces, n), or empty, is what disturbances
+    add over the pieces. Returns (samples, path): how many samples were kept before |x| left the
+    limit, and x at the start of every piece that was run and at the end of the last.
     """
     m, window = rows.G.shape[1:]
     n, past, samples = x0.size, line.past, rows.row.size
-    told = line.told.reshape(-1)
-    seen, acting = np.empty(n), np.empty(m)
+    told, measures = line.told.reshape(-1), sight.C.size > 0
+    noises = line.measured.shape[1] if sight.noise.size else 0
+    spare, acting, answer = np.empty(n), np.empty(m), np.zeros(m)
     path = np.empty((table.entry.size + 1, n))
     for i in range(n):
         path[0, i] = x0[i]
     for k in range(table.first.size - 1):
-        x = path[table.first[k]]
-        if k < samples and k > 0 and not _within_limit(x):
+        if k < samples and k > 0 and not _within_limit(path[table.first[k]]):
             samples = k
         if k < samples:
-            row, now = rows.row[k], (past + k) * m
-            recent, asked = told[now - window : now], line.asked[past + k]
-            for i in range(n):
-                seen[i] = x[i] + (imperfect.noise[k, i] if imperfect.noise.size else 0.0)
+            row, at, q, way = rows.row[k], past + k, sight.piece[k], sight.way[k]
+            recent, asked, seen = told[at * m - window : at * m], line.asked[at], line.measured[k]
+            x = path[max(q, 0)]
+            if way >= 0:
+                now, lag = past + sight.step[k], table.lag[table.entry[q]]
+                Phi, Gamma, force = sight.Phi[way], sight.Gamma[way], sight.force[q]
+                _go_on(Phi, Gamma, x, line.inputs, now, lag, force, spare)
+                x = spare
+            if q < 0:
+                for i in range(seen.size):
+                    seen[i] = np.nan
+            elif measures:
+                for i in range(seen.size):
+                    seen[i] = _dot(sight.C[sight.mode[k], i], x)
+            else:
+                for i in range(n):
+                    seen[i] = x[i]
+            for i in range(noises):
+                seen[i] += sight.noise[k, i]
+            known = seen
+            if memory is not None:
+                known = line.estimates[k]
+                remember(memory, rows.mode, k, line.told, past, seen, answer, line.estimates)
             for i in range(m):
-                asked[i] = _dot(rows.G[row, i], recent) + _dot(rows.F[row, i], seen)
-            held = not (_finite(seen) or _finite(asked))
+                answer[i] = _dot(rows.G[row, i], recent) + _dot(rows.F[row, i], known)
+            held = not (_finite(seen) or _finite(answer))
             for i in range(m):
-                command = line.asked[past + k - 1, i] if held else asked[i]
+                command = line.asked[at - 1, i] if held else answer[i]
                 asked[i] = command
-                before = line.inputs[past + k - 1, i]
-                line.inputs[past + k, i] = _limit(
-                    command, before, imperfect.low[:, i], imperfect.high[:, i], imperfect.relative
+                line.inputs[at, i] = _limit(
+                    command, line.inputs[at - 1, i], clip.low[:, i], clip.high[:, i], clip.relative
                 )
         for q in range(table.first[k], table.first[k + 1]):
             e = table.entry[q]
@@ -116,6 +145,21 @@ def states_at(A, B, table, cut_offset, cut_mode, step, offset, path, acting):
         Phi, Gamma = up_to(A, B, table, cut_offset, cut_mode, table.entry[q], offset[i])
         advance(Phi, Gamma, path[q], acting[q], result[i])
     return result
+
+
+@kernel
+def ways(A, B, table, cut_offset, cut_mode, entry, offset):
+    """Φ and Γ of entries from their starts up to `offset` seconds after their period's sample."""
+    n, m = B.shape[1:]
+    Phi, Gamma = np.empty((entry.size, n, n)), np.empty((entry.size, n, m))
+    for v in range(entry.size):
+        one_Phi, one_Gamma = up_to(A, B, table, cut_offset, cut_mode, entry[v], offset[v])
+        for i in range(n):
+            for j in range(n):
+                Phi[v, i, j] = one_Phi[i, j]
+            for j in range(m):
+                Gamma[v, i, j] = one_Gamma[i, j]
+    return Phi, Gamma
 
 
 @kernel

@@ -18,8 +18,9 @@ from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
 from deadtime.feedback.law import Update
 from deadtime.plant.steps import snap
+from deadtime.simulation.compiled import Lags
 from deadtime.simulation.digital import Drawn, Grid, Outcome, initial_age
-from deadtime.simulation.imperfect import ImperfectLaw, Lags
+from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.record import DigitalRecord
 from deadtime.simulation.slides import slides_in_words
 from deadtime.simulation.truth import KnownTruth, RuleTruth, Truth
@@ -53,9 +54,9 @@ def run_online(
         age = 0
         truth = RuleTruth(sampled, switching, x0, grid.periods, disturbances)
     update = law.online(step) if imperfect is None else imperfect
-    lag = None if imperfect is None else imperfect.lag
+    lags = None if imperfect is None else imperfect.lags
     with np.errstate(over="ignore", invalid="ignore"):
-        kept, path, stop = _run(truth, update, lag, age, x0, horizon, grid)
+        kept, path, stop = _run(truth, update, lags, age, x0, horizon, grid)
     total = kept + sampled.longest_lag - 1
     known = total * step + sampled.window.phase
     if truth.chatter is not None:
@@ -92,7 +93,7 @@ def run_online(
 def _run(
     truth: Truth,
     update: Update,
-    lag: Lags | None,
+    lags: Lags | None,
     age: int,
     x0: np.ndarray,
     horizon: float,
@@ -108,14 +109,14 @@ def _run(
         x, now = path[-1], past + k
         if 0 < k < kept and not x @ x <= LIMIT * LIMIT:
             kept, stop = k, _Stop((k - 1) * h, True, "")
-        for piece, lags in enumerate(truth.lags(k)):
-            if k - lags.min() >= kept:
+        for piece, acting in enumerate(truth.lags(k)):
+            if k - acting.min() >= kept:
                 return kept, path, stop
-            path.append(truth.move(k, piece, path[-1], grid.acting(k, lags)))
+            path.append(truth.move(k, piece, path[-1], grid.acting(k, acting)))
             if piece == 0 and k < kept:
                 age = age if last is None else age + 1 if truth.mode == last else 0
                 last = truth.mode
-                seen = x if lag is None else _before(truth, k, *lag(), path, first, grid)
+                seen = x if lags is None else _before(truth, k, lags, path, first, grid)
                 try:
                     inputs[now] = update(seen, inputs[:now], last, age)
                 except ChatteringError as error:
@@ -133,14 +134,13 @@ def _run(
 def _before(
     truth: Truth,
     k: int,
-    late: float,
-    early: float,
+    lags: Lags,
     path: list[np.ndarray],
     first: list[int],
     grid: Grid,
 ) -> np.ndarray:
-    """x(t_k − late − early), at time 0 at least; NaN while nothing has arrived."""
-    h = grid.sampled.step
+    """x as it is measured for t_k, at time 0 at least; NaN while nothing has arrived."""
+    h, late, early = grid.sampled.step, lags.missing[k], lags.early[k]
     ratio = max(0.0, snap(k - (late + early) / h))
     if snap(k - late / h) < 0.0:
         return np.full(path[0].size, np.nan)

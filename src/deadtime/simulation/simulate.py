@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.law import require_match
+from deadtime.feedback.memory import tables_of
 from deadtime.imperfections import Disturbance, Imperfection, Sizes, streams
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
@@ -207,16 +208,20 @@ def _digital(
     predict: str,
     disturbances: Drawn,
 ) -> Outcome:
-    """The digital run: at once for a table law on a known signal, otherwise period by period."""
+    """The digital run: at once for a law with tables on a known signal, else period by period."""
     step, imperfect = grid.sampled.step, None
+    measured = plant.states if law.outputs is None else law.outputs.shape[1]
+    sizes = Sizes(plant.modes, measured, plant.inputs, step)
     known = switching if isinstance(switching, SwitchingSignal) else None
-    if isinstance(law, TableLaw) and law.outputs is None and known is not None and takes(others):
-        sizes = Sizes.of(plant, step)
+    tables = None
+    if known is not None and takes(others):
+        tables = tables_of(law, step, known, grid.samples)
+    if known is not None and tables is not None:
         arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
-        return run_table(law, known, x0, grid, arrays, disturbances)
+        return run_table(law, tables, known, x0, grid, arrays, disturbances)
     if others or law.outputs is not None:
         update = law.online(step, known, None if known is None else grid.samples)
-        imperfect = ImperfectLaw(plant, update, step, others, predict, law.outputs)
+        imperfect = ImperfectLaw(update, sizes, others, predict, grid.samples, law.outputs)
     return run_online(law, switching, x0, horizon, grid, imperfect, disturbances)
 
 

@@ -1,0 +1,118 @@
+"""What a law hears at all samples of a run, drawn before it.
+
+Which sample's measurement reaches the law, what was added to it and which mode is named in place of
+another depend neither on the state nor on the mode. So a whole run of it is drawn at once, for
+compiled loops and for many runs, and its sensors are functions of arrays, one after the other.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.imperfections.base import Seen, Sense, Sizes
+
+_BLOCK = 64  # samples
+
+Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in the next ones
+
+
+class Heard(NamedTuple):
+    """What reaches a law at every sample of a run.
+
+    sample : (samples,)
+        Whose measurement; −1 for none.
+    noise : (samples, n)
+        What was added to it.
+    mode_of : (samples,)
+        Whose mode; −1 for none.
+    named : (samples, modes)
+        What each mode is taken for.
+
+    Examples
+    --------
+    >>> heard = Heard.perfect(3, Sizes(modes=2, states=1, inputs=1, step=0.1))
+    >>> heard.at(np.array([-1, 0, 0])).modes(np.array([1, 0, 0]))
+    array([-1,  1,  1])
+    """
+
+    sample: Int[np.ndarray, " sample"]
+    noise: Float[np.ndarray, "sample n"]
+    mode_of: Int[np.ndarray, " sample"]
+    named: Int[np.ndarray, "sample mode"]
+
+    @classmethod
+    def perfect(cls, samples: int, sizes: Sizes) -> Heard:
+        """Every sample at once and as it is."""
+        each, noise = np.arange(samples), np.zeros((samples, sizes.states))
+        named = np.broadcast_to(np.arange(sizes.modes), (samples, sizes.modes))
+        return cls(each, noise, each, named)
+
+    def at(self, sample: Int[np.ndarray, " sample"]) -> Heard:
+        """What was heard at other samples, one for each; nothing at −1."""
+        return Heard(
+            np.where(sample < 0, -1, self.sample[sample]),
+            self.noise[sample],
+            np.where(sample < 0, -1, self.mode_of[sample]),
+            self.named[sample],
+        )
+
+    def modes(self, sampled: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:
+        """The mode that the law is told at each sample, from σ(t_k); −1 where it is told none."""
+        told = self.named[np.arange(sampled.size), sampled[self.mode_of]]
+        return np.where(self.mode_of < 0, -1, told)
+
+
+class Relaying(ABC):
+    """What a sensor does that asks for no state and no mode.
+
+    A base beside `SensorImperfection`, by which compiled loops know what they can take.
+    """
+
+    @abstractmethod
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        """What is heard through it; a longer run of the same numbers begins as a shorter one."""
+
+    @final
+    def sensor(self, sizes: Sizes, rng: np.random.Generator) -> Sense:
+        """The same, called once a sample: for a loop beside a sensor that is no `Relaying`."""
+        seen: list[Seen] = []
+        nothing = np.full(sizes.states, np.nan)
+
+        def draw(samples: int) -> Heard:
+            return self.relay(Heard.perfect(samples, sizes), sizes, copy.deepcopy(rng))
+
+        heard = draw(_BLOCK)
+
+        def sense(now: Seen) -> Seen:
+            nonlocal heard
+            k = len(seen)
+            seen.append(now)
+            if k == heard.sample.size:
+                heard = draw(2 * k)
+            j, i = heard.sample[k], heard.mode_of[k]
+            mode = -1 if i < 0 else seen[i].mode
+            return Seen(
+                nothing if j < 0 else seen[j].x + heard.noise[k],
+                -1 if mode < 0 else int(heard.named[k, mode]),
+            )
+
+        return sense
+
+
+class Additive(Relaying):
+    """What adds to the measured state, whatever it is, and leaves the mode as it is."""
+
+    @abstractmethod
+    def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
+        """A function of a count that draws noise (count, n), the same in blocks or one by one."""
+
+    @final
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return heard._replace(noise=heard.noise + self.sampler(sizes, rng)(heard.sample.size))
