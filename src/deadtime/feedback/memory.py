@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.table import Feedback
 from deadtime.switching import SwitchingSignal
@@ -51,10 +52,14 @@ class Memory(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """A law as tables: its rows, and what they are multiplied with where that is not x or y."""
+    """A law as tables: its rows, and what they are multiplied with where that is not x or y.
 
-    feedback: Feedback
-    memory: Memory | None
+    A law that knows the signal has a foresight in place of rows.
+    """
+
+    feedback: Feedback | None
+    memory: Memory | None = None
+    foresight: Foresight | None = None
 
 
 class WithMemory(ABC):
@@ -68,5 +73,7 @@ class WithMemory(ABC):
 def tables_of(law: Law, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
     """A law's tables for a run along a signal; None of a law that must be called."""
     if isinstance(law, TableLaw):
-        return Tables(law.digital(step, signal, steps), None)
+        foresight = law.foresight(step, signal, steps)
+        feedback = None if foresight else law.digital(step, signal, steps)
+        return Tables(feedback, foresight=foresight)
     return law.tables(step, signal, steps) if isinstance(law, WithMemory) else None

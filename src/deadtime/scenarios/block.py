@@ -12,6 +12,8 @@ from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.heard import HeardBlock
+from deadtime.scenarios.layout import PERFECT, Told
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.source import Source, scenario_seed
@@ -60,10 +62,14 @@ class Block:
         if self.tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
+        heard = None
+        if self.tables and len(self.imperfections) > len(self.loop.actuators):
+            heard = HeardBlock(self.loop, self.imperfections, signals, self.seed, first)
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
             if laid is not None and name in self.tables:
-                left = self._at_once(row, self.tables[name](signals), laid, first, stopped)
+                table = self.tables[name](signals)
+                left = self._at_once(row, table, laid, heard, first, stopped)
             for i in left:
                 if stopped():
                     return 0
@@ -79,7 +85,13 @@ class Block:
         return int((signals.end < self.loop.horizon).sum())
 
     def _at_once(
-        self, row: int, table: Table, laid: Sequence[Laid], first: int, stopped: Stopped
+        self,
+        row: int,
+        table: Table,
+        laid: Sequence[Laid],
+        heard: HeardBlock | None,
+        first: int,
+        stopped: Stopped,
     ) -> Sequence[int]:
         """Run a law by the engine; which scenarios are left to `simulate`."""
         results, count = self.results, laid[0].scenarios
@@ -89,25 +101,28 @@ class Block:
             if stopped():
                 return []
             these = slice(first + start, first + min(start + size, count))
-            figures = self._figures(row, table, laid, start, these)
+            told = PERFECT
+            if heard is not None:
+                told = heard.told(table.feedback, start, these.stop - these.start)
+            figures = self._figures(row, table, laid, told, start, these)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
         return left
 
     def _figures(
-        self, row: int, table: Table, laid: Sequence[Laid], start: int, these: slice
+        self, row: int, table: Table, laid: Sequence[Laid], told: Told, start: int, these: slice
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results = these.stop - these.start, self.results
         if results.x is None or results.u is None:
-            figures = self.engine.run(table, laid[0], start, count)
+            figures = self.engine.run(table, laid[0], start, count, told)
         else:
-            figures, path = self.engine.path(table, laid[0], start, count)
+            figures, path = self.engine.path(table, laid[0], start, count, told=told)
             results.x[row, these], results.u[row, these] = path
         if self.weighed is None:
             return [figures]
-        return [figures, self.weighed[1].run(table, laid[1], start, count)]
+        return [figures, self.weighed[1].run(table, laid[1], start, count, told)]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""

@@ -10,9 +10,8 @@ from deadtime.feedback import Feedback
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import NO_MODEL, Model
-from deadtime.scenarios.hearing import PERFECT, Told
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.layout import Plant, Rows, Run, Shape
+from deadtime.scenarios.layout import PERFECT, Plant, Rows, Run, Shape, Told
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid

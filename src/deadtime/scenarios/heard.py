@@ -11,9 +11,8 @@ import numpy as np
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import follow
 from deadtime.imperfections import Heard, Imperfection, Sizes, streams
-from deadtime.numerics.lanes import LANES
 from deadtime.plant.steps import snap_all
-from deadtime.scenarios.hearing import Told
+from deadtime.scenarios.layout import Told
 from deadtime.scenarios.loop import OLDEST, Loop
 from deadtime.scenarios.source import scenario_seed
 from deadtime.simulation.compiled import Arrays
@@ -38,7 +37,7 @@ class HeardBlock:
     first: int
 
     def told(self, feedback: Feedback | None, begin: int, count: int) -> Told:
-        """What is heard in `count` scenarios of the block from `begin` on, by a law with this table."""
+        """What a law with this table hears in `count` scenarios of the block from `begin` on."""
         part = slice(begin, begin + count)
         sample = np.stack([heard.sample for heard in self._heard[part]])
         noise = np.stack([heard.noise for heard in self._heard[part]])
@@ -98,6 +97,8 @@ def in_groups(values: np.ndarray) -> np.ndarray:
     array([[1, 3, 0],
            [2, 4, 0]])
     """
+    from deadtime.numerics.lanes import LANES
+
     count, *others = values.shape
     groups = -(-count // LANES)
     padded = np.zeros((groups * LANES, *others), values.dtype)

@@ -1,7 +1,6 @@
 """What the laws of eight scenarios hear: samples late or lost, noise, rows by the modes told.
 
-What reaches a law is drawn before the run (`deadtime.imperfections.Heard`) and laid out as the
-compiled loop reads it, eight scenarios to a vector.
+`layout.Told` has it, drawn before the run.
 """
 
 # Intrinsics take one argument less than the functions that declare them.
@@ -17,26 +16,6 @@ from numba import njit
 from deadtime.numerics.lanes import LANES, choose, first_of, gather, load, same, spread, times
 
 _ONE = (0.0,)
-
-
-class Told(NamedTuple):
-    """What reaches a law, in groups of eight scenarios, flat; of a perfect loop all is empty.
-
-    sample : (group, sample, 8), whose measurement is used, −1 for none
-    reach : how many samples back these go, at most
-    noise : (group, sample, n, 8), what was added to it
-    lost : (group, sample, 8), 1 where the last command is held
-    row : (group, sample, 8), the row of the law's table; empty where there is one
-    """
-
-    sample: np.ndarray
-    reach: int
-    noise: np.ndarray
-    lost: np.ndarray
-    row: np.ndarray
-
-
-PERFECT = Told(np.zeros(0, np.int32), 0, np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 class Memory(NamedTuple):

@@ -1,4 +1,4 @@
-"""What the compiled loop of `scenarios.kernel` is given: sizes as types, laws, plant and run."""
+"""What the compiled loop of `scenarios.kernel` is given: sizes as types, law, plant and run."""
 
 from __future__ import annotations
 
@@ -88,3 +88,23 @@ class Run(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     root: np.ndarray
+
+
+class Told(NamedTuple):
+    """What reaches a law, in groups of eight scenarios, flat; of a perfect loop all is empty.
+
+    sample : (group, sample, 8), whose measurement is used, −1 for none
+    reach : how many samples back these go, at most
+    noise : (group, sample, n, 8), what was added to it
+    lost : (group, sample, 8), 1 where the last command is held
+    row : (group, sample, 8), the row of the law's table; empty where there is one
+    """
+
+    sample: np.ndarray
+    reach: int
+    noise: np.ndarray
+    lost: np.ndarray
+    row: np.ndarray
+
+
+PERFECT = Told(np.zeros(0, np.int32), 0, np.zeros(0), np.zeros(0), np.zeros(0))

@@ -14,7 +14,7 @@ from deadtime.base.checks import instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
-from deadtime.imperfections import Imperfection, Limiting, streams
+from deadtime.imperfections import Imperfection, Limiting, Relaying, streams
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
@@ -224,7 +224,9 @@ def _tables(
 ) -> dict[str, Callable[[SignalBatch], Table]]:
     """The laws that the engine can run: what makes a table of each along signals."""
     n, wide = loop.plant.states, loop.acting.wide
-    if len(imperfections) > len(loop.actuators) or loop.tables is None:
+    if loop.tables is None or not all(
+        isinstance(one, Limiting | Relaying) for one in imperfections
+    ):
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}

@@ -18,6 +18,7 @@ from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Arrays, no_clip
 from deadtime.simulation.forcing import Forcing
+from deadtime.simulation.foreseen import Foreseen
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
@@ -161,7 +162,8 @@ def run_table(
     sight = Sight.of(arrays, sampled, table, cuts, forces, law.outputs, modes)
     line = Line.of(grid, arrays, sight.C.shape[1], 0 if memory is None else memory.start.size)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
-    kept, path = closed_loop(table, rows, memory, line, sight, clip, shift, x0)
+    foreseen = Foreseen.of(tables.foresight, samples) if tables.foresight else None
+    kept, path = closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,
         cuts,
@@ -184,6 +186,9 @@ def run_table(
 def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) -> Rows:
     """The rows of a run in which the plant has these modes at the samples."""
     feedback, assumed = tables.feedback, modes
+    if feedback is None:
+        none = read_only(np.zeros((1, 1, 0)))
+        return Rows(none, none, read_only(np.zeros(modes.size, np.int64)), read_only(modes))
     if arrays is None:
         row = feedback.rows(modes, age)
     else:

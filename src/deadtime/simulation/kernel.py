@@ -8,6 +8,7 @@ from deadtime.estimation.kernel import remember
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.cut_pieces import up_to
+from deadtime.simulation.foreseen import foresee
 
 LIMIT = 1e100
 
@@ -66,16 +67,17 @@ def _go_on(Phi, Gamma, x, inputs, now, lag, force, result):
 
 
 @kernel
-def closed_loop(table, rows, memory, line, sight, clip, shift, x0):
+def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
     `table` is a `deadtime.plant.pieces.PieceTable`, `memory` a `deadtime.feedback.memory.Memory` or
-    None, `rows` and `line` are those of `deadtime.simulation.digital`, `sight` and `clip` those of
+    None, `foreseen` a `deadtime.simulation.foreseen.Foreseen` in place of rows or None, `rows` and
+    `line` are those of `deadtime.simulation.digital`, `sight` and `clip` those of
     `deadtime.simulation.sight` and `compiled`. `shift` (pieces, n), or empty, is what disturbances
     add over the pieces. Returns (samples, path): how many samples were kept before |x| left the
     limit, and x at the start of every piece that was run and at the end of the last.
     """
-    m, window = rows.G.shape[1:]
+    m, window = line.inputs.shape[1], rows.G.shape[2]
     n, past, samples = x0.size, line.past, rows.row.size
     told, measures = line.told.reshape(-1), sight.C.size > 0
     noises = line.measured.shape[1] if sight.noise.size else 0
@@ -110,8 +112,11 @@ def closed_loop(table, rows, memory, line, sight, clip, shift, x0):
             if memory is not None:
                 known = line.estimates[k]
                 remember(memory, rows.mode, k, line.told, past, seen, answer, line.estimates)
-            for i in range(m):
-                answer[i] = _dot(rows.G[row, i], recent) + _dot(rows.F[row, i], known)
+            if foreseen is not None:
+                foresee(foreseen, k, past, line.told, known, answer)
+            else:
+                for i in range(m):
+                    answer[i] = _dot(rows.G[row, i], recent) + _dot(rows.F[row, i], known)
             held = not (_finite(seen) or _finite(answer))
             for i in range(m):
                 command = line.asked[at - 1, i] if held else answer[i]
