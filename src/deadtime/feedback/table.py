@@ -22,6 +22,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
@@ -63,39 +64,43 @@ def row_of(context: Context, ages: int, mode: int, age: int) -> int:
     return 0 if context == "none" else mode * ages + min(age, ages - 1)
 
 
-def ages_along(modes: np.ndarray, initial_age: int) -> np.ndarray:
-    """How many samples ago the mode last changed, `initial_age` at the first.
+def ages_along(modes: np.ndarray, initial_age: ArrayLike) -> np.ndarray:
+    """How many samples ago the mode last changed, `initial_age` at the first; samples come last.
 
     Examples
     --------
     >>> ages_along(np.array([0, 0, 1, 1]), 5)
     array([5, 6, 0, 1])
     """
-    samples = np.arange(modes.size)
-    began = np.where(np.diff(modes, prepend=modes[:1]) != 0, samples, -initial_age)
-    return samples - np.maximum.accumulate(began)
+    samples = np.arange(modes.shape[-1])
+    changed = np.diff(modes, prepend=modes[..., :1]) != 0
+    began = np.where(changed, samples, -np.asarray(initial_age)[..., None])
+    return samples - np.maximum.accumulate(began, axis=-1)
 
 
 def follow(
-    told: np.ndarray, sampled: np.ndarray, initial_age: int
+    told: np.ndarray, sampled: np.ndarray, initial_age: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
     """The mode that a law goes by at each sample, and its age, from the modes that it is told.
 
     Where it is told none (−1) the last goes on; before the first it is −1, at the age of the
-    `sampled` mode, and the first is taken to be as old as that.
+    `sampled` mode, and the first is taken to be as old as that. Samples come last, runs before.
 
     Examples
     --------
     >>> follow(np.array([-1, 0, -1, 1, 1]), np.array([0, 0, 1, 1, 1]), 3)
     (array([-1,  0,  0,  1,  1]), array([3, 4, 5, 0, 1]))
     """
-    known = np.flatnonzero(told >= 0)
-    last = np.maximum.accumulate(np.where(told >= 0, np.arange(told.size), 0))
-    mode, age = told[last], ages_along(sampled, initial_age)
-    if known.size:
-        first = known[0]
-        age[first:] = ages_along(mode[first:], int(age[first]))
-    return mode, age
+    samples, known = np.arange(told.shape[-1]), told >= 0
+    last = np.maximum.accumulate(np.where(known, samples, 0), axis=-1)
+    mode, age = np.take_along_axis(told, last, -1), ages_along(sampled, initial_age)
+    # The age at the first that is known is as if its mode had begun so long before.
+    first = known.argmax(axis=-1)[..., None]
+    first = np.where(known.any(axis=-1)[..., None], first, samples.size)
+    at_first = np.take_along_axis(age, np.minimum(first, samples.size - 1), -1)
+    changed = (np.diff(mode, prepend=mode[..., :1]) != 0) & (samples > first)
+    began = np.maximum.accumulate(np.where(changed, samples, first - at_first), axis=-1)
+    return mode, np.where(samples >= first, samples - began, age)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

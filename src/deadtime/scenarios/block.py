@@ -63,8 +63,8 @@ class Block:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
         heard = None
-        if self.tables and len(self.imperfections) > len(self.loop.actuators):
-            heard = HeardBlock(self.loop, self.imperfections, signals, self.seed, first)
+        if laid is not None and len(self.imperfections) > len(self.loop.actuators):
+            heard = HeardBlock(self.loop, self.imperfections, laid[0], self.seed, first)
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
             if laid is not None and name in self.tables:

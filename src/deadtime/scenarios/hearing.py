@@ -19,32 +19,50 @@ _ONE = (0.0,)
 
 
 class Memory(NamedTuple):
-    """The last states of eight scenarios, scenario by scenario, and where to read in them."""
+    """The last states of eight scenarios, scenario by scenario, and where to read in them.
+
+    begin : where a scenario begins in `layout.Told`, and where its noise lies
+    lost : 1 where nothing is heard;  row : the row of the law's table, as a number for `choose`
+    """
 
     states: np.ndarray
     places: np.ndarray
+    begin: np.ndarray
+    added: np.ndarray
+    lost: np.ndarray
+    row: np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def memory_of(shape, told):
-    """Room for as many states as are looked back to."""
-    return Memory(np.zeros(LANES * (told.reach + 1) * len(shape.x)), np.zeros(LANES, np.int64))
+def memory_of(shape, told, samples, first, count):
+    """Room for as many states as are looked back to; `first` is the first scenario's number."""
+    states = np.zeros(LANES * (told.reach + 1) * len(shape.x))
+    begin = samples * (first + np.minimum(np.arange(LANES), count - 1))
+    places, added = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
+    return Memory(states, places, begin, added, np.zeros(LANES), np.zeros(LANES))
 
 
 @njit(cache=True, nogil=True, inline="always")
-def hear(shape, told, memory, x, at, k):
-    """What the law takes x_k to be; `at` counts samples from the first of all groups."""
+def hear(shape, told, memory, x, k):
+    """What the law takes x_k to be."""
     n, slots = len(shape.x), told.reach + 1
     spread(memory.states, k % slots * n, slots * n, x)
     for lane in range(LANES):
-        sample = max(0, told.sample[at * LANES + lane])
-        memory.places[lane] = (lane * slots + sample % slots) * n
+        at = memory.begin[lane] + k
+        memory.added[lane] = at * n
+        sample = told.sample[at]
+        memory.lost[lane] = 1.0 if sample < 0 else 0.0
+        memory.places[lane] = (lane * slots + max(0, sample) % slots) * n
+        if told.row.size > 0:
+            memory.row[lane] = told.row[at]
     heard = gather(memory.states, memory.places, shape.x)
-    return times(same(1.0, shape.x), heard, load(told.noise, at * n * LANES, shape.x))
+    if told.noise.size > 0:
+        heard = times(same(1.0, shape.x), heard, gather(told.noise, memory.added, shape.x))
+    return heard
 
 
 @njit(cache=True, nogil=True, inline="always")
-def command(shape, told, u, before, at):
+def command(shape, memory, u, before):
     """What is asked for: u, or what was asked for before where nothing was heard."""
     both = first_of(u, before, before, shape.pair)
-    return choose(both, load(told.lost, at * LANES, _ONE), shape.u)
+    return choose(both, load(memory.lost, 0, _ONE), shape.u)

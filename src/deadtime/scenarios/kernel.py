@@ -175,7 +175,7 @@ def _switch(rows, plant, work, k, soon):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _sum_dense(shape, rows, work, told, k, place, at):
+def _sum_dense(shape, rows, work, told, memory, k, place):
     """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
 
     They do not wait for what the last period gave: a processor works on both at once.
@@ -185,7 +185,7 @@ def _sum_dense(shape, rows, work, told, k, place, at):
     for lane in range(LANES):
         row = 0
         if len(shape.told) > 0 and told.row.size > 0:
-            row = np.int64(told.row[at * LANES + lane])
+            row = np.int64(memory.row[lane])
         elif rows.kind == 1:
             row = work.mode[lane]
         elif rows.kind == 2:
@@ -217,10 +217,10 @@ def _turn_around(places, m, size):
 
 
 @njit(cache=True, nogil=True)
-def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, keep, group):
+def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, keep, first):
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
-    They are group number `group` of those that `told` is about.
+    The first of them is number `first` of those that `told` is about.
     """
     n, m, wide, sizes = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -228,7 +228,7 @@ def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, ke
     work = _work(shape, rows, plant, run, start, count, period)
     ring, own = work.ring, work.own
     ahead, enters = look_ahead(shape, model, start, count, period)
-    memory, asked = memory_of(shape, told), same(0.0, shape.u)
+    memory, asked = memory_of(shape, told, run.samples, first, count), same(0.0, shape.u)
     none, one = same(0.0, _ONE), same(1.0, _ONE)
     small = same(OUTSIDE, _ONE)
     x, b = load(work.xs, 0, shape.x), same(0.0, shape.b)
@@ -251,9 +251,9 @@ def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, ke
             if (k - run.late) % _GROUP == _GROUP - 1:
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
-        seen, at = x, group * run.samples + k
+        seen = x
         if len(shape.told) > 0:
-            seen = hear(shape, told, memory, x, at, k)
+            seen = hear(shape, told, memory, x, k)
         if len(shape.foreseeing) > 0:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
@@ -271,16 +271,16 @@ def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, ke
             sums = product(rows.out, 0, b, product(rows.state, 0, seen, sums))
             row = load(work.mode_row, 0, _ONE)
             if len(shape.told) > 0 and told.row.size > 0:
-                row = load(told.row, at * LANES, _ONE)
+                row = load(memory.row, 0, _ONE)
             u = choose(sums, row, shape.u)
         else:
-            _sum_dense(shape, rows, work, told, k, place, at)
+            _sum_dense(shape, rows, work, told, memory, k, place)
             latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
             heads = gather(rows.head, work.row, shape.head)
             sums = gather(work.ask, places, shape.u)
             u = matrix_product(heads, first_of(seen, latest, latest, shape.both), sums)
         if len(shape.told) > 0:
-            u = command(shape, told, u, asked, at)
+            u = command(shape, memory, u, asked)
             asked = u
         if len(shape.limited) > 0:
             before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
@@ -332,9 +332,7 @@ def run_scenarios(shape, rows, model, plant, run, told, start, count, path, keep
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
-        _run_eight(
-            shape, rows, model, plant, run, told, start + at, few, out, path, keep, at // LANES
-        )
+        _run_eight(shape, rows, model, plant, run, told, start + at, few, out, path, keep, at)
         for f in range(FIGURES):
             for lane in range(few):
                 result[f, at + lane] = out[f * LANES + lane]

@@ -91,20 +91,18 @@ class Run(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What reaches a law, in groups of eight scenarios, flat; of a perfect loop all is empty.
+    """What reaches a law in every scenario, flat; of a perfect loop all is empty.
 
-    sample : (group, sample, 8), whose measurement is used, −1 for none
+    sample : (scenario, sample), whose measurement is used, −1 for none: the last command is held
     reach : how many samples back these go, at most
-    noise : (group, sample, n, 8), what was added to it
-    lost : (group, sample, 8), 1 where the last command is held
-    row : (group, sample, 8), the row of the law's table; empty where there is one
+    noise : (scenario, sample, n), what was added to it; empty for nothing
+    row : (scenario, sample), the row of the law's table; empty where that is the plant's mode's
     """
 
     sample: np.ndarray
     reach: int
     noise: np.ndarray
-    lost: np.ndarray
     row: np.ndarray
 
 
-PERFECT = Told(np.zeros(0, np.int32), 0, np.zeros(0), np.zeros(0), np.zeros(0))
+PERFECT = Told(np.zeros(0, np.int32), 0, np.zeros(0), np.zeros(0, np.int32))

@@ -27,6 +27,13 @@ class Records(NamedTuple):
     last: Bool[np.ndarray, " cut"]
     at: Float[np.ndarray, " sojourn"]
 
+    def modes(self, samples: int) -> Int[np.ndarray, "scenario sample"]:
+        """The sampled mode of every scenario at the samples 0, …, samples − 1."""
+        ends = np.append(self.step[1:], samples)
+        ends[self.first[1:-1] - 1] = samples
+        modes = np.repeat(self.mode, ends - self.step)
+        return modes.reshape(-1, samples).astype(np.int64)
+
 
 class Laid(NamedTuple):
     """Signals laid on the periods 0, …, K, the last of which goes on to the horizon only.

@@ -1,0 +1,126 @@
+"""Imperfect sensors and actuators in the batch engine: against single runs, and a plain loop."""
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+from deadtime.feedback.table import follow
+from deadtime.imperfections import (
+    Dropout,
+    LateSamples,
+    ModeDelay,
+    Noise,
+    RateLimit,
+    Saturation,
+    WrongMode,
+)
+from deadtime.scenarios import draw_signals, scenario_seed
+
+H, HORIZON, COUNT, SEED = 0.1, 6.03, 11, 5
+TRUTH, BELIEVED = plants.generic(0.234), plants.generic(0.3, seed=5)
+X0 = [0.3, -0.6, 0.9]
+MODEL = dt.Markov(2.0 * (1.0 - np.eye(3)))
+KINDS = "averaged", "expected", "averaged, dwell-aware", "exact"
+LAWS = {name: plants.LAWS[name](BELIEVED) for name in KINDS}
+CASES = {
+    "noise": [Noise([0.02, 0.01, 0.03])],
+    "lost": [Dropout(0.2)],
+    "late": [LateSamples(3, 0.4)],
+    "late modes": [ModeDelay(4)],
+    "wrong modes": [WrongMode(0.1)],
+    "late, then noise": [LateSamples(2, 0.3), Noise(0.02)],
+    "all": [
+        Noise(0.02),
+        Saturation([-2.0, -1.0], 1.5),
+        LateSamples(2, 0.2),
+        WrongMode(0.05),
+        Dropout(0.1),
+        RateLimit([9.0, 12.0]),
+    ],
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_imperfect_scenarios_are_those_of_single_runs(case):
+    data = dt.monte_carlo(
+        TRUTH, LAWS, MODEL, X0, HORIZON, H, COUNT, SEED,
+        imperfections=CASES[case], trajectories=True,
+    )  # fmt: skip
+    assert data.attrs["one_by_one"] == []
+    signals = draw_signals(MODEL, HORIZON + 1.0, SEED, count=COUNT)
+    for name, law in LAWS.items():
+        for i in (0, 8, 10):
+            seed = scenario_seed(SEED, i)
+            run = dt.simulate(
+                TRUTH, law, signals[i], X0, HORIZON, H, imperfections=CASES[case], seed=seed
+            )
+            found = data.sel(law=name).isel(scenario=i)
+            samples = found.time.size
+            plants.close(found.x.values, run.states[:, :samples], 1e-10)
+            plants.close(found.u.values, run.inputs[:, :samples], 1e-10)
+            for metric, value in run.metrics().items():
+                assert found[metric].item() == pytest.approx(value, rel=1e-9), (name, i, metric)
+
+
+def test_imperfect_scenarios_do_not_depend_on_their_company():
+    whole = dt.monte_carlo(
+        TRUTH, LAWS, MODEL, X0, 3.0, H, 21, SEED, imperfections=CASES["all"], threads=2
+    )
+    fewer = dt.monte_carlo(
+        TRUTH, {"exact": LAWS["exact"]}, MODEL, X0, 3.0, H, 9, SEED, imperfections=CASES["all"]
+    )
+    mine, theirs = fewer.cost.sel(law="exact").values, whole.cost.sel(law="exact").values[:9]
+    np.testing.assert_array_equal(mine, theirs)
+
+
+def test_lost_samples_hold_the_command_and_not_the_limited_input():
+    # u = −x of an integrator, limited to 0.5: what is asked for again is −x of the last sample
+    # that came, so a wider limit of the next actuator is met at once.
+    plant = plants.scalar([0.1], delay=0.1)
+    law = dt.DelayedStateFeedback(plant, [[[-1.0]]])
+    given = [Dropout(0.5), Saturation(-0.5, 0.5)]
+    data = dt.monte_carlo(
+        plant, {"law": law}, dt.Markov([[0.0]]), [1.0], 4.0, H, 8, imperfections=given,
+        trajectories=True,
+    )  # fmt: skip
+    assert data.attrs["one_by_one"] == []
+    x, u = data.x.values[0, :, 0], data.u.values[0, :, 0]
+    asked = np.clip(-x, -0.5, 0.5)
+    held = np.abs(u - asked) > 1e-15
+    assert 0.3 < held.mean() < 0.6
+    k = np.arange(1, x.shape[1])
+    repeated = np.isclose(u[:, k], u[:, k - 1], atol=0.0)
+    assert (repeated | ~held[:, k]).all()
+
+
+def plain_follow(told, sampled, age):
+    """`follow` by a loop over the samples."""
+    mode, modes, ages, last, before = -1, [], [], None, None
+    for now, true in zip(told, sampled, strict=True):
+        if mode < 0:
+            age = age if last is None else age + 1 if true == before else 0
+            mode = now
+        else:
+            age = 0 if now not in (-1, mode) else age + 1
+            mode = mode if now < 0 else now
+        last, before = mode, true
+        modes.append(mode)
+        ages.append(age)
+    return modes, ages
+
+
+def test_a_law_follows_the_modes_that_it_is_told_in_many_runs_at_once():
+    rng = np.random.default_rng(0)
+    sampled = np.repeat(rng.integers(0, 3, (40, 12)), 4, axis=1)
+    told = np.where(rng.random(sampled.shape) < 0.5, -1, sampled)
+    told[0], told[1, :20] = -1, -1
+    age = rng.integers(0, 7, 40)
+    modes, ages = follow(told, sampled, age)
+    for i in range(40):
+        wanted = plain_follow(told[i], sampled[i], int(age[i]))
+        np.testing.assert_array_equal(modes[i], wanted[0])
+        np.testing.assert_array_equal(ages[i], wanted[1])
+        alone = follow(told[i], sampled[i], int(age[i]))
+        np.testing.assert_array_equal(alone[0], modes[i])
+        np.testing.assert_array_equal(alone[1], ages[i])
