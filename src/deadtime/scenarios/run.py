@@ -68,8 +68,9 @@ def monte_carlo(
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
     where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
-    laws with imperfections other than limits of the input, horizons of fewer than some 20
-    periods, plants beyond some 30 states or a thousand times faster than the period;
+    laws where the plant is disturbed, states are not measured at samples, or an imperfection is
+    one of the user's own, horizons of fewer than some 20 periods, plants beyond some 30 states (11
+    for a law that knows the signal) or a thousand times faster than the period;
     `attrs["one_by_one"]` names the laws. So do scenarios that diverge or vanish.
 
     Parameters
