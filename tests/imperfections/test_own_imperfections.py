@@ -12,10 +12,14 @@ from deadtime.cli.export import _controller
 from deadtime.imperfections import (
     ActuatorImperfection,
     Additive,
+    Disturbance,
     Limiting,
     Limits,
+    Relaying,
     Saturation,
     SensorImperfection,
+    StepDisturbance,
+    TimingImperfection,
 )
 from deadtime.simulation.outcome import is_pushed
 
@@ -72,6 +76,39 @@ class Drift(Additive, SensorImperfection):
         return draw
 
 
+@dataclass(frozen=True)
+class Push(Disturbance):
+    """A constant force, given stretch by stretch."""
+
+    force: StepDisturbance
+
+    def draws(self, sizes, lengths, steps, rng):
+        return self.force.draws(sizes, lengths, steps, rng)
+
+    def spread(self, sizes, pieces):
+        return self.force.spread(sizes, pieces)
+
+
+@dataclass(frozen=True)
+class Alternating(TimingImperfection):
+    """Every other sample is taken early."""
+
+    waits = False
+    early: float
+
+    def lags(self, sizes, samples, rng):
+        return self.early * (np.arange(samples) % 2)
+
+
+@dataclass(frozen=True)
+class EveryOther(Relaying, SensorImperfection):
+    """Every other sample is the one before it."""
+
+    def relay(self, heard, sizes, rng):
+        each = np.arange(heard.sample.size)
+        return heard.at(each - each % 2)
+
+
 OWN = [Drift(0.01), Valve(9.0, 20.0), Fuse(2.0)]
 
 
@@ -87,6 +124,23 @@ def test_own_limits_and_noise_in_the_compiled_loop_are_as_by_periods():
     change = np.diff(run.record.inputs[run.record.past :], axis=0)
     assert change.max() <= 0.9 * (1 + 1e-12)
     assert -2.0 * (1 + 1e-12) <= change.min() < -0.9
+
+
+def test_a_force_of_ones_own_acts_as_one_that_is_stacked():
+    force = StepDisturbance([0.4, -1.0, 0.7])
+    own, stacked = (
+        dt.simulate(PLANT, LAW, SIGNAL, X0, 2.0, 0.1, imperfections=[kind])
+        for kind in (Push(force), force)
+    )
+    assert (own.states == stacked.states).all()
+
+
+def test_own_timing_and_relaying_in_the_compiled_loop_are_as_by_periods():
+    run = require_same(LAW, [Alternating(0.04), EveryOther()], horizon=3.0)
+    assert (
+        run.measured[:, 1::2] == run.measured[:, : 2 * run.measured[:, 1::2].shape[1] : 2]
+    ).all()
+    assert (run.measured[:, 0::2] == run.states[:, 0::2]).all()
 
 
 def test_own_limits_and_noise_run_in_the_compiled_loop(monkeypatch):

@@ -217,7 +217,7 @@ class Feedback(Frozen):
         rows = modes
         if self.context == "mode_age":
             rows = modes * self.ages + np.minimum(ages, self.ages - 1)
-        return rows.astype(np.int64) % len(self.state_gain)
+        return (rows + len(self.state_gain) * (modes < 0)).astype(np.int64)
 
     def __repr__(self) -> str:
         rows, m = self.state_gain.shape[:2]

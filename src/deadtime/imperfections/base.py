@@ -117,8 +117,10 @@ class Stacked(ABC):
 
     @abstractmethod
     def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """`Disturbance.spread` of many, (count, n, r), from A (count, pieces, n, n) and how many
-        seconds of it there are, tau (count, pieces), 0 where a stretch has fewer pieces."""
+        """`Disturbance.spread` of many stretches, (count, n, r).
+
+        A (count, pieces, n, n) lasts tau (count, pieces) seconds, 0 where there are fewer pieces.
+        """
 
     @final
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:

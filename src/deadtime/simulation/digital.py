@@ -160,7 +160,8 @@ def run_table(
     modes = mode_at(np.arange(samples) * step)
     rows = _rows(tables, modes, initial_age(signal, step), arrays)
     sight = Sight.of(arrays, sampled, table, cuts, forces, law.outputs, modes)
-    line = Line.of(grid, arrays, sight.C.shape[1], 0 if memory is None else memory.start.size)
+    measured = x0.size if law.outputs is None else law.outputs.shape[1]
+    line = Line.of(grid, arrays, measured, 0 if memory is None else memory.start.size)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     foreseen = Foreseen.of(tables.foresight, samples) if tables.foresight else None
     kept, path = closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0)

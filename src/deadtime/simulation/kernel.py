@@ -71,16 +71,15 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
     `table` is a `deadtime.plant.pieces.PieceTable`, `memory` a `deadtime.feedback.memory.Memory` or
-    None, `foreseen` a `deadtime.simulation.foreseen.Foreseen` in place of rows or None, `rows` and
-    `line` are those of `deadtime.simulation.digital`, `sight` and `clip` those of
-    `deadtime.simulation.sight` and `compiled`. `shift` (pieces, n), or empty, is what disturbances
-    add over the pieces. Returns (samples, path): how many samples were kept before |x| left the
-    limit, and x at the start of every piece that was run and at the end of the last.
+    None, `foreseen` one of its file in place of rows or None; the others are of
+    `deadtime.simulation`, too: `rows` and `line` of `digital`, `sight` of its file, `clip` of
+    `compiled`; `shift` (pieces, n), or empty, is what disturbances add. Returns (samples, path):
+    how many samples were kept before |x| left the limit, and x at the start of every piece that was
+    run and at the end of the last.
     """
     m, window = line.inputs.shape[1], rows.G.shape[2]
     n, past, samples = x0.size, line.past, rows.row.size
-    told, measures = line.told.reshape(-1), sight.C.size > 0
-    noises = line.measured.shape[1] if sight.noise.size else 0
+    told, outputs, noises = line.told.reshape(-1), sight.C.shape[1], sight.noise.shape[1]
     spare, acting, answer = np.empty(n), np.empty(m), np.zeros(m)
     path = np.empty((table.entry.size + 1, n))
     for i in range(n):
@@ -90,22 +89,18 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
             samples = k
         if k < samples:
             row, at, q, way = rows.row[k], past + k, sight.piece[k], sight.way[k]
-            recent, asked, seen = told[at * m - window : at * m], line.asked[at], line.measured[k]
+            recent, seen = told[at * m - window : at * m], line.measured[k]
             x = path[max(q, 0)]
             if way >= 0:
                 now, lag = past + sight.step[k], table.lag[table.entry[q]]
                 Phi, Gamma, force = sight.Phi[way], sight.Gamma[way], sight.force[q]
                 _go_on(Phi, Gamma, x, line.inputs, now, lag, force, spare)
                 x = spare
-            if q < 0:
-                for i in range(seen.size):
+            for i in range(seen.size):
+                if q < 0:
                     seen[i] = np.nan
-            elif measures:
-                for i in range(seen.size):
-                    seen[i] = _dot(sight.C[sight.mode[k], i], x)
-            else:
-                for i in range(n):
-                    seen[i] = x[i]
+                else:
+                    seen[i] = _dot(sight.C[sight.mode[k], i], x) if outputs else x[i]
             for i in range(noises):
                 seen[i] += sight.noise[k, i]
             known = seen
@@ -120,7 +115,7 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
             held = not (_finite(seen) or _finite(answer))
             for i in range(m):
                 command = line.asked[at - 1, i] if held else answer[i]
-                asked[i] = command
+                line.asked[at, i] = command
                 line.inputs[at, i] = _limit(
                     command, line.inputs[at - 1, i], clip.low[:, i], clip.high[:, i], clip.relative
                 )

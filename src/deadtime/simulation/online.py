@@ -1,10 +1,10 @@
-"""The digital loop step by step: for a plant that switches by its state, or a law without a table.
+"""The digital loop step by step, where a rule switches the plant or something must be called.
 
-The plant follows a signal or a rule; the law is called once a period. A rule's switches are noted
-as they come and handed on as the switching signal that they turned out to be; while the plant
-slides along a boundary, the mode is the one that it came from. A plant that chatters
-has no trajectory from there on: the run ends, and for the mismatch before its end alone the mode
-is held.
+That is a law without a table, or a sensor or actuator that is a function of a user's own. A rule's
+switches are noted as they come and handed on as the switching signal that they turned out to be;
+while the plant slides along a boundary, the mode is the one that it came from. A plant that
+chatters has no trajectory from there on: the run ends, and for the mismatch before its end alone
+the mode is held.
 """
 
 from __future__ import annotations

@@ -23,9 +23,9 @@ class Sight(NamedTuple):
     Phi : (ways, n, n), Gamma : (ways, n, q), from x and what acts to x; q = m, or m + n with
         the forces of the pieces behind the inputs
     force : (pieces, n) or (pieces, 0)
-    noise : (samples, p) or (0, p), what is added
-    C : (modes, p, n), or (0, p, n) where x is measured itself
-    mode : (samples,), the mode of the sample that is heard
+    noise : (samples, p) or (0, 0), what is added
+    C : (modes, p, n), or (1, 0, n) where x is measured itself
+    mode : (samples,), that of C
     """
 
     piece: Int[np.ndarray, " sample"]
@@ -34,8 +34,8 @@ class Sight(NamedTuple):
     Phi: Float[np.ndarray, "way n n"]
     Gamma: Float[np.ndarray, "way n q"]
     force: Float[np.ndarray, "piece f"]
-    noise: Float[np.ndarray, "sample p"]
-    C: Float[np.ndarray, "c p n"]
+    noise: Float[np.ndarray, "s p"]
+    C: Float[np.ndarray, "mode p n"]
     mode: Int[np.ndarray, " sample"]
 
     @classmethod
@@ -51,9 +51,9 @@ class Sight(NamedTuple):
     ) -> Sight:
         """The sight of a run in which the plant has these modes at the samples."""
         n, m = sampled.plant.B.shape[1:]
-        C = np.zeros((0, n, n)) if outputs is None else outputs
+        C = np.empty((1, 0, n)) if outputs is None else outputs
         force = np.zeros((table.entry.size, 0)) if forces is None else forces
-        heard, noise = np.arange(modes.size), np.zeros((0, C.shape[1]))
+        heard, noise = np.arange(modes.size), np.empty((0, 0))
         piece = table.first[: modes.size]
         if arrays is not None:
             heard, noise = arrays.heard.sample, arrays.heard.noise
@@ -63,7 +63,7 @@ class Sight(NamedTuple):
         else:
             ways = np.full(heard.size, -1), np.empty((0, n, n)), np.empty((0, n, m))
             place = piece, heard, *ways
-        mode = modes[heard] if C.size else heard
+        mode = np.zeros(heard.size, np.int64) if outputs is None else modes[heard]
         return cls(*map(read_only, (*place, force, noise, C, mode)))
 
 
