@@ -16,7 +16,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.imperfections import Limiting
+from deadtime.imperfections import Limiting, Relaying
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
 from deadtime.scenarios.sweeps.study import Loop, Study
@@ -25,8 +25,10 @@ from deadtime.switching import SwitchingSignal
 # Seconds on one core of the machine of benchmarks/README.md: a period of a scenario under one law …
 _FACTORED = 3e-9  # … whose row is factorised,
 _TAP = 1.5e-10  # … for every past input of a dense row,
-_FORESEEN = 1.2e-8  # … for every past input of the oracle, whose rows are made anew,
-_ALONE = 2.5e-5  # … run by `simulate`.
+_FORESEEN = 1.2e-8  # … of a law that knows the signal,
+_HEARD = 5e-8  # … where sensors are imperfect,
+_ALONE = 2e-6  # … run by `simulate`,
+_CALLED = 2.5e-5  # … sample by sample.
 _CELL = 0.01  # plant, laws and tables of a cell
 _SHORTEST, _LONGEST, _PIECES = 1.0, 20.0, 20_000  # seconds of a block, and how many there should be
 _BYTES = 2.0**26  # of a chunk
@@ -126,18 +128,20 @@ def _cost(study: Study, index: tuple[int, ...]) -> float:
 
 def _of_law(loop: Loop, law: Law) -> float:
     """Seconds of a period of a scenario."""
-    alone = any(not isinstance(one, Limiting) for one in loop.imperfections)
-    if alone or not isinstance(law, TableLaw):
+    if not isinstance(law, TableLaw):
+        return _CALLED
+    if not all(isinstance(one, Limiting | Relaying) for one in loop.imperfections):
         return _ALONE
+    heard = _HEARD if any(isinstance(one, Relaying) for one in loop.imperfections) else 0.0
     taps = Window.of(law.plant.delay, loop.step).count
+    size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
     if law.foresees:
-        return _FORESEEN * taps
+        return heard + size * _FORESEEN
     try:
         table = law.digital(loop.step, SwitchingSignal.constant(0), 1)
     except DeadtimeError:
         return 0.0
-    size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
-    return size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
+    return heard + size * (_FACTORED if table.factor is not None else _FACTORED + _TAP * taps)
 
 
 def example_loop(study: Study, tries: int = 20) -> Loop | None:
