@@ -61,7 +61,8 @@ def mode_delay(kind, sizes, rng):
 
 def wrong_mode(kind, sizes, rng):
     def sense(seen):
-        wrong, other = rng.random() < kind.probability, int(rng.integers(max(1, sizes.modes - 1)))
+        wrong, others = rng.random() < kind.probability, max(1, sizes.modes - 1)
+        other = 0 if others == 1 else int(rng.random() * others)
         if not wrong or seen.mode < 0 or sizes.modes == 1:
             return seen
         return Seen(seen.x, other + (other >= seen.mode))

@@ -118,13 +118,12 @@ class WrongMode(Relaying, SensorImperfection):
 
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
         p, samples = probability_of("WrongMode.probability", self.probability), len(heard.noise)
-        if sizes.modes <= 2:  # there is no choice to be drawn
-            wrong, other = rng.random(samples) < p, np.zeros(samples, np.int64)
-        else:
-            pairs = [(rng.random(), rng.integers(sizes.modes - 1)) for _ in range(samples)]
-            drawn = np.array(pairs).reshape(samples, 2)
-            wrong, other = drawn[:, 0] < p, drawn[:, 1].astype(np.int64)
+        others = max(1, sizes.modes - 1)
+        drawn = rng.random((samples, min(others, 2)))  # of two modes there is no choice to draw
+        wrong, other = drawn[:, 0] < p, np.zeros(samples, np.int64)
+        if others > 1:
+            other = (drawn[:, 1] * others).astype(np.int64)
         if sizes.modes == 1:
             return heard
-        others = other[:, None] + (other[:, None] >= heard.named)
-        return heard._replace(named=np.where(wrong[:, None], others, heard.named))
+        named = other[:, None] + (other[:, None] >= heard.named)
+        return heard._replace(named=np.where(wrong[:, None], named, heard.named))
