@@ -95,8 +95,8 @@ def follow(
     last = np.maximum.accumulate(np.where(known, samples, 0), axis=-1)
     mode, age = np.take_along_axis(told, last, -1), ages_along(sampled, initial_age)
     # The age at the first that is known is as if its mode had begun so long before.
-    first = known.argmax(axis=-1)[..., None]
-    first = np.where(known.any(axis=-1)[..., None], first, samples.size)
+    first = known.argmax(axis=-1, keepdims=True)
+    first = np.where(known.any(axis=-1, keepdims=True), first, samples.size)
     at_first = np.take_along_axis(age, np.minimum(first, samples.size - 1), -1)
     changed = (np.diff(mode, prepend=mode[..., :1]) != 0) & (samples > first)
     began = np.maximum.accumulate(np.where(changed, samples, first - at_first), axis=-1)
