@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.record import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
 
 def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
     """One JSON document on stdout; `written` are the files that the command made."""
+    from deadtime.base.record import json_text
+
     whole = dict(record) if written is None else {**record, "written": [*map(str, written)]}
     # Characters as they are where the terminal or file can hold them, escaped elsewhere.
     wide = (sys.stdout.encoding or "").lower().startswith("utf")

@@ -15,6 +15,8 @@ from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 from numba.extending import typeof_impl
 
+from deadtime.base import notices
+
 _LONG = 1.0  # seconds of one compilation after which it is said
 
 
@@ -62,22 +64,21 @@ def _stamp(kernel: Any) -> tuple[Any, ...]:
 
 @functools.cache
 def _introduce(kind: Any) -> None:
-    """Let kernels call kernels, and let them say when compiling takes a while."""
+    """Let kernels call kernels."""
     typeof_impl.register(kind)(lambda kernel, _: types.Dispatcher(kernel.dispatcher))
-    event.register("numba:compile", _Notice(kind))
 
 
 class _Notice(event.Listener):
-    """Calls the kernels' `notice` once compiling takes a while."""
+    """Says once compiling takes a while, of kernels and of functions under `njit` alike."""
 
-    def __init__(self, kind: Any) -> None:
-        self._kind, self._depth = kind, 0
+    def __init__(self) -> None:
+        self._depth = 0
         self._timer: threading.Timer | None = None
 
     def on_start(self, event: Any) -> None:
         self._depth += 1
         if self._depth == 1:
-            self._timer = threading.Timer(_LONG, self._kind.notice)
+            self._timer = threading.Timer(_LONG, lambda: notices.compiling())
             self._timer.daemon = True
             self._timer.start()
 
@@ -85,3 +86,6 @@ class _Notice(event.Listener):
         self._depth -= 1
         if self._depth == 0 and self._timer is not None:
             self._timer.cancel()
+
+
+event.register("numba:compile", _Notice())

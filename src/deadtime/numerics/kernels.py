@@ -23,7 +23,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -45,12 +45,9 @@ class Kernel:
         Whether it is never run as Python.
     options : dict
         For `numba.njit`.
-    notice : callable
-        What is called once compiling any of them takes a while; to be replaced.
     """
 
     spent = 0.0  # seconds of this process in the Python of kernels
-    notice: ClassVar[Any] = staticmethod(lambda: None)
 
     def __init__(self, function: Callable[..., Any], eager: bool, options: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)

@@ -27,8 +27,8 @@ def discretise_all(
         to = unit[:, of]  # powers of two, so that every quotient is exact
         carried, W = _transitions(_each(A, of) * to / to[:, None], size[held], tau[held])
         Phi[:, :, held] = carried * to[:, None] / to
-        Gamma[:, :, held] = _product(W * to[:, None] / to, _each(B, of))
-    return _stack(Phi), _stack(Gamma)
+        Gamma[:, :, held] = products(W * to[:, None] / to, _each(B, of))
+    return stack(Phi), stack(Gamma)
 
 
 def gramian_all(
@@ -51,17 +51,17 @@ def gramian_all(
         M[:, :, held] = _doubled(Z[:, :, held], Q, unit[:, held], size[held], tau[held])
         M /= unit[:, None] * unit
         M[:, :, tau == 0.0] = 0.0
-    return _stack(M)
+    return stack(M)
 
 
 def product_all(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """X Y of every piece."""
-    return _stack(_product(*(np.moveaxis(part, 0, -1) for part in (X, Y))))
+    return stack(products(last(X), last(Y)))
 
 
 def congruence_all(T: np.ndarray, M: np.ndarray) -> np.ndarray:
     """Tᵀ M T of every piece."""
-    return _stack(_congruence(*(np.moveaxis(part, 0, -1) for part in (T, M))))
+    return stack(_congruence(last(T), last(M)))
 
 
 def _balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -80,11 +80,11 @@ def _units(A: np.ndarray, B: np.ndarray, mode: np.ndarray, tau: np.ndarray) -> n
 
 def _each(matrices: np.ndarray, mode: np.ndarray) -> np.ndarray:
     """The matrix of every piece."""
-    return np.ascontiguousarray(matrices.transpose(1, 2, 0))[:, :, mode]
+    return last(matrices).take(mode, axis=-1)
 
 
-def _product(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """X Y of every piece, summed in the order of `exponential.product`."""
+def products(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """X Y of every piece, the last axis, summed in the order of `exponential.product`."""
     result = np.zeros((X.shape[0], *Y.shape[1:]))
     for k in range(X.shape[1]):
         result += X[:, k, None] * Y[k]
@@ -109,15 +109,15 @@ def _transitions(Z: np.ndarray, size: np.ndarray, tau: np.ndarray) -> tuple[np.n
     W = term.copy()
     while k < 40 and (on := bound > ROUND_OFF).any():
         k += 1
-        term = _product(Z, term) * (short / k)
+        term = products(Z, term) * (short / k)
         np.add(W, term, out=W, where=on)
         bound = np.where(on, bound * (size / parts / k), bound)
-    Phi = _product(Z, W)
+    Phi = products(Z, W)
     Phi[range(n), range(n)] += 1.0
     for s in range(count.max(initial=0)):
         on = count > s
-        np.add(W, _product(Phi, W), out=W, where=on)
-        np.copyto(Phi, _product(Phi, Phi), where=on)
+        np.add(W, products(Phi, W), out=W, where=on)
+        np.copyto(Phi, products(Phi, Phi), where=on)
     return Phi, W
 
 
@@ -133,7 +133,7 @@ def _doubled(
     term = M.copy()
     while k < 40 and (on := bound > ROUND_OFF).any():
         k += 1
-        half = _product(term, Z)
+        half = products(term, Z)
         term = (half + half.swapaxes(0, 1)) * (short / k)
         np.add(M, term, out=M, where=on)
         bound = np.where(on, bound * (size / parts / k), bound)
@@ -141,15 +141,20 @@ def _doubled(
     for s in range(count.max(initial=0)):
         on = count > s
         np.add(M, _congruence(Phi, M), out=M, where=on)
-        np.copyto(Phi, _product(Phi, Phi), where=on)
+        np.copyto(Phi, products(Phi, Phi), where=on)
     return M
 
 
 def _congruence(T: np.ndarray, M: np.ndarray) -> np.ndarray:
     """Tᵀ M T of every piece."""
-    return _product(T.swapaxes(0, 1), _product(M, T))
+    return products(T.swapaxes(0, 1), products(M, T))
 
 
-def _stack(pieces: np.ndarray) -> np.ndarray:
+def last(pieces: np.ndarray) -> np.ndarray:
+    """Pieces in the last axis."""
+    return np.ascontiguousarray(np.moveaxis(pieces, 0, -1))
+
+
+def stack(pieces: np.ndarray) -> np.ndarray:
     """Pieces in the first axis."""
     return np.ascontiguousarray(np.moveaxis(pieces, -1, 0))

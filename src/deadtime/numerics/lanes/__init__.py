@@ -34,7 +34,6 @@ from deadtime.numerics.lanes.sums import (
     own_product,
     product,
     squares,
-    table_product,
     times,
     total,
 )
@@ -59,7 +58,6 @@ __all__ = [
     "spread",
     "squares",
     "store",
-    "table_product",
     "times",
     "total",
     "where_larger",
