@@ -108,7 +108,7 @@ def test_an_error_leaves_python_s_way_open():
 
     with pytest.raises(IndexError):
         fails(np.ones(2))
-    assert not kernels._is_within()
+    assert not kernels._HERE.within
 
 
 def run(code, folder, **environment):

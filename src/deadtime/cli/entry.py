@@ -64,6 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, every error becomes one line."""
     from deadtime.cli.console import Terminal
 
+    # Before NumPy is loaded: the matrices here are small, and a second thread costs them more
+    # than it saves; what takes long is shared out elsewhere.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     notices.compiling = _say_compiling
     tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
     for stream in (sys.stdout, sys.stderr):
