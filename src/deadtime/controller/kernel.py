@@ -14,10 +14,10 @@ does more than another, and every sum is made afresh once a block.
 
 from __future__ import annotations
 
-from numba import njit
+from deadtime.numerics.kernels import kernel
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@kernel(eager=True, fastmath={"reassoc", "contract"})
 def _add_product(M, v, result):
     """result += M v."""
     for i in range(M.shape[0]):
@@ -27,7 +27,7 @@ def _add_product(M, v, result):
         result[i] += total
 
 
-@njit(cache=True)
+@kernel(eager=True)
 def push(u, place, ring):
     """u becomes the latest input; from place[0] on `ring` (2N, m) holds the last N in a row."""
     count = ring.shape[0] // 2
@@ -37,7 +37,7 @@ def push(u, place, ring):
     place[0] = (at + 1) % count
 
 
-@njit(cache=True)
+@kernel(eager=True)
 def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
     """Let the block sums follow the `push` of u.
 
@@ -73,7 +73,7 @@ def accumulate(u, place, ring, S, steps, power, sums, partial, spare):
         power[i, i] = 1.0
 
 
-@njit(cache=True)
+@kernel(eager=True)
 def window_sum(window, place, whole, power, sums, partial, spare, q):
     """q of the module; `window` is M and `whole` S^L."""
     L = partial.shape[1] - 1
@@ -83,7 +83,7 @@ def window_sum(window, place, whole, power, sums, partial, spare, q):
     _add_product(power, spare[0], q)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@kernel(eager=True, fastmath={"reassoc", "contract"})
 def dense_row(F, G, x, place, ring, u):
     """u = F x + G (the past inputs), G (m, N m) with the oldest first."""
     m = ring.shape[1]
@@ -98,7 +98,7 @@ def dense_row(F, G, x, place, ring, u):
         u[i] = total
 
 
-@njit(cache=True)
+@kernel(eager=True)
 def factored_row(F, H, last, x, q, place, ring, u):
     """u = F x + H q + (last tap) u_{k−N}."""
     u[:] = 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
+from types import CodeType, FunctionType
 from typing import Any
 
 from numba import njit, types
@@ -43,23 +44,39 @@ def is_cached(dispatcher: Any) -> bool:
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:
-    """What a kernel and the kernels that it calls are made of.
+    """What a kernel and all of this package that it calls are made of.
 
     That is name, time and size of the files that they lie in, and the numbers that they read.
     """
-    reached: list[Any] = [kernel]
-    numbers = []
-    for one in reached:
-        for name in one.function.__code__.co_names:
-            named = one.function.__globals__.get(name)
-            if type(named) is type(kernel) and named not in reached:
-                reached.append(named)
-            elif isinstance(named, int | float | tuple):
-                numbers.append((name, repr(named)))
-    files = sorted({each.function.__code__.co_filename for each in reached})
+    reached, codes, numbers = [kernel.function], [], []
+    for function in reached:
+        inner = [function.__code__]
+        for code in inner:  # intrinsics are made by functions within them
+            inner += [part for part in code.co_consts if isinstance(part, CodeType)]
+            for name in code.co_names:
+                named = function.__globals__.get(name)
+                called = _function_of(named, function)
+                if called is not None and called not in reached:
+                    reached.append(called)
+                elif isinstance(named, int | float | tuple):
+                    numbers.append((name, repr(named)))
+        codes.append(function.__code__)
+    files = sorted({code.co_filename for code in codes})
     found = [(name, os.stat(name)) for name in files if os.path.exists(name)]
     times = ((os.path.basename(name), at.st_mtime_ns, at.st_size) for name, at in found)
     return (*times, *numbers)
+
+
+def _function_of(named: Any, caller: Any) -> Any:
+    """The Python of what compiled code calls, if it is a kernel or of the same package."""
+    function = named
+    for attribute in ("function", "py_func", "_defn"):  # of a kernel, a dispatcher, an intrinsic
+        function = getattr(named, attribute, function)
+    if not isinstance(function, FunctionType):
+        return None
+    package = function.__module__.partition(".")[0]
+    own = hasattr(named, "dispatcher") or package == caller.__module__.partition(".")[0]
+    return function if own else None
 
 
 @functools.cache

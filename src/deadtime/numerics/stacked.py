@@ -8,8 +8,11 @@ little more than one, and nothing is compiled.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
+from deadtime.base.checks import read_only
 from deadtime.numerics.exponential import LARGEST, ROUND_OFF, balance, balanced_norm
 
 
@@ -66,8 +69,14 @@ def congruence_all(T: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 def _balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of every mode, units (n, modes) in which A is balanced, and its norm in them."""
-    units = [balance(mode) for mode in A]
-    return np.array(units).T, np.array(list(map(balanced_norm, A, units)))
+    return _balanced_bytes(A.tobytes(), A.shape)
+
+
+@lru_cache(maxsize=64)  # searches ask for the same plant a thousand times
+def _balanced_bytes(A: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    modes = np.frombuffer(A).reshape(shape)
+    units = [balance(mode) for mode in modes]
+    return read_only(np.array(units).T), read_only(np.array(list(map(balanced_norm, modes, units))))
 
 
 def _units(A: np.ndarray, B: np.ndarray, mode: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -86,9 +95,14 @@ def _each(matrices: np.ndarray, mode: np.ndarray) -> np.ndarray:
 def products(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """X Y of every piece, the last axis, summed in the order of `exponential.product`."""
     result = np.zeros((X.shape[0], *Y.shape[1:]))
+    add_products(X, Y, result)
+    return result
+
+
+def add_products(X: np.ndarray, Y: np.ndarray, result: np.ndarray) -> None:
+    """Add X Y of every piece, the last axis."""
     for k in range(X.shape[1]):
         result += X[:, k, None] * Y[k]
-    return result
 
 
 def _doublings(size: np.ndarray) -> np.ndarray:
@@ -152,9 +166,9 @@ def _congruence(T: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 def last(pieces: np.ndarray) -> np.ndarray:
     """Pieces in the last axis."""
-    return np.ascontiguousarray(np.moveaxis(pieces, 0, -1))
+    return np.ascontiguousarray(pieces.transpose(1, 2, 0))
 
 
 def stack(pieces: np.ndarray) -> np.ndarray:
     """Pieces in the first axis."""
-    return np.ascontiguousarray(np.moveaxis(pieces, -1, 0))
+    return np.ascontiguousarray(pieces.transpose(2, 0, 1))

@@ -34,6 +34,7 @@ from deadtime.numerics.lanes.sums import (
     own_product,
     product,
     squares,
+    table_product,
     times,
     total,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "spread",
     "squares",
     "store",
+    "table_product",
     "times",
     "total",
     "where_larger",
