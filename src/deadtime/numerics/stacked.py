@@ -20,7 +20,7 @@ def discretise_all(
     A: np.ndarray, B: np.ndarray, mode: np.ndarray, tau: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Φ (pieces, n, n) and Γ (pieces, n, m) of pieces of tau[p] seconds in mode[p]."""
-    unit, norm = _balanced(A)
+    unit, norm = balanced(A)
     Phi = np.full((*A.shape[1:], mode.size), np.nan)
     Gamma = np.full((*B.shape[1:], mode.size), np.nan)
     with np.errstate(all="ignore"):
@@ -67,13 +67,13 @@ def congruence_all(T: np.ndarray, M: np.ndarray) -> np.ndarray:
     return stack(_congruence(last(T), last(M)))
 
 
-def _balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of every mode, units (n, modes) in which A is balanced, and its norm in them."""
-    return _balanced_bytes(A.tobytes(), A.shape)
+    return _balanced(A.tobytes(), A.shape)
 
 
 @lru_cache(maxsize=64)  # searches ask for the same plant a thousand times
-def _balanced_bytes(A: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _balanced(A: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     modes = np.frombuffer(A).reshape(shape)
     units = [balance(mode) for mode in modes]
     return read_only(np.array(units).T), read_only(np.array(list(map(balanced_norm, modes, units))))
@@ -81,7 +81,7 @@ def _balanced_bytes(A: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.nd
 
 def _units(A: np.ndarray, B: np.ndarray, mode: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Units (n + m, pieces) of x, in which A is balanced, and of u, in which B is as large as A."""
-    states, norm = _balanced(A)
+    states, norm = balanced(A)
     largest = np.abs(B / states.T[:, :, None]).max(axis=1)[mode].T
     inputs = np.maximum(norm[mode], 1.0 / tau) / largest
     return np.concatenate((states[:, mode], np.where(largest > 0.0, inputs, 1.0)))

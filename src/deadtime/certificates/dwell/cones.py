@@ -54,6 +54,8 @@ def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] 
     cost[-1] = -1.0
     settings = solver.DefaultSettings()
     settings.verbose = False
+    if hasattr(settings, "max_threads"):  # the programs are small, and laws share the processors
+        settings.max_threads = 1
     cones = [solver.PSDTriangleConeT(size) for size in sizes]
     nothing = csc_matrix((unknowns, unknowns))
     try:

@@ -37,18 +37,6 @@ def _control(F, G, x, line, now):
 
 
 @kernel(eager=True)
-def _powers(table, weight):
-    """w^lag of the first input of every entry, and what those of the others are times that."""
-    size, m = table.lag.shape
-    power, others = np.empty(size), np.empty((size, m))
-    for e in range(size):
-        power[e] = weight ** table.lag[e, 0]
-        for j in range(m):
-            others[e, j] = weight ** (table.lag[e, j] - table.lag[e, 0])
-    return power, others
-
-
-@kernel(eager=True)
 def forward(loop, repeats, x, inputs, states):
     """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
 
@@ -59,7 +47,7 @@ def forward(loop, repeats, x, inputs, states):
     past = inputs.shape[0] - repeats * cycle
     line = inputs.reshape(-1)
     moved, acting = np.empty(n), np.empty(m)
-    power, others = _powers(table, weight)
+    power, others = loop.power, loop.others
     for k in range(repeats * cycle):
         step = k % cycle
         row, now = loop.rows[step], past + k
@@ -128,7 +116,7 @@ def carry_back(loop, p, inputs):
     past = inputs.shape[0] - cycle
     line = inputs.reshape(-1)
     moved = np.empty(n)
-    power, others = _powers(table, weight)
+    power, others = loop.power, loop.others
     for k in range(cycle - 1, -1, -1):
         row, now = loop.rows[k], past + k
         for q in range(table.first[k + 1] - 1, table.first[k] - 1, -1):

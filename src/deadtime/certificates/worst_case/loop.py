@@ -36,7 +36,9 @@ class Table(NamedTuple):
     pieces : the plant's, without entries that no period has
     rows : (periods,), of the law's table
     F : (contexts, m, n), G : (contexts, m, taps·m), that table, weighted, the oldest input first
-    weight : of one period
+    weight : w, of one period
+    power : (entries,), w^lag of the first input of every entry
+    others : (entries, m), what those of the others are times that
     """
 
     pieces: PieceTable
@@ -44,6 +46,8 @@ class Table(NamedTuple):
     F: np.ndarray
     G: np.ndarray
     weight: float
+    power: np.ndarray
+    others: np.ndarray
 
     @property
     def periods(self) -> int:
@@ -119,7 +123,9 @@ class SampledLoop:
             seen = modes_at(signal, np.arange(periods) * step, step)
             rows = feedback.rows(np.tile(seen, 2))[periods:]
         pieces = self.sampled.along(cuts_of(signal, self.sampled.window), periods)
-        return Table(pieces, rows, feedback.state_gain, self.G, self.weight)
+        first = pieces.lag[:, :1]
+        power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)
+        return Table(pieces, rows, feedback.state_gain, self.G, self.weight, power, others)
 
     def run(self, table: Table, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs
