@@ -165,6 +165,14 @@ def test_a_change_in_a_kernel_that_another_file_calls_is_noticed(tmp_path):
     assert found == ["3.0", "3.0", "31.0"]
 
 
+def test_the_cache_follows_intrinsics_and_what_makes_them():
+    from deadtime.numerics.compiling import _stamp
+    from deadtime.scenarios.laid import fill_maps
+
+    files = {part[0] for part in _stamp(fill_maps)}
+    assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
+
+
 def test_where_no_folder_can_be_written_kernels_are_compiled_all_the_same(tmp_path):
     code = """
         import numpy as np
