@@ -75,14 +75,15 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 @contextmanager
 def progress_bar(total: int, quiet: bool) -> Iterator[Callable[[str], None]]:
     """A progress bar on stderr, only when that is a terminal."""
+    if quiet or not on_terminal():
+        yield lambda _: None
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from deadtime.cli.console import Terminal
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    console = Terminal(stderr=True)
-    hidden = quiet or not on_terminal()
-    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
+    with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=total)
 
         def advance(what: str) -> None:
