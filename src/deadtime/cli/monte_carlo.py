@@ -213,11 +213,10 @@ def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) 
 
 def _model(problem: Problem, dwell: float, mean: float) -> SemiMarkov:
     """Sojourns of dwell + Exp(mean − dwell), then any other mode."""
-    from scipy.stats import expon
-
     from deadtime.switching import SemiMarkov
+    from deadtime.switching.models.sojourns import ShiftedExponential
 
-    return SemiMarkov(expon(loc=dwell, scale=mean - dwell), modes=problem.plant.modes)
+    return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
 
 
 def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
