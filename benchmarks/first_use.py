@@ -22,7 +22,7 @@ from pathlib import Path
 QUICK = [
     ["--help"],
     ["simulate", "car.toml"],
-    ["export", "car.toml", "--out", "c", "--force"],
+    ["export", "car.toml", "--c", "c"],
 ]
 FULL = [
     ["certify", "car.toml"],

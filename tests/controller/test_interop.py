@@ -1,5 +1,7 @@
 """Laws in python-control: its simulator gives the loop that ours gives."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,10 @@ def test_a_law_of_another_plant_is_refused_before_anything_runs():
     law = plants.LAWS["averaged"](GENERIC)
     with pytest.raises(dt.ArgumentError, match="law"):
         loop_to_control(plants.scalar([0.3, 0.2, 0.1]), law, STEP)
+
+
+def test_where_python_control_is_missing_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    plant = dt.problems.paper().plant
+    with pytest.raises(dt.ArgumentError, match=r'pip install "deadtime\[control\]"'):
+        plant_to_control(plant, 0.3)

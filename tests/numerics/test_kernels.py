@@ -13,7 +13,8 @@ from deadtime.numerics import kernels
 from deadtime.numerics.exponential import discretise, gramian
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import gramians
+from deadtime.plant.cut_pieces import gramian_up_to, gramians
+from deadtime.plant.laid_cuts import lay_cuts
 from deadtime.switching.grid import cuts_of
 
 
@@ -46,8 +47,15 @@ def test_both_ways_give_the_same_bits(monkeypatch, plant):
     signal = dt.SwitchingSignal([0.0, 0.17, 0.31], [0, 2, 1])
     cuts = cuts_of(signal, sampled.window)
     table = sampled.along(cuts, 8)
-    given = plant.A, plant.B, table, cuts.offset, cuts.mode, plant.identity
-    assert np.array_equal(*python_and_compiled(gramians, *given))
+    place = sampled.every_stretch, cuts.step, cuts.offset, cuts.mode, 2
+    for one, other in zip(*python_and_compiled(lay_cuts, *place), strict=True):
+        assert np.array_equal(one, other)
+    given = plant.A, plant.B, table, cuts.offset, cuts.mode
+    M = gramians(*given, plant.identity)
+    for e, stop in enumerate(table.stop):
+        ways = python_and_compiled(gramian_up_to, *given, e, stop, plant.identity)
+        assert np.array_equal(*ways)
+        assert np.array_equal(ways[0], M[e])
 
 
 def test_a_kernel_is_python_until_it_has_cost_its_patience(monkeypatch):
@@ -100,7 +108,7 @@ def test_an_error_leaves_python_s_way_open():
 
     with pytest.raises(IndexError):
         fails(np.ones(2))
-    assert not kernels._is_within()
+    assert not kernels._HERE.within
 
 
 def run(code, folder, **environment):
@@ -155,6 +163,14 @@ def test_a_change_in_a_kernel_that_another_file_calls_is_noticed(tmp_path):
         wish = {"PYTHONPATH": path, "DEADTIME_COMPILE": "always"}
         found.append(run(code, tmp_path / "cache", **wish)[0])
     assert found == ["3.0", "3.0", "31.0"]
+
+
+def test_the_cache_follows_intrinsics_and_what_makes_them():
+    from deadtime.numerics.compiling import _stamp
+    from deadtime.scenarios.laid import fill_maps
+
+    files = {part[0] for part in _stamp(fill_maps)}
+    assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
 
 
 def test_where_no_folder_can_be_written_kernels_are_compiled_all_the_same(tmp_path):

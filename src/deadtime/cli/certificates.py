@@ -6,10 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
-from deadtime.base.record import plain
-from deadtime.base.wording import file_name
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import problem_of
@@ -150,6 +147,8 @@ def verify(
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why)
     if json_output:
+        from deadtime.base.record import plain
+
         print_json(plain(result) | {"matches": matches})
     else:
         _print_verification(result)
@@ -209,6 +208,8 @@ def _seconds(value: float | None, up: bool = False) -> str:
 
 
 def _with_step(problem: Problem, step: float | None) -> Problem:
+    from deadtime.base.checks import positive
+
     return problem if step is None else replace(problem, step=positive("step", step))
 
 
@@ -229,6 +230,8 @@ def _print_verification(result: Verification) -> None:
 
 def _save(judged: list[Judged], out: Path) -> list[Path]:
     """Save every certificate that says stable; one file for one law."""
+    from deadtime.base.wording import file_name
+
     certificates = {one.law: one.certificate for one in judged if one.stable}
     saved = []
     for name, certificate in certificates.items():

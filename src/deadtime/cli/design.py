@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from deadtime.base.checks import index, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, Folder, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
@@ -71,6 +70,7 @@ def design(
     json_output
         Print the result as JSON instead of text.
     """
+    from deadtime.base.checks import index, positive
     from deadtime.plant import SwitchedSystem
     from deadtime.problems.asked import step_of
     from deadtime.reports.figures.design import plot_designs

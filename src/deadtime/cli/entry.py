@@ -13,9 +13,9 @@ from typing import Annotated, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
+from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
 from deadtime.base.version import __version__
-from deadtime.numerics.kernels import Kernel
 
 START = Group.create_ordered("Start")
 JUDGE = Group.create_ordered("Judge one loop")
@@ -64,7 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, every error becomes one line."""
     from deadtime.cli.console import Terminal
 
-    Kernel.notice = staticmethod(_say_compiling)
+    # Before NumPy is loaded: the matrices here are small, and a second thread costs them more
+    # than it saves; what takes long is shared out elsewhere.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    notices.compiling = _say_compiling
     tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
     for stream in (sys.stdout, sys.stderr):
         # Where the encoding lacks • or ∞, a question mark is better than no result.

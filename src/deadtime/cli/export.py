@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.record import record
 from deadtime.cli.entry import BUILD, AsJson, app, lines
 from deadtime.cli.printing import print_json
 from deadtime.cli.problems import problem_of
@@ -111,6 +110,8 @@ def export(
                 staging=staging,
             )
     if json_output:
+        from deadtime.base.record import record
+
         made = {
             "c": code and _c_record(code),
             "fmu": law_fmu and record(law_fmu, *_FMU),
@@ -144,6 +145,8 @@ def _c_lines(written: Exported, precision: str) -> list[str]:
 
 
 def _c_record(written: Exported) -> dict[str, Any]:
+    from deadtime.base.record import record
+
     check = written.check
     whole = record(written, "folder", "files", "form", "rom", "ram", "error")
     return whole | {"passed": check.passed, "check": check.message}

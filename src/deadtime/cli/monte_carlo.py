@@ -8,9 +8,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
-from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
@@ -145,6 +142,8 @@ def save_data(data: xr.Dataset, path: Path) -> None:
 
 def _period(problem: Problem, step: float | None) -> float:
     """The sampling period, for a loop that is sampled."""
+    from deadtime.base.checks import positive
+
     if step is not None:
         return positive("step", step)
     if problem.step is None:
@@ -164,6 +163,8 @@ class Sojourn(NamedTuple):
 
 def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
     """Dwell time and mean sojourn, where the problem's plant is one that signals switch."""
+    import numpy as np
+
     from deadtime.problems.asked import mean_sojourn_of
     from deadtime.switching import SwitchingSignal
 
@@ -212,11 +213,10 @@ def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) 
 
 def _model(problem: Problem, dwell: float, mean: float) -> SemiMarkov:
     """Sojourns of dwell + Exp(mean − dwell), then any other mode."""
-    from scipy.stats import expon
-
     from deadtime.switching import SemiMarkov
+    from deadtime.switching.models.sojourns import ShiftedExponential
 
-    return SemiMarkov(expon(loc=dwell, scale=mean - dwell), modes=problem.plant.modes)
+    return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
 
 
 def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.record import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
 
 def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
     """One JSON document on stdout; `written` are the files that the command made."""
+    from deadtime.base.record import json_text
+
     whole = dict(record) if written is None else {**record, "written": [*map(str, written)]}
     # Characters as they are where the terminal or file can hold them, escaped elsewhere.
     wide = (sys.stdout.encoding or "").lower().startswith("utf")
@@ -74,14 +75,15 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 @contextmanager
 def progress_bar(total: int, quiet: bool) -> Iterator[Callable[[str], None]]:
     """A progress bar on stderr, only when that is a terminal."""
+    if quiet or not on_terminal():
+        yield lambda _: None
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from deadtime.cli.console import Terminal
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    console = Terminal(stderr=True)
-    hidden = quiet or not on_terminal()
-    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
+    with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=total)
 
         def advance(what: str) -> None:

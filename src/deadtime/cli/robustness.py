@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadtime.base.checks import positive
-from deadtime.base.record import record
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_heading, print_json, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
@@ -51,6 +49,7 @@ def robustness(
     json_output
         Print the results as JSON instead of text.
     """
+    from deadtime.base.checks import positive
     from deadtime.margins import robustness as assess
     from deadtime.margins.robustness.assess import STEPS
     from deadtime.problems.asked import step_of
@@ -93,6 +92,7 @@ def robustness(
 
 def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
     """The figures for JSON."""
+    from deadtime.base.record import record
     from deadtime.plant.weight import record_of
 
     delay, gain = result.delay, result.gain
@@ -109,5 +109,7 @@ def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
 
 
 def _tolerance(one: Tolerance) -> dict[str, Any]:
+    from deadtime.base.record import record
+
     lost = one.lost.mean(axis=1)
     return record(one, "tolerated", "failed", "values") | {"lost": lost}

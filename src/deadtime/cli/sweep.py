@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.record import plain
 from deadtime.cli.entry import COMPARE, AsJson, Flag, app, lines
 from deadtime.cli.printing import on_terminal, print_heading, print_json
 
@@ -100,6 +99,8 @@ def sweep(
         return 130
     reasons = _reasons(data)
     if json_output:
+        from deadtime.base.record import plain
+
         print_json({**plain(plan_of(chosen, place)), "damaged": damaged, "reasons": reasons})
         return 0
     sizes = " × ".join(f"{size} {name}" for name, size in data.sizes.items())
@@ -144,6 +145,8 @@ def _reasons(data: Any) -> dict[str, tuple[int, str]]:
 def _say(study: FileStudy, plan: Plan, dry_run: bool, as_json: bool) -> None:
     """How far a store is, and how much there is to do."""
     if as_json:
+        from deadtime.base.record import plain
+
         print_json(plain(plan))
         return
     print_heading(study.title)

@@ -54,7 +54,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     >>> system.nstates, system.input_labels, system.output_labels
     (6, ['x[0]', 'x[1]', 'mode'], ['u[0]'])
     """
-    import control
+    control = _library()
 
     instance("law", law, Law)
     if not isinstance(law, TableLaw) or law.foresees:
@@ -99,7 +99,7 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
     >>> plant_to_control(dt.problems.paper().plant, 0.3).nstates
     6
     """
-    import control
+    control = _library()
 
     instance("plant", plant, SwitchedSystem)
     sampled = SampledPlant(plant, positive("step", step))
@@ -153,7 +153,7 @@ def loop_to_control(
     >>> bool(np.abs(found.outputs[:2] - run.states).max() < 1e-10)
     True
     """
-    import control
+    control = _library()
 
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
@@ -177,3 +177,15 @@ def _mode(value: float, modes: int) -> int:
 
 def _past(taps: int, m: int) -> list[str]:
     return [f"u[{i}] {j} ago" for j in range(1, taps + 1) for i in range(m)]
+
+
+def _library() -> Any:
+    """python-control, which is an extra."""
+    try:
+        import control
+    except ModuleNotFoundError:
+        raise ArgumentError(
+            'systems of python-control need it, and it is not installed: pip install "deadtime'
+            '[control]".'
+        ) from None
+    return control

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.numerics.lmi import attempts, balanced_units, library, symmetric_value
+from deadtime.numerics.lmi import (
+    Limit,
+    Program,
+    attempts,
+    balanced_units,
+    symmetric_basis,
+    symmetric_value,
+)
 
 _NARROW = 1e-3  # of the bracket at which bisection stops
 
@@ -32,13 +39,12 @@ def common_rate(E: Float[np.ndarray, "mode n n"]) -> float:
 
 def _candidates(E: np.ndarray, rate: float) -> list[np.ndarray]:
     """P from one attempt at E_iᵀ P E_i ≤ rate² P."""
-    cp = library("cvxpy")
     n = E.shape[-1]
-    P, identity = cp.Variable((n, n), symmetric=True), np.eye(n)
-    decay = [M.T @ P @ M << P for M in E / rate]
-    problem = cp.Problem(cp.Minimize(cp.trace(P)), [P >> identity, *decay])
-    next(attempts(problem))
-    value = symmetric_value(P)
+    basis = symmetric_basis(n)
+    limits = [Limit(basis, -np.eye(n))]
+    limits += [Limit(basis - M.T @ basis @ M, np.zeros((n, n))) for M in E / rate]
+    verdict = next(attempts(Program(np.trace(basis, axis1=1, axis2=2), limits)))
+    value = symmetric_value(verdict.x, n)
     return [] if value is None else [value]
 
 

@@ -10,7 +10,6 @@ matrices as they are stored.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -21,12 +20,14 @@ from deadtime.base.errors import ArgumentError, InfeasibleError
 from deadtime.base.frozen import Frozen
 from deadtime.gains.checked import check_gains, rightmost_eigenvalue
 from deadtime.numerics.lmi import (
+    Limit,
+    Program,
     Verdict,
     answers_of,
     attempts,
     balanced_units,
-    library,
     require_answer,
+    symmetric_basis,
     symmetric_value,
 )
 from deadtime.plant import SwitchedSystem
@@ -103,10 +104,10 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
     t = balanced_units(H)
     as_given = np.ones_like(t)
     # The last problem gives the verdict: it has no solution when no common P exists.
-    for (problem, P), units in ((_largest(H), as_given), (_any(H / t[:, None] * t), t)):
+    for program, units in ((_largest(H), as_given), (_any(H / t[:, None] * t), t)):
         verdicts.clear()
-        for verdict in attempts(problem):
-            answer = symmetric_value(P)
+        for verdict in attempts(program):
+            answer = symmetric_value(verdict.x, plant.states)
             if answer is not None:
                 answer = answer / np.outer(units, units)
             found = put_back(plant, K, answer)
@@ -114,7 +115,7 @@ def common_lyapunov(plant: SwitchedSystem, gains: ArrayLike) -> CommonLyapunov:
                 return found
             missed = "" if answer is None else ", but it fails when put back"
             verdicts.append(verdict._replace(said=verdict.said + missed))
-            if problem.status == "infeasible":
+            if verdict.infeasible:
                 break
     require_answer(verdicts)
     raise InfeasibleError(
@@ -145,19 +146,18 @@ def decaying_lyapunov(
     plant: SwitchedSystem, gains: Float[np.ndarray, "mode m n"], decay_rate: float
 ) -> CommonLyapunov | None:
     """The best conditioned common P with (…)ᵀP + P(…) ≤ −2·decay_rate·P; None if there is none."""
-    cp = library("cvxpy")
-    H = closed_loops(plant, gains)
+    H, n = closed_loops(plant, gains), plant.states
+    rate = 2.0 * decay_rate
     scale = np.linalg.norm(H, 2, axis=(1, 2)).max()
-    n = plant.states
-    P, bound, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
-    limits: list[Any] = [identity << P, P << bound * identity]
-    rate = 2.0 * decay_rate / scale
-    problem = cp.Problem(
-        cp.Minimize(bound), limits + [(h.T @ P + P @ h) / scale << -rate * P for h in H]
-    )
+    E, bound, none = _unknowns(n)
+    limits = [Limit(np.concatenate((E, none)), -np.eye(n))]
+    limits += [Limit(np.concatenate((-E, bound)), np.zeros((n, n)))]
+    for h in H:
+        flow = (h.T @ E + E @ h + rate * E) / scale
+        limits.append(Limit(np.concatenate((-flow, none)), np.zeros((n, n))))
     # One try: whoever asks has other P to fall back on.
-    next(attempts(problem))
-    return put_back(plant, gains, symmetric_value(P))
+    verdict = next(attempts(_least(limits)))
+    return put_back(plant, gains, symmetric_value(verdict.x, n))
 
 
 def check_lyapunov(
@@ -239,24 +239,34 @@ def growth_in_norm(
     return worst + _unit(plant) * condition * _size(plant, gains)
 
 
-def _largest(H: np.ndarray) -> tuple[Any, Any]:
+def _unknowns(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What multiplies the entries of P, a bound, and the same bound where it plays no part."""
+    return symmetric_basis(n), np.eye(n)[None], np.zeros((1, n, n))
+
+
+def _least(limits: list[Limit], sign: float = 1.0) -> Program:
+    """Minimise the last unknown, or its negative."""
+    return Program(np.append(np.zeros(len(limits[0].M) - 1), sign), limits)
+
+
+def _largest(H: np.ndarray) -> Program:
     """Maximise q: Hᵀ P + P H ≤ −q I, 0 ≤ P ≤ I. Always solvable, with q = 0 if there is no P."""
-    cp = library("cvxpy")
     n = H.shape[-1]
-    P, q, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
+    (E, q, none), zero = _unknowns(n), np.zeros((n, n))
     H = H / np.linalg.norm(H, 2, axis=(1, 2)).max()
-    decay = [h.T @ P + P @ h << -q * identity for h in H]
-    return cp.Problem(cp.Maximize(q), [P << identity, P >> 0, *decay]), P
+    limits = [Limit(np.concatenate((-E, none)), np.eye(n)), Limit(np.concatenate((E, none)), zero)]
+    limits += [Limit(np.concatenate((-(h.T @ E + E @ h), -q)), zero) for h in H]
+    return _least(limits, -1.0)
 
 
-def _any(H: np.ndarray) -> tuple[Any, Any]:
+def _any(H: np.ndarray) -> Program:
     """Minimise |P|: Hᵀ P + P H ≤ −I. Infeasible if and only if there is no common P."""
-    cp = library("cvxpy")
     n = H.shape[-1]
-    P, bound, identity = cp.Variable((n, n), symmetric=True), cp.Variable(), np.eye(n)
+    (E, bound, none), zero = _unknowns(n), np.zeros((n, n))
     H = H / np.linalg.norm(H, 2, axis=(1, 2)).max()
-    decay = [h.T @ P + P @ h << -identity for h in H]
-    return cp.Problem(cp.Minimize(bound), [P << bound * identity, P >> 0, *decay]), P
+    limits = [Limit(np.concatenate((-E, bound)), zero), Limit(np.concatenate((E, none)), zero)]
+    limits += [Limit(np.concatenate((-(h.T @ E + E @ h), none)), -np.eye(n)) for h in H]
+    return _least(limits)
 
 
 def _unit(plant: SwitchedSystem) -> float:

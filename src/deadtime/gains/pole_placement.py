@@ -186,9 +186,10 @@ def _balance(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
 
     With units t of the states and c of the inputs, A/t·t and B·c/t are returned.
     """
-    from scipy.linalg import matrix_balance
+    from deadtime.numerics.exponential import balance
 
-    balanced, (t, _) = matrix_balance(A, permute=False, separate=True)
+    t = balance(A)
+    balanced = A * t / t[:, None]
     fresh = B / t[:, None]
     c = 1.0 / np.maximum(np.linalg.norm(fresh, axis=0), np.finfo(float).tiny)
     return balanced, fresh * c, t, c

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,12 +12,14 @@ from deadtime.base.errors import InfeasibleError
 from deadtime.base.frozen import Frozen
 from deadtime.gains.lyapunov import SMALLEST, growth_in_norm
 from deadtime.numerics.lmi import (
+    Limit,
+    Program,
     Verdict,
     answers_of,
     attempts,
     balanced_units,
-    library,
     require_answer,
+    symmetric_basis,
     symmetric_value,
 )
 from deadtime.plant import SwitchedSystem
@@ -93,15 +94,14 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     for units in (np.ones_like(t), t):
         # A solver meets an inequality up to its tolerance: ask for a little more, then for more.
         for margin in (1e-6, 1e-4, 1e-2):
-            problem, X, Y, scale = _joint_problem(plant, units, rate * (1.0 + margin))
-            for verdict in attempts(problem):
-                answer = symmetric_value(X), [y.value for y in Y]
-                design = _put_back(plant, units, *answer, scale)
+            program, scale = _joint_program(plant, units, rate * (1.0 + margin))
+            for verdict in attempts(program):
+                design = _put_back(plant, units, verdict.x, scale)
                 if design is not None and design.decay_rate >= rate:
                     return design
-                missed = "" if answer[0] is None else ", but its answer misses the rate"
+                missed = "" if verdict.x is None else ", but its answer misses the rate"
                 verdicts.append(verdict._replace(said=verdict.said + missed))
-                if problem.status == "infeasible":
+                if verdict.infeasible:
                     break
     require_answer(verdicts)
     raise InfeasibleError(
@@ -111,37 +111,45 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     )
 
 
-def _joint_problem(
-    plant: SwitchedSystem, units: np.ndarray, rate: float
-) -> tuple[Any, Any, list[Any], float]:
-    """The LMI in units of |A| + α, |B| and the states; gains are in units of the last value."""
-    cp = library("cvxpy")
-    n, m, identity = plant.states, plant.inputs, np.eye(plant.states)
+def _joint_program(plant: SwitchedSystem, units: np.ndarray, rate: float) -> tuple[Program, float]:
+    """The LMI in units of |A| + α, |B| and the states; gains are in units of the last value.
+
+    Minimise g + b subject to I ≤ X ≤ b I, A_i X + B_i Y_i + (…)ᵀ + 2α X ≤ 0 and
+    [[X, Y_iᵀ], [Y_i, g I]] ≥ 0; the unknowns are the entries of X and of every Y_i, b and g.
+    """
+    n, m, modes = plant.states, plant.inputs, plant.modes
     A_units, B_units = plant.A / units[:, None] * units, plant.B / units[:, None]
     speed = float(np.linalg.norm(A_units, 2, axis=(1, 2)).max()) + rate
     size = float(np.linalg.norm(B_units, 2, axis=(1, 2)).max()) or 1.0
-    X, bound, gain = cp.Variable((n, n), symmetric=True), cp.Variable(), cp.Variable()
-    Y = [cp.Variable((m, n)) for _ in range(plant.modes)]
-    limits: list[Any] = [identity << X, X << bound * identity]
-    for A, B, y in zip(A_units / speed, B_units / size, Y, strict=True):
-        flow = A @ X + B @ y
-        limits.append(flow + flow.T + 2.0 * (rate / speed) * X << 0)
-        limits.append(cp.bmat([[X, y.T], [y, gain * np.eye(m)]]) >> 0)
-    return cp.Problem(cp.Minimize(gain + bound), limits), X, Y, speed / size
+    basis, each = symmetric_basis(n), np.eye(m * n).reshape(m * n, m, n)
+    unknowns = len(basis) + modes * m * n + 2
+    X = slice(0, len(basis))
+    identity, zero = np.eye(n), np.zeros((n, n))
+    above, below = np.zeros((unknowns, n, n)), np.zeros((unknowns, n, n))
+    above[X], below[X], below[-2] = basis, -basis, identity
+    limits = [Limit(above, -identity), Limit(below, zero)]
+    for i, (A, B) in enumerate(zip(A_units / speed, B_units / size, strict=True)):
+        Y = slice(X.stop + i * m * n, X.stop + (i + 1) * m * n)
+        flow, block = np.zeros((unknowns, n, n)), np.zeros((unknowns, n + m, n + m))
+        flow[X], flow[Y] = A @ basis + rate / speed * basis, B @ each
+        block[X, :n, :n], block[Y, n:, :n] = basis, each
+        block[Y, :n, n:], block[-1, n:, n:] = each.transpose(0, 2, 1), np.eye(m)
+        limits.append(Limit(-(flow + flow.transpose(0, 2, 1)), zero))
+        limits.append(Limit(block, np.zeros((n + m, n + m))))
+    return Program(np.append(np.zeros(unknowns - 2), [1.0, 1.0]), limits), speed / size
 
 
 def _put_back(
-    plant: SwitchedSystem,
-    units: np.ndarray,
-    X: np.ndarray | None,
-    Y: list[np.ndarray | None],
-    scale: float,
+    plant: SwitchedSystem, units: np.ndarray, x: np.ndarray | None, scale: float
 ) -> JointDesign | None:
-    if X is None or any(y is None or not np.isfinite(y).all() for y in Y):
+    X = symmetric_value(x, plant.states)
+    if x is None or X is None:
         return None
+    n, m, modes = plant.states, plant.inputs, plant.modes
+    Y = x[n * (n + 1) // 2 : -2].reshape(modes, m, n)
     if np.linalg.eigvalsh(X)[0] <= 0.0:
         return None
-    gains = scale * np.stack([np.linalg.solve(X, np.asarray(y).T).T for y in Y]) / units
+    gains = scale * np.stack([np.linalg.solve(X, y.T).T for y in Y]) / units
     P = np.linalg.inv(X) / np.outer(units, units)
     P = (P + P.T) / 2.0
     P /= np.linalg.norm(P, 2)

@@ -26,13 +26,13 @@ from __future__ import annotations
 
 import heapq
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from deadtime.margins.curves import Curve, candidates, follow, refine, solve
 from deadtime.margins.loop_gain import Band, loop_gain
-from deadtime.numerics.small_matrices import inverses
+from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.spectrum.response import Response, Samples
 
 _AT_ONCE = 16  # curves
@@ -131,16 +131,12 @@ def unit_bands(response: Response, parts: list[Band], delay: float) -> list[Band
 
 def _branches(response: Response, parts: list[Band], delay: float) -> list[Branch]:
     """A branch for each eigenvalue in each band."""
-    from scipy.optimize import linear_sum_assignment
-
     every = Samples(
         *(np.concatenate(x) for x in zip(*(band.samples for band in parts), strict=True))
     )
     turn = every.omega[:, None] * delay
     value = loop_gain(response, every, np.array([delay])).value * np.exp(1j * turn)  # turns slowly
-    for i in range(1, len(value) if value.shape[1] > 1 else 0):
-        apart = np.abs(value[i - 1][:, None] - value[i])
-        value[i] = value[i][linear_sum_assignment(apart)[1]]
+    value = matched(value)
     level, phase = np.log(np.abs(value)), np.unwrap(np.angle(value), axis=0) - turn
     above = level - level.mean(axis=1, keepdims=True)
     ends = np.cumsum([band.samples.omega.size for band in parts])[:-1]
@@ -199,8 +195,6 @@ def _nearest(
 
 def _at_nyquist(response: Response, start: float, end: float) -> Crossing | None:
     """The first delay ahead at which a real root of the digital loop passes −1."""
-    from scipy.optimize import brentq
-
     if response.period is None:
         return None
     samples = response.samples(np.array([response.highest]))
@@ -218,5 +212,9 @@ def _at_nyquist(response: Response, start: float, end: float) -> Crossing | None
     if changes.size == 0:
         return None
     ends = sorted(delays[changes[0] : changes[0] + 2].tolist())
-    delay: Any = brentq(lambda delay: gap(np.array([delay]))[0], *ends, xtol=1e-15)
-    return Crossing(float(delay), response.highest)
+    while ends[1] - ends[0] > 1e-15 + 4.0 * np.spacing(ends[1]):
+        delays = np.linspace(ends[0], ends[1], _NYQUIST)
+        values = gap(delays)
+        change = max(1, int(np.argmax(np.sign(values) != np.sign(values[0]))))
+        ends = delays[change - 1 : change + 1].tolist()
+    return Crossing(0.5 * (ends[0] + ends[1]), response.highest)

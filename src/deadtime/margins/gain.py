@@ -21,7 +21,7 @@ from deadtime.base.checks import positive
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import inwards
 from deadtime.feedback import Law
-from deadtime.numerics.small_matrices import inverses
+from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
@@ -170,7 +170,7 @@ def _candidates(response: Response, delay: float) -> Float[np.ndarray, " factor"
     omega = np.linspace(1e-9, 1.0 - 1e-9, count) * highest
     gains = _gains(response, omega, delay)
     while True:
-        gains = _match(gains)
+        gains = matched(gains)
         apart = np.abs(np.diff(gains, axis=0))
         size = np.minimum(np.abs(gains[1:]), np.abs(gains[:-1])) + 1e-3
         coarse = (apart > _TURN * size).any(axis=1) & (np.diff(omega) > _FINEST * highest)
@@ -200,18 +200,6 @@ def _gains(response: Response, omega: np.ndarray, delay: float) -> np.ndarray:
     L = inverses(samples.M) @ samples.r @ p
     L = np.where(np.isfinite(L), L, 1e300)
     return L[:, :, 0] if L.shape[1] == 1 else np.linalg.eigvals(L)
-
-
-def _match(gains: np.ndarray) -> np.ndarray:
-    """The eigenvalues at each frequency in the order of their neighbours' nearest."""
-    from scipy.optimize import linear_sum_assignment
-
-    if gains.shape[1] > 1:
-        gains = gains.copy()
-        for i in range(1, gains.shape[0]):
-            distance = np.abs(gains[i - 1][:, None] - gains[i])
-            gains[i] = gains[i][linear_sum_assignment(distance)[1]]
-    return gains
 
 
 def _refine(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
+from types import CodeType, FunctionType
 from typing import Any
 
 from numba import njit, types
@@ -15,7 +16,19 @@ from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 from numba.extending import typeof_impl
 
+from deadtime.base import notices
+
 _LONG = 1.0  # seconds of one compilation after which it is said
+
+
+class _CacheFile(IndexDataCacheFile):
+    """What is on disk of a kernel; nothing where it cannot be read."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError):  # it is about types that have moved since
+            return {}
 
 
 def dispatcher_of(kernel: Any) -> Any:
@@ -28,9 +41,7 @@ def dispatcher_of(kernel: Any) -> Any:
         return dispatcher
     cache = dispatcher._cache
     # Numba's own stamp is that of one file, and calls into others would go unnoticed.
-    cache._cache_file = IndexDataCacheFile(
-        cache.cache_path, cache._impl.filename_base, _stamp(kernel)
-    )
+    cache._cache_file = _CacheFile(cache.cache_path, cache._impl.filename_base, _stamp(kernel))
     return dispatcher
 
 
@@ -41,43 +52,58 @@ def is_cached(dispatcher: Any) -> bool:
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:
-    """What a kernel and the kernels that it calls are made of.
+    """What a kernel and all of this package that it calls are made of.
 
     That is name, time and size of the files that they lie in, and the numbers that they read.
     """
-    reached: list[Any] = [kernel]
-    numbers = []
-    for one in reached:
-        for name in one.function.__code__.co_names:
-            named = one.function.__globals__.get(name)
-            if type(named) is type(kernel) and named not in reached:
-                reached.append(named)
-            elif isinstance(named, int | float | tuple):
-                numbers.append((name, repr(named)))
-    files = sorted({each.function.__code__.co_filename for each in reached})
+    reached, codes, numbers = [kernel.function], [], []
+    for function in reached:
+        inner = [function.__code__]
+        for code in inner:  # intrinsics are made by functions within them
+            inner += [part for part in code.co_consts if isinstance(part, CodeType)]
+            for name in code.co_names:
+                named = function.__globals__.get(name)
+                called = _function_of(named, function)
+                if called is not None and called not in reached:
+                    reached.append(called)
+                elif isinstance(named, int | float | tuple):
+                    numbers.append((name, repr(named)))
+        codes.append(function.__code__)
+    files = sorted({code.co_filename for code in codes})
     found = [(name, os.stat(name)) for name in files if os.path.exists(name)]
     times = ((os.path.basename(name), at.st_mtime_ns, at.st_size) for name, at in found)
     return (*times, *numbers)
 
 
+def _function_of(named: Any, caller: Any) -> Any:
+    """The Python of what compiled code calls, if it is a kernel or of the same package."""
+    function = named
+    for attribute in ("function", "py_func", "_defn"):  # of a kernel, a dispatcher, an intrinsic
+        function = getattr(named, attribute, function)
+    if not isinstance(function, FunctionType):
+        return None
+    package = function.__module__.partition(".")[0]
+    own = hasattr(named, "dispatcher") or package == caller.__module__.partition(".")[0]
+    return function if own else None
+
+
 @functools.cache
 def _introduce(kind: Any) -> None:
-    """Let kernels call kernels, and let them say when compiling takes a while."""
+    """Let kernels call kernels."""
     typeof_impl.register(kind)(lambda kernel, _: types.Dispatcher(kernel.dispatcher))
-    event.register("numba:compile", _Notice(kind))
 
 
 class _Notice(event.Listener):
-    """Calls the kernels' `notice` once compiling takes a while."""
+    """Says once compiling takes a while, of kernels and of functions under `njit` alike."""
 
-    def __init__(self, kind: Any) -> None:
-        self._kind, self._depth = kind, 0
+    def __init__(self) -> None:
+        self._depth = 0
         self._timer: threading.Timer | None = None
 
     def on_start(self, event: Any) -> None:
         self._depth += 1
         if self._depth == 1:
-            self._timer = threading.Timer(_LONG, self._kind.notice)
+            self._timer = threading.Timer(_LONG, lambda: notices.compiling())
             self._timer.daemon = True
             self._timer.start()
 
@@ -85,3 +111,6 @@ class _Notice(event.Listener):
         self._depth -= 1
         if self._depth == 0 and self._timer is not None:
             self._timer.cancel()
+
+
+event.register("numba:compile", _Notice())

@@ -23,15 +23,23 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-START = 0.5  # seconds of all kernels of a process
+START = 1.0  # seconds of all kernels of a process: about what loading Numba costs
 PATIENCE = 2.0  # seconds of one kernel
 LARGE = 50_000  # numbers in the arguments, or times that they say
 WISH = os.environ.get("DEADTIME_COMPILE", "auto")
-_HERE = threading.local()  # of each thread: whether it runs a kernel as Python
+
+
+class _Here(threading.local):
+    """Of each thread: whether it runs a kernel as Python."""
+
+    within = False
+
+
+_HERE = _Here()
 
 
 class Kernel:
@@ -45,12 +53,9 @@ class Kernel:
         Whether it is never run as Python.
     options : dict
         For `numba.njit`.
-    notice : callable
-        What is called once compiling any of them takes a while; to be replaced.
     """
 
     spent = 0.0  # seconds of this process in the Python of kernels
-    notice: ClassVar[Any] = staticmethod(lambda: None)
 
     def __init__(self, function: Callable[..., Any], eager: bool, options: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
@@ -64,12 +69,13 @@ class Kernel:
     def __call__(self, *args: Any) -> Any:
         if self._ready is not None:
             return self._ready(*args)
-        if self._pays(args):
+        within = _HERE.within
+        if self._pays(args, within):
             self._ready = self.dispatcher
             return self.dispatcher(*args)
         began = time.perf_counter()
         try:
-            return self.function(*args) if _is_within() else self._interpret(args)
+            return self.function(*args) if within else self._interpret(args)
         finally:
             self._own += time.perf_counter() - began
 
@@ -80,13 +86,13 @@ class Kernel:
 
         return dispatcher_of(self)
 
-    def _pays(self, args: tuple[Any, ...]) -> bool:
+    def _pays(self, args: tuple[Any, ...], within: bool) -> bool:
         """Whether it is time to leave Python."""
         if self.eager or WISH == "never":
             return self.eager
         if WISH == "always" or self._own > PATIENCE:
             return True
-        if not _is_within() and _size(args) > LARGE:
+        if not within and _size(args) > LARGE:
             return True
         if self._asked or Kernel.spent < START:
             return False
@@ -125,10 +131,6 @@ def kernel(
     if function is None:
         return lambda inner: Kernel(inner, eager, options)
     return Kernel(function, eager, options)
-
-
-def _is_within() -> bool:
-    return getattr(_HERE, "within", False)
 
 
 def _plain_numbers(result: Any) -> Any:

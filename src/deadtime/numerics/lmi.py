@@ -1,14 +1,16 @@
-"""Linear matrix inequalities: solvers in turn, whose failures are told from their answers.
+"""Linear matrix inequalities, solved by Clarabel, whose failures are told from its answers.
 
 A solver's answer is a proposal. Whoever asks puts it back into its inequality and keeps it only
-if it holds there; so an inaccurate answer does no harm, and the next solver gets its turn. That
+if it holds there; so an inaccurate answer does no harm, and other tolerances get their turn. That
 there is no solution is concluded only from what a solver that works has said.
+
+Symmetric matrices are packed: the upper half by columns, what is off the diagonal times √2 where
+the solver sees it.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -16,75 +18,112 @@ import numpy as np
 
 from deadtime.base.errors import SolverError
 
-SOLVERS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("CLARABEL", {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}),
-    ("CLARABEL", {}),
-    ("SCS", {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 10_000}),
-)
-
-
+TOLERANCES = (1e-10, None, 1e-6)  # of gap and feasibility; None: the solver's own
+_WORDS = {
+    "Solved": "optimal",
+    "AlmostSolved": "optimal_inaccurate",
+    "PrimalInfeasible": "infeasible",
+    "AlmostPrimalInfeasible": "infeasible_inaccurate",
+    "DualInfeasible": "unbounded",
+    "AlmostDualInfeasible": "unbounded_inaccurate",
+    "MaxIterations": "user_limit",
+    "MaxTime": "user_limit",
+}
 # What a solver says that stopped before it knew.
 _GAVE_UP = ("solver_error", "user_limit")
 
 
+class Limit(NamedTuple):
+    """Σ_i x_i M[i] + constant ⪰ 0."""
+
+    M: np.ndarray
+    constant: np.ndarray
+
+
+class Program(NamedTuple):
+    """Minimise cost·x subject to limits."""
+
+    cost: np.ndarray
+    limits: Sequence[Limit]
+
+
 class Verdict(NamedTuple):
-    """What a solver said of a problem, and why it failed, which is empty if it did not."""
+    """What a solver said of a program, why it failed, empty if it did not, and its answer."""
 
     said: str
     failure: str = ""
+    x: np.ndarray | None = None
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether there is nothing to find."""
+        return self.said.endswith(": infeasible")
 
 
 def library(name: str) -> Any:
-    """A library that solves, such as cvxpy; a SolverError if it does not import.
+    """A library that solves, such as clarabel; a SolverError if it does not import.
 
     Examples
     --------
-    >>> library("cvxpy").__name__
-    'cvxpy'
+    >>> library("clarabel").__name__
+    'clarabel'
     """
     try:
         return import_module(name)
     except Exception as error:  # broken by another library's version it raises anything
         raise SolverError(
             f"{name} does not import ({_one_line(error)}), so there is no answer: install versions "
-            "that fit each other, python -m pip install --upgrade cvxpy clarabel numpy scipy."
+            "that fit each other, python -m pip install --upgrade clarabel numpy scipy."
         ) from error
 
 
-def attempts(problem: Any) -> Iterator[Verdict]:
-    """Solve a cvxpy problem with one solver after the other; yield what each has to say.
+def attempts(program: Program) -> Iterator[Verdict]:
+    """Solve a program with one tolerance after the other; yield what the solver has to say.
 
-    Whatever a solver throws becomes its verdict. The answer, if there is one, is in the
-    variables of the problem when the verdict is yielded.
+    Whatever it throws becomes its verdict.
     """
-    for name, options in SOLVERS:
-        for variable in problem.variables():
-            variable.value = None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            try:
-                problem.solve(solver=name, **options)
-                said = str(problem.status)
-                failure = said if said in _GAVE_UP else ""
-            except (KeyboardInterrupt, SystemExit, GeneratorExit):
-                raise
-            except BaseException as error:  # a panic in compiled code is no Exception
-                said, failure = f"failed ({type(error).__name__})", _one_line(error)
-        yield Verdict(f"{name}: {said}", failure)
+    solver = library("clarabel")
+    for tolerance in TOLERANCES:
+        x = None
+        try:
+            said, x = solve(solver, program, tolerance)
+            failure = said if said in _GAVE_UP else ""
+        except (KeyboardInterrupt, SystemExit, GeneratorExit):
+            raise
+        except BaseException as error:  # a panic in compiled code is no Exception
+            said, failure = f"failed ({type(error).__name__})", _one_line(error)
+        yield Verdict(f"CLARABEL: {said}", failure, x)
+
+
+def solve(solver: Any, program: Program, tolerance: float | None) -> tuple[str, Any]:
+    """What the solver says, in a word, and its x where that is an answer."""
+    from scipy.sparse import csc_matrix
+
+    settings = solver.DefaultSettings()
+    settings.verbose = False
+    if tolerance is not None:
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    A = csc_matrix(-np.concatenate([pack(limit.M) for limit in program.limits]))
+    b = np.concatenate([pack(limit.constant[None])[:, 0] for limit in program.limits])
+    cones = [solver.PSDTriangleConeT(len(limit.constant)) for limit in program.limits]
+    nothing = csc_matrix((len(program.cost),) * 2)
+    found = solver.DefaultSolver(nothing, program.cost, A, b, cones, settings).solve()
+    said, x = _WORDS.get(str(found.status), "solver_error"), np.array(found.x)
+    return said, x if said.startswith("optimal") and np.isfinite(x).all() else None
 
 
 def require_answer(verdicts: Collection[Verdict]) -> None:
-    """Refuse to conclude anything where every solver failed.
+    """Refuse to conclude anything where every attempt failed.
 
     Examples
     --------
-    >>> require_answer([Verdict("CLARABEL: infeasible"), Verdict("SCS: failed (X)", "X: broken")])
+    >>> require_answer([Verdict("CLARABEL: failed (X)", "X: broken"), Verdict("CLARABEL: optimal")])
     """
     if all(verdict.failure for verdict in verdicts):
         why = "; ".join(dict.fromkeys(verdict.failure for verdict in verdicts))
         raise SolverError(
             f"no solver answered ({answers_of(verdicts)}), so nothing is known: {why}. If a small "
-            "problem fails, too, the installation is broken: python -m pip install --upgrade cvxpy "
+            "problem fails, too, the installation is broken: python -m pip install --upgrade "
             "clarabel numpy scipy; or else rescale states whose units differ by many powers of ten."
         )
 
@@ -99,12 +138,34 @@ def _one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:200]
 
 
-def symmetric_value(variable: Any) -> np.ndarray | None:
-    """The symmetrised value of a square variable, or None if the solver left no finite one."""
-    value = variable.value
-    if value is None or not np.isfinite(value).all():
-        return None
-    return (value + value.T) / 2.0
+def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
+    columns, rows = np.tril_indices(size)
+    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
+
+
+def pack(M: np.ndarray) -> np.ndarray:
+    """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
+    rows, columns, factors = packing(M.shape[1])
+    return (M[:, rows, columns] * factors).T
+
+
+def unpack(entries: np.ndarray, size: int) -> np.ndarray:
+    """The symmetric matrix of its packed entries."""
+    rows, columns, _ = packing(size)
+    result = np.zeros((size, size))
+    result[rows, columns] = result[columns, rows] = entries
+    return result
+
+
+def symmetric_basis(size: int) -> np.ndarray:
+    """The matrices (entries, size, size) that unknown packed entries multiply."""
+    return np.array([unpack(entry, size) for entry in np.eye(size * (size + 1) // 2)])
+
+
+def symmetric_value(x: np.ndarray | None, size: int) -> np.ndarray | None:
+    """The symmetric matrix whose packed entries are the first unknowns; None without an answer."""
+    return None if x is None else unpack(x[: size * (size + 1) // 2], size)
 
 
 def balanced_units(matrices: np.ndarray) -> np.ndarray:

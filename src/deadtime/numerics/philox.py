@@ -24,9 +24,10 @@ from __future__ import annotations
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from deadtime.numerics.kernels import kernel
 from deadtime.numerics.streams import DROPPED, WORDS
 
 _ROUNDS = 10
@@ -49,7 +50,7 @@ def _high_word(typing, a, b):
     return types.uint64(types.uint64, types.uint64), generate
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def block_words(key, block, scenario, stream):
     """The four words at one counter."""
     c0, c1, c2, c3 = np.uint64(block), np.uint64(scenario), np.uint64(stream), _ZERO
@@ -62,13 +63,13 @@ def block_words(key, block, scenario, stream):
     return c0, c1, c2, c3
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def uniform(word):
     """A word as a double in (0, 1)."""
     return (np.float64(word >> DROPPED) + 0.5) * 2.0**-52
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def uniforms(key, scenarios, start, blocks, stream):
     """The numbers in (0, 1) of blocks start, …, start + blocks − 1 of a stream, (count, 4 blocks).
 

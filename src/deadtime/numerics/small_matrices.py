@@ -1,4 +1,4 @@
-"""Many small matrices at once, (points, rows, columns): inverses and traces."""
+"""Many small matrices at once, (points, rows, columns): inverses, traces, eigenvalues in order."""
 
 from __future__ import annotations
 
@@ -21,3 +21,16 @@ def inverses(X: np.ndarray) -> np.ndarray:
 def traces(inverse: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """tr(X⁻¹ dX), (points,)."""
     return np.einsum("pij,pji->p", inverse, slope)
+
+
+def matched(values: np.ndarray) -> np.ndarray:
+    """Rows of eigenvalues (points, k), each in the order of the nearest ones of the row before."""
+    if values.shape[1] < 2:
+        return values
+    from scipy.optimize import linear_sum_assignment
+
+    values = values.copy()
+    for i in range(1, len(values)):
+        apart = np.abs(values[i - 1][:, None] - values[i])
+        values[i] = values[i][linear_sum_assignment(apart)[1]]
+    return values

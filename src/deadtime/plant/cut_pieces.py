@@ -1,86 +1,168 @@
-"""The pieces of periods that switches cut, for kernels: `deadtime.plant.pieces.PieceTable`."""
+"""The pieces of periods that switches cut: `deadtime.plant.pieces.PieceTable`."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from deadtime.numerics.exponential import (
-    add_congruence,
-    discretise,
-    discretise_into,
-    gramian,
-    product,
-)
+from deadtime.base.checks import read_only
+from deadtime.numerics.exponential import add_congruence, discretise, gramian, product
 from deadtime.numerics.kernels import kernel
-from deadtime.plant.pieces import PieceTable
+from deadtime.numerics.stacked import congruence_all, discretise_all, gramian_all, product_all
+from deadtime.plant.laid_cuts import lay_cuts
+from deadtime.plant.pieces import PieceTable, Stretches
 
 
-@kernel
-def pieces_along(A, B, stretches, cut_step, cut_offset, cut_mode, periods):
+def pieces_along(
+    A: np.ndarray,
+    B: np.ndarray,
+    stretches: Stretches,
+    cut_step: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+    periods: int,
+    whole: tuple[np.ndarray, np.ndarray] | None = None,
+) -> PieceTable:
     """The pieces of the periods 0, …, periods − 1; switch p goes to cut_mode[p + 1].
 
     Entries up to the number of stretches are those of modes held; after them come the parts of
     stretches that switches begin or end. Parts of one period under the same inputs are one entry.
+    `whole` are Φ and Γ of the stretches, where they are known.
     """
-    modes, n, m = B.shape
-    whole, longest, switches = stretches.start.size, 0, 0
-    for i in range(modes):
-        longest = max(longest, stretches.first[i + 1] - stretches.first[i])
-    while switches < cut_step.size and cut_step[switches] < periods:
-        switches += 1
-    first, size = np.empty(periods + 1, np.int64), whole + 2 * switches * longest
-    entry = np.empty(longest * (periods + switches), np.int64)
-    Phi, Gamma = np.empty((size, n, n)), np.empty((size, n, m))
-    lag, mode_of = np.empty((size, m), np.int64), np.empty(size, np.int64)
-    start, stop = np.empty(size), np.empty(size)
-    cut = np.zeros((size, 2), np.int64)
-    for i in range(modes):
-        for s in range(stretches.first[i], stretches.first[i + 1]):
-            start[s], stop[s], mode_of[s] = stretches.start[s], stretches.stop[s], i
-            for j in range(m):
-                lag[s, j] = stretches.lag[s, j]
-            discretise_into(A[i], B[i], stop[s] - start[s], Phi[s], Gamma[s])
-    e, q, p, mode = whole, 0, 0, cut_mode[0]
-    for k in range(periods):
-        first[k] = q
-        now, goes_on = 0.0, False
-        s, last = stretches.first[mode], stretches.first[mode + 1]
-        while s < last:
-            if p < switches and cut_step[p] == k and cut_offset[p] <= now:
-                p += 1
-                mode = cut_mode[p]
-                s, last = stretches.first[mode], stretches.first[mode + 1]
-                while stop[s] <= now:
-                    s += 1
-                continue
-            end = stop[s]
-            ends = p < switches and cut_step[p] == k and cut_offset[p] < end
-            if ends:
-                end = cut_offset[p]
-            if not ends and now == start[s]:
-                entry[q] = s
-                q += 1
-            else:
-                for j in range(m):
-                    goes_on = goes_on and lag[e - 1, j] == lag[s, j]
-                if goes_on:
-                    part_Phi, part_Gamma = discretise(A[mode], B[mode], end - now)
-                    go_on(Phi[e - 1], Gamma[e - 1], part_Phi, part_Gamma)
-                else:
-                    for j in range(m):
-                        lag[e, j] = lag[s, j]
-                    discretise_into(A[mode], B[mode], end - now, Phi[e], Gamma[e])
-                    start[e], mode_of[e], cut[e, 0] = now, mode, p
-                    entry[q] = e
-                    e, q = e + 1, q + 1
-                stop[e - 1], cut[e - 1, 1] = end, p
-            now, goes_on = end, ends
-            if not ends:
-                s += 1
-    first[periods] = q
-    return PieceTable(
-        first, entry[:q], Phi[:e], Gamma[:e], lag[:e], start[:e], stop[:e], mode_of[:e], cut[:e]
+    switches = int(np.searchsorted(cut_step, periods))
+    laid = lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
+    cut = np.concatenate((np.zeros((stretches.start.size, 2), np.int64), laid.cut))
+    parts = parts_of(laid.start, laid.stop, laid.mode, laid.cut, cut_offset, cut_mode)
+    known = whole_stretches(A, B, stretches) if whole is None else whole
+    Phi, Gamma = (
+        np.concatenate(both) for both in zip(known, _over(A, B, parts, laid.mode.size), strict=True)
     )
+    mode = cut_mode[np.searchsorted(cut_step[:switches], np.arange(periods))]
+    counts = np.diff(stretches.first)[mode]
+    counts[laid.period] = np.diff(laid.first)
+    first = np.concatenate(([0], np.cumsum(counts)))
+    entry = _consecutive(stretches.first[mode], first)
+    entry[_consecutive(first[laid.period], laid.first)] = laid.entry
+    return PieceTable(
+        first,
+        entry,
+        Phi,
+        Gamma,
+        np.concatenate((stretches.lag, stretches.lag[laid.stretch])),
+        np.concatenate((stretches.start, laid.start)),
+        np.concatenate((stretches.stop, laid.stop)),
+        np.concatenate((_modes_of(stretches), laid.mode)),
+        cut,
+    )
+
+
+def whole_stretches(
+    A: np.ndarray, B: np.ndarray, stretches: Stretches
+) -> tuple[np.ndarray, np.ndarray]:
+    """Φ and Γ of the stretches."""
+    Phi, Gamma = discretise_all(A, B, _modes_of(stretches), stretches.stop - stretches.start)
+    return read_only(Phi), read_only(Gamma)
+
+
+def gramians(
+    A: np.ndarray,
+    B: np.ndarray,
+    table: PieceTable,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+    Q: np.ndarray,
+) -> np.ndarray:
+    """`gramian_up_to` of every entry, to its end."""
+    entries, (n, m) = table.mode.size, B.shape[1:]
+    parts = parts_of(table.start, table.stop, table.mode, table.cut, cut_offset, cut_mode)
+    M = gramian_all(A, B, parts.mode, parts.length, Q)
+    result = np.zeros((entries, n + m, n + m))
+    moved = np.tile(np.eye(n + m), (entries, 1, 1))
+    with np.errstate(all="ignore"):
+        for rank in range(parts.rank.max(initial=-1) + 1):
+            of = np.flatnonzero(parts.rank == rank)
+            e = parts.entry[of]
+            result[e] += congruence_all(moved[e], M[of]) if rank else M[of]
+            of = of[parts.goes_on[of]]
+            e = parts.entry[of]
+            Phi, Gamma = discretise_all(A, B, parts.mode[of], parts.length[of])
+            moved[e, :n, n:] = product_all(Phi, moved[e, :n, n:]) + Gamma
+            moved[e, :n, :n] = product_all(Phi, moved[e, :n, :n])
+    return result
+
+
+class Parts(NamedTuple):
+    """What lies between the switches within entries: mode and seconds.
+
+    `rank` counts the parts of an entry, and `goes_on` says whether another one follows.
+    """
+
+    entry: np.ndarray
+    mode: np.ndarray
+    length: np.ndarray
+    rank: np.ndarray
+    goes_on: np.ndarray
+
+
+def parts_of(
+    start: np.ndarray,
+    stop: np.ndarray,
+    mode: np.ndarray,
+    cut: np.ndarray,
+    cut_offset: np.ndarray,
+    cut_mode: np.ndarray,
+) -> Parts:
+    """The parts of entries, those without length left out."""
+    inner = cut[:, 1] - cut[:, 0]
+    first = np.concatenate(([0], np.cumsum(inner + 1)))
+    entry = np.repeat(np.arange(start.size), inner + 1)
+    switch = _consecutive(cut[:, 0], first)  # that ends a part
+    begins, ends = first[:-1], first[1:] - 1
+    until = np.empty(entry.size)
+    until[ends] = stop
+    inside = np.ones(entry.size, bool)
+    inside[ends] = False
+    until[inside] = cut_offset[switch[inside]]
+    since, of = np.empty(entry.size), np.empty(entry.size, np.int64)
+    since[1:] = until[:-1]
+    since[begins] = start
+    inside[ends], inside[begins] = True, False
+    of[inside] = cut_mode[switch[inside]]
+    of[begins] = mode
+    kept = until > since
+    entry, of, length = entry[kept], of[kept], (until - since)[kept]
+    change = np.concatenate(([True], entry[1:] != entry[:-1]))[: entry.size]
+    begin = np.flatnonzero(change)
+    rank = np.arange(entry.size) - np.repeat(begin, np.diff(np.append(begin, entry.size)))
+    return Parts(entry, of, length, rank, np.append(~change[1:], False)[: entry.size])
+
+
+def _over(
+    A: np.ndarray, B: np.ndarray, parts: Parts, entries: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Φ and Γ of entries, part after part."""
+    Phi, Gamma = np.empty((entries, *A.shape[1:])), np.empty((entries, *B.shape[1:]))
+    of, entered = discretise_all(A, B, parts.mode, parts.length)
+    Phi[parts.entry[parts.rank == 0]] = of[parts.rank == 0]
+    Gamma[parts.entry[parts.rank == 0]] = entered[parts.rank == 0]
+    with np.errstate(all="ignore"):
+        for rank in range(1, parts.rank.max(initial=0) + 1):
+            now = np.flatnonzero(parts.rank == rank)
+            e = parts.entry[now]
+            Phi[e] = product_all(of[now], Phi[e])
+            Gamma[e] = product_all(of[now], Gamma[e]) + entered[now]
+    return Phi, Gamma
+
+
+def _modes_of(stretches: Stretches) -> np.ndarray:
+    """The mode of every stretch."""
+    return np.repeat(np.arange(stretches.first.size - 1), np.diff(stretches.first))
+
+
+def _consecutive(values: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """values[i], values[i] + 1, … at the places first[i], …, first[i + 1] − 1."""
+    return np.repeat(values - first[:-1], np.diff(first)) + np.arange(first[-1])
 
 
 @kernel
@@ -136,17 +218,4 @@ def gramian_up_to(A, B, table, cut_offset, cut_mode, e, end, Q):
             now = until
         if p < table.cut[e, 1]:
             mode = cut_mode[p + 1]
-    return M
-
-
-@kernel
-def gramians(A, B, table, cut_offset, cut_mode, Q):
-    """`gramian_up_to` of every entry, to its end."""
-    size = B.shape[1] + B.shape[2]
-    M = np.empty((table.mode.size, size, size))
-    for e in range(table.mode.size):
-        part = gramian_up_to(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
-        for i in range(size):
-            for j in range(size):
-                M[e, i, j] = part[i, j]
     return M

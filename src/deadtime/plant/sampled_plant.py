@@ -111,8 +111,16 @@ class SampledPlant(Frozen):
         from deadtime.plant.cut_pieces import pieces_along
 
         A, B = self.plant.A, self.plant.B
-        table = pieces_along(A, B, self.every_stretch, cuts.step, cuts.offset, cuts.mode, periods)
+        place = cuts.step, cuts.offset, cuts.mode
+        table = pieces_along(A, B, self.every_stretch, *place, periods, self._whole)
         return PieceTable(*map(read_only, table))
+
+    @cached_property
+    def _whole(self) -> tuple[np.ndarray, np.ndarray]:
+        """Φ and Γ of the stretches."""
+        from deadtime.plant.cut_pieces import whole_stretches
+
+        return whole_stretches(self.plant.A, self.plant.B, self.every_stretch)
 
     def pieces(self, mode: int) -> tuple[Piece, ...]:
         """The pieces of a period in which a mode is held, in order."""

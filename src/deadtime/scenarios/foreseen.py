@@ -18,9 +18,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from deadtime.base.checks import read_only
+from deadtime.numerics.kernels import kernel
 from deadtime.numerics.lanes import (
     LANES,
     first_of,
@@ -85,7 +85,7 @@ class Ahead(NamedTuple):
     acting: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def look_ahead(shape, model, start, count, period):
     """The stacks at time 0, when the first W periods are in, and when the next records enter.
 
@@ -121,7 +121,7 @@ def look_ahead(shape, model, start, count, period):
     return ahead, soon
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def clear(shape, ahead):
     """Nothing in `back`."""
     n = len(shape.x)
@@ -131,7 +131,7 @@ def clear(shape, ahead):
         store(ahead.back, (i * n + i) * LANES, same(1.0, (0.0,)))
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def turn(model, ahead, k, soon):
     """Apply the records of the period that enters at t_k; when the next one does."""
     while soon // LANES == k:
@@ -153,7 +153,7 @@ def turn(model, ahead, k, soon):
     return soon
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def enter(shape, ahead, acting, slot):
     """Put the period that enters, under its inputs, into `back`, and by itself into a slot."""
     n = len(shape.x)
@@ -170,7 +170,7 @@ def enter(shape, ahead, acting, slot):
     store(ahead.back, size, v)
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def sum_up(shape, length, ahead):
     """Make the maps in the slots suffixes: slot r the composition of all from r on."""
     n = len(shape.x)
@@ -186,7 +186,7 @@ def sum_up(shape, length, ahead):
     clear(shape, ahead)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def foresee(shape, length, ahead, slot, x, latest):
     """The input: x predicted through a slot, `back` and the tail."""
     size = len(shape.x) * len(shape.x) * LANES
@@ -200,7 +200,7 @@ def foresee(shape, length, ahead, slot, x, latest):
     return own_product(ahead.tail, 0, z, same(0.0, shape.u))
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def fill_tails(tails, gains, latest, records, modes, rest, step, acting, pieces, width):
     """Fill tails[modes + c] for every cut period c: over its first `rest` seconds, then a gain.
 
@@ -226,7 +226,7 @@ def fill_tails(tails, gains, latest, records, modes, rest, step, acting, pieces,
                 at += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _flat_size(wide, n):
     """Of a map, as `laid.compose_period` fills it."""
     return n * wide + wide * (wide + 1) // 2

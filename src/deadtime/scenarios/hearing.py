@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deadtime.numerics.kernels import kernel
 from deadtime.numerics.lanes import LANES, choose, first_of, gather, load, same, spread, times
 
 _ONE = (0.0,)
@@ -33,7 +33,7 @@ class Memory(NamedTuple):
     row: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def memory_of(shape, told, samples, first, count):
     """Room for as many states as are looked back to; `first` is the first scenario's number."""
     states = np.zeros(LANES * (told.reach + 1) * len(shape.x))
@@ -42,7 +42,7 @@ def memory_of(shape, told, samples, first, count):
     return Memory(states, places, begin, added, np.zeros(LANES), np.zeros(LANES))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def hear(shape, told, memory, x, k):
     """What the law takes x_k to be."""
     n, slots = len(shape.x), told.reach + 1
@@ -61,7 +61,7 @@ def hear(shape, told, memory, x, k):
     return heard
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def command(shape, memory, u, before):
     """What is asked for: u, or what was asked for before where nothing was heard."""
     both = first_of(u, before, before, shape.pair)

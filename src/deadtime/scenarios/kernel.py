@@ -15,8 +15,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deadtime.numerics.kernels import kernel
 from deadtime.numerics.lanes import (
     LANES,
     block_product,
@@ -53,7 +53,7 @@ _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _dot(a, i, b, j, length):
     """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
     sums = same(0.0, _FOUR)
@@ -68,7 +68,7 @@ def _dot(a, i, b, j, length):
     return total(first_of(sums, rest, rest, _FIVE))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def _refill(shape, rows, ring, period, now, carry):
     """What the previous block of inputs adds to each sum of the coming one.
 
@@ -114,7 +114,7 @@ class Work(NamedTuple):
     acting: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _work(shape, rows, plant, run, start, count, period):
     """The memory at time 0."""
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
@@ -151,7 +151,7 @@ def _work(shape, rows, plant, run, start, count, period):
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def _switch(rows, plant, work, k, soon):
     """Apply the records of period k; which comes next, or a number that no period reaches."""
     size = work.own.size // LANES
@@ -174,7 +174,7 @@ def _switch(rows, plant, work, k, soon):
     return soon
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def _sum_dense(shape, rows, work, told, memory, k, place):
     """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
 
@@ -197,7 +197,7 @@ def _sum_dense(shape, rows, work, told, memory, k, place):
             work.ask[lane * m + i] = _dot(rows.dense, begin, work.window, start, rows.width)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def _limit(shape, run, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
@@ -208,7 +208,7 @@ def _limit(shape, run, u, before):
     return u
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(eager=True, nogil=True, inline="always")
 def _turn_around(places, m, size):
     """The places of the next inputs in a ring."""
     for p in range(places.size):
@@ -216,7 +216,7 @@ def _turn_around(places, m, size):
         places[p] = 0 if after == size else after
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, keep, first):
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
@@ -321,7 +321,7 @@ def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, ke
             out[f * LANES + lane] = math.log(product_so_far) + exponents * _LOG_2
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def run_scenarios(shape, rows, model, plant, run, told, start, count, path, keep):
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 

@@ -1,7 +1,7 @@
 """Switching signals laid on the periods of a digital loop, many at once, compiled.
 
-As `plant.steps.Cuts` has it, a switch within 1e-9 of a
-period of a sample, or of an arriving input, is at it.
+As `plant.steps.Cuts` has it, a switch within 1e-9 of a period of a sample, or of an arriving input,
+is at it.
 """
 
 # Intrinsics take one argument less than the functions that declare them.
@@ -10,21 +10,21 @@ period of a sample, or of an arriving input, is at it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from deadtime.numerics.kernels import kernel
 from deadtime.numerics.lanes import load, same, store, times
 from deadtime.scenarios.records import Records
 
 TOLERANCE = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _snap(ratio):
     nearest = np.floor(ratio + 0.5)
     return nearest if abs(ratio - nearest) <= TOLERANCE else ratio
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _place(time, step, acting, rate):
     """The period that a switch falls in, and when in it; `rate` is 1/step."""
     ratio = _snap(time * rate)
@@ -39,7 +39,7 @@ def _place(time, step, acting, rate):
     return np.int64(k), time - k * step
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def lay(offset, times, modes, samples, step, acting, plants):
     """The records of every scenario for the periods 0, …, samples − 1.
 
@@ -90,7 +90,7 @@ def lay(offset, times, modes, samples, step, acting, plants):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _series(flat, index, cells, degrees, size, start, cell, t, width):
     """Σ_d flat[index, c, d] δ^d: c the cell of t, δ ∈ [−1, 1] the place in it."""
     c = min(max(np.int64((t - start) / cell), 0), cells - 1)
@@ -103,14 +103,15 @@ def _series(flat, index, cells, degrees, size, start, cell, t, width):
     return value
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def _compose(piece, column, move, energy, own):
     """Follow the map (move, energy) by a piece whose inputs are z[column]."""
     (n, wide), m = move.shape, column.size
-    own[:n] = move
-    own[n:] = 0.0
-    for j in range(m):
-        own[n + j, column[j]] = 1.0
+    for a in range(wide):
+        for i in range(n):
+            own[i, a] = move[i, a]
+        for j in range(m):
+            own[n + j, a] = 1.0 if a == column[j] else 0.0
     at = n * n + n * m
     for i in range(n + m):
         for j in range(i, n + m):
@@ -131,7 +132,7 @@ def _compose(piece, column, move, energy, own):
             move[i, a] = value
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
@@ -163,7 +164,7 @@ def compose_period(first, last, modes, at, end, acting, pieces, cell, result, sc
             k += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel(eager=True, nogil=True)
 def fill_maps(
     maps,
     records,

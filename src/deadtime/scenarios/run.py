@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.imperfections import Imperfection, Limiting, Relaying, streams
@@ -24,7 +25,7 @@ from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory import require_memory
 from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel, source_of
-from deadtime.scenarios.workers import Progress, processors, run_blocks, show_progress
+from deadtime.scenarios.workers import Progress, run_blocks, show_progress
 from deadtime.simulation.simulate import require_steps
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 

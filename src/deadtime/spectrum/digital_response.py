@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
-from deadtime.numerics.exponential import ROUND_OFF, balance, balanced_norm, discretise
+from deadtime.numerics.exponential import ROUND_OFF, discretise
+from deadtime.numerics.stacked import balanced, discretise_all
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 from deadtime.spectrum.input_units import in_units, units_of
@@ -106,10 +109,9 @@ def cut_inputs(
     count = np.maximum(1.0, np.ceil(delay / step))
     rest = count * step - delay
     longest = max(step, float(rest.max(initial=0.0)))
-    unit = balance(A)
-    size = balanced_norm(A, unit) * longest
+    size = float(balanced(A[None])[1][0]) * longest
     if size > _SHORT:
-        late = np.array([discretise(A, B, tau)[1] for tau in rest]).reshape(-1, *B.shape)
+        late = discretise_all(A[None], B[None], np.zeros(rest.size, np.int64), rest)[1]
     else:
         terms, bound = [B], 1.0
         while bound > ROUND_OFF:
@@ -118,5 +120,14 @@ def cut_inputs(
         late, tau = np.zeros((delay.size, *B.shape)), rest[:, None, None]
         for term in reversed(terms):
             late = tau * (late + term)
-    whole = discretise(A, B, step)[1]
-    return count, whole - late, late, B + A @ late
+    return count, _entering(A.tobytes(), B.tobytes(), B.shape, step) - late, late, B + A @ late
+
+
+@lru_cache(maxsize=64)  # all frequencies ask for the same
+def _entering(A: bytes, B: bytes, shape: tuple[int, int], step: float) -> np.ndarray:
+    """Γ(h)."""
+    n = shape[0]
+    Phi_and_Gamma = discretise(
+        np.frombuffer(A).reshape(n, n), np.frombuffer(B).reshape(shape), step
+    )
+    return read_only(Phi_and_Gamma[1])

@@ -1,7 +1,6 @@
 """Linear functions that are to be positive semidefinite, as Clarabel takes them.
 
-Symmetric matrices are packed: the upper half by columns, what is off the diagonal times √2 where
-the solver sees it. Clarabel is called directly.
+Symmetric matrices are packed as `deadtime.numerics.lmi` does it.
 """
 
 from __future__ import annotations
@@ -10,13 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.numerics.lmi import library
-
-
-def packing(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and factors of a symmetric matrix packed by columns of its upper half."""
-    columns, rows = np.tril_indices(size)
-    return rows, columns, np.where(rows == columns, 1.0, np.sqrt(2.0))
+from deadtime.numerics.lmi import library, packing
 
 
 def squares(left: np.ndarray) -> np.ndarray:
@@ -25,20 +18,6 @@ def squares(left: np.ndarray) -> np.ndarray:
     product = left[rows][:, :, None].conj() * left[columns][:, None, :]
     both = product + product.conj().transpose(0, 2, 1)
     return np.where((rows == columns)[:, None, None], product, both)
-
-
-def pack(M: np.ndarray) -> np.ndarray:
-    """(entries, unknowns) of a constraint Σ x_i M_i ⪰ 0."""
-    rows, columns, factors = packing(M.shape[1])
-    return (M[:, rows, columns] * factors).T
-
-
-def unpack(entries: np.ndarray, size: int) -> np.ndarray:
-    """The symmetric matrix of its packed entries."""
-    rows, columns, _ = packing(size)
-    result = np.zeros((size, size))
-    result[rows, columns] = result[columns, rows] = entries
-    return result
 
 
 def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] | None:
@@ -54,6 +33,8 @@ def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] 
     cost[-1] = -1.0
     settings = solver.DefaultSettings()
     settings.verbose = False
+    if hasattr(settings, "max_threads"):  # the programs are small, and laws share the processors
+        settings.max_threads = 1
     cones = [solver.PSDTriangleConeT(size) for size in sizes]
     nothing = csc_matrix((unknowns, unknowns))
     try:

@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.dwell.centre import Model
-from deadtime.certificates.dwell.cones import maximise, pack, packing, squares, unpack
+from deadtime.certificates.dwell.cones import maximise, squares
 from deadtime.certificates.dwell.response import Response
 from deadtime.certificates.proof.transitions import Transition, interpolation
+from deadtime.numerics.lmi import pack, packing, unpack
 
 LEAST_UNIT = 1e-6  # of v, as part of the largest
 

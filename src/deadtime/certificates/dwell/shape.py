@@ -19,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.cones import packing, squares, unpack
+from deadtime.certificates.dwell.cones import squares
 from deadtime.certificates.dwell.leaps import Node
+from deadtime.numerics.lmi import packing, unpack
 
 DOUBLINGS = 60
 FLOOR = 1e-7  # ε at least

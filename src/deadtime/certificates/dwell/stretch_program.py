@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.cones import maximise, pack, packing, squares
+from deadtime.certificates.dwell.cones import maximise, squares
 from deadtime.certificates.dwell.leaps import Node
 from deadtime.certificates.dwell.shape import FLOOR, Shape
+from deadtime.numerics.lmi import pack, packing
 
 SEEN = 1e-2  # of the strongest functional: weaker ones open no direction
 SHARE = 1e-3  # of the margin t, for the stretches without a switch

@@ -37,44 +37,32 @@ def _control(F, G, x, line, now):
 
 
 @kernel(eager=True)
-def _powers(table, weight):
-    """w^lag of the first input of every entry, and what those of the others are times that."""
-    size, m = table.lag.shape
-    power, others = np.empty(size), np.empty((size, m))
-    for e in range(size):
-        power[e] = weight ** table.lag[e, 0]
-        for j in range(m):
-            others[e, j] = weight ** (table.lag[e, j] - table.lag[e, 0])
-    return power, others
-
-
-@kernel(eager=True)
 def forward(loop, repeats, x, inputs, states):
     """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
 
     `states` (samples, n) gets x̃ at the end of every period.
     """
-    table, weight = loop.pieces, loop.weight
+    weight = loop.weight
     n, m, cycle = x.size, loop.G.shape[1], loop.rows.size
     past = inputs.shape[0] - repeats * cycle
     line = inputs.reshape(-1)
     moved, acting = np.empty(n), np.empty(m)
-    power, others = _powers(table, weight)
+    power, others = loop.power, loop.others
     for k in range(repeats * cycle):
         step = k % cycle
         row, now = loop.rows[step], past + k
         _control(loop.F[row], loop.G[row], x, line, now * m)
-        for q in range(table.first[step], table.first[step + 1]):
-            e = table.entry[q]
+        for q in range(loop.first[step], loop.first[step + 1]):
+            e = loop.entry[q]
             for j in range(m):
-                acting[j] = others[e, j] * inputs[now - table.lag[e, j], j]
+                acting[j] = others[e, j] * inputs[now - loop.lag[e, j], j]
             for i in range(n):
                 total = 0.0
                 for j in range(m):
-                    total += table.Gamma[e, i, j] * acting[j]
+                    total += loop.Gamma[e, i, j] * acting[j]
                 total *= power[e]
                 for j in range(n):
-                    total += table.Phi[e, i, j] * x[j]
+                    total += loop.Phi[e, i, j] * x[j]
                 moved[i] = total
             for i in range(n):
                 x[i] = moved[i]
@@ -123,25 +111,25 @@ def carry_back(loop, p, inputs):
     It is (p, the last W rows of `inputs` (W + samples, m)) at the end, and (p, the first W) at
     the start; the other rows of `inputs` must be 0 at first.
     """
-    table, weight = loop.pieces, loop.weight
+    weight = loop.weight
     n, m, cycle = p.size, loop.G.shape[1], loop.rows.size
     past = inputs.shape[0] - cycle
     line = inputs.reshape(-1)
     moved = np.empty(n)
-    power, others = _powers(table, weight)
+    power, others = loop.power, loop.others
     for k in range(cycle - 1, -1, -1):
         row, now = loop.rows[k], past + k
-        for q in range(table.first[k + 1] - 1, table.first[k] - 1, -1):
-            e = table.entry[q]
-            end = weight if q == table.first[k + 1] - 1 else 1.0
+        for q in range(loop.first[k + 1] - 1, loop.first[k] - 1, -1):
+            e = loop.entry[q]
+            end = weight if q == loop.first[k + 1] - 1 else 1.0
             for j in range(m):
-                acts, own = now - table.lag[e, j], end * power[e] * others[e, j]
+                acts, own = now - loop.lag[e, j], end * power[e] * others[e, j]
                 for i in range(n):
-                    inputs[acts, j] += own * table.Gamma[e, i, j] * p[i]
+                    inputs[acts, j] += own * loop.Gamma[e, i, j] * p[i]
             for j in range(n):
                 moved[j] = 0.0
                 for i in range(n):
-                    moved[j] += end * table.Phi[e, i, j] * p[i]
+                    moved[j] += end * loop.Phi[e, i, j] * p[i]
             for j in range(n):
                 p[j] = moved[j]
         _control_adjoint(loop.F[row], loop.G[row], p, line, now * m)

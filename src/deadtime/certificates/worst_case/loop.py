@@ -20,7 +20,6 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import side_by_side
 from deadtime.plant import SampledPlant, SwitchedSystem
-from deadtime.plant.pieces import PieceTable
 from deadtime.spectrum import aged_row
 from deadtime.switching.grid import cuts_of, modes_at
 
@@ -33,17 +32,25 @@ DENSE = 600  # up to this order all eigenvalues are computed where Arnoldi's met
 class Table(NamedTuple):
     """What happens in each period of a cycle, for the compiled loop.
 
-    pieces : the plant's, without entries that no period has
+    first, entry, Phi, Gamma, lag : the plant's pieces, as in a `PieceTable`
     rows : (periods,), of the law's table
     F : (contexts, m, n), G : (contexts, m, taps·m), that table, weighted, the oldest input first
-    weight : of one period
+    weight : w, of one period
+    power : (entries,), w^lag of the first input of every entry
+    others : (entries, m), what those of the others are times that
     """
 
-    pieces: PieceTable
+    first: np.ndarray
+    entry: np.ndarray
+    Phi: np.ndarray
+    Gamma: np.ndarray
+    lag: np.ndarray
     rows: np.ndarray
     F: np.ndarray
     G: np.ndarray
     weight: float
+    power: np.ndarray
+    others: np.ndarray
 
     @property
     def periods(self) -> int:
@@ -52,8 +59,7 @@ class Table(NamedTuple):
 
     def until(self, periods: int) -> Table:
         """The first periods."""
-        first = self.pieces.first[: periods + 1]
-        return self._replace(pieces=self.pieces._replace(first=first), rows=self.rows[:periods])
+        return self._replace(first=self.first[: periods + 1], rows=self.rows[:periods])
 
 
 class Growth(NamedTuple):
@@ -119,7 +125,10 @@ class SampledLoop:
             seen = modes_at(signal, np.arange(periods) * step, step)
             rows = feedback.rows(np.tile(seen, 2))[periods:]
         pieces = self.sampled.along(cuts_of(signal, self.sampled.window), periods)
-        return Table(pieces, rows, feedback.state_gain, self.G, self.weight)
+        first = pieces.lag[:, :1]
+        power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)
+        law = rows, feedback.state_gain, self.G
+        return Table(*pieces[:5], *law, self.weight, power, others)
 
     def run(self, table: Table, repeats: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From ζ (order,): weighted states (samples, n) at the end of every period, and inputs

@@ -94,10 +94,12 @@ def _constant(loop: SampledLoop, mode: int) -> GrowthProof:
 
 def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> GrowthProof | None:
     """None where the balls are too wide to tell."""
-    from flint import arb, ctx
+    from flint import arb
+
+    from deadtime.certificates.proof.balls import precision
 
     best, worn = 0.0, False
-    with ctx.workprec(bits):
+    with precision(bits):
         M, d = _over(loop, cycle), loop.order
         time = arb(cycle.periods) * loop.step
         for k in range(squarings + 1):

@@ -66,7 +66,10 @@ def matrix_product(_, matrix, z, to):
 
 @intrinsic
 def table_product(_, left, right, to):
-    """to + L R, L (rows, n), R (n, columns) and the sum given as vectors, row by row."""
+    """to + L R, L (rows, n), R (n, columns) and the sum given as vectors, row by row.
+
+    Rounded after every product and sum, as NumPy does.
+    """
 
     def work(code: Code, rows: Any, table: Any, sums: Any) -> list[Any]:
         # rows·n, n·columns and rows·columns are the lengths of the three.
@@ -75,7 +78,8 @@ def table_product(_, left, right, to):
         for place, total in enumerate(sums):
             i, j = divmod(place, columns)
             for k in range(n):
-                total = code.fma(rows[i * n + k], table[k * columns + j], total)
+                part = code.builder.fmul(rows[i * n + k], table[k * columns + j])
+                total = code.builder.fadd(total, part)
             result.append(total)
         return result
 

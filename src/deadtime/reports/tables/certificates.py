@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
+from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, sentence_of
 from deadtime.problems import Problem
 
@@ -76,7 +77,7 @@ def judge(
     decay_rate : float, optional
         The rate to certify, 1/s; as `certify` chooses by default.
     progress : callable
-        Called with a few words before each law.
+        Called with a few words after each law.
 
     Raises
     ------
@@ -88,10 +89,10 @@ def judge(
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
-    judged = []
-    for name in names:
-        progress(f"certifying: {name}")
-        judged.append(_judge(problem, name, (dwell_time, step, decay_rate)))
+    judged: list[Judged] = []
+    for one in in_order(lambda name: _judge(problem, name, (dwell_time, step, decay_rate)), names):
+        progress(f"certified: {one.law}")
+        judged.append(one)
     return judged
 
 

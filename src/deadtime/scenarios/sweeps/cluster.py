@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError, ClusterError
+from deadtime.base.threads import processors
 from deadtime.base.version import __version__
-from deadtime.scenarios.workers import processors
 
 if TYPE_CHECKING:
     from distributed import Client

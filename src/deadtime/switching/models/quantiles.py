@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.switching.models.sojourns import Distribution, Fixed, log_survival
+from deadtime.switching.models.sojourns import Distribution, Fixed, ShiftedExponential, log_survival
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +75,8 @@ def _formula(dist: Distribution) -> tuple[float, float] | None:
     """(a, b) of t = a − b log u, where that is the inverse survival function."""
     if isinstance(dist, Fixed):
         return dist.length, 0.0
+    if isinstance(dist, ShiftedExponential):
+        return dist.loc, dist.scale
     family = type(getattr(dist, "dist", None))
     if family.__name__ != "expon_gen" or not family.__module__.startswith("scipy.stats"):
         return None

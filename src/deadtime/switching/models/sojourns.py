@@ -53,6 +53,42 @@ class Fixed:
         return f"{self.length:g}"
 
 
+@dataclass(frozen=True)
+class ShiftedExponential:
+    """`scipy.stats.expon(loc, scale)`, of times above 0, without SciPy.
+
+    Examples
+    --------
+    >>> from scipy.stats import expon
+    >>> bool(np.isclose(ShiftedExponential(0.3, 0.5).cdf(0.7), expon(loc=0.3, scale=0.5).cdf(0.7)))
+    True
+    """
+
+    loc: float
+    scale: float
+
+    def cdf(self, t: ArrayLike) -> np.ndarray:
+        """P(S ≤ t)."""
+        return np.asarray(-np.expm1(self.logsf(t)))
+
+    def sf(self, t: ArrayLike) -> np.ndarray:
+        """P(S > t)."""
+        return np.asarray(np.exp(self.logsf(t)))
+
+    def logsf(self, t: ArrayLike) -> np.ndarray:
+        """log P(S > t)."""
+        return np.asarray(
+            np.minimum(0.0, (self.loc - np.asarray(t, dtype=np.float64)) / self.scale)
+        )
+
+    def mean(self) -> float:
+        """The mean, seconds."""
+        return self.loc + self.scale
+
+    def __repr__(self) -> str:
+        return f"expon(loc={_short(self.loc)}, scale={_short(self.scale)})"
+
+
 def check_sojourn(name: str, value: object) -> Distribution:
     """A distribution of positive times; a number stands for a fixed sojourn."""
     if isinstance(value, (Real, np.number)) and not isinstance(value, bool):
