@@ -218,8 +218,8 @@ def test_laws_and_signals_of_one_shape_are_compiled_once():
     engine, other = Engine(loop), [*SIGNALS[::-1], SIGNALS[3]]
     laid = [loop.lay(SignalBatch.of(some)) for some in (SIGNALS, other)]
     engine.run(table_of(engine, loop, plants.LAWS["averaged"](BELIEVED)), laid[0])
-    compiled = len(run_scenarios.signatures)
+    compiled = len(run_scenarios.dispatcher.signatures)
     for law in (plants.LAWS["weighted"](BELIEVED), plants.LAWS["averaged"](BELIEVED.apart(0.5))):
         for one in laid:
             engine.run(table_of(engine, loop, law), one)
-    assert len(run_scenarios.signatures) == compiled
+    assert len(run_scenarios.dispatcher.signatures) == compiled

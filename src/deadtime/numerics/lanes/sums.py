@@ -66,10 +66,7 @@ def matrix_product(_, matrix, z, to):
 
 @intrinsic
 def table_product(_, left, right, to):
-    """to + L R, L (rows, n), R (n, columns) and the sum given as vectors, row by row.
-
-    Rounded after every product and sum, as NumPy does.
-    """
+    """to + L R, L (rows, n), R (n, columns) and the sum given as vectors, row by row."""
 
     def work(code: Code, rows: Any, table: Any, sums: Any) -> list[Any]:
         # rows·n, n·columns and rows·columns are the lengths of the three.
@@ -78,8 +75,7 @@ def table_product(_, left, right, to):
         for place, total in enumerate(sums):
             i, j = divmod(place, columns)
             for k in range(n):
-                part = code.builder.fmul(rows[i * n + k], table[k * columns + j])
-                total = code.builder.fadd(total, part)
+                total = code.fma(rows[i * n + k], table[k * columns + j], total)
             result.append(total)
         return result
 
