@@ -13,7 +13,7 @@ from deadtime.imperfections import Imperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.heard import HeardBlock
-from deadtime.scenarios.layout import PERFECT, Told
+from deadtime.scenarios.layout import Told
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.source import Source, scenario_seed
@@ -101,7 +101,7 @@ class Block:
             if stopped():
                 return []
             these = slice(first + start, first + min(start + size, count))
-            told = PERFECT
+            told = None
             if heard is not None:
                 told = heard.told(table.feedback, start, these.stop - these.start)
             figures = self._figures(row, table, laid, told, start, these)
@@ -111,7 +111,13 @@ class Block:
         return left
 
     def _figures(
-        self, row: int, table: Table, laid: Sequence[Laid], told: Told, start: int, these: slice
+        self,
+        row: int,
+        table: Table,
+        laid: Sequence[Laid],
+        told: Told | None,
+        start: int,
+        these: slice,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results = these.stop - these.start, self.results

@@ -9,9 +9,9 @@ import numpy as np
 from deadtime.feedback import Feedback
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
-from deadtime.scenarios.foreseen import NO_MODEL, Model
+from deadtime.scenarios.foreseen import Model
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.layout import PERFECT, Plant, Rows, Run, Shape, Told
+from deadtime.scenarios.layout import Dense, Factored, Limits, Plant, Run, Shape, Told
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid
@@ -23,11 +23,16 @@ _NOTHING = np.zeros(0)
 
 
 class Table(NamedTuple):
-    """A law as `scenarios.kernel` takes it; `feedback` is what its rows are, where it has one."""
+    """A law as `scenarios.kernel` takes it: one of three, and how many past inputs it reads.
+
+    `feedback` is what its rows are, where it has some.
+    """
 
     shape: Shape
-    rows: Rows
-    model: Model
+    factored: Factored | None
+    dense: Dense | None
+    model: Model | None
+    taps: int
     feedback: Feedback | None
 
 
@@ -36,34 +41,33 @@ class Engine:
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        limits = loop.limits
-        self._run = Run(
-            loop.whole + 1,
-            loop.rest / loop.window.step,
-            loop.late,
-            loop.x0,
-            limits[0],
-            limits[1].ravel(),
-            limits[2].ravel(),
-            loop.root.ravel(),
-        )
+        root = loop.root.ravel()
+        self._run = Run(loop.whole + 1, loop.rest / loop.window.step, loop.late, loop.x0, root)
+        rate, low, high = loop.limits
+        self._limits = Limits(rate, low.ravel(), high.ravel()) if rate.size else None
+        n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
+        self._shape = Shape(*map(_size, (n, m, n + m, wide - n, wide, 2 * m)))
 
     def table(self, feedback: Feedback) -> Table:
         """A law's rows as the compiled loop reads them."""
-        form = window_form(feedback)
+        form, taps = window_form(feedback), feedback.taps
+        _, m, n = feedback.state_gain.shape
         if form is None:
-            return Table(self._shape(1, 1, 1, dense=1), _dense_rows(feedback), NO_MODEL, feedback)
+            shape = self._shape._replace(head=_size(m * (n + m)))
+            return Table(shape, None, _dense(feedback), None, taps, feedback)
         rows, _, q = form.out.shape
-        shape = self._shape(q, form.transition.shape[1], rows)
-        return Table(shape, _factor_rows(feedback, form), NO_MODEL, feedback)
+        block = _size(form.transition.shape[1])
+        shape = self._shape._replace(b=_size(q), block=block, rows=_size(rows * m))
+        return Table(shape, _factored(feedback, form), None, None, taps, feedback)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
         """What a law that knows these signals does, of each of them."""
-        model = ahead.lay(signals)
-        n, m = self._loop.plant.states, self._loop.plant.inputs
-        rows = _unfactored(ahead.loop.sampled.longest_lag, m * max(m, n))
-        shape = self._shape(1, 1, 1, foreseeing=1, entering=model.lags.size * m)
-        return Table(shape, rows, model, None)
+        model, n = ahead.lay(signals), self._loop.plant.states
+        entering = model.lags.size * self._loop.plant.inputs
+        shape = self._shape._replace(
+            square=_size(n * n), entering=_size(entering), model=_size(n + entering)
+        )
+        return Table(shape, None, None, model, ahead.loop.sampled.longest_lag, None)
 
     def run(
         self,
@@ -71,7 +75,7 @@ class Engine:
         laid: Laid,
         first: int = 0,
         count: int | None = None,
-        told: Told = PERFECT,
+        told: Told | None = None,
     ) -> Figures:
         """Run a table along the scenarios first, …, first + count − 1, which hear `told`."""
         count = laid.scenarios - first if count is None else count
@@ -84,7 +88,7 @@ class Engine:
         first: int,
         count: int,
         keep: int = 0,
-        told: Told = PERFECT,
+        told: Told | None = None,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
@@ -100,61 +104,38 @@ class Engine:
         laid: Laid,
         first: int,
         count: int,
-        told: Told,
+        told: Told | None,
         path: np.ndarray,
         keep: int,
     ) -> Figures:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
-        shape = table.shape._replace(told=(0.0,) * int(told.sample.size > 0))
-        law = shape, table.rows, table.model
-        return Figures(*run_scenarios(*law, plant, self._run, told, first, count, path, keep))
-
-    def _shape(
-        self,
-        order: int,
-        block: int,
-        rows: int,
-        dense: int = 0,
-        foreseeing: int = 0,
-        entering: int | None = None,
-    ) -> Shape:
-        plant, wide = self._loop.plant, self._loop.acting.wide
-        n, m = plant.states, plant.inputs
-        entering = m if entering is None else entering
-        sizes = n, m, n + m, wide - n, wide, order, block, rows * m, m * (n + m)
-        model = n * n, entering, n + entering, 2 * m
-        flags = dense, int(len(self._loop.actuators) > 0), foreseeing, 0
-        return Shape(*((0.0,) * size for size in (*sizes, *model, *flags)))
+        loop = plant, self._run, self._limits, told
+        return Figures(*run_scenarios(*table[:5], *loop, first, count, path, keep))
 
 
-def _factor_rows(feedback: Feedback, form: WindowForm) -> Rows:
+def _size(count: int) -> tuple[float, ...]:
+    """A number as a type (`layout.Shape`)."""
+    return (0.0,) * count
+
+
+def _factored(feedback: Feedback, form: WindowForm) -> Factored:
     flat: list[Any] = [part.ravel() for part in (feedback.state_gain, *form)]
     state, out, transition, enter, last, ahead, behind = map(np.ascontiguousarray, flat)
-    parts = state, out, last, transition, enter, ahead, behind
-    kind = _KINDS[feedback.context]
-    length, taps = form.ahead.shape[0], feedback.taps
-    return Rows(length, taps, *parts, _NOTHING, _NOTHING, 0, kind, 1)
+    length = form.ahead.shape[0]
+    return Factored(length, state, out, last, transition, enter, ahead, behind)
 
 
-def _dense_rows(feedback: Feedback) -> Rows:
+def _dense(feedback: Feedback) -> Dense:
     """Dense rows, the latest input beside F, the others padded to whole vectors."""
-    taps, (rows, m, n) = feedback.taps, feedback.state_gain.shape
+    taps, (rows, m, _) = feedback.taps, feedback.state_gain.shape
     width = max(1, -(-(taps - 1) * m // LANES)) * LANES
-    dense = _zeros_on_cache_lines(rows * m * width).reshape(rows, m, width)
+    rest = _zeros_on_cache_lines(rows * m * width).reshape(rows, m, width)
     G = feedback.latest_first
     head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
-    dense[:, :, : (taps - 1) * m] = G[:, :, m:]
+    rest[:, :, : (taps - 1) * m] = G[:, :, m:]
     kind = _KINDS[feedback.context]
-    return _unfactored(taps, m * max(m, n))._replace(
-        head=head.ravel(), dense=dense.ravel(), width=width, kind=kind, ages=feedback.ages
-    )
-
-
-def _unfactored(taps: int, size: int) -> Rows:
-    """Rows with nothing of a factorised law: the code for it is there, and never run."""
-    unused: list[Any] = [np.zeros(size)] * 7
-    return Rows(0, taps, *unused, head=_NOTHING, dense=_NOTHING, width=0, kind=0, ages=1)
+    return Dense(taps, head.ravel(), rest.ravel(), width, kind, feedback.ages)
 
 
 def _zeros_on_cache_lines(size: int) -> np.ndarray:

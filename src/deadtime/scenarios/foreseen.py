@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.base.checks import read_only
 from deadtime.numerics.kernels import kernel
 from deadtime.numerics.lanes import (
     LANES,
@@ -38,7 +37,7 @@ _NEVER = np.int64(2**62)
 
 
 class Model(NamedTuple):
-    """A law's model along signals that it knows; of a law that knows none all is empty.
+    """A law's model along signals that it knows.
 
     length : W;  lags, maps, first, step, map : as of `kernel.Plant`, over W periods more
     tails : (maps, m (n + m)), what the prediction after W periods and the latest input are
@@ -52,18 +51,6 @@ class Model(NamedTuple):
     step: np.ndarray
     map: np.ndarray
     tails: np.ndarray
-
-
-_NO_RECORDS = np.zeros(0, np.int32)
-NO_MODEL = Model(
-    0,
-    read_only(np.zeros(0, np.int64)),
-    np.zeros((0, 0)),
-    np.zeros(0, np.int64),
-    _NO_RECORDS,
-    _NO_RECORDS,
-    np.zeros((0, 0)),
-)
 
 
 class Ahead(NamedTuple):
@@ -108,8 +95,6 @@ def look_ahead(shape, model, start, count, period):
         np.arange(LANES) - np.int64(model.length) * LANES,
         acting,
     )
-    if model.first.size == 0:
-        return ahead, _NEVER
     for lane in range(LANES):
         scenario = start + min(lane, count - 1)
         at[lane], stop[lane] = model.first[scenario], model.first[scenario + 1]

@@ -11,7 +11,7 @@ import numpy as np
 from deadtime.feedback import Feedback
 from deadtime.feedback.table import follow
 from deadtime.imperfections import Heard, Imperfection, Sizes, streams
-from deadtime.scenarios.layout import PERFECT, Told
+from deadtime.scenarios.layout import Told
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.source import scenario_seed
@@ -41,7 +41,7 @@ class HeardBlock:
         heard, part = self._heard[begin : begin + count], slice(begin, begin + count)
         sample = np.array([each.sample for each in heard], np.int32)
         back = np.arange(sample.shape[1], dtype=np.int32) - sample
-        noise, row = PERFECT.noise, PERFECT.row
+        noise, row = np.zeros(0), np.zeros(0, np.int32)
         if any(each.noise.any() for each in heard):
             noise = np.array([each.noise for each in heard]).ravel()
         if feedback is not None and feedback.context != "none" and self._renamed:

@@ -22,7 +22,7 @@ class Memory(NamedTuple):
     """The last states of eight scenarios, scenario by scenario, and where to read in them.
 
     begin : where a scenario begins in `layout.Told`, and where its noise lies
-    lost : 1 where nothing is heard;  row : the row of the law's table, as a number for `choose`
+    lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
     """
 
     states: np.ndarray
@@ -30,7 +30,7 @@ class Memory(NamedTuple):
     begin: np.ndarray
     added: np.ndarray
     lost: np.ndarray
-    row: np.ndarray
+    number: np.ndarray
 
 
 @kernel(eager=True, nogil=True)
@@ -54,11 +54,19 @@ def hear(shape, told, memory, x, k):
         memory.lost[lane] = 1.0 if sample < 0 else 0.0
         memory.places[lane] = (lane * slots + max(0, sample) % slots) * n
         if told.row.size > 0:
-            memory.row[lane] = told.row[at]
+            memory.number[lane] = told.row[at]
     heard = gather(memory.states, memory.places, shape.x)
     if told.noise.size > 0:
         heard = times(same(1.0, shape.x), heard, gather(told.noise, memory.added, shape.x))
     return heard
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def told_rows(told, memory, row):
+    """Put the rows of the modes told in place of those of the plant's."""
+    if told.row.size > 0:
+        for lane in range(LANES):
+            row[lane] = np.int64(memory.number[lane])
 
 
 @kernel(eager=True, nogil=True, inline="always")

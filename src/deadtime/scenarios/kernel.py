@@ -3,7 +3,8 @@
 All sizes are types (`deadtime.numerics.lanes`), so that one period is straight-line code with
 states, window sums and metrics in registers. Each scenario's transition over a period lies in
 memory and is rewritten where its records say so: when its mode changes, and for a period that a
-switch cuts.
+switch cuts. A law is factorised rows, dense ones, or a model that moves ahead; what there is none
+of is None, and Numba leaves out what hangs on that alone.
 """
 
 # Intrinsics take one argument less than the functions that declare them.
@@ -42,7 +43,7 @@ from deadtime.numerics.lanes import (
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
-from deadtime.scenarios.hearing import command, hear, memory_of
+from deadtime.scenarios.hearing import command, hear, memory_of, told_rows
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -69,7 +70,7 @@ def _dot(a, i, b, j, length):
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def _refill(shape, rows, ring, period, now, carry):
+def _refill(shape, factored, ring, period, now, carry):
     """What the previous block of inputs adds to each sum of the coming one.
 
     With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
@@ -79,35 +80,29 @@ def _refill(shape, rows, ring, period, now, carry):
     q = len(shape.b)
     s = same(0.0, shape.b)
     place = now
-    for r in range(rows.length - 1, -1, -1):
+    for r in range(factored.length - 1, -1, -1):
         place = period - 1 if place == 0 else place - 1
         u = load(ring, place * m * LANES, shape.u)
-        s = product(rows.ahead, r * q * m, u, s)
-        sums = product(rows.behind, r * asked * q, s, same(0.0, shape.rows))
+        s = product(factored.ahead, r * q * m, u, s)
+        sums = product(factored.behind, r * asked * q, s, same(0.0, shape.rows))
         store(carry, r * asked * LANES, sums)
 
 
 class Work(NamedTuple):
     """Memory of eight scenarios.
 
-    ring : inputs, of `period` samples;  carry : what the block of inputs before adds to sums;
-    window : for dense rows, scenario by scenario, inputs twice over, so that N of them lie side
-    by side wherever the ring begins;  own : maps;
-    mode, its number as one that `choose` reads, when it began, the row of the law;
-    at, stop, coming : the next record, the end of records, 8·period + place of the next one;
-    acting : where in `ring` the inputs that act lie, lag by lag.
+    ring : inputs, of `period` samples;  own : maps;  xs : x₀
+    mode, its number as one that `choose` reads, when it began
+    at, stop, coming : the next record, the end of records, 8·period + place of the next one
+    acting : where in `ring` the inputs that act lie, lag by lag
     """
 
     ring: np.ndarray
-    carry: np.ndarray
-    window: np.ndarray
     own: np.ndarray
     xs: np.ndarray
-    ask: np.ndarray
     mode: np.ndarray
-    mode_row: np.ndarray
+    number: np.ndarray
     began: np.ndarray
-    row: np.ndarray
     at: np.ndarray
     stop: np.ndarray
     coming: np.ndarray
@@ -115,11 +110,11 @@ class Work(NamedTuple):
 
 
 @kernel(eager=True, nogil=True)
-def _work(shape, rows, plant, run, start, count, period):
+def _work(shape, plant, run, start, count, period):
     """The memory at time 0."""
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    mode, mode_row = np.empty(LANES, np.int64), np.zeros(LANES)
+    mode, number = np.empty(LANES, np.int64), np.zeros(LANES)
     began, xs = np.empty(LANES, np.int64), np.empty(n * LANES)
     acting = np.empty(plant.lags.size, np.int64)
     for p in range(plant.lags.size):
@@ -127,23 +122,17 @@ def _work(shape, rows, plant, run, start, count, period):
     for lane in range(LANES):
         scenario = start + min(lane, count - 1)
         at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
-        mode[lane] = plant.mode[at[lane]]
-        if rows.kind == 1:
-            mode_row[lane] = mode[lane]
+        mode[lane] = number[lane] = plant.mode[at[lane]]
         began[lane] = -plant.age[scenario]
         for i in range(n):
             xs[i * LANES + lane] = run.x0[i]
     return Work(
         np.zeros(period * m * LANES),
-        np.zeros(max(1, min(rows.length, run.samples)) * len(shape.rows) * LANES),
-        np.zeros(len(shape.dense) * (2 * rows.taps * m + LANES) * LANES),
         np.empty((n * wide + wide * (wide + 1) // 2) * LANES),
         xs,
-        np.empty(m * LANES),
         mode,
-        mode_row,
+        number,
         began,
-        np.zeros(LANES, np.int64),
         at,
         stop,
         np.arange(LANES),
@@ -152,7 +141,7 @@ def _work(shape, rows, plant, run, start, count, period):
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def _switch(rows, plant, work, k, soon):
+def _switch(plant, work, k, soon):
     """Apply the records of period k; which comes next, or a number that no period reaches."""
     size = work.own.size // LANES
     while soon // LANES == k:
@@ -161,8 +150,7 @@ def _switch(rows, plant, work, k, soon):
         work.at[lane] += 1
         if plant.mode[record] != work.mode[lane]:
             work.mode[lane], work.began[lane] = plant.mode[record], k
-            if rows.kind == 1:
-                work.mode_row[lane] = plant.mode[record]
+            work.number[lane] = plant.mode[record]
         for i in range(size):
             work.own[i * LANES + lane] = plant.maps[plant.map[record], i]
         work.coming[lane] = _NEVER
@@ -174,37 +162,64 @@ def _switch(rows, plant, work, k, soon):
     return soon
 
 
+class Window(NamedTuple):
+    """Memory of dense rows.
+
+    line : scenario by scenario, inputs twice over, so that N of them lie side by side wherever the
+    ring begins;  sums : of all inputs but the latest;  row : each scenario's, and where its head is
+    """
+
+    line: np.ndarray
+    sums: np.ndarray
+    row: np.ndarray
+    head: np.ndarray
+
+
+@kernel(eager=True, nogil=True)
+def _window(shape, dense):
+    """The memory of dense rows at time 0."""
+    m, row = len(shape.u), np.zeros(LANES, np.int64)
+    line = np.zeros((2 * dense.taps * m + LANES) * LANES)
+    return Window(line, np.empty(m * LANES), row, row.copy())
+
+
 @kernel(eager=True, nogil=True, inline="always")
-def _sum_dense(shape, rows, work, told, memory, k, place):
-    """Sums of all inputs but the latest, scenario by scenario, into `ask`; and rows' places.
+def _choose_rows(dense, work, window, k):
+    """The row of every scenario by its mode and age."""
+    for lane in range(LANES):
+        row = 0
+        if dense.kind == 1:
+            row = work.mode[lane]
+        elif dense.kind == 2:
+            row = work.mode[lane] * dense.ages + min(k - work.began[lane], dense.ages - 1)
+        window.row[lane] = row
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def _sum_dense(shape, dense, window, place):
+    """Sums of all inputs but the latest, scenario by scenario.
 
     They do not wait for what the last period gave: a processor works on both at once.
     """
     m, head = len(shape.u), len(shape.head)
-    width = work.window.size // LANES
+    width = window.line.size // LANES
     for lane in range(LANES):
-        row = 0
-        if len(shape.told) > 0 and told.row.size > 0:
-            row = np.int64(memory.row[lane])
-        elif rows.kind == 1:
-            row = work.mode[lane]
-        elif rows.kind == 2:
-            row = work.mode[lane] * rows.ages + min(k - work.began[lane], rows.ages - 1)
-        work.row[lane] = row * head
+        row = window.row[lane]
+        window.head[lane] = row * head
         start = lane * width + (place + 1) * m
         for i in range(m):
-            begin = (row * m + i) * rows.width
-            work.ask[lane * m + i] = _dot(rows.dense, begin, work.window, start, rows.width)
+            begin = (row * m + i) * dense.width
+            window.sums[lane * m + i] = _dot(dense.rest, begin, window.line, start, dense.width)
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def _limit(shape, run, u, before):
+def _limit(shape, limits, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
-    for a in range(run.rate.size):
-        base = times(same(run.rate[a], shape.u), before, same(0.0, shape.u))
-        low = product(run.low, a * m, one, base)
-        u = smaller(larger(u, low), product(run.high, a * m, one, base))
+    for a in range(limits.rate.size):
+        base = times(same(limits.rate[a], shape.u), before, same(0.0, shape.u))
+        low = product(limits.low, a * m, one, base)
+        u = smaller(larger(u, low), product(limits.high, a * m, one, base))
     return u
 
 
@@ -217,30 +232,40 @@ def _turn_around(places, m, size):
 
 
 @kernel(eager=True, nogil=True)
-def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, keep, first):
+def _run_eight(
+    shape, factored, dense, model, plant, run, limits, told, start, count, out, path, keep, first,
+    taps,
+):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
     The first of them is number `first` of those that `told` is about.
     """
-    n, m, wide, sizes = len(shape.x), len(shape.u), len(shape.z), len(shape.rows)
+    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
-    period = min(max(plant.lags[0], rows.taps), run.samples) + 1
-    work = _work(shape, rows, plant, run, start, count, period)
+    period = min(max(plant.lags[0], taps), run.samples) + 1
+    work = _work(shape, plant, run, start, count, period)
     ring, own = work.ring, work.own
-    ahead, enters = look_ahead(shape, model, start, count, period)
-    memory, asked = memory_of(shape, told, run.samples, first, count), same(0.0, shape.u)
     none, one = same(0.0, _ONE), same(1.0, _ONE)
     small = same(OUTSIDE, _ONE)
-    x, b = load(work.xs, 0, shape.x), same(0.0, shape.b)
+    x, u, asked = load(work.xs, 0, shape.x), same(0.0, shape.u), same(0.0, shape.u)
     ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
     # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
     P, Q, EP, EQ = one, one, none, none
-    now, older = 0, period - min(rows.taps, run.samples)
-    places = m * np.arange(LANES)
-    soon, r, place, width = np.int64(0), model.length, 0, work.window.size // LANES
+    soon, now, older, r, place = np.int64(0), 0, period - min(taps, run.samples), 0, 0
+    if factored is not None:
+        sizes, b = len(shape.rows), same(0.0, shape.b)
+        carry = np.zeros(max(1, min(factored.length, run.samples)) * sizes * LANES)
+    if dense is not None:
+        window, places = _window(shape, dense), m * np.arange(LANES)
+        width = window.line.size // LANES
+    if model is not None:
+        ahead, enters = look_ahead(shape, model, start, count, period)
+        r = model.length
+    if told is not None:
+        memory = memory_of(shape, told, run.samples, first, count)
     for k in range(run.samples):
         if soon // LANES == k:
-            soon = _switch(rows, plant, work, k, soon)
+            soon = _switch(plant, work, k, soon)
         norm = squares(x, none)
         peak = larger(norm, peak)
         last = where_larger(norm, times(small, peak, none), float(k), last)
@@ -251,54 +276,56 @@ def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, ke
             if (k - run.late) % _GROUP == _GROUP - 1:
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
+        before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
         seen = x
-        if len(shape.told) > 0:
+        if told is not None:
             seen = hear(shape, told, memory, x, k)
-        if len(shape.foreseeing) > 0:
+        if model is not None:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
             if r == model.length:
                 sum_up(shape, model.length, ahead)
                 r = 0
-            latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            u = foresee(shape, model.length, ahead, r, seen, latest)
-        elif len(shape.dense) == 0:
-            if r == rows.length:
-                _refill(shape, rows, ring, period, now, work.carry)
+            u = foresee(shape, model.length, ahead, r, seen, before)
+        if factored is not None:
+            if r == factored.length:
+                _refill(shape, factored, ring, period, now, carry)
                 b, r = same(0.0, shape.b), 0
-            sums = load(work.carry, r * sizes * LANES, shape.rows)
-            sums = product(rows.last, 0, load(ring, older * m * LANES, shape.u), sums)
-            sums = product(rows.out, 0, b, product(rows.state, 0, seen, sums))
-            row = load(work.mode_row, 0, _ONE)
-            if len(shape.told) > 0 and told.row.size > 0:
-                row = load(memory.row, 0, _ONE)
-            u = choose(sums, row, shape.u)
-        else:
-            _sum_dense(shape, rows, work, told, memory, k, place)
-            latest = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            heads = gather(rows.head, work.row, shape.head)
-            sums = gather(work.ask, places, shape.u)
-            u = matrix_product(heads, first_of(seen, latest, latest, shape.both), sums)
-        if len(shape.told) > 0:
+            sums = load(carry, r * sizes * LANES, shape.rows)
+            sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
+            sums = product(factored.out, 0, b, product(factored.state, 0, seen, sums))
+            number = load(work.number, 0, _ONE)
+            if told is not None:  # noqa: SIM102
+                if told.row.size > 0:
+                    number = load(memory.number, 0, _ONE)
+            u = choose(sums, number, shape.u)
+        if dense is not None:
+            _choose_rows(dense, work, window, k)
+            if told is not None:
+                told_rows(told, memory, window.row)
+            _sum_dense(shape, dense, window, place)
+            heads = gather(dense.head, window.head, shape.head)
+            sums = gather(window.sums, places, shape.u)
+            u = matrix_product(heads, first_of(seen, before, before, shape.both), sums)
+        if told is not None:
             u = command(shape, memory, u, asked)
             asked = u
-        if len(shape.limited) > 0:
-            before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-            u = _limit(shape, run, u, before)
+        if limits is not None:
+            u = _limit(shape, limits, u, before)
         store(ring, now * m * LANES, u)
-        if len(shape.foreseeing) > 0:
+        if model is not None:  # noqa: SIM102
             if model.length > 0:
                 enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
                 r += 1
                 _turn_around(ahead.acting, m, ring.size)
-        elif len(shape.dense) == 0:
-            entered = product(rows.enter, 0, u, same(0.0, shape.b))
-            b = block_product(rows.transition, 0, b, entered, shape.block)
+        if factored is not None:
+            entered = product(factored.enter, 0, u, same(0.0, shape.b))
+            b = block_product(factored.transition, 0, b, entered, shape.block)
             r += 1
-        else:
-            place = rows.taps - 1 if place == 0 else place - 1
-            spread(work.window, place * m, width, u)
-            spread(work.window, (place + rows.taps) * m, width, u)
+        if dense is not None:
+            place = dense.taps - 1 if place == 0 else place - 1
+            spread(window.line, place * m, width, u)
+            spread(window.line, (place + dense.taps) * m, width, u)
         if path.size and k >= keep:
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
@@ -322,17 +349,23 @@ def _run_eight(shape, rows, model, plant, run, told, start, count, out, path, ke
 
 
 @kernel(eager=True, nogil=True)
-def run_scenarios(shape, rows, model, plant, run, told, start, count, path, keep):
+def run_scenarios(
+    shape, factored, dense, model, taps, plant, run, limits, told, start, count, path, keep
+):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    `told` is what their laws hear; `path`, empty or for at most eight scenarios, gets x and u of
-    every sample from `keep` on.
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `limits` and
+    `told`, what the law hears, may be None. `path`, empty or for at most eight scenarios, gets x
+    and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
-        _run_eight(shape, rows, model, plant, run, told, start + at, few, out, path, keep, at)
+        _run_eight(
+            shape, factored, dense, model, plant, run, limits, told, start + at, few, out, path,
+            keep, at, taps,
+        )  # fmt: skip
         for f in range(FIGURES):
             for lane in range(few):
                 result[f, at + lane] = out[f * LANES + lane]

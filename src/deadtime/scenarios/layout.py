@@ -9,43 +9,33 @@ import numpy as np
 
 class Shape(NamedTuple):
     """Sizes, as the lengths of tuples: state, input, both, the inputs that act over a period, these
-    and the state, window, its blocks, the inputs that the law's rows ask for, m (n + m) for the
-    heads of dense rows; n², the inputs that act on the model over a period, these and the state;
-    two inputs. `dense`, `limited`, `foreseeing` and `told` are empty where rows are factorised,
-    where no actuator limits the input, where the law does not know the signal, and where it is told
-    of every sample as it is."""
+    and the state, two inputs; of factorised rows the window, its blocks and the inputs that all
+    rows ask for; of dense ones m (n + m) for their heads; of a law that knows the signal n², the
+    inputs that act on its model over a period, and these and the state."""
 
     x: tuple
     u: tuple
     both: tuple
     acting: tuple
     z: tuple
-    b: tuple
-    block: tuple
-    rows: tuple
-    head: tuple
-    square: tuple
-    entering: tuple
-    model: tuple
     pair: tuple
-    dense: tuple
-    limited: tuple
-    foreseeing: tuple
-    told: tuple
+    b: tuple = ()
+    block: tuple = ()
+    rows: tuple = ()
+    head: tuple = ()
+    square: tuple = ()
+    entering: tuple = ()
+    model: tuple = ()
 
 
-class Rows(NamedTuple):
-    """A law. Of a factorised one `length` is the window, and `head` and `dense` are empty.
+class Factored(NamedTuple):
+    """Factorised rows, the row a mode's where there are several; `length` is the window.
 
     state (rows, m, n), out (rows, m, q), last (rows, m, m), transition (q, block), enter (q, m),
-    ahead (length, q, m) and behind (length, rows, m, q), flat. Of dense rows, `head`
-    (rows, m, n + m): what x and the latest input, and `dense` (rows, m, width): what the others,
-    the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per mode and
-    age.
+    ahead (length, q, m) and behind (length, rows, m, q), flat.
     """
 
     length: int
-    taps: int
     state: np.ndarray
     out: np.ndarray
     last: np.ndarray
@@ -53,8 +43,19 @@ class Rows(NamedTuple):
     enter: np.ndarray
     ahead: np.ndarray
     behind: np.ndarray
+
+
+class Dense(NamedTuple):
+    """Dense rows of `taps` inputs.
+
+    `head` (rows, m, n + m): what x and the latest input, and `rest` (rows, m, width): what the
+    others, the latest first, are multiplied by, padded. `kind` 0 one row, 1 a row per mode, 2 per
+    mode and age.
+    """
+
+    taps: int
     head: np.ndarray
-    dense: np.ndarray
+    rest: np.ndarray
     width: int
     kind: int
     ages: int
@@ -74,24 +75,28 @@ class Plant(NamedTuple):
 
 
 class Run(NamedTuple):
-    """samples, the weight of the last one's input, where the late half begins, x0, actuators, root.
+    """samples, the weight of the last one's input, where the late half begins, x0, root.
 
-    Energy is |root u|², root (m, m) flat, or |u|² where that is empty. Actuator
-    a clips to [low[a], high[a]], relative to the input before where `rate[a]`.
+    Energy is |root u|², root (m, m) flat, or |u|² where that is empty.
     """
 
     samples: int
     rest: float
     late: int
     x0: np.ndarray
-    rate: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
     root: np.ndarray
 
 
+class Limits(NamedTuple):
+    """Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`."""
+
+    rate: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
 class Told(NamedTuple):
-    """What reaches a law in every scenario, flat; of a perfect loop all is empty.
+    """What reaches a law in every scenario, flat.
 
     sample : (scenario, sample), whose measurement is used, −1 for none: the last command is held
     reach : how many samples back these go, at most
@@ -103,6 +108,3 @@ class Told(NamedTuple):
     reach: int
     noise: np.ndarray
     row: np.ndarray
-
-
-PERFECT = Told(np.zeros(0, np.int32), 0, np.zeros(0), np.zeros(0, np.int32))
