@@ -20,8 +20,9 @@ of what acts on the plant, a window of order q with blocks of size p, and r rows
     plant        n z, and z (z + 1)/2 + z for ∫|x|²
 
 Averaged law: 7 + 7 + 16 + 15 = 45 with n = 2, m = 1, z = 3, q = 4, p = 1, r = 1. Dense rows have
-m (N m + n) for law and window; the oracle has two maps of 2 n² and m (n + m) for the prediction, and
-n (n + m) + 2 (n³ + n²) to let a period into the window. Comparisons, the series of cut periods and drawing are not counted.
+m (N m + n) for law and window; the oracle has two maps of 2 n² and m (n + m) for the prediction,
+and n (n + m) + 2 (n³ + n²) to let a period into the window. Comparisons, the series of cut periods
+and drawing are not counted.
 The bound is that number of operations at the measured rate of independent fmas, the better of
 two measurements, before and after.
 """
