@@ -17,11 +17,11 @@ TOOLS := pytest pytest-xdist hypothesis beartype mpmath
 .PHONY: reproduce study test lint types pytest long fuzz browser bench examples schema docs clean
 .PHONY: lowest pythons wheel cortex-m
 
-reproduce: .venv/installed .venv/compiled
+reproduce: .venv/installed
 	$(BIN)/deadtime reproduce --out report
 
 # Which law, when: maps and answers, 15 minutes on two cores.
-study: .venv/installed .venv/compiled
+study: .venv/installed
 	$(BIN)/deadtime study studies/paper.toml --out study-report
 
 test: lint types pytest
@@ -35,21 +35,21 @@ types: .venv/installed-test
 
 # The tests compile more than they run: one level of optimisation takes half the time of three.
 # `make long` compiles as users do.
-pytest: .venv/installed-test .venv/compiled
+pytest: .venv/installed-test
 	NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba \
 		$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 # What is too long for every change: the whole report, certificates of N = 100 put back.
-long: .venv/installed-test .venv/compiled
+long: .venv/installed-test
 	$(BIN)/pytest -m long
 
 # Mutants of every kind of file that the package reads: make fuzz FUZZ="--kind log --count 100000".
 FUZZ ?= --count 2000 --seconds 120
-fuzz: .venv/installed-test .venv/compiled
+fuzz: .venv/installed-test
 	PYTHONPATH=tests $(BIN)/python -m fuzzing $(FUZZ)
 
 # The explorer in Chromium; pictures into screenshots/.
-browser: .venv/installed-browser .venv/compiled
+browser: .venv/installed-browser
 	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || \
 		{ echo "no Chromium: install your system's (Debian: apt-get install chromium)"; exit 1; }
 	$(BIN)/pytest -m browser -s tests/browser
@@ -88,12 +88,12 @@ wheel:
 	done
 
 # The exported C on an emulated Cortex-M.
-cortex-m: .venv/installed-test .venv/compiled
+cortex-m: .venv/installed-test
 	@command -v arm-none-eabi-gcc >/dev/null && command -v qemu-system-arm >/dev/null || \
 		{ echo "missing (Debian): gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"; exit 1; }
 	$(BIN)/pytest tests/controller/test_cortex_m.py
 
-bench: .venv/installed .venv/compiled
+bench: .venv/installed
 	$(BIN)/python benchmarks/single_run.py
 	$(BIN)/python benchmarks/batch.py
 	$(BIN)/python benchmarks/sweep.py
@@ -105,7 +105,7 @@ schema: .venv/installed
 	$(BIN)/deadtime schema > docs/problem.schema.json
 
 # Strict, and the gallery's scripts are run; tests/documents/test_docs_site.py does the same without them.
-docs: .venv/installed-docs .venv/compiled
+docs: .venv/installed-docs
 	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build/html
 	@echo "The site: docs/_build/html/index.html"
 
@@ -129,12 +129,6 @@ docs: .venv/installed-docs .venv/compiled
 
 .venv/installed-browser: pyproject.toml constraints.txt | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --no-compile --editable ".[browser]"
-	@touch $@
-
-# Numba's cache looks at the changed file only, not at the compiled functions that call it.
-.venv/compiled: $(shell find src -name '*.py') | .venv/bin/python
-	find src -name '*.nb[ic]' -delete
-	rm -rf .venv/numba
 	@touch $@
 
 clean:
