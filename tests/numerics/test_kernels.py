@@ -165,6 +165,22 @@ def test_a_change_in_a_kernel_that_another_file_calls_is_noticed(tmp_path):
     assert found == ["3.0", "3.0", "31.0"]
 
 
+def test_what_is_compiled_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
+    (tmp_path / "sums.py").write_text(
+        "from deadtime.numerics.kernels import kernel\n"
+        "@kernel(eager=True)\n"
+        "def total(pair):\n"
+        "    return pair.a + pair.b\n"
+    )
+    path = {"PYTHONPATH": os.pathsep.join((str(tmp_path), *sys.path))}
+    for name in ("Pair", "Couple"):
+        (tmp_path / "pairs.py").write_text(
+            f"from typing import NamedTuple\nclass {name}(NamedTuple):\n    a: float\n    b: float\n"
+        )
+        code = f"import sums, pairs; print(sums.total(pairs.{name}(1.0, 2.0)))"
+        assert run(code, tmp_path / "cache", **path) == ["3.0"]
+
+
 def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.numerics.compiling import _stamp
     from deadtime.scenarios.laid import fill_maps
