@@ -174,8 +174,9 @@ def test_what_is_compiled_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
     )
     path = {"PYTHONPATH": os.pathsep.join((str(tmp_path), *sys.path))}
     for name in ("Pair", "Couple"):
+        fields = "    a: float\n    b: float\n"
         (tmp_path / "pairs.py").write_text(
-            f"from typing import NamedTuple\nclass {name}(NamedTuple):\n    a: float\n    b: float\n"
+            f"from typing import NamedTuple\nclass {name}(NamedTuple):\n{fields}"
         )
         code = f"import sums, pairs; print(sums.total(pairs.{name}(1.0, 2.0)))"
         assert run(code, tmp_path / "cache", **path) == ["3.0"]
