@@ -126,9 +126,12 @@ def undo(A, length, forward, backward):
 
     It is e^{−A length} e^{A (1 − c) length}, and the nodes are symmetric.
     """
-    p = backward.shape[0]
-    whole = np.empty((1, A.shape[0], A.shape[0]))
-    flows(A, -length, np.empty(0), whole)
+    p, n = backward.shape[0], A.shape[0]
+    whole, reversed_A = np.empty((1, n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            reversed_A[i, j] = -A[i, j]
+    flows(reversed_A, length, np.empty(0), whole)
     for k in range(p):
         product(whole[0], forward[p - 1 - k], backward[k])
 
