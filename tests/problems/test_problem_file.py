@@ -168,7 +168,7 @@ BAD = [
     ("step = 0.1", "step = 0.1\nreference = 1.0", r"line 18: run\.reference is not known: it can be one of x0, horizon, step"),
     ("step = 0.1", 'step = 0.1\n[switching]\nkind = "semi-markov"\nsojourn = { distribution = "expon", scale = {} }', r"line 20: switching\.sojourn\.scale: input should be a valid number"),
     ("[[0.5, 1.0]", "[[1e308, 1e308]", r"line 2, \[plant\]: delay must be short enough for e\^\(A·delay\)"),
-    ("[[0.5, 1.0]", "[[1e300, 1e300]", r"line 6, \[gains\]: its numbers are too large, or too far apart"),
+    ("[[0.5, 1.0]", "[[1e300, 1e300]", r"line 7, \[gains\]: poles of mode 0 could not be placed: the plant.s numbers are too large, or too far apart"),
     ("delay = 0.35", "dealy = 0.35", r"line 2: plant\.dealy is not known: did you mean delay\?"),
     ("delay = 0.35", 'delay = 0.35\n"a[b]" = 1', r"line \d: plant\.a\[b\] is not known: it can be one of delay"),
     ("delay = 0.35", 'delay = 0.35\nfloat = 1', r"line 3: plant\.float is not known: it can be one of delay"),

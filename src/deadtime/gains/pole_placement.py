@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import brief, require_unmasked
 from deadtime.base.errors import ArgumentError
 
+_LARGEST = 1e150  # beyond, squares are no floats
+
 
 def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
     """One list of n poles per mode, (modes, n) complex, each closed under conjugation."""
@@ -65,6 +67,11 @@ def place_pair(
                 f"poles of mode {i}: {name:g} is repeated {times} times, but only rank {letter} = "
                 f"{rank} equal poles can be placed: move them apart a little."
             )
+    if max(np.abs(A).max(), np.abs(B).max()) > _LARGEST:
+        raise ArgumentError(
+            f"poles of mode {i} could not be placed: the plant's numbers are too large, or too far "
+            "apart, to compute with: use other units."
+        )
     try:
         balanced, inputs, t, c = _balance(A, B)
         place = _place_one_input if inputs.shape[1] == 1 else _place_robustly
