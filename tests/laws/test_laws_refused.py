@@ -153,3 +153,15 @@ def test_a_loop_that_is_stable_only_with_its_delay_is_a_case_that_the_message_na
     law = dt.DelayedStateFeedback(plant, [[[0.1, 0.0]]], allow_unstable=True)
     assert dt.growth_rate(plant, law, 0, None) < -0.03
     assert dt.delay_margin(plant, law, None).upper == pytest.approx(np.pi / np.sqrt(1.1))
+
+
+def test_an_oracle_whose_prediction_overflows_is_refused_wherever_it_runs():
+    plant, signal = dt.SwitchedSystem([[[10.0]]], [[[1.0]]], 100.0), dt.SwitchingSignal.constant(0)
+    law = dt.ExactPredictor(plant, [[[-11.0]]])
+    for run in (
+        lambda: law.digital(0.1, signal, 10),
+        lambda: dt.simulate(plant, law, signal, [1.0], 5.0, 0.1),
+        lambda: dt.monte_carlo(plant, {"law": law}, [signal] * 2, [1.0], 5.0, 0.1),
+    ):
+        with pytest.raises(dt.ArgumentError, match="gains over its delay overflow"):
+            run()

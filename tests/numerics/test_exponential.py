@@ -113,3 +113,11 @@ def test_the_gramian_equals_van_loan_s_in_50_digits(case):
     scale = np.sqrt(np.outer(np.diag(reference), np.diag(reference)))
     assert (np.abs(Q - reference) <= 1e-12 * scale).all()
     assert np.array_equal(Q, Q.T) or np.abs(Q - Q.T).max() <= 1e-15 * np.abs(Q).max()
+
+
+def test_a_negative_time_undoes_a_positive_one():
+    A = np.array([[0.0, 1.0, 0.0], [0.0, -0.3, 4e4], [0.0, -2e-5, -1.5]])
+    for tau in (0.1, 3.0, 30.0):
+        there, _ = discretise(A, np.zeros((3, 1)), tau)
+        back, _ = discretise(A, np.zeros((3, 1)), -tau)
+        np.testing.assert_allclose(back, np.linalg.inv(there), rtol=1e-9)

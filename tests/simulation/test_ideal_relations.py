@@ -69,3 +69,23 @@ def test_the_mismatch_is_u_minus_k_of_the_mode_and_state_a_delay_later():
         expected = one.inputs - np.einsum("kij,jk->ik", K, later.states)
         plants.close(one.mismatch, expected, 1e-11, scale=np.abs(one.inputs).max())
     assert run("mean").mismatch is None
+
+
+def test_a_fast_oscillation_under_slow_inputs_loses_nothing(monkeypatch):
+    # What is interpolated on a segment is e^{−Aθ} f(θ), which turns as fast as the plant does.
+    plant = dt.SwitchedSystem([[[0.0, 30.0], [-30.0, 0.0]]], [[[0.0], [1.0]]], 1.0)
+    law = dt.ExactPredictor(plant, [[[0.0, -5.0]]])
+    runs = []
+    for resolution in (None, 0.4):
+        if resolution:
+            monkeypatch.setattr("deadtime.simulation.ideal.run._RESOLUTION", resolution)
+        signal = dt.SwitchingSignal.constant(0)
+        runs.append(dt.simulate(plant, law, signal, [1.0, 0.0], 3.0, None, u0=5.0).states)
+    assert np.abs(runs[0] - runs[1]).max() <= 3e-11 * np.abs(runs[1]).max()
+
+
+def test_a_plant_that_does_nothing_has_an_ideal_run():
+    plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], 1.0)
+    law = dt.ExactPredictor(plant, [[[0.0]]], allow_unstable=True)
+    run = dt.simulate(plant, law, dt.SwitchingSignal.constant(0), [2.0], 3.0, None)
+    np.testing.assert_allclose(run.states, 2.0, rtol=1e-12)

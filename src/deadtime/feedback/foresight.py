@@ -55,12 +55,13 @@ class Foresight(NamedTuple):
         entry = table.entry.reshape(table.first.size - 1, -1)
         G = np.zeros((steps, count, *self.latest.shape))
         G[:, 0] = self.latest
-        for j in range(1, count + 1):
-            # u_{k−j} acts in the first piece of period k − j + N and in the others of the one
-            # before, of which that of u_{k−N} is over.
-            for piece in range(entry.shape[1] if j < count else 1):
-                begin = count - j - piece
-                of = entry[begin : begin + steps, piece]
-                G[:, j - 1] += R @ table.Gamma[of]
-                R = R @ table.Phi[of]
+        with np.errstate(all="ignore"):  # a table refuses what overflows
+            for j in range(1, count + 1):
+                # u_{k−j} acts in the first piece of period k − j + N and in the others of the one
+                # before, of which that of u_{k−N} is over.
+                for piece in range(entry.shape[1] if j < count else 1):
+                    begin = count - j - piece
+                    of = entry[begin : begin + steps, piece]
+                    G[:, j - 1] += R @ table.Gamma[of]
+                    R = R @ table.Phi[of]
         return R, G

@@ -59,6 +59,15 @@ def side_by_side(taps: Float[np.ndarray, "context N m m"]) -> Float[np.ndarray, 
     return taps.transpose(0, 2, 1, 3).reshape(contexts, m, count * m)
 
 
+def require_finite_gains(*gains: np.ndarray) -> None:
+    """Refuse a law whose prediction over its delay is beyond floats."""
+    if not all(np.isfinite(gain).all() for gain in gains):
+        raise ArgumentError(
+            "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay is "
+            "too long for this plant."
+        )
+
+
 def row_of(context: Context, ages: int, mode: int, age: int) -> int:
     """The row of a table that does not depend on the sample's number."""
     return 0 if context == "none" else mode * ages + min(age, ages - 1)
@@ -145,11 +154,7 @@ class Feedback(Frozen):
                 f"input_gain must have shape (contexts, N, m, m) = ({rows}, N, {m}, {m}), "
                 f"got {taps}."
             )
-        if not (np.isfinite(self.state_gain).all() and np.isfinite(self.input_gain).all()):
-            raise ArgumentError(
-                "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
-                "is too long for this plant."
-            )
+        require_finite_gains(self.state_gain, self.input_gain)
         # Where they are: a table may take as much memory as there is for one.
         for array in (self.state_gain, self.input_gain, *(self.factor or ())):
             array.flags.writeable = False

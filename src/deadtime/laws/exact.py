@@ -13,6 +13,7 @@ from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Foresight
 from deadtime.feedback.law import TableLaw
+from deadtime.feedback.table import require_finite_gains
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -100,6 +101,8 @@ class ExactPredictor(TableLaw):
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Foresight:
+        from deadtime.numerics.exponential import discretise_modes
+
         sampled = self.sampled_plant(step)
         if steps is None:
             raise ArgumentError(
@@ -109,6 +112,9 @@ class ExactPredictor(TableLaw):
             )
         count("steps", steps)
         known = self._require_signal(signal, (steps - 1) * step)
+        ahead, _ = discretise_modes(self.plant.A, self.plant.B, self.plant.delay)
+        with np.errstate(all="ignore"):
+            require_finite_gains(self.gains @ ahead)
         m = self.plant.inputs
         return Foresight(sampled, self.gains, np.zeros((m, m)), known)
 

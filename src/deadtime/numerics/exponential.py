@@ -156,7 +156,7 @@ def discretise_into(A, B, tau, Phi, Gamma):
     n, m = B.shape
     Z, W = np.empty((n, n)), np.empty((n, n))
     unit = balance(A)
-    size = balanced_norm(A, unit) * tau
+    size = balanced_norm(A, unit) * abs(tau)
     for i in range(n):
         for j in range(n):
             Z[i, j] = A[i, j] * unit[j] / unit[i]

@@ -37,7 +37,7 @@ _NEVER = np.int64(2**62)
 
 
 class Model(NamedTuple):
-    """A law's model along signals that it knows.
+    """A law's model along signals that it knows, of each scenario its own or one for all.
 
     length : W;  lags, maps, first, step, map : as of `kernel.Plant`, over W periods more
     tails : (maps, m (n + m)), what the prediction after W periods and the latest input are
@@ -96,7 +96,7 @@ def look_ahead(shape, model, start, count, period):
         acting,
     )
     for lane in range(LANES):
-        scenario = start + min(lane, count - 1)
+        scenario = 0 if model.first.size == 2 else start + min(lane, count - 1)
         at[lane], stop[lane] = model.first[scenario], model.first[scenario + 1]
     clear(shape, ahead)
     soon = -np.int64(model.length) * LANES

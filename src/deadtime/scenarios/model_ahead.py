@@ -36,8 +36,15 @@ class ModelAhead:
     def lay(self, signals: SignalBatch) -> Model:
         """The model along signals; an error where one is not known as far as the law looks."""
         self._ask(signals[int(signals.end.argmin())])
-        if self._law.foreseen is not None:
-            signals = SignalBatch.of([self._law.foreseen] * len(signals))
+        return self._own if self._law.foreseen is not None else self._lay(signals)
+
+    @cached_property
+    def _own(self) -> Model:
+        """The model along the signal that the law believes in, the same in all scenarios."""
+        assert self._law.foreseen is not None
+        return self._lay(SignalBatch.of([self._law.foreseen]))
+
+    def _lay(self, signals: SignalBatch) -> Model:
         loop, laid = self.loop, self.loop.lay(signals)
         records, tables = laid.records, loop.tables
         assert tables is not None

@@ -1,4 +1,4 @@
-"""A law that knows the signal, in the loop of a single run: its prediction by two law.
+"""A law that knows the signal, in the loop of a single run: its prediction by two stacks.
 
 At t_k the prediction goes through the model's pieces from t_k to t_k + D, each an affine map under
 the input that acts in it. From sample to sample pieces leave this window at its begin and enter at

@@ -24,6 +24,7 @@ from jaxtyping import Complex, Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Forecast, Law
+from deadtime.feedback.table import require_finite_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -84,11 +85,7 @@ class IdealLoop:
         A, B, L = A * t / t[:, None], B / t[:, None], L * t / r[:, None]
         K, S, R, lead = K * r, S * r / r[:, None], R / r[:, None], forecast.lead
         KE = K @ discretise(S, R, lead)[0]
-        if not (np.isfinite(KE).all() and np.isfinite(KE @ L @ B).all()):
-            raise ArgumentError(
-                "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay "
-                "is too long for this plant."
-            )
+        require_finite_gains(KE, KE @ L @ B)
         norms = np.linalg.norm(A, 2), np.linalg.norm(S, 2), 1.0 / max(plant.delay, lead)
         near = 2.0 * float(max(norms))
         tau, taps = weights(K, S, R, lead, 1.5 * near)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import require_shape
+from deadtime.base.checks import read_only, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.gains.checked import check_gains
@@ -89,20 +89,20 @@ class Backstepping(Frozen):
         require_shape("x", x, (plant.states,), "(n,)")
         nodes = gauss(NODES)
         switches = self.signal.times - self.time - delay
-        closed_loop = plant.A + plant.B @ self.gains
+        closed_loop = read_only(plant.A + plant.B @ self.gains)
         rate = float(max(np.linalg.norm(M, 2) for M in (*plant.A, *closed_loop)))
         edges = merge(np.concatenate((switches, drive.jumps)), -delay, 0.0)
-        edges = subdivide(edges, min(1.5 / rate, delay))
+        edges = subdivide(edges, min(1.5 / max(rate, np.finfo(float).tiny), delay))
         middles = (edges[:-1] + edges[1:]) / 2.0
         modes = self.signal(middles + self.time + delay)
         values = drive.on(edges, nodes)
         flow = closed_loop if closed else plant.A
-        states, start = np.empty((modes.size, NODES + 2, plant.states)), x
+        states, start = np.empty((modes.size, NODES + 2, plant.states)), np.array(x, float)
         for g, mode in enumerate(modes):
             states[g] = solve_alone(
                 flow[mode],
                 plant.B[mode],
-                np.ascontiguousarray(start),
+                start,
                 np.ascontiguousarray(values[g, 1:-1]),
                 edges[g + 1] - edges[g],
                 nodes,

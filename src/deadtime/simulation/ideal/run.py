@@ -11,6 +11,7 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Forecast
+from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation.ideal.breakpoints import add_shifts, merge, subdivide
@@ -20,7 +21,7 @@ from deadtime.switching import SwitchingSignal
 
 NODES = 10
 _MOST_SEGMENTS = 1e6
-_RESOLUTION = 2.0  # longest segment times the fastest rate
+_RESOLUTION = 1.5  # longest segment times the fastest rate
 _SAMPLES = 1001
 
 
@@ -121,11 +122,7 @@ def run_ideal(
     from deadtime.simulation.ideal.loop import march
 
     ahead, _ = discretise_modes(*_contiguous(forecast), forecast.lead)
-    if not np.isfinite(ahead).all():
-        raise ArgumentError(
-            "the law's gains over its delay overflow: e^{A·delay} is beyond 1e308; the delay is "
-            "too long for this plant."
-        )
+    require_finite_gains(ahead)
     nodes = gauss(NODES)
     edges, begin = _edges(plant, forecast, signal, horizon, history)
     middles = (edges[:-1] + edges[1:]) / 2.0
@@ -208,7 +205,7 @@ def _edges(
     after = np.concatenate((add_shifts(seeds, delays, high), [horizon]))
     # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
     rate = _fastest_rate(plant, forecast, forecast.gains(seeds[seeds >= 0.0]))
-    longest = min(_RESOLUTION / rate, min(delays) / 2.0)
+    longest = min(_RESOLUTION / max(rate, np.finfo(float).tiny), min(delays) / 2.0)
     if (high - low) / longest > _MOST_SEGMENTS:
         raise ArgumentError(
             f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
