@@ -8,10 +8,15 @@ import numpy as np
 
 
 class Shape(NamedTuple):
-    """Sizes, as the lengths of tuples: state, input, both, the inputs that act over a period, these
-    and the state, two inputs; of factorised rows the window, its blocks and the inputs that all
-    rows ask for; of dense ones m (n + m) for their heads; of a law that knows the signal n², the
-    inputs that act on its model over a period, and these and the state."""
+    """The sizes of a loop as the lengths of tuples, so that they are types.
+
+    x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
+    acting : the inputs that act over a period;  z : these and the state
+    b : the window of factorised rows;  block : a block of its transition
+    rows : the inputs that all its rows ask for
+    head : m (n + m), for the heads of dense rows
+    square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
+    """
 
     x: tuple
     u: tuple
@@ -62,8 +67,10 @@ class Dense(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """The truth: l of the inputs u_{k−l} that act, oldest first, and signals laid on its periods
-    (`loop.Laid`)."""
+    """The plant: l of the inputs u_{k−l} that act, oldest first, and its signals laid on periods.
+
+    See `records.Laid`.
+    """
 
     lags: np.ndarray
     maps: np.ndarray
