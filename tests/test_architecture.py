@@ -117,6 +117,14 @@ def test_tests_mirror_the_rooms():
     assert folders - {"tests", "documents", "browser"} <= set(ROOMS)
 
 
+def test_one_file_sets_how_many_bits_balls_have():
+    """All threads share them, so whoever sets them keeps the others waiting."""
+    setting = {
+        Path(name).name for name, text in texts(SOURCE) if re.search(r"\bctx\.|workprec", text)
+    }
+    assert setting == {"precision.py"}
+
+
 def test_importing_the_package_loads_nothing_heavy():
     code = (
         "import sys, deadtime; "
