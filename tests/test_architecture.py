@@ -117,11 +117,19 @@ def test_tests_mirror_the_rooms():
     assert folders - {"tests", "documents", "browser"} <= set(ROOMS)
 
 
+def test_one_file_sets_how_many_bits_balls_have():
+    """All threads share them, so whoever sets them keeps the others waiting."""
+    setting = {
+        Path(name).name for name, text in texts(SOURCE) if re.search(r"\bctx\.|workprec", text)
+    }
+    assert setting == {"precision.py"}
+
+
 def test_importing_the_package_loads_nothing_heavy():
     code = (
         "import sys, deadtime; "
         "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pandas', 'pydantic', 'rich', "
-        "'cyclopts', 'control', 'jinja2', 'cvxpy', 'clarabel', 'flint', 'numpy', "
+        "'cyclopts', 'control', 'jinja2', 'clarabel', 'flint', 'numpy', "
         "'dask', 'distributed', 'zarr', 'panel', 'bokeh', 'tomlkit'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
@@ -133,7 +141,7 @@ def test_a_plant_and_a_law_load_numpy_and_little_else():
     code = (
         "import sys, deadtime as dt; plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], 0.5); "
         "dt.AveragedPredictor(plant, [[[-2.0]]]); "
-        "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pydantic', 'cvxpy'}; "
+        "heavy = {'scipy', 'numba', 'matplotlib', 'xarray', 'pydantic', 'clarabel'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

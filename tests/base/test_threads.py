@@ -41,3 +41,22 @@ def test_an_error_is_that_of_the_work_and_ends_the_rest(count):
 def test_as_many_are_at_work_as_there_are_processors(count):
     meeting = threading.Barrier(count, timeout=10.0)
     assert len(list(threads.in_order(lambda _: meeting.wait(), range(count)))) == count
+
+
+def test_no_more_than_eight_are_at_work(monkeypatch):
+    monkeypatch.setattr(threads, "processors", lambda: 64)
+    names = threads.in_order(lambda _: threading.current_thread().name, range(100))
+    assert len(set(names)) <= 8
+
+
+def test_who_is_at_work_is_known_until_it_returns(monkeypatch):
+    monkeypatch.setattr(threads, "processors", lambda: 2)
+    go_on = threading.Event()
+    found = threads.in_order(lambda i: i or go_on.wait(10.0), [1, 0])
+    assert next(found) == 1
+    found.close()
+    assert threads.at_work()
+    go_on.set()
+    for thread in threads._SERVING:
+        thread.join(10.0)
+    assert not threads.at_work()

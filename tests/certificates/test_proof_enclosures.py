@@ -9,10 +9,10 @@ from flint import arb
 from hypothesis import given, settings, strategies as st
 
 import certificate_reference as reference
-from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.definite import is_positive_definite
 from deadtime.certificates.proof.enclosure import Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
+from deadtime.numerics.precision import precision
 
 
 @pytest.mark.parametrize("corners", [1, 3])
@@ -34,12 +34,12 @@ def test_enclosures_hold_the_plant_and_its_derivatives(delays, corners):
     for cell in [*cells_of(family, 0, 0), *cells_of(family, 0, 1)]:
         for _ in range(3):
             cell = cell.halves(int(rng.integers(3 if corners > 1 else 2)))[int(rng.integers(2))]
-        with balls.precision():
+        with precision():
             found = Enclosures(family).of(cell)
         mean, weights = cell.corners.mean(axis=0), rng.dirichlet(np.ones(corners))
         point = [rng.uniform(*cell.u), rng.uniform(*cell.f), 0.9 * weights @ cell.corners]
         point[2] = point[2] + 0.1 * mean
-        with mpmath.workdps(60), balls.precision(256):
+        with mpmath.workdps(60), precision(256):
             for reading in ("decimal", "binary"):
                 middle = [np.mean(cell.u), np.mean(cell.f), mean]
                 assert holds(found.centre, value(cell, middle, reading))

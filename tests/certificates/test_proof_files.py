@@ -147,7 +147,7 @@ FORGED = [  # what an attacker writes, who makes the digest fit again
 ]
 SCRIPT = """
 import sys
-sys.modules["clarabel"] = sys.modules["cvxpy"] = None
+sys.modules["clarabel"] = None
 import deadtime
 for path in sys.argv[1:]:
     try:

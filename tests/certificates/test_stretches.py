@@ -17,6 +17,7 @@ from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, StretchEvidence, balls, check, load_evidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import StretchInequalities
+from deadtime.numerics.precision import precision
 
 LEFT = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])  # mode 0 grows
 TURNING = np.array([[[0.0, 1.0], [-10.0, -1.0]], [[0.0, 1.0], [-0.1, -0.5]]])
@@ -207,7 +208,7 @@ def test_sojourns_claimed_far_too_long_are_refused_after_few_of_their_steps(long
 def test_long_products_of_equal_steps_cost_a_few_multiplications():
     evidence = along_stretches("stretches-maximum")
     inequalities = StretchInequalities(evidence)
-    with balls.precision():
+    with precision():
         for end in (2000, 2001, 2002, 1999):
             inequalities.full(0, 0, end)
         M = balls.middle(inequalities.full(1, 0, 1))

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from importlib import import_module
 from importlib.resources import files
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from certificate_reference import rewritten
 from deadtime.certificates import Verification
 from deadtime.certificates.proof.archive import digest
 from deadtime.cli.entry import main
+from deadtime.imperfections import Dropout
 
 WITNESS = SimpleNamespace(
     growth_rate=0.282, message="grows.", modes=(1,), sojourns=(np.inf,), phase=0.0, signal=None,
@@ -109,6 +111,17 @@ def test_certify_of_all_laws_saves_each_into_a_file_of_its_own(capsys, made_up, 
     assert "Certificates: none to save" in out
 
 
+def test_certify_says_that_it_leaves_imperfections_out(capsys, made_up, monkeypatch):
+    imperfect = replace(dt.problems.paper(), imperfections=(Dropout(0.5),))
+    monkeypatch.setattr(
+        import_module("deadtime.cli.certificates"), "problem_of", lambda _: imperfect
+    )
+    said = "the loop without its imperfections: Dropout(probability=0.5)."
+    assert said in " ".join(run(capsys, "certify", "paper", "--law", "mean")[1].split())
+    record = json.loads(run(capsys, "certify", "paper", "--json")[1])
+    assert record["imperfections_left_out"] == ["Dropout(probability=0.5)"]
+
+
 def test_certify_json_holds_everything_and_no_infinity(capsys, made_up):
     code, out, _ = run(capsys, "certify", "paper", "--json")
     record = json.loads(out)
@@ -134,6 +147,7 @@ def test_certify_json_holds_everything_and_no_infinity(capsys, made_up):
         (["certify", "paper", "--law", "avg"], "law must be one of averaged, mode 0 only"),
         (["certify", "paper", "--dwell-time", "0"], "dwell_time must be positive"),
         (["certify", "paper", "--step", "-1"], "step must be positive"),
+        (["certify", "paper", "--out", "c.npz"], "JSON files, such as 'c.json'"),
         (["certify"], "requires an argument"),
         (["verify"], "requires an argument"),
     ],

@@ -226,6 +226,26 @@ main(["certify", "paper"])
     assert result.stderr == "deadtime: interrupted\n"
 
 
+def test_an_interrupted_command_leaves_at_once_those_who_are_at_work(tmp_path):
+    """Compiled code that returns to a Python that is being taken down aborts the process."""
+    code = """
+import atexit, threading
+from deadtime.base import threads
+from deadtime.cli import certificates, main
+atexit.register(print, "Python's own end")
+threads.processors = lambda: 2
+def interrupted(place):
+    for _ in threads.in_order(lambda i: i or threading.Event().wait(60.0), [1, 0]):
+        raise KeyboardInterrupt
+certificates.problem_of = interrupted
+main(["certify", "paper"])
+"""
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (result.returncode, result.stdout) == (130, "")
+    assert result.stderr == "deadtime: interrupted\n"
+
+
 def test_an_error_of_the_system_is_one_line_with_its_file(capsys, monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device", "bounds.txt")

@@ -190,6 +190,19 @@ def test_the_cache_follows_intrinsics_and_what_makes_them():
     assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
 
 
+def test_a_numba_with_other_private_names_compiles_all_the_same(tmp_path):
+    code = """
+        import numpy as np
+        from numba.core import caching
+        del caching.Cache.cache_path, caching._Cache.cache_path
+        from deadtime.numerics.compiling import is_cached
+        from deadtime.numerics.exponential import discretise
+        print(discretise(np.zeros((1, 1)), np.ones((1, 1)), 0.5)[1].item())
+        print(is_cached(object()))
+    """
+    assert run(code, tmp_path, DEADTIME_COMPILE="always") == ["0.5", "False"]
+
+
 def test_where_no_folder_can_be_written_kernels_are_compiled_all_the_same(tmp_path):
     code = """
         import numpy as np

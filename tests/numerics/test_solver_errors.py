@@ -49,6 +49,12 @@ def test_nothing_is_called_infeasible_where_no_solver_works(monkeypatch, search,
     assert not isinstance(caught.value, (dt.InfeasibleError, ValueError))
 
 
+def test_a_solver_keeps_to_one_thread():
+    settings = lmi.settings_of(lmi.library("clarabel"))
+    assert not settings.verbose
+    assert getattr(settings, "max_threads", 1) == 1
+
+
 def test_one_attempt_that_answers_is_enough_for_a_verdict(monkeypatch):
     """Modes without a common P: the first tolerance breaks, the second says so."""
     solve = lmi.solve

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import deadtime as dt
+from deadtime.imperfections import Dropout
 from deadtime.problems.comparison import compare
 from deadtime.reports.report import steps_of, write_report
 from deadtime.reports.verdict import verdict
@@ -27,6 +28,13 @@ def test_paper_verdict_has_five_sentences_in_order():
     assert third.startswith("Ignoring the delay fails")
     assert fourth.startswith("Predicting as if the plant stayed in one mode costs")
     assert fifth.startswith("Compared with an oracle that knows the future")
+
+
+def test_laws_that_hear_nothing_cost_the_same():
+    *_, last = sentences(imperfections=(Dropout(1.0),))
+    assert last.endswith("the mean law 1.00 times: on this signal they cost the same.")
+    *_, last = sentences(x0=[0.0, 0.0])
+    assert last.endswith("the mean law 1.00 times: on this signal they cost the same.")
 
 
 def test_growth_without_switching_does_not_depend_on_a_short_horizon():

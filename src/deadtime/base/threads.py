@@ -10,6 +10,8 @@ from queue import SimpleQueue
 from typing import Any
 
 _CHECK = 0.2  # seconds between looks at the keyboard
+_MOST = 8  # at once: each takes memory, and what is Python of their work takes turns
+_SERVING: list[threading.Thread] = []
 
 
 def processors() -> int:
@@ -19,8 +21,19 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
+def at_work() -> bool:
+    """Whether threads of `in_order` run: if compiled code returns to a Python that ends, it aborts.
+
+    Examples
+    --------
+    >>> at_work()
+    False
+    """
+    return any(thread.is_alive() for thread in _SERVING)
+
+
 def in_order(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
-    """work(item) of every item, in their order, as many at once as there are processors.
+    """work(item) of every item, in their order, as many at once as there are processors, up to 8.
 
     What takes its time outside Python, such as a solver, leaves Python to the others. Ctrl-C ends
     it at once: nothing waits for threads that are at work.
@@ -30,7 +43,7 @@ def in_order(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
     >>> list(in_order(abs, [3, -1, -2]))
     [3, 1, 2]
     """
-    count = min(processors(), len(items))
+    count = min(processors(), _MOST, len(items))
     if count < 2:
         yield from map(work, items)
         return
@@ -49,8 +62,11 @@ def in_order(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
             except BaseException as error:
                 future.set_exception(error)
 
+    _SERVING[:] = [thread for thread in _SERVING if thread.is_alive()]
     for _ in range(count):
-        threading.Thread(target=serve, daemon=True).start()
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        _SERVING.append(thread)
     try:
         for future in futures:
             while not future.done():

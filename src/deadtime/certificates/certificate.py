@@ -15,6 +15,23 @@ from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
 from deadtime.certificates.proof.statement import decay_rate, round_down, statement
 
 
+def require_json(name: str, path: str | Path) -> Path:
+    """A path for a certificate; an ArgumentError if it asks for another kind of file.
+
+    Examples
+    --------
+    >>> require_json("path", "proofs/cert").name
+    'cert'
+    """
+    path = Path(path)
+    if path.suffix not in ("", ".json"):
+        raise ArgumentError(
+            f"{name} must end in .json, or have no suffix, got {str(path)!r}: certificates are "
+            f"JSON files, such as {str(path.with_suffix('.json'))!r}."
+        )
+    return path
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
     """Whether a digital loop is stable for every admissible signal (immutable).
@@ -79,17 +96,19 @@ class Certificate:
     def save(self, path: str | Path) -> Path:
         """Write the certificate to a JSON file, which `verify` proves again.
 
+        A path without a suffix gets `.json`.
+
         Raises
         ------
         ArgumentError
-            If there is nothing to save, or the file cannot be written.
+            If there is nothing to save, the path ends otherwise, or it cannot be written.
         """
         if self.evidence is None:
             raise ArgumentError(
                 f"certificate has no proof to save ({self.message}): only a loop that is stable "
                 "for every admissible signal has one."
             )
-        return save_evidence(self.evidence, Path(path).with_suffix(".json"))
+        return save_evidence(self.evidence, require_json("path", path).with_suffix(".json"))
 
     def __repr__(self) -> str:
         proof = ", proven" if self.proven else ""

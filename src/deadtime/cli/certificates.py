@@ -57,11 +57,12 @@ def certify(
     least_dwell_time
         Look for the least dwell time instead: the shortest proved, and the longest refuted.
     out
-        Save the certificates that are proofs, for `deadtime verify`; of several laws, each into
-        a file named after the law.
+        Save the certificates that are proofs, for `deadtime verify`, as JSON: a name that ends in
+        .json or in nothing; of several laws, each into a file named after the law.
     json_output
         Print the results as JSON instead of text.
     """
+    from deadtime.certificates.certificate import require_json
     from deadtime.reports.tables.certificates import certificate_record, judge
 
     chosen = _with_step(problem_of(problem), step)
@@ -74,13 +75,14 @@ def certify(
         return _least_dwell_times(chosen, law, json_output)
     asked, period = _dwell_time_and_step(chosen, dwell_time)
     dwell, names = asked.value, None if law is None else [law]
+    if out is not None:
+        require_json("--out", out)  # before the search, which may take minutes
     with progress_bar(len(names or chosen.laws), quiet=json_output) as advance:
         judged = judge(chosen, dwell, period, names, decay_rate, advance)
     saved = [] if out is None else _save(judged, out)
     if json_output:
-        record = {"problem": chosen.name, "dwell_time": dwell, "step": period}
-        record["laws"] = certificate_record(judged)
-        print_json(record, saved)
+        record = _asked(chosen, period) | {"dwell_time": dwell}
+        print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
         _print_judged(chosen, judged, asked, period, law is not None)
         if out is not None:
@@ -172,6 +174,7 @@ def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> 
     """The bracket of every law, or of one; 1 if that one has none."""
     from deadtime.margins import least_dwell_time
     from deadtime.problems.asked import step_of
+    from deadtime.reports.tables.certificates import left_out
 
     period, names = step_of(problem), list(problem.laws) if law is None else [law]
     laws, brackets = [problem.law(name) for name in names], dict[str, Bracket]()
@@ -186,9 +189,10 @@ def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> 
                 brackets[name] = Bracket(None, None, str(error))
             advance(name)
     if json_output:
-        print_json({"problem": problem.name, "step": period, "least_dwell_times": brackets})
+        print_json(_asked(problem, period) | {"least_dwell_times": brackets})
     else:
-        print(f"{problem.title}\nSampling period {period:g} s.\n")
+        about = [f"Sampling period {period:g} s.", *left_out(problem)]
+        print("\n".join((problem.title, *about, "")))
         rows = [
             (name, _seconds(one.certified, up=True), _seconds(one.refuted))
             for name, one in brackets.items()
@@ -197,6 +201,12 @@ def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> 
         for name, one in brackets.items():
             print(f"• {name}: {one.message}")
     return 0 if law is None or brackets[law].certified is not None else 1
+
+
+def _asked(problem: Problem, step: float) -> dict[str, object]:
+    """What the answers are about, for JSON."""
+    without = [repr(one) for one in problem.imperfections]
+    return {"problem": problem.name, "step": step, "imperfections_left_out": without}
 
 
 def _seconds(value: float | None, up: bool = False) -> str:
@@ -250,15 +260,19 @@ def _print_judged(
         LEGEND,
         certificate_rows,
         certificate_sentences,
+        left_out,
     )
 
     console = Terminal()
     console.print(problem.title, style="bold", markup=False)
     console.print(
         f"Every signal that stays in each mode for at least {dwell.value:.4g} s ({dwell.source}), "
-        f"switches at any time; sampling period {step:g} s.\n",
+        f"switches at any time; sampling period {step:g} s.",
         markup=False,
     )
+    for sentence in left_out(problem):
+        console.print(sentence, markup=False)
+    console.print()
     print_table(HEADINGS, certificate_rows(judged))
     console.print(f"{LEGEND}\n", style="dim", markup=False)
     for sentence in certificate_sentences(judged):

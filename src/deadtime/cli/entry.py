@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import functools
 import os
 import sys
@@ -15,6 +17,7 @@ from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
 from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
+from deadtime.base.threads import at_work
 from deadtime.base.version import __version__
 
 START = Group.create_ordered("Start")
@@ -146,7 +149,19 @@ def _where_to_look(error: BaseException) -> str:
 def _stop(code: int, message: str) -> NoReturn:
     if message:
         print(f"deadtime: {message}", file=sys.stderr)
+    if at_work():
+        atexit.register(_leave, code)
     raise SystemExit(code) from None
+
+
+def _leave(code: int) -> None:
+    """End the process without Python's own end if threads are still in compiled code."""
+    if not at_work():
+        return
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, OSError, ValueError):  # none, full or closed
+            stream.flush()
+    os._exit(code)
 
 
 def _abandon_stdout() -> None:

@@ -71,9 +71,9 @@ def stabilize(plant: SwitchedSystem, decay_rate: float) -> JointDesign:
     ArgumentError
         If the decay rate is not positive.
     InfeasibleError
-        If no such gains were found, with the solvers' verdicts.
+        If no such gains were found, with the solver's verdicts.
     SolverError
-        If no solver works: then nothing is known.
+        If the solver does not work: then nothing is known.
 
     References
     ----------

@@ -5,6 +5,7 @@ A kernel is a `deadtime.numerics.kernels.Kernel`, which imports this module when
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import threading
@@ -39,16 +40,20 @@ def dispatcher_of(kernel: Any) -> Any:
         dispatcher.enable_caching()
     except RuntimeError:  # no folder can be written: it is compiled anew in each process
         return dispatcher
-    cache = dispatcher._cache
     # Numba's own stamp is that of one file, and calls into others would go unnoticed.
-    cache._cache_file = _CacheFile(cache.cache_path, cache._impl.filename_base, _stamp(kernel))
+    with contextlib.suppress(AttributeError):  # a Numba that names these otherwise keeps its own
+        cache, own = dispatcher._cache, dispatcher._cache._cache_file
+        files = _CacheFile(cache.cache_path, cache._impl.filename_base, _stamp(kernel))
+        cache._cache_file = files if isinstance(own, IndexDataCacheFile) else own
     return dispatcher
 
 
 def is_cached(dispatcher: Any) -> bool:
-    """Whether this machine has it compiled, for whatever arguments."""
-    files = getattr(dispatcher._cache, "_cache_file", None)
-    return files is not None and bool(files._load_index())
+    """Whether this machine has it compiled, for whatever arguments; no where that is unknown."""
+    try:
+        return bool(dispatcher._cache._cache_file._load_index())
+    except AttributeError:  # nothing is kept, or Numba names it otherwise
+        return False
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:

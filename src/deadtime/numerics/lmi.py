@@ -99,8 +99,7 @@ def solve(solver: Any, program: Program, tolerance: float | None) -> tuple[str, 
     """What the solver says, in a word, and its x where that is an answer."""
     from scipy.sparse import csc_matrix
 
-    settings = solver.DefaultSettings()
-    settings.verbose = False
+    settings = settings_of(solver)
     if tolerance is not None:
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     A = csc_matrix(-np.concatenate([pack(limit.M) for limit in program.limits]))
@@ -110,6 +109,15 @@ def solve(solver: Any, program: Program, tolerance: float | None) -> tuple[str, 
     found = solver.DefaultSolver(nothing, program.cost, A, b, cones, settings).solve()
     said, x = _WORDS.get(str(found.status), "solver_error"), np.array(found.x)
     return said, x if said.startswith("optimal") and np.isfinite(x).all() else None
+
+
+def settings_of(solver: Any) -> Any:
+    """Clarabel's settings for the small programs here: silent, in one thread."""
+    settings = solver.DefaultSettings()
+    settings.verbose = False
+    if hasattr(settings, "max_threads"):  # laws share the processors
+        settings.max_threads = 1
+    return settings
 
 
 def require_answer(verdicts: Collection[Verdict]) -> None:

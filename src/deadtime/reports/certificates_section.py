@@ -17,6 +17,7 @@ from deadtime.reports.tables.certificates import (
     certificate_rows,
     certificate_sentences,
     judge,
+    left_out,
 )
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     problem = result.problem
     (dwell, source), step = dwell_time_of(problem, result.signal), step_of(problem)
     judged = judge(problem, dwell, step, progress=progress)
-    sentences = certificate_sentences(judged)
+    sentences = [*left_out(problem), *certificate_sentences(judged)]
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)
     if reach is not None:

@@ -24,6 +24,8 @@ from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
 from deadtime.spectrum import GROWS
 
+_SAME = 1e-9  # costs that differ by less, relative, differ by round-off
+
 
 def verdict(result: Comparison) -> list[str]:
     """Plain sentences, each made from measured figures; numbers that do not fit each other lead.
@@ -178,6 +180,8 @@ def _baseline(result: Comparison, name: str) -> str:
 def _times(result: Comparison, name: str, other: str) -> str:
     """How many times the cost of another law a law costs."""
     cost, base = (result.metrics[law]["cost"] for law in (name, other))
+    if cost == base:
+        return f"{amount(1.0)} times"
     return f"{amount(cost / base)} times" if base > 0.0 else "many times"
 
 
@@ -202,8 +206,11 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
     )
     others = [*_names_of(result, MeanPredictor)[:1], *_names_of(result, ExpectedPredictor)[:1]]
     text += "".join(f", {the_problem_law(name)} {_times(result, name, oracle)}" for name in others)
-    if others:
-        best = min((result.lead, *others), key=lambda name: result.metrics[name]["cost"])
+    costs = {name: result.metrics[name]["cost"] for name in (result.lead, *others)}
+    if others and max(costs.values()) <= min(costs.values()) * (1.0 + _SAME):
+        text += ": on this signal they cost the same"
+    elif others:
+        best = min(costs, key=lambda name: costs[name])
         word = "cheaper" if len(others) == 1 else "cheapest"
         text += f": on this signal {the_problem_law(best)} is the {word}"
     return text + "."

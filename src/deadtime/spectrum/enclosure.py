@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.feedback import Feedback
+from deadtime.numerics.precision import precision
 from deadtime.plant import SampledPlant, SwitchedSystem
 
 BITS = (256, 512, 1024, 2048)
@@ -40,11 +41,9 @@ def enclose_growth(
     plant: SwitchedSystem, feedback: Feedback, mode: int, row: int
 ) -> tuple[float, float]:
     """(low, high), 1/s: ln(spectral radius)/h of a mode under a row lies between, beyond doubt."""
-    from flint import ctx
-
     low, high = -math.inf, math.inf
     for bits in BITS:
-        with ctx.workprec(bits):
+        with precision(bits):
             p = _coefficients(plant, feedback, mode, row)
             closer = _bounds(p, feedback.step)
         low, high = max(low, closer[0]), min(high, closer[1])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deadtime.numerics.lmi import library, packing
+from deadtime.numerics.lmi import library, packing, settings_of
 
 
 def squares(left: np.ndarray) -> np.ndarray:
@@ -31,10 +31,7 @@ def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] 
     unknowns = A.shape[1]
     cost = np.zeros(unknowns)
     cost[-1] = -1.0
-    settings = solver.DefaultSettings()
-    settings.verbose = False
-    if hasattr(settings, "max_threads"):  # the programs are small, and laws share the processors
-        settings.max_threads = 1
+    settings = settings_of(solver)
     cones = [solver.PSDTriangleConeT(size) for size in sizes]
     nothing = csc_matrix((unknowns, unknowns))
     try:

@@ -7,29 +7,9 @@ for both readings.
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-
-BITS = 128
-_ONE_THREAD = threading.RLock()
-
-
-@contextmanager
-def precision(bits: int = BITS) -> Iterator[None]:
-    """Compute with this many bits inside; other threads wait, for all share one precision."""
-    from flint import ctx
-
-    with _ONE_THREAD:
-        before = ctx.prec
-        ctx.prec = bits
-        try:
-            yield
-        finally:
-            ctx.prec = before
 
 
 def exact(array: np.ndarray) -> Any:

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.channels import Channels
 from deadtime.certificates.proof.evidence import Evidence
 from deadtime.certificates.proof.large import LargeInequalities
@@ -19,6 +18,7 @@ from deadtime.certificates.proof.small import SmallInequalities
 from deadtime.certificates.proof.stretches import StretchEvidence, StretchInequalities
 from deadtime.certificates.proof.transitions import Transition
 from deadtime.certificates.proof.validate import why_malformed
+from deadtime.numerics.precision import precision
 
 T = TypeVar("T")
 
@@ -51,7 +51,7 @@ def check(evidence: Evidence | StretchEvidence) -> Check:
     reason = why_malformed(evidence)
     if reason:
         return Check(False, reason)
-    with balls.precision():
+    with precision():
         if isinstance(evidence, StretchEvidence):
             return _check_stretches(evidence)
         return _check_split(evidence)

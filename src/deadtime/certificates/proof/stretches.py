@@ -32,6 +32,7 @@ from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Stretch
+from deadtime.numerics.precision import precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class StretchEvidence(Frozen):
                 f"age must be at most {self.knots[-1]}, got {age}: after it the mode has to be "
                 "left, and the Lyapunov function depends on when."
             )
-        with balls.precision():
+        with precision():
             ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
         M, periods = balls.middle(ahead), self.knots[knot] - age
         return M.T @ self.P[mode, knot] @ M / self.rho ** (2 * periods)

@@ -96,7 +96,7 @@ def _by_traces(loop: SampledLoop, cycle: Cycle, squarings: int, bits: int) -> Gr
     """None where the balls are too wide to tell."""
     from flint import arb
 
-    from deadtime.certificates.proof.balls import precision
+    from deadtime.numerics.precision import precision
 
     best, worn = 0.0, False
     with precision(bits):

@@ -135,6 +135,21 @@ def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     ]
 
 
+def left_out(problem: Problem) -> list[str]:
+    """That certificates know nothing of a problem's imperfections, if it has any.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> from dataclasses import replace
+    >>> from deadtime.imperfections import Dropout
+    >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
+    ['Certificates are about the loop without its imperfections: Dropout(probability=0.1).']
+    """
+    named = ", ".join(repr(one) for one in problem.imperfections)
+    return [f"Certificates are about the loop without its imperfections: {named}."] * bool(named)
+
+
 def certificate_sentences(judged: Sequence[Judged]) -> list[str]:
     """A sentence or two per law: the certificate's own words, or why there is none."""
     texts = []
