@@ -33,7 +33,7 @@ def test_paper_verdict_has_five_sentences_in_order():
 def test_laws_that_hear_nothing_cost_the_same():
     *_, last = sentences(imperfections=(Dropout(1.0),))
     assert last.endswith("the mean law 1.00 times: on this signal they cost the same.")
-    *_, last = sentences(x0=[0.0, 0.0])
+    *_, last = sentences(x0=np.zeros(2))
     assert last.endswith("the mean law 1.00 times: on this signal they cost the same.")
 
 
