@@ -15,7 +15,11 @@ from deadtime.imperfections import (
     Saturation,
     WrongMode,
 )
+from deadtime.plant import SampledPlant
 from deadtime.scenarios import draw_signals, scenario_seed
+from deadtime.scenarios.heard import HeardBlock
+from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.run import _block
 
 H, HORIZON, COUNT, SEED = 0.1, 6.03, 11, 5
 TRUTH, BELIEVED = plants.generic(0.234), plants.generic(0.3, seed=5)
@@ -92,6 +96,32 @@ def test_lost_samples_hold_the_command_and_not_the_limited_input():
     k = np.arange(1, x.shape[1])
     repeated = np.isclose(u[:, k], u[:, k - 1], atol=0.0)
     assert (repeated | ~held[:, k]).all()
+
+
+def heard_block(kinds):
+    loop = Loop(SampledPlant(TRUTH, H), np.array(X0), HORIZON)
+    signals = draw_signals(MODEL, HORIZON + 1.0, SEED, count=COUNT)
+    return HeardBlock(loop, kinds, loop.lay(signals), SEED, 0)
+
+
+def test_what_is_heard_is_stacked_once_and_in_32_bits():
+    block, tables = heard_block(CASES["all"]), [LAWS[name].digital(H) for name in KINDS[:3]]
+    for begin in (0, 8):
+        told = [block.told(table, begin, 3) for table in tables]
+        assert all(np.shares_memory(each.sample, told[0].sample) for each in told)
+        assert all(np.shares_memory(each.noise, told[0].noise) for each in told)
+        assert told[0].sample.dtype == told[-1].row.dtype == np.int32
+    with_signals = heard_block(CASES["noise"]).told(tables[-1], 0, 3)
+    assert not with_signals.row.size
+    assert with_signals.reach == 0
+    np.testing.assert_array_equal(with_signals.sample, np.tile(np.arange(61), 3))
+
+
+def test_blocks_in_which_all_that_is_heard_is_kept_are_smaller():
+    loop = Loop(SampledPlant(TRUTH, H), np.array(X0), 4e3)
+    limits = [Saturation(-1.0, 1.0)]
+    assert _block(loop, limits) == _block(loop, []) == 96
+    assert _block(loop, [*limits, Noise(0.1)]) == 8
 
 
 def plain_follow(told, sampled, age):

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 
+OLDEST = 2.0**30  # samples: older than any table tells apart, and 32 bits can count on from it
 Context = Literal["none", "mode", "mode_age", "step"]
 
 
@@ -213,16 +214,16 @@ class Feedback(Frozen):
     def rows_at(self, modes: np.ndarray, ages: np.ndarray) -> np.ndarray:
         """The row that applies at each sample of a run, from the modes and their ages.
 
-        Before any mode is known (−1) it is one of the last mode's, as an index from the end.
+        Before any mode is known (−1) the first is assumed, as a law with a memory does.
         """
         if self.context == "none":
             return np.zeros(modes.size, np.int64)
         if self.context == "step":
             return np.arange(modes.size)
-        rows = modes
+        rows = np.maximum(modes, 0)
         if self.context == "mode_age":
-            rows = modes * self.ages + np.minimum(ages, self.ages - 1)
-        return (rows + len(self.state_gain) * (modes < 0)).astype(np.int64)
+            rows = rows * self.ages + np.minimum(ages, self.ages - 1)
+        return rows.astype(np.int64)
 
     def __repr__(self) -> str:
         rows, m = self.state_gain.shape[:2]

@@ -15,6 +15,8 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.checks import brief
+from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Seen, Sense, Sizes
 
 _BLOCK = 64  # samples
@@ -85,7 +87,7 @@ class Relaying(ABC):
         nothing = np.full(sizes.states, np.nan)
 
         def draw(samples: int) -> Heard:
-            return self.relay(Heard.perfect(samples, sizes), sizes, copy.deepcopy(rng))
+            return relayed(self, Heard.perfect(samples, sizes), sizes, copy.deepcopy(rng))
 
         heard = draw(_BLOCK)
 
@@ -103,6 +105,46 @@ class Relaying(ABC):
             )
 
         return sense
+
+
+def relayed(by: Relaying, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+    """What is heard through it; refused where it does not fit, as compiled loops index with it."""
+    found = by.relay(heard, sizes, rng)
+    if type(by).__module__.startswith("deadtime."):
+        return found  # tested to fit; looking again would cost a third of drawing it
+    _require_fit(f"{type(by).__name__}.relay", found, len(heard.sample), sizes)
+    kinds = np.int64, float, np.int64, np.int64
+    return Heard(*(part.astype(kind) for part, kind in zip(found, kinds, strict=True)))
+
+
+def _require_fit(name: str, found: object, samples: int, sizes: Sizes) -> None:
+    """Refuse what is no `Heard` of so many samples."""
+    if not isinstance(found, Heard):
+        raise ArgumentError(f"{name} must return a Heard, got {type(found).__name__}.")
+    each, one = np.arange(samples), (samples,)
+    shapes = one, (samples, sizes.states), one, (samples, sizes.modes)
+    for field, array, shape in zip(Heard._fields, found, shapes, strict=True):
+        words, kinds = ("floats", "f") if field == "noise" else ("integers", "iu")
+        if not isinstance(array, np.ndarray):
+            raise ArgumentError(f"{name} must return arrays, got {field} = {brief(array)}.")
+        if array.dtype.kind not in kinds or array.shape != shape:
+            raise ArgumentError(
+                f"{name} must return {field} as {words} of shape {shape}, got {array.dtype} of "
+                f"shape {array.shape}."
+            )
+    for field, array in (("sample", found.sample), ("mode_of", found.mode_of)):
+        wrong = (array < -1) | (array > each)
+        if wrong.any():
+            k = int(wrong.argmax())
+            raise ArgumentError(
+                f"{name} must return {field} with −1 ≤ {field}[k] ≤ k, got {field}[{k}] = "
+                f"{array[k]}: a law hears of no later sample."
+            )
+    if found.named.min(initial=0) < 0 or found.named.max(initial=0) >= sizes.modes:
+        raise ArgumentError(
+            f"{name} must return named with 0 ≤ named < modes = {sizes.modes}, got numbers from "
+            f"{found.named.min()} to {found.named.max()}."
+        )
 
 
 class Additive(Relaying):

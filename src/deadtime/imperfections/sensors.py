@@ -50,10 +50,8 @@ class Dropout(Relaying, SensorImperfection):
     probability: float
 
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        p, each = (
-            probability_of("Dropout.probability", self.probability),
-            np.arange(len(heard.noise)),
-        )
+        p = probability_of("Dropout.probability", self.probability)
+        each = np.arange(len(heard.noise))
         return heard.at(np.where(rng.random(each.size) < p, -1, each))
 
 

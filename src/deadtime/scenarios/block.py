@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection
+from deadtime.imperfections import Imperfection, Relaying
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.heard import HeardBlock
@@ -63,7 +63,7 @@ class Block:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
         heard = None
-        if laid is not None and len(self.imperfections) > len(self.loop.actuators):
+        if laid is not None and any(isinstance(one, Relaying) for one in self.imperfections):
             heard = HeardBlock(self.loop, self.imperfections, laid[0], self.seed, first)
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)

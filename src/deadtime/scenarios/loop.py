@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
+from deadtime.feedback.table import OLDEST
 from deadtime.imperfections import Limiting, Sizes
 from deadtime.numerics.covariance import square_root
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight, Window
@@ -29,7 +30,6 @@ from deadtime.scenarios.records import Laid, Records
 from deadtime.switching import SignalBatch
 
 _CELLS = 1024  # of a period, for a plant that is so fast
-_OLDEST = 2.0**31  # samples: older than any table tells apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,5 +155,5 @@ class Loop:
             (0.0,) * (tables.width // WIDE),
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
-        ages = np.floor(snap_all(np.minimum(signals.initial_age / window.step, _OLDEST)))
+        ages = np.floor(snap_all(np.minimum(signals.initial_age / window.step, OLDEST)))
         return Laid(records, maps, ages.astype(np.int64))

@@ -16,6 +16,7 @@ from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.imperfections import Imperfection, Limiting, Relaying, streams
+from deadtime.imperfections.known import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
@@ -164,7 +165,7 @@ def monte_carlo(
         other = replace(loop, weight=weight)
         weighed = other, Engine(other)
     block = Block(loop, source, named, tables, engine, imperfections, seed, results, weighed)
-    size = _block(loop) if tables else 1
+    size = _block(loop, imperfections) if tables else 1
     with show_progress(progress, scenarios) as report:
         workers = min(threads, -(-scenarios // size)) if tables else 1
         continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
@@ -191,9 +192,11 @@ def _sampled(plant: SwitchedSystem, step: float) -> SampledPlant:
     return SampledPlant(plant, step)
 
 
-def _block(loop: Loop) -> int:
-    """Scenarios in a block, in whole vectors of eight."""
-    return 8 * int(np.clip(_BLOCK_STEPS / 8 / (loop.whole + 1), 1, _BLOCK / 8))
+def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
+    """Scenarios in a block, in whole vectors of eight; fewer where all that is heard is kept."""
+    heard = any(isinstance(one, Relaying) for one in imperfections)
+    steps = _BLOCK_STEPS / 8 if heard else _BLOCK_STEPS
+    return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 
 def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
@@ -226,9 +229,7 @@ def _tables(
 ) -> dict[str, Callable[[SignalBatch], Table]]:
     """The laws that the engine can run: what makes a table of each along signals."""
     n, wide = loop.plant.states, loop.acting.wide
-    if loop.tables is None or not all(
-        isinstance(one, Limiting | Relaying) for one in imperfections
-    ):
+    if loop.tables is None or not all(map(is_batched, imperfections)):
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}

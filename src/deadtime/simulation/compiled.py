@@ -12,15 +12,15 @@ from jaxtyping import Bool, Float
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import (
-    ActuatorImperfection,
     Heard,
     Imperfection,
     Limiting,
     Relaying,
-    SensorImperfection,
     Sizes,
     TimingImperfection,
 )
+from deadtime.imperfections.heard import relayed
+from deadtime.imperfections.known import is_known
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
 
@@ -72,8 +72,25 @@ class Lags(NamedTuple):
             return None
         sums = cls(np.zeros(samples), np.zeros(samples))
         for each, rng in timings:
-            sums[0 if each.waits else 1][:] += each.lags(sizes, samples, rng)
+            sums[0 if each.waits else 1][:] += _lags_of(each, sizes, samples, rng)
         return sums
+
+
+def _lags_of(
+    each: TimingImperfection, sizes: Sizes, samples: int, rng: np.random.Generator
+) -> Float[np.ndarray, " sample"]:
+    """Its lags; refused where they do not fit, as compiled loops look back by them."""
+    name, found = f"{type(each).__name__}.lags", np.asarray(each.lags(sizes, samples, rng))
+    if found.dtype.kind not in "fiu" or found.shape != (samples,):
+        raise ArgumentError(
+            f"{name} must return seconds of shape (samples,) = {(samples,)}, got {found.dtype} of "
+            f"shape {found.shape}."
+        )
+    wrong = ~((found >= 0.0) & (found < np.inf))
+    if wrong.any():
+        k = int(wrong.argmax())
+        raise ArgumentError(f"{name} must return finite seconds ≥ 0, got {found[k]} at sample {k}.")
+    return found.astype(float)
 
 
 class Arrays(NamedTuple):
@@ -93,12 +110,18 @@ class Arrays(NamedTuple):
     @classmethod
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int, predict: str) -> Arrays:
         """The arrays of a run; everything random is drawn from the streams."""
-        commanded, heard = tells_commands(predict), Heard.perfect(samples, sizes)
-        for each, rng in pairs:
-            if isinstance(each, Relaying):
-                heard = each.relay(heard, sizes, rng)
+        commanded, heard = tells_commands(predict), heard_of(pairs, sizes, samples)
         lags = Lags.of(pairs, sizes, samples)
         return cls(heard, lags, Clip.of(pairs, sizes), commanded)
+
+
+def heard_of(pairs: Pairs, sizes: Sizes, samples: int) -> Heard:
+    """What is heard through all sensors among them, one after the other."""
+    heard = Heard.perfect(samples, sizes)
+    for each, rng in pairs:
+        if isinstance(each, Relaying):
+            heard = relayed(each, heard, sizes, rng)
+    return heard
 
 
 def tells_commands(predict: str) -> bool:
@@ -121,10 +144,4 @@ def takes(pairs: Pairs) -> bool:
     >>> takes([(Noise(0.1), rng), (Dropout(0.1), rng)]), takes([(Noise(0.1), rng), (Own(), rng)])
     (True, False)
     """
-    return all(_is_known(each) for each, _ in pairs)
-
-
-def _is_known(each: Imperfection) -> bool:
-    if isinstance(each, SensorImperfection):
-        return isinstance(each, Relaying)
-    return isinstance(each, Limiting) or not isinstance(each, ActuatorImperfection)
+    return all(is_known(each) for each, _ in pairs)

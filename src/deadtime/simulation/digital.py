@@ -12,7 +12,7 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.feedback import Law
 from deadtime.feedback.memory import Tables
-from deadtime.feedback.table import follow
+from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
@@ -194,13 +194,11 @@ def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) ->
         row = feedback.rows(modes, age)
     else:
         modes, ages = follow(arrays.heard.modes(modes), modes, age)
-        # A law that must estimate before it knows a mode assumes the first.
-        assumed = np.maximum(modes, 0)
-        row = feedback.rows_at(modes if tables.memory is None else assumed, ages)
+        row, assumed = feedback.rows_at(modes, ages), np.maximum(modes, 0)
     F, G = feedback.state_gain, read_only(feedback.oldest_first)
     return Rows(F, G, row, read_only(assumed))
 
 
 def initial_age(signal: SwitchingSignal, step: float) -> int:
-    """The age of the first mode at time 0, in samples."""
-    return math.floor(snap(signal.initial_age / step))
+    """The age of the first mode at time 0, in samples; no table tells apart older than OLDEST."""
+    return math.floor(snap(min(signal.initial_age / step, OLDEST)))

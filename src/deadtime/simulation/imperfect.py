@@ -34,9 +34,10 @@ class Told(NamedTuple):
 class ImperfectLaw:
     """An `Update` that senses and acts through imperfections.
 
-    Where nothing usable arrives and the law has no answer, its last input is asked for again. The
-    law's past inputs are those applied, or with predict = "commanded" those asked for. A law that
-    measures outputs is told y = C_σ x, `outputs` being the C of every mode.
+    Where nothing usable arrives and the law has no answer, its last input is asked for again.
+    Before any mode is known the first is assumed. The law's past inputs are those applied, or with
+    predict = "commanded" those asked for. A law that measures outputs is told y = C_σ x, `outputs`
+    being the C of every mode.
 
     Attributes
     ----------
@@ -108,7 +109,7 @@ class ImperfectLaw:
         )
 
     def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
-        asked = self._update(x, past, self._mode, self._age)
+        asked = self._update(x, past, max(self._mode, 0), self._age)
         if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
             return asked
         return self.commanded[-1] if self.commanded else past[-1].copy()

@@ -13,7 +13,15 @@ from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.memory import tables_of
-from deadtime.imperfections import Disturbance, Imperfection, Sizes, streams
+from deadtime.imperfections import (
+    ActuatorImperfection,
+    Disturbance,
+    Imperfection,
+    SensorImperfection,
+    Sizes,
+    TimingImperfection,
+    streams,
+)
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.simulation.compiled import Arrays, Pairs, takes
@@ -160,11 +168,12 @@ def simulate(
 def _split_disturbances(
     imperfections: Sequence[Imperfection], seed: int
 ) -> tuple[Drawn, list[tuple[Imperfection, np.random.Generator]]]:
-    """Disturbances and the other imperfections, each with its stream."""
+    """Disturbances and the others, each with its stream; one of two parts is among both."""
     generators = streams(imperfections, count("seed", seed, 0))
     pairs = list(zip(imperfections, generators, strict=True))
     forces = [(each, rng) for each, rng in pairs if isinstance(each, Disturbance)]
-    return forces, [(each, rng) for each, rng in pairs if not isinstance(each, Disturbance)]
+    others = SensorImperfection, TimingImperfection, ActuatorImperfection
+    return forces, [(each, rng) for each, rng in pairs if isinstance(each, others)]
 
 
 def _ideal(

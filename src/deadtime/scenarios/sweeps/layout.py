@@ -16,7 +16,8 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.imperfections import Limiting, Relaying
+from deadtime.imperfections import Relaying
+from deadtime.imperfections.known import is_batched
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
 from deadtime.scenarios.sweeps.study import Loop, Study
@@ -130,7 +131,7 @@ def _of_law(loop: Loop, law: Law) -> float:
     """Seconds of a period of a scenario."""
     if not isinstance(law, TableLaw):
         return _CALLED
-    if not all(isinstance(one, Limiting | Relaying) for one in loop.imperfections):
+    if not all(map(is_batched, loop.imperfections)):
         return _ALONE
     heard = _HEARD if any(isinstance(one, Relaying) for one in loop.imperfections) else 0.0
     taps = Window.of(law.plant.delay, loop.step).count
