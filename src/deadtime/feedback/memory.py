@@ -1,7 +1,7 @@
 """What a law remembers from sample to sample, as a table for compiled loops.
 
 Beside its `Feedback`, such a law has a state z = (x̂, q, r) that its rows are multiplied with: an
-estimate, sums of errors, and a reference. In mode i, from the inputs u that the law was told of and
+estimate, sums of errors, and a reference. In mode i, from the past inputs u that the law has and
 a measurement y,
 
     x̄_k = Φ_j x̂_{k−1} + Σ Γ_j u,       j the mode of the sample before,

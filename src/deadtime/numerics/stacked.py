@@ -24,7 +24,7 @@ def discretise_all(
     Phi = np.full((*A.shape[1:], mode.size), np.nan)
     Gamma = np.full((*B.shape[1:], mode.size), np.nan)
     with np.errstate(all="ignore"):
-        size = norm[mode] * tau
+        size = norm[mode] * np.abs(tau)
         (held,) = np.nonzero(size < LARGEST)
         of = mode[held]
         to = unit[:, of]  # powers of two, so that every quotient is exact

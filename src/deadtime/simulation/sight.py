@@ -15,7 +15,7 @@ from deadtime.simulation.compiled import Arrays, Lags
 
 
 class Sight(NamedTuple):
-    """What the law is told of the plant at every sample.
+    """What the law's measurement is at every sample.
 
     piece : (samples,), the piece in which x is measured; −1 where nothing is heard
     step : (samples,), the period of that piece

@@ -57,7 +57,7 @@ def simulate(
     Between samples, switches and arrivals of new inputs the plant is propagated by its matrix
     exponential, so the result is exact to round-off, wherever the switches fall and whatever
     the delay. With `step=None` the law is updated continuously; between the points where it is
-    not analytic the loop is solved by collocation of high order.
+    not analytic the loop is solved to high order.
 
     Parameters
     ----------

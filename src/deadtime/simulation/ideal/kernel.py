@@ -1,4 +1,4 @@
-"""The compiled loop of the ideal simulation: one segment after another by collocation.
+"""The compiled loop of the ideal simulation: one segment after another.
 
 Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ:
 
