@@ -11,6 +11,7 @@ import deadtime as dt
 import plants
 import reference
 from deadtime.estimation.estimator import Estimator
+from deadtime.plant import SampledPlant
 
 PLANT, C, STEP = plants.generic(), plants.OUTPUTS, 0.1
 PER_MODE = np.stack([C, 1.1 * C, C[::-1]])
@@ -68,7 +69,7 @@ def test_the_error_is_the_product_of_the_matrices_whatever_the_inputs(delay):
     """Switches on samples, three modes, an input in two parts, against Taylor series."""
     plant = plants.generic(delay)
     observer = dt.luenberger(plant, PER_MODE, [-3, -4, -5], STEP)
-    rng, N = np.random.default_rng(1), observer.window.count
+    rng, N = np.random.default_rng(1), SampledPlant(observer.plant, observer.step).longest_lag
     inputs, history = rng.normal(size=(40, 2)), rng.normal(size=(N, 2))
     modes, x0 = rng.integers(0, 3, 40).tolist(), np.array([1.0, -2.0, 0.5])
     states, estimates = run_estimator(observer, plant, modes, x0, np.zeros(3), inputs, history)

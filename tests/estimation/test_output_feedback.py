@@ -10,6 +10,7 @@ import deadtime as dt
 import plants
 from deadtime.controller import Status
 from deadtime.imperfections import Dropout, LateSamples, Noise, RateLimit, Saturation, WrongMode
+from deadtime.plant import Window
 
 MODEL, C, STEP = plants.near(), plants.OUTPUTS, 0.05
 TRUTH = dt.SwitchedSystem(1.01 * MODEL.A, 0.99 * MODEL.B, 0.251)
@@ -156,7 +157,8 @@ def test_it_predicts_with_the_inputs_it_is_told(predict):
     """Against a loop of its own in NumPy, on a plant that is not the model."""
     loop = run(observed(), TRUTH, imperfections=WORST, seed=1, predict=predict, u0=None)
     told = loop.inputs if predict == "applied" else loop.commanded
-    N, phase = OBSERVER.window.count, OBSERVER.window.phase
+    window = Window.of(OBSERVER.plant.delay, OBSERVER.step)
+    N, phase = window.count, window.phase
     u = np.concatenate((np.zeros((N, 2)), told.T))
     bar, mode, table = np.zeros(3), 0, plants.LAWS["averaged"](MODEL).digital(STEP)
     estimates = []

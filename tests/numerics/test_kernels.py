@@ -45,7 +45,7 @@ def test_both_ways_give_the_same_bits(monkeypatch, plant):
         assert np.array_equal(*python_and_compiled(gramian, A, B, tau, plant.identity))
     sampled = SampledPlant(plant, 0.1)
     signal = dt.SwitchingSignal([0.0, 0.17, 0.31], [0, 2, 1])
-    cuts = cuts_of(signal, sampled.window)
+    cuts = cuts_of(signal, sampled)
     table = sampled.along(cuts, 8)
     place = sampled.every_stretch, cuts.step, cuts.offset, cuts.mode, 2
     for one, other in zip(*python_and_compiled(lay_cuts, *place), strict=True):

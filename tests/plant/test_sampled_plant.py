@@ -65,7 +65,7 @@ PERIODS = 22
 
 def along(delay, signal=SIGNAL):
     sampled = SampledPlant(plants.generic(delay), STEP)
-    cuts = cuts_of(signal, sampled.window)
+    cuts = cuts_of(signal, sampled)
     return sampled, sampled.along(cuts, PERIODS), cuts
 
 
@@ -173,7 +173,7 @@ def test_modes_may_have_stretches_of_their_own():
         np.array([lag for i in range(3) for _, lag in ages[i]]),
     )
     signal = dt.SwitchingSignal([0.0, 0.02, 0.145, 0.23, 0.26, 0.3], [0, 2, 1, 0, 1, 2])
-    cuts = cuts_of(signal, sampled.window)
+    cuts = cuts_of(signal, sampled)
     A, B = sampled.plant.A, sampled.plant.B
     table = pieces_along(A, B, stretches, cuts.step, cuts.offset, cuts.mode, 4)
     rng = np.random.default_rng(6)

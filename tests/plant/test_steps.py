@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import deadtime as dt
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant, Window
 from deadtime.plant.steps import snap, snap_all
 from deadtime.switching.grid import cuts_of, modes_at
 
@@ -65,7 +65,10 @@ def test_snap_all_snaps_every_entry(ratios):
 
 
 def laid(times, window):
-    return cuts_of(dt.SwitchingSignal([0.0, *times], np.arange(len(times) + 1)), window)
+    modes = len(times) + 1
+    plant = dt.SwitchedSystem(np.zeros((modes, 1, 1)), np.ones((modes, 1, 1)), window.delay)
+    signal = dt.SwitchingSignal([0.0, *times], np.arange(modes))
+    return cuts_of(signal, SampledPlant(plant, window.step))
 
 
 def test_switches_at_samples_have_offset_zero_whatever_the_float():

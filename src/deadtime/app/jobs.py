@@ -68,7 +68,7 @@ def worst_signal(
 def lifted_order(problem: Problem) -> int:
     """States and inputs in flight of a digital loop; 0 for an ideal one."""
     plant = problem.plant
-    taps = 0.0 if problem.step is None else plant.delay / problem.step
+    taps = 0.0 if problem.step is None else plant.longest_delay / problem.step
     return plant.states + math.ceil(taps) * plant.inputs
 
 

@@ -110,6 +110,7 @@ def certify(
     (True, True)
     """
     plants = _plants(plant)
+    nominal = plants[0].one_delay("certify")
     instance("law", law, Law)
     for corner in plants:
         require_match(corner, law)
@@ -131,7 +132,7 @@ def certify(
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
-        _delays(delays, plants[0].delay, step),
+        _delays(delays, nominal, step),
         table.state_gain,
         table.input_gain,
         table.context,
@@ -273,7 +274,7 @@ def _plants(plant: SwitchedSystem | Sequence[SwitchedSystem]) -> list[SwitchedSy
         raise ArgumentError("plant must be a SwitchedSystem or a sequence of them, got none.")
     for corner in plants:
         instance("plant", corner, SwitchedSystem)
-        if corner.delay != plants[0].delay:
+        if not np.array_equal(corner.delays, plants[0].delays):
             raise ArgumentError(
                 "plant must have one delay at all corners of the polytope: give a range of delays "
                 "as delays=(low, high)."

@@ -78,7 +78,7 @@ class Asked:
             if not any(np.array_equal(A, plant.A) and np.array_equal(B, plant.B) for A, B in known):
                 return "the certificate is about a plant with other matrices."
             low, high = setting.delays
-            if not low <= plant.delay <= high:
+            if not (low <= plant.delays).all() or not (plant.delays <= high).all():
                 delay = f"of {low!r} s" if low == high else f"in [{low!r}, {high!r}] s"
                 return f"the certificate is about a plant with a delay {delay}."
         if step is not None and step != setting.step:

@@ -81,7 +81,7 @@ def design(
     plant, gains = chosen.plant, chosen.gains
     if mode is not None:
         one = slice(index("mode", mode, plant.modes), mode + 1)
-        plant = SwitchedSystem(plant.A[one], plant.B[one], plant.delay)
+        plant = SwitchedSystem(plant.A[one], plant.B[one], plant.delays[one])
         gains = gains[one]
     period = step_of(chosen) if step is None else positive("step", step)
     found = designed(

@@ -105,7 +105,7 @@ def export(
                 x0=chosen.x0,
                 u0=chosen.u0,
                 version=fmi,
-                changes=max(4096, 2 * math.ceil(chosen.plant.delay / controller.step)),
+                changes=max(4096, 2 * math.ceil(chosen.plant.longest_delay / controller.step)),
                 names=replace(names, title=f"Plant: {chosen.title}"),
                 staging=staging,
             )

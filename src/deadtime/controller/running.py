@@ -56,7 +56,7 @@ class RunningLaw:
     def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
         """Start anew, after the inputs u0 (as `simulate` takes them)."""
         m, taps = self.law.plant.inputs, self.table.taps
-        history = held_samples(u0, m, taps, self.step, self.law.plant.delay)
+        history = held_samples(u0, m, taps, self.step, self.law.plant.longest_delay)
         self._age, self._mode = count("mode_age", mode_age, 0), -1
         self._past.clear()
         for u in history[:-1]:

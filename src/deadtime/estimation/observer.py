@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, instance, positive, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 
 
@@ -104,11 +104,6 @@ class Observer(Frozen):
     def outputs(self) -> int:
         """Number of outputs, p."""
         return self.C.shape[1]
-
-    @property
-    def window(self) -> Window:
-        """The plant's inputs in flight, at the observer's period."""
-        return Window.of_plant(self.plant, self.step)
 
     @cached_property
     def error_matrices(self) -> Float[np.ndarray, "mode n n"]:

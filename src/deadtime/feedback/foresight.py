@@ -50,7 +50,7 @@ class Foresight(NamedTuple):
         remains of R is F.
         """
         count, R = self.sampled.longest_lag, self.gains[self.modes_ahead(steps)]
-        table = self.sampled.along(cuts_of(self.signal, self.sampled.window), steps + count - 1)
+        table = self.sampled.along(cuts_of(self.signal, self.sampled), steps + count - 1)
         # Of one delay all periods have as many pieces.
         entry = table.entry.reshape(table.first.size - 1, -1)
         G = np.zeros((steps, count, *self.latest.shape))

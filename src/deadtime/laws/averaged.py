@@ -161,16 +161,16 @@ class AveragedPredictor(TableLaw):
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        plant, sampled = self.plant, self.sampled_plant(step)
+        plant, parts = self.plant, (self.gains, self.weights)
         if self.dwell_time is not None:
             from deadtime.laws.tables.dwell_time import dwelling_table
 
-            return dwelling_table(plant.A, plant.B, self._after, self.dwell_time, sampled)
+            return dwelling_table(plant, plant, *parts, self.dwell_time, step)
         from deadtime.laws.tables.constant_mode import constant_table
 
-        return constant_table(plant.A, plant.B, self.gains, self.weights, sampled)
+        return constant_table(plant, *parts, step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         if self.dwell_time is not None:
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        return Forecast.constant(*self._after, self.plant.delay)
+        return Forecast.constant(*self._after, self.plant.one_delay("the ideal loop (step=None)"))

@@ -15,13 +15,16 @@ from deadtime.feedback import Feedback, Forecast, Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.table import require_finite_gains
 from deadtime.gains.checked import check_gains
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class ExactPredictor(TableLaw):
     """Exact predictor feedback u(t) = K_σ(t+D) P(t), P(t) = x(t + D): it knows the future.
+
+    Where inputs or modes have delays of their own, t + D is, input by input, when the plant first
+    reads what is sent at t, and inputs to come that act until then are the law's own.
 
     For benchmarks (no causal law can predict better), and for plants whose switching is
     scheduled. A switch at exactly t + D counts: signals are right-continuous.
@@ -89,7 +92,7 @@ class ExactPredictor(TableLaw):
                 "the law with one."
             )
         known.require_modes(self.plant.modes)
-        needed = last + self.plant.delay
+        needed = last + self.plant.longest_delay
         if known.end < needed * (1.0 - 1e-9):
             raise ArgumentError(
                 f"signal must be known up to the last sample plus the delay, {needed:g} s, for "
@@ -100,9 +103,22 @@ class ExactPredictor(TableLaw):
 
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Foresight:
+    ) -> Foresight | None:
         from deadtime.numerics.exponential import discretise_modes
 
+        sampled, known = self._known(step, signal, steps)
+        if not self.plant.has_one_delay:
+            return None
+        ahead, _ = discretise_modes(self.plant.A, self.plant.B, self.plant.delay)
+        with np.errstate(all="ignore"):
+            require_finite_gains(self.gains @ ahead)
+        m = self.plant.inputs
+        return Foresight(sampled, self.gains, np.zeros((m, m)), known)
+
+    def _known(
+        self, step: float, signal: SwitchingSignal | None, steps: int | None
+    ) -> tuple[SampledPlant, SwitchingSignal]:
+        """The model at a period, and the signal that is believed in, long enough."""
         sampled = self.sampled_plant(step)
         if steps is None:
             raise ArgumentError(
@@ -111,30 +127,31 @@ class ExactPredictor(TableLaw):
                 "a rule switches the plant by its state, use StateDependentPredictor."
             )
         count("steps", steps)
-        known = self._require_signal(signal, (steps - 1) * step)
-        ahead, _ = discretise_modes(self.plant.A, self.plant.B, self.plant.delay)
-        with np.errstate(all="ignore"):
-            require_finite_gains(self.gains @ ahead)
-        m = self.plant.inputs
-        return Foresight(sampled, self.gains, np.zeros((m, m)), known)
+        return sampled, self._require_signal(signal, (steps - 1) * step)
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
+        from deadtime.laws.tables.along_signal import rows_along
+
+        (sampled, known), samples = self._known(step, signal, steps), cast(int, steps)
         foresight = self.foresight(step, signal, steps)
-        F, G = foresight.rows(cast(int, steps))
-        return Feedback(F, G, "step", foresight.sampled.step)
+        if foresight is None:
+            F, G = rows_along(sampled, self.gains, known, samples)
+        else:
+            F, G = foresight.rows(samples)
+        return Feedback(F, G, "step", sampled.step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        plant = self.plant
+        plant, delay = self.plant, self.plant.one_delay("the ideal loop (step=None)")
         known = self._require_signal(signal, horizon)
         return Forecast(
             plant.A,
             plant.B,
-            lead=plant.delay,
+            lead=delay,
             branches=np.zeros(1, np.int64),
             breaks=known.times[1:],
-            gains=lambda times: self.gains[known(times + plant.delay)][:, None],
+            gains=lambda times: self.gains[known(times + delay)][:, None],
             path=known,
             until=lambda times: np.full(times.size, np.inf),
             foresees=True,

@@ -111,13 +111,11 @@ class ExpectedPredictor(TableLaw):
             return markov_table(plant.A, plant.B, self.gains, model.generator, sampled)
         from deadtime.laws.tables.semi_markov import semi_markov_table
 
-        window = sampled.window
-        most = room(8 * plant.modes * window.count * plant.inputs**2)
-        ages = table_ages(model, window.step, self.ages, most)
-        hazard = model.hazard(window.step, ages + window.count)
-        return semi_markov_table(
-            plant.A, plant.B, self.gains, hazard, model.transition, ages, window
-        )
+        h, longest = sampled.step, sampled.longest_lag
+        most = room(8 * plant.modes * longest * plant.inputs**2)
+        ages = table_ages(model, h, self.ages, most)
+        chain = model.hazard(h, ages + longest), model.transition
+        return semi_markov_table(self.gains, *chain, ages, sampled)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         plant, model = self.plant, self.model
@@ -129,7 +127,12 @@ class ExpectedPredictor(TableLaw):
         from deadtime.laws.tables.markov import markov_forecast
 
         forecast = markov_forecast(
-            plant.A, plant.B, self.gains, model.generator, plant.delay, signal
+            plant.A,
+            plant.B,
+            self.gains,
+            model.generator,
+            plant.one_delay("the ideal loop (step=None)"),
+            signal,
         )
         if forecast is None:
             raise ArgumentError(

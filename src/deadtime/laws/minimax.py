@@ -61,7 +61,7 @@ def minimax(
     """
     given = check_gains(plant, gains, allow_unstable)
     step = positive("step", step)
-    coarse = max(step, plant.delay / _COARSE)
+    coarse = max(step, plant.longest_delay / _COARSE)
 
     def rates(weights: np.ndarray, K: np.ndarray, period: float, /) -> np.ndarray:
         return _rates(plant, tables(K, weights, period), period)

@@ -67,12 +67,12 @@ class SingleModePredictor(TableLaw):
         from deadtime.laws.tables.constant_mode import constant_table
 
         own = slice(self.mode, self.mode + 1)
-        plant = self.plant
-        return constant_table(
-            plant.A[own], plant.B[own], self.gains[own], np.ones(1), self.sampled_plant(step)
-        )
+        A, B, delays = self.plant.A, self.plant.B, self.plant.delays
+        plant = SwitchedSystem(A[own], B[own], delays[own])
+        return constant_table(plant, self.gains[own], np.ones(1), step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         own = slice(self.mode, self.mode + 1)
         plant = self.plant
-        return Forecast.constant(plant.A[own], plant.B[own], self.gains[own], plant.delay)
+        delay = plant.one_delay("the ideal loop (step=None)")
+        return Forecast.constant(plant.A[own], plant.B[own], self.gains[own], delay)

@@ -87,6 +87,7 @@ class StateDependentPredictor(Law):
     ) -> None:
         gains = check_gains(plant, gains, allow_unstable)
         rule = as_rule("rule", rule).require(plant)
+        plant.one_delay("StateDependentPredictor")
         vars(self).update(plant=plant, gains=gains, rule=rule, allow_unstable=allow_unstable)
 
     @property

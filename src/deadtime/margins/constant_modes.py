@@ -143,15 +143,15 @@ def constant_delay_margin(
     (0.98644, 1.01351)
     """
     require_constant(plant, law)
+    nominal = plant.one_delay("delay_margin")
     step = None if step is None else positive("step", step)
-    if upto is not None and positive("upto", upto) <= plant.delay:
+    if upto is not None and positive("upto", upto) <= nominal:
         raise ArgumentError(
-            f"upto must be longer than the nominal delay, {plant.delay:g} s, got {upto:g}: it is "
+            f"upto must be longer than the nominal delay, {nominal:g} s, got {upto:g}: it is "
             "the longest true delay that is tried."
         )
     require_affordable("delay margin", plant, law, step)
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
-    nominal = plant.delay
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
         text = _unstable(worst, float(growth[worst]))

@@ -3,12 +3,13 @@
 An input u_k is held from t_k = k h on and reaches the plant a delay later, so within a period
 different samples of it act one after the other. A *piece* is a stretch of a period in which the
 mode and all acting inputs stay; its lags say how many samples before the period's own they were
-computed. With one delay there are two, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.steps`),
+computed. An input of delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h (`deadtime.plant.steps`), is
 
-    [t_k, t_k + φ):      u_{k−N}            lag N
-    [t_k + φ, t_{k+1}):  u_{k−N+1}          lag N − 1, none of these where φ = h
+    on [t_k, t_k + φ):      that of t_{k−N}       lag N
+    on [t_k + φ, t_{k+1}):  that of t_{k−N+1}     lag N − 1, nothing of it where φ = h
 
-and over a whole period, with the pieces' Φ and Γ,
+so a period of a mode is cut at the φ of each of its inputs. Over a whole one, with the pieces' Φ
+and Γ,
 
     x_{k+1} = Φ x_k + Σ_l Γ_l u_{k−l},    l over the lags of all pieces.
 
@@ -29,7 +30,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Stretches
-from deadtime.plant.steps import Cuts, Window
+from deadtime.plant.steps import Cuts, Window, require_step, windows_of
 from deadtime.plant.switched_system import SwitchedSystem
 
 
@@ -42,8 +43,8 @@ class SampledPlant(Frozen):
     plant : SwitchedSystem
     step : float
         Sampling period h, seconds.
-    window : Window
-        The inputs in flight.
+    windows : tuple of Window
+        The windows of its delays, each once, those of shorter delays first.
 
     Raises
     ------
@@ -63,30 +64,39 @@ class SampledPlant(Frozen):
 
     plant: SwitchedSystem
     step: float
-    window: Window = field(init=False, repr=False)
+    windows: Sequence[Window] = field(init=False, repr=False)
+    _by_mode: list[list[Window]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        window = Window.of_plant(self.plant, self.step)
-        vars(self).update(window=window, step=window.step)
+        step = require_step(self.plant, self.step)
+        by_mode = windows_of(self.plant, step)
+        windows = {window.delay: window for row in by_mode for window in row}
+        ordered = tuple(windows[delay] for delay in sorted(windows))
+        vars(self).update(step=step, windows=ordered, _by_mode=by_mode)
         super().__post_init__()
+
+    @property
+    def window(self) -> Window:
+        """The window of the one delay; of several there are `windows`, and none is it."""
+        if len(self.windows) > 1:
+            self.plant.one_delay("what asks for its window")
+        return self.windows[-1]
 
     @property
     def longest_lag(self) -> int:
         """N: no input older than u_{k−N} acts in period k."""
-        return self.window.count
+        return self.windows[-1].count
 
     def stretches(self, mode: int) -> tuple[Stretch, ...]:
         """The stretches of a period in which a mode is held, in order."""
-        window, m = self.window, self.plant.inputs
-        older, newer = (
-            read_only(np.full(m, lag, np.int64)) for lag in (window.count, window.count - 1)
-        )
-        if window.phase >= window.step:
-            return (Stretch(0.0, window.step, older),)
-        return (
-            Stretch(0.0, window.phase, older),
-            Stretch(window.phase, window.step, newer),
-        )
+        windows = self._by_mode[mode]
+        ends = sorted({self.step, *(window.phase for window in windows)})
+        starts = [0.0, *ends[:-1]]
+        lags = [
+            read_only(np.array([w.count - (start >= w.phase) for w in windows], np.int64))
+            for start in starts
+        ]
+        return tuple(map(Stretch, starts, ends, lags))
 
     @cached_property
     def every_stretch(self) -> Stretches:

@@ -79,31 +79,48 @@ class Window:
         phase = step if ratio == count else delay - (count - 1) * step
         return cls(step, count, phase)
 
-    @classmethod
-    def of_plant(cls, plant: SwitchedSystem, step: float) -> Window:
-        """The window of a plant's delay at a period, over which it has an exponential."""
-        step = positive("step", step)
-        if require_exponential("step", plant.A, step) > _SURE:
-            for A, B in zip(plant.A, plant.B, strict=True):
-                finite_discretisation(A, B, step)
-        return cls.of(plant.delay, step)
-
     @property
     def delay(self) -> float:
         """The delay (N − 1) h + φ, in seconds."""
         return (self.count - 1) * self.step + self.phase
 
 
+def require_step(plant: SwitchedSystem, step: float) -> float:
+    """A period over which a plant has an exponential, seconds."""
+    step = positive("step", step)
+    if require_exponential("step", plant.A, step) > _SURE:
+        for A, B in zip(plant.A, plant.B, strict=True):
+            finite_discretisation(A, B, step)
+    return step
+
+
+def windows_of(plant: SwitchedSystem, step: float) -> list[list[Window]]:
+    """The windows of a plant's delays at a period, by mode and input.
+
+    Fractions φ within 1e-9 h of each other are the least of them, so that no piece of a period is
+    shorter.
+    """
+    places: dict[float, Window] = {}
+    for delay in sorted(set(plant.delays.ravel().tolist())):
+        places[delay] = Window.of(delay, step)
+    phase = -step
+    for delay, window in sorted(places.items(), key=lambda place: place[1].phase):
+        if window.phase - phase > TOLERANCE * step:
+            phase = window.phase
+        places[delay] = Window(step, window.count, phase)
+    return [[places[delay] for delay in row] for row in plant.delays.tolist()]
+
+
 @dataclass(frozen=True, eq=False)
 class Cuts(Frozen):
-    """The switches of a plant, laid on the steps of a window.
+    """The switches of a plant, laid on its sampling periods.
 
     Attributes
     ----------
     step : (switches,) int
         Index k of the step that the switch falls in.
     offset : (switches,) float
-        Time since t_k, in [0, h); exactly 0 or φ when the switch falls there.
+        Time since t_k, in [0, h); exactly 0 or a φ when the switch falls there.
     mode : (switches + 1,) int
         The initial mode, then the mode after each switch.
     """

@@ -1,6 +1,9 @@
-"""The plant: a linear system that switches between modes and answers its input late.
+"""The plant: a linear system that switches between modes and answers its inputs late.
 
-    dx/dt = A_σ(t) x(t) + B_σ(t) u(t − D),    x ∈ Rⁿ, u ∈ Rᵐ, σ(t) ∈ {0, …, modes − 1}
+    dx/dt = A_σ(t) x(t) + Σ_j b_σ(t),j u_j(t − D_σ(t),j),   x ∈ Rⁿ, u ∈ Rᵐ, σ(t) ∈ {0, …, modes − 1}
+
+A mode *reads* input j its own D_σ,j seconds back: after a switch between modes of other delays what
+acts jumps, and may be heard again or not at all; what was sent is in the delay line all the same.
 
 Arrays hold one matrix per mode, mode first. Modes count from 0.
 """
@@ -23,7 +26,9 @@ from deadtime.base.frozen import Frozen
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class SwitchedSystem(Frozen):
-    """A switched linear system with one constant input delay (immutable).
+    """A switched linear system with input delays: one, or one per input, per mode, or both.
+
+    It is immutable.
 
     Parameters
     ----------
@@ -31,13 +36,20 @@ class SwitchedSystem(Frozen):
         State matrices, 1/s.
     B : array_like, shape (modes, n, m)
         Input matrices.
-    delay : float
-        Input delay D > 0, in seconds.
+    delay : float or array_like, shape (m,), (modes, 1) or (modes, m)
+        Input delays D > 0, in seconds: one for all, one per input, one per mode, or one per mode
+        and input. One-dimensional is per input, also where there are as many modes as inputs.
+
+    Attributes
+    ----------
+    delays : (modes, m) array
+        The delay of every input in every mode, seconds.
 
     Raises
     ------
     ArgumentError
-        If shapes disagree, an entry is not finite, or the delay is not positive.
+        If shapes disagree, an entry is not finite, a delay is not positive, or an input has a
+        delay of its own and acts in no mode.
 
     References
     ----------
@@ -50,25 +62,34 @@ class SwitchedSystem(Frozen):
     ...                           [[[0], [1]], [[0], [1.02]]], delay=1.0)
     >>> plant
     SwitchedSystem(modes=2, states=2, inputs=1, delay=1)
+
+    Throttle and brake, each with its own delay; and the same where the second mode is slower:
+
+    >>> dt.SwitchedSystem([[[-0.1]]], [[[1.0, -4.0]]], delay=[0.3, 0.1])
+    SwitchedSystem(modes=1, states=1, inputs=2, delay=[0.3, 0.1])
+    >>> A, B = [[[-0.1]], [[-0.2]]], [[[1.0, -4.0]], [[0.8, -4.0]]]
+    >>> dt.SwitchedSystem(A, B, delay=[[0.3, 0.1], [0.5, 0.1]]).delays
+    array([[0.3, 0.1],
+           [0.5, 0.1]])
     """
 
     A: Float[np.ndarray, "mode n n"]
     B: Float[np.ndarray, "mode n m"]
-    delay: float
+    delays: Float[np.ndarray, "mode m"]
 
-    def __init__(self, A: ArrayLike, B: ArrayLike, delay: float) -> None:
+    def __init__(self, A: ArrayLike, B: ArrayLike, delay: ArrayLike) -> None:
         A = real_array("A", A, "(modes, n, n)", 3)
         B = real_array("B", B, "(modes, n, m)", 3)
         modes, n = A.shape[:2]
         require_shape("A", A, (modes, n, n), "(modes, n, n)")
         rows = B.shape[2] == n != B.shape[1]  # of inputs, where columns are meant
         require_shape("B", B, (modes, n, B.shape[1] if rows else B.shape[2]), "(modes, n, m)")
-        delay = positive("delay", delay)
-        vars(self).update(A=A, B=B, delay=delay)
-        require_exponential("delay", A, delay)
+        delays = check_delays(delay, B)
+        vars(self).update(A=A, B=B, delays=delays)
+        require_exponential("delay", A, self.longest_delay)
 
     @classmethod
-    def from_statespace(cls, systems: Sequence[Any], delay: float) -> SwitchedSystem:
+    def from_statespace(cls, systems: Sequence[Any], delay: ArrayLike) -> SwitchedSystem:
         """A plant from python-control ``StateSpace`` objects, one per mode.
 
         The systems must be in continuous time and agree in states and inputs.
@@ -113,12 +134,55 @@ class SwitchedSystem(Frozen):
         return self.B.shape[2]
 
     @cached_property
+    def longest_delay(self) -> float:
+        """The longest delay of an input in a mode, seconds."""
+        return float(self.delays.max())
+
+    @property
+    def has_one_delay(self) -> bool:
+        """Whether all inputs have the same delay in all modes."""
+        return bool((self.delays == self.delays[0, 0]).all())
+
+    @property
+    def delay(self) -> float:
+        """The input delay, seconds, where there is one for all inputs and modes.
+
+        Raises `ArgumentError` where there are several: they are `delays`.
+        """
+        return self.one_delay("what asks for plant.delay")
+
+    def one_delay(self, feature: str) -> float:
+        """The one delay, seconds, for a feature that cannot deal with several yet.
+
+        Raises `ArgumentError`, with the feature's name, where there are several.
+        """
+        if not self.has_one_delay:
+            raise ArgumentError(
+                f"plant must have one delay for {feature}, got delay={self.delay_text}: give it "
+                "one of them."
+            )
+        return float(self.delays[0, 0])
+
+    @property
+    def delay_text(self) -> str:
+        """The delays in figures, as a plant is given them."""
+        return f"{self.delay_data:g}" if self.has_one_delay else f"{self.delay_data}"
+
+    @property
+    def delay_data(self) -> float | list[float] | list[list[float]]:
+        """The delays as a plant is given them: a number, one per input, or per mode and input."""
+        if self.has_one_delay:
+            return float(self.delays[0, 0])
+        rows = (self.delays == self.delays[0]).all()
+        return self.delays[0].tolist() if rows else self.delays.tolist()
+
+    @cached_property
     def identity(self) -> Float[np.ndarray, "n n"]:
         """The weight of |x|²."""
         return read_only(np.eye(self.states))
 
     def mean(self) -> SwitchedSystem:
-        """The plant with one mode, the element-wise mean (Ā, B̄) of all modes.
+        """The plant with one mode, the element-wise mean (Ā, B̄) of all modes, and of delays.
 
         Examples
         --------
@@ -127,8 +191,10 @@ class SwitchedSystem(Frozen):
         array([[[2.15 , 1.05 ],
                 [0.025, 1.1  ]]])
         """
+        same = (self.delays == self.delays[0]).all(axis=0)
+        delays = np.where(same, self.delays[0], self.delays.mean(axis=0))
         return SwitchedSystem(
-            self.A.mean(axis=0, keepdims=True), self.B.mean(axis=0, keepdims=True), self.delay
+            self.A.mean(axis=0, keepdims=True), self.B.mean(axis=0, keepdims=True), delays[None]
         )
 
     def apart(self, alpha: float) -> SwitchedSystem:
@@ -153,13 +219,47 @@ class SwitchedSystem(Frozen):
         if far < 0.0:
             raise ArgumentError(f"alpha must be ≥ 0 and finite, got {brief(alpha)}.")
         A, B = (M[0] + far * (M - M[0]) for M in (self.A, self.B))
-        return SwitchedSystem(A, B, self.delay)
+        return SwitchedSystem(A, B, self.delays)
 
     def __repr__(self) -> str:
         return (
             f"SwitchedSystem(modes={self.modes}, states={self.states}, "
-            f"inputs={self.inputs}, delay={self.delay:g})"
+            f"inputs={self.inputs}, delay={self.delay_text})"
         )
+
+
+def check_delays(delay: ArrayLike, B: Float[np.ndarray, "mode n m"]) -> np.ndarray:
+    """The delays of all modes and inputs, (modes, m), from a number or an array of them."""
+    modes, _, m = B.shape
+    given = np.asarray(delay) if isinstance(delay, (list, tuple, np.ndarray)) else np.empty(())
+    if given.ndim == 0:
+        return read_only(np.full((modes, m), positive("delay", delay)))
+    form = f"(m,) = ({m},), (modes, 1) = ({modes}, 1) or (modes, m) = ({modes}, {m})"
+    delays = real_array("delay", delay, form, 1 if given.ndim == 1 else 2)
+    if delays.shape not in ((m,), (modes, 1), (modes, m)):
+        per_mode = delays.shape == (modes,)
+        hint = (
+            f"; for one per mode give {[[value] for value in delays.tolist()]}" if per_mode else ""
+        )
+        raise ArgumentError(
+            f"delay must be a number or have shape {form}, got {delays.shape}: a list is one per "
+            f"input{hint}."
+        )
+    delays = np.array(np.broadcast_to(delays, (modes, m)))
+    wrong = np.argwhere(delays <= 0.0)
+    if wrong.size:
+        i, j = wrong[0]
+        raise ArgumentError(
+            f"delay of input {j} in mode {i} must be positive, in s, got {delays[i, j]:g}: for an "
+            "input that acts at once give a small share of the sampling period."
+        )
+    idle = np.flatnonzero(~B.any(axis=(0, 1)))
+    if idle.size and m > 1:
+        raise ArgumentError(
+            f"B[:, :, {idle[0]}] must not be zero in every mode where inputs have delays of their "
+            f"own: input {idle[0]} acts on nothing, so it has none; leave it out."
+        )
+    return read_only(delays)
 
 
 def require_exponential(name: str, A: Float[np.ndarray, "mode n n"], tau: float) -> float:

@@ -82,9 +82,9 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
         progress(f"simulating: {name}")
         runs[name] = problem.simulate(name)
     # Long enough for the slowest root to stand out.
-    horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.delay)
+    horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.longest_delay)
     if problem.step is not None:
-        held_inputs = max(1.0, problem.plant.delay / problem.step)
+        held_inputs = max(1.0, problem.plant.longest_delay / problem.step)
         most = min(_MOST_PERIODS, _MOST_WORK / held_inputs)
         horizon = max(problem.horizon, min(horizon, most * problem.step))
     held = []

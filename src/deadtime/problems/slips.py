@@ -35,7 +35,7 @@ def slips_of(problem: Problem, step: float | None = None) -> list[str]:
 and the law does not see them. Is it in seconds? Shorten it.
     """
     step = problem.step if step is None else step
-    delay, horizon, found = problem.plant.delay, problem.horizon, []
+    delay, horizon, found = problem.plant.delays.min(), problem.horizon, []
     if delay >= horizon:
         found.append(
             f"The delay, {delay:g} s, is not shorter than the horizon, {horizon:g} s: nothing that "

@@ -105,9 +105,9 @@ def _imperfections(result: Comparison) -> list[str]:
     if problem.model is not None:
         differ = [name for name in ("A", "B") if _differ(problem, name)]
         parts += [f"{' and '.join(differ)} of the plant differ from the laws' model"] * bool(differ)
-        true, believed = problem.plant.delay, problem.model.delay
-        if true != believed:
-            parts.append(f"the true delay is {true:g} s, the model's {believed:g} s")
+        if not np.array_equal(problem.plant.delays, problem.model.delays):
+            true, believed = problem.plant.delay_text, problem.model.delay_text
+            parts.append(f"the true delay is {true} s, the model's {believed} s")
     parts += [repr(one) for one in problem.imperfections]
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
 

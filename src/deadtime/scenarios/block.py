@@ -75,7 +75,7 @@ class Block:
                     return 0
                 self._alone(row, law, signals[i], first + i)
         if self.results.mode is not None:
-            step = self.loop.window.step
+            step = self.loop.step
             times = step * np.arange(self.loop.whole + 1)
             for i, signal in enumerate(signals):
                 self.results.mode[first + i] = modes_at(signal, times, step)
@@ -139,7 +139,7 @@ class Block:
             signal,
             loop.x0,
             loop.horizon,
-            loop.window.step,
+            loop.step,
             imperfections=self.imperfections,
             seed=scenario_seed(self.seed, scenario),
         )

@@ -42,7 +42,7 @@ class Engine:
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         root = loop.root.ravel()
-        self._run = Run(loop.whole + 1, loop.rest / loop.window.step, loop.late, loop.x0, root)
+        self._run = Run(loop.whole + 1, loop.rest / loop.step, loop.late, loop.x0, root)
         rate, low, high = loop.limits
         self._limits = Limits(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide

@@ -48,7 +48,7 @@ def metrics_of(
     The peak of |x| so far never falls, and is the peak itself from where it is reached on; so the
     last sample above 2 % of the peak so far is the last one above 2 % of the peak.
     """
-    step = loop.window.step
+    step = loop.step
     peak = np.maximum(figures.peak, figures.final)
     parts = figures.ise, step * figures.energy
     cost = parts if weighed is None else (weighed.ise, step * weighed.energy)
@@ -76,12 +76,12 @@ def _decay_rate(loop: Loop, figures: Figures) -> Float[np.ndarray, " scenario"]:
     moment = count * figures.log_sum - figures.log_double
     total, places, squares = figures.log_sum, float(j.sum()), float((j * j).sum())
     if loop.rest > 0.0:
-        place = loop.horizon / loop.window.step - loop.late
+        place = loop.horizon / loop.step - loop.late
         last = np.log(np.maximum(figures.final, np.finfo(float).tiny))
         moment, total = moment + place * last, total + last
         places, squares, count = places + place, squares + place * place, count + 1
     slope = (moment - places / count * total) / (squares - places * places / count)
-    return -0.5 * slope / loop.window.step
+    return -0.5 * slope / loop.step
 
 
 def few_late(loop: Loop) -> bool:

@@ -64,7 +64,7 @@ class HeardBlock:
     @cached_property
     def _heard(self) -> _Stack:
         """What reaches the law of every scenario."""
-        plant, step, samples = self.loop.plant, self.loop.window.step, self.loop.whole + 1
+        plant, step, samples = self.loop.plant, self.loop.step, self.loop.whole + 1
         sizes, count = Sizes.of(plant, step), self.laid.scenarios
         each, modes = np.arange(samples), np.arange(plant.modes)
         sample, told = np.empty((count, samples), np.int32), None

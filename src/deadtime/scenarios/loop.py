@@ -14,7 +14,7 @@ from deadtime.base.checks import read_only
 from deadtime.feedback.table import OLDEST
 from deadtime.imperfections import Limiting, Sizes
 from deadtime.numerics.covariance import square_root
-from deadtime.plant import SampledPlant, SwitchedSystem, Weight, Window
+from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.steps import snap, snap_all
 from deadtime.scenarios.acting import Acting, acting_of
 from deadtime.scenarios.cut_periods import (
@@ -62,8 +62,8 @@ class Loop:
         return self.sampled.plant
 
     @property
-    def window(self) -> Window:
-        return self.sampled.window
+    def step(self) -> float:
+        return self.sampled.step
 
     @cached_property
     def acting(self) -> Acting:
@@ -72,17 +72,17 @@ class Loop:
 
     @cached_property
     def whole(self) -> int:
-        return math.floor(snap(self.horizon / self.window.step))
+        return math.floor(snap(self.horizon / self.step))
 
     @cached_property
     def rest(self) -> float:
-        ratio = snap(self.horizon / self.window.step)
-        return 0.0 if ratio == self.whole else self.horizon - self.whole * self.window.step
+        ratio = snap(self.horizon / self.step)
+        return 0.0 if ratio == self.whole else self.horizon - self.whole * self.step
 
     @cached_property
     def late(self) -> int:
         """The first sample of the second half."""
-        step, half = self.window.step, 0.5 * self.horizon
+        step, half = self.step, 0.5 * self.horizon
         first = max(0, math.floor(half / step) - 1)
         return next(k for k in range(first, first + 4) if k * step >= half)
 
@@ -102,7 +102,7 @@ class Loop:
     def tables(self) -> Tables | None:
         """Cut periods as series; None for a plant so fast that they would be too long."""
         norms = [balanced_norm(A) for A in self.plant.A]
-        size = max(norms) * self.window.step
+        size = max(norms) * self.step
         cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
         if cells > _CELLS:
             return None
@@ -112,7 +112,7 @@ class Loop:
     def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Per actuator: 1 where it limits the change of the input and 0 otherwise, low, high."""
         m = self.plant.inputs
-        sizes = Sizes(self.plant.modes, self.plant.states, m, self.window.step)
+        sizes = Sizes(self.plant.modes, self.plant.states, m, self.step)
         limits = [one.limits(sizes) for one in self.actuators]
         rate = np.array([float(limit.relative) for limit in limits])
         low = np.reshape([limit.low for limit in limits], (-1, m))
@@ -127,7 +127,7 @@ class Loop:
             signals.times,
             signals.modes,
             self.whole + 1,
-            self.window.step,
+            self.step,
             self.acting,
             self.plant.modes,
         )
@@ -136,7 +136,7 @@ class Loop:
         """Signals laid on the periods up to the horizon."""
         from deadtime.scenarios.laid import fill_maps
 
-        records, window, tables = self.place(signals), self.window, self.tables
+        records, tables = self.place(signals), self.tables
         assert tables is not None
         modes = self.plant.modes
         own = np.concatenate((self.maps.move.reshape(modes, -1), pack(self.maps.energy)), axis=1)
@@ -147,7 +147,7 @@ class Loop:
             maps,
             records,
             signals.modes,
-            window.step,
+            self.step,
             self.rest,
             self.acting,
             tables.switched,
@@ -155,5 +155,5 @@ class Loop:
             (0.0,) * (tables.width // WIDE),
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
-        ages = np.floor(snap_all(np.minimum(signals.initial_age / window.step, OLDEST)))
+        ages = np.floor(snap_all(np.minimum(signals.initial_age / self.step, OLDEST)))
         return Laid(records, maps, ages.astype(np.int64))

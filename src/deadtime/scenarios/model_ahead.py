@@ -58,7 +58,7 @@ class ModelAhead:
             records,
             signals.modes,
             self._rest,
-            loop.window.step,
+            loop.step,
             loop.acting,
             tables.pieces,
             (0.0,) * (tables.pieces.shape[-1] // WIDE),

@@ -152,7 +152,7 @@ def monte_carlo(
     if backend != "numba":
         raise ArgumentError(f"backend must be 'numba', the only engine there is, got {backend!r}.")
     x0 = require_shape("x0", real_array("x0", x0, "(n,)", 1), (plant.states,), "(n,)")
-    delay = max(plant.delay, *(law.plant.delay for law in named.values()))
+    delay = max(plant.longest_delay, *(law.plant.longest_delay for law in named.values()))
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
@@ -176,7 +176,7 @@ def monte_carlo(
         "modes": plant.modes,
         "states": plant.states,
         "inputs": plant.inputs,
-        "delay": plant.delay,
+        "delay": plant.delay_data if plant.has_one_delay else plant.delays.ravel().tolist(),
         "backend": backend,
         "imperfections": [repr(one) for one in imperfections],
         "one_by_one": [name for name in named if name not in tables],
@@ -243,7 +243,7 @@ def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Tabl
 
     if not isinstance(law, TableLaw):
         return None
-    step, samples, anything = loop.window.step, loop.whole + 1, SwitchingSignal.constant(0)
+    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if law.foresight(step, anything, samples) is not None:
         ahead = ModelAhead(law, _sampled(law.plant, step), samples)
         if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:

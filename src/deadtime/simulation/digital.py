@@ -92,7 +92,7 @@ class Grid:
         samples = math.floor(snap(horizon / step)) + 1
         past = max(sampled.longest_lag, law.sampled_plant(step).longest_lag)
         inputs = np.zeros((past + samples, plant.inputs))
-        longest = max(plant.delay, law.plant.delay)
+        longest = max(plant.longest_delay, law.plant.longest_delay)
         inputs[:past] = held_samples(u0, plant.inputs, past, step, longest)
         return cls(sampled, samples, past, inputs)
 
@@ -147,7 +147,7 @@ def run_table(
 
     sampled, samples, past = grid.sampled, grid.samples, grid.past
     step, memory = sampled.step, tables.memory
-    cuts = cuts_of(signal, sampled.window)
+    cuts = cuts_of(signal, sampled)
     table = sampled.along(cuts, grid.periods)
     shift, forces = np.zeros((0, x0.size)), None
     if disturbances:

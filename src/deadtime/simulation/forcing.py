@@ -33,6 +33,8 @@ class Forcing:
         disturbances: Sequence[tuple[Disturbance, np.random.Generator]],
     ) -> None:
         plant = self._plant = sampled.plant
+        if not (plant.delays == plant.delays[0]).all():
+            plant.one_delay("disturbances, or one per input that is the same in all modes")
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
         # Of two stretches at least, so that a seed draws the same numbers for every delay.
         lengths = [part.stop - part.start for part in sampled.stretches(0)] + [0.0]

@@ -48,7 +48,7 @@ class Foreseen(NamedTuple):
     def of(cls, foresight: Foresight, samples: int) -> Foreseen:
         """A law's foresight over a run, with empty stacks that have room for the longest window."""
         sampled, signal = foresight.sampled, foresight.signal
-        cuts = cuts_of(signal, sampled.window)
+        cuts = cuts_of(signal, sampled)
         table = sampled.along(cuts, samples + sampled.longest_lag)
         sample, n = table.sample, sampled.plant.states
         until = np.searchsorted(sample.min(axis=1), np.arange(samples))

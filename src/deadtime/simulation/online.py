@@ -58,7 +58,7 @@ def run_online(
     with np.errstate(over="ignore", invalid="ignore"):
         kept, path, stop = _run(truth, update, lags, age, x0, horizon, grid)
     total = kept + sampled.longest_lag - 1
-    known = total * step + sampled.window.phase
+    known = total * step + sampled.windows[-1].phase
     if truth.chatter is not None:
         known = truth.chatter.time
     signal, cuts = truth.signal(known), truth.cuts()

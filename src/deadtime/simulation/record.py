@@ -13,7 +13,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.steps import Cuts, snap_all
+from deadtime.plant.steps import TOLERANCE, Cuts, snap_all
 from deadtime.simulation.slides import Slides
 
 
@@ -57,6 +57,18 @@ class DigitalRecord(Frozen):
     def step(self) -> float:
         """The sampling period, seconds."""
         return self.sampled.step
+
+    @property
+    def last(self) -> float:
+        """Up to when x is known, seconds: on past the run's end while all inputs are."""
+        table, q = self.table, self.path.shape[0] - 1
+        start = table.start[table.entry[q]] if q < table.entry.size else 0.0
+        return float((np.searchsorted(table.first, q, "right") - 1) * self.step + start)
+
+    @property
+    def slack(self) -> float:
+        """Seconds before a switch within which a time counts as at it."""
+        return TOLERANCE * self.step
 
     @cached_property
     def states(self) -> Float[np.ndarray, "grid n"]:

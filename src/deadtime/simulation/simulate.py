@@ -139,7 +139,7 @@ def simulate(
         outcome = _ideal(plant, law, switching, x0, horizon, u0)
     else:
         step = positive("step", step)
-        require_steps(horizon, max(plant.delay, law.plant.delay), step)
+        require_steps(horizon, max(plant.longest_delay, law.plant.longest_delay), step)
         grid = Grid.of(plant, law, horizon, step, u0)
         outcome = _digital(plant, law, switching, x0, horizon, grid, others, predict, disturbances)
     end = horizon if outcome.end is None else outcome.end
@@ -185,14 +185,15 @@ def _ideal(
     u0: InitialInput,
 ) -> Outcome:
     """The ideal run."""
-    if horizon < TOLERANCE * plant.delay:
+    delay = plant.one_delay("the ideal loop (step=None)")
+    if horizon < TOLERANCE * delay:
         raise ArgumentError(
-            f"horizon must be at least {TOLERANCE:.0e} of the delay = {plant.delay:g} s, got "
+            f"horizon must be at least {TOLERANCE:.0e} of the delay = {delay:g} s, got "
             f"{horizon:g} s: are both in seconds? Lengthen it."
         )
     if not isinstance(switching, SwitchingSignal):
         return run_ideal_rule(plant, law, switching, x0, horizon, u0)
-    longest = max(plant.delay, law.plant.delay)
+    longest = max(delay, law.plant.one_delay("the ideal loop (step=None)"))
     forecast = law.ideal(switching, horizon)
     history = input_function(u0, plant.inputs, longest)
     record, end = run_ideal(plant, forecast, switching, x0, horizon, history)

@@ -19,6 +19,7 @@ from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import first_reads
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +45,8 @@ class Trajectory(Frozen):
         σ.
     mismatch : (m, T) or None
         w = u − K_σ(t+D) x(t + D), with the true plant and its true future; None for a law
-        without a gain per mode.
+        without a gain per mode. Of several delays t + D is when the plant first reads what is sent
+        at t, input by input; the last of these may lie beyond what the run knows: NaN.
     diverged : bool
         |x| left 1e100; the run ends at the last sample before that.
     message : str
@@ -233,10 +235,10 @@ def trajectory_of(
     states, inputs = read_only(record.states_at(time)), read_only(record.inputs_at(time))
     mismatch = None
     if gains is not None:
-        K, ahead = gains[mode_at(time + plant.delay)], record.ahead_of(time)
+        feedback = _exact_feedback(record, plant, signal, mode_at, gains, time)
         with np.errstate(over="ignore", invalid="ignore"):
-            mismatch = (inputs - np.einsum("kij,kj->ki", K, ahead)).T
-        mismatch = np.where(np.isfinite(mismatch), mismatch, np.inf)
+            mismatch = (inputs - feedback).T
+        mismatch = np.where(np.isinf(mismatch), np.inf, mismatch)
     return Trajectory(
         time,
         states.T,
@@ -250,3 +252,26 @@ def trajectory_of(
         record,
         end,
     )
+
+
+def _exact_feedback(
+    record: DigitalRecord | IdealRecord,
+    plant: SwitchedSystem,
+    signal: SwitchingSignal,
+    mode_at: Callable[[np.ndarray], np.ndarray],
+    gains: np.ndarray,
+    time: np.ndarray,
+) -> np.ndarray:
+    """K x (times, m) of the instants at which what is sent at these times is first read."""
+    if plant.has_one_delay:
+        K, ahead = gains[mode_at(time + plant.delay)], record.ahead_of(time)
+        with np.errstate(over="ignore", invalid="ignore"):
+            feedback = np.einsum("kij,kj->ki", K, ahead)
+        return np.where(np.isfinite(feedback), feedback, np.inf)
+    reads = first_reads(signal, plant.delays, time, record.slack)
+    feedback = np.full(reads.shape, np.nan)
+    for j, read in enumerate(reads.T):
+        known = np.flatnonzero(read <= record.last)
+        K, x = gains[mode_at(read[known]), j], record.states_at(read[known])
+        feedback[known, j] = np.einsum("ki,ki->k", K, x)
+    return feedback

@@ -73,7 +73,7 @@ class KnownTruth(Truth):
         self, sampled: SampledPlant, signal: SwitchingSignal, steps: int, disturbances: Drawn
     ) -> None:
         self._plant, self._signal = sampled.plant, signal
-        self._cuts = cuts_of(signal, sampled.window)
+        self._cuts = cuts_of(signal, sampled)
         self._table = sampled.along(self._cuts, steps)
         self._modes = modes_at(signal, np.arange(steps) * sampled.step, sampled.step)
         self._shift = np.zeros((self._table.entry.size, sampled.plant.states))
@@ -125,12 +125,13 @@ class RuleTruth(Truth):
         disturbances: Drawn,
     ) -> None:
         plant, self._forcing = sampled.plant, None
+        delay = plant.one_delay("a plant that a rule switches")
         self._step, self._stretches = sampled.step, sampled.stretches(0)
         if disturbances:
             self._forcing = Forcing(sampled, steps, disturbances)
             self.forces = np.zeros((steps * len(self._stretches), plant.states))
             unit = np.broadcast_to(np.eye(plant.states), plant.A.shape)
-            plant = SwitchedSystem(plant.A, np.concatenate((plant.B, unit), axis=2), plant.delay)
+            plant = SwitchedSystem(plant.A, np.concatenate((plant.B, unit), axis=2), delay)
         lengths = tuple(part.stop - part.start for part in self._stretches)
         self._motion = rule.motion(plant, lengths)
         self._place = self._motion.place_of(x0)

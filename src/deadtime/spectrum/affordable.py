@@ -95,7 +95,7 @@ def _too_long(
 
 
 def _longest(plant: SwitchedSystem, law: Law) -> float:
-    return max(plant.delay, law.plant.delay)
+    return max(plant.longest_delay, law.plant.longest_delay)
 
 
 def _time(seconds: float) -> str:

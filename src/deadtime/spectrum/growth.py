@@ -178,6 +178,6 @@ def _ideal(plant: SwitchedSystem, law: Law, mode: int) -> float:
     if not found.complete or found.errors[0] > _PRECISION * loop.unit:
         raise ArgumentError(
             "step must be given: the characteristic roots of the ideal loop could not be told "
-            f"apart, so large are the law's gains over a delay of {law.plant.delay:g} s."
+            f"apart, so large are the law's gains over a delay of {law.plant.longest_delay:g} s."
         )
     return float(found.roots[0].real)

@@ -78,6 +78,7 @@ class IdealLoop:
         """
         from deadtime.numerics.exponential import balance, discretise
 
+        delay = plant.one_delay("characteristic roots")
         A, B = plant.A[mode], plant.B[mode]
         forecast = law.ideal(SwitchingSignal.constant(mode), 0.0)
         K, S, R, L = _terms_in_aged_mode(forecast)
@@ -86,13 +87,13 @@ class IdealLoop:
         K, S, R, lead = K * r, S * r / r[:, None], R / r[:, None], forecast.lead
         KE = K @ discretise(S, R, lead)[0]
         require_finite_gains(KE, KE @ L @ B)
-        norms = np.linalg.norm(A, 2), np.linalg.norm(S, 2), 1.0 / max(plant.delay, lead)
+        norms = np.linalg.norm(A, 2), np.linalg.norm(S, 2), 1.0 / max(delay, lead)
         near = 2.0 * float(max(norms))
         tau, taps = weights(K, S, R, lead, 1.5 * near)
         F = KE @ L
         rate = float(max(*norms[:2], np.linalg.norm(F @ B, 2), np.linalg.norm(K @ R, 2)))
-        rate = rate or 1.0 / max(plant.delay, lead)
-        return cls(A, B, plant.delay, K, S, R, lead, F, KE, tau, taps, near, rate)
+        rate = rate or 1.0 / max(delay, lead)
+        return cls(A, B, delay, K, S, R, lead, F, KE, tau, taps, near, rate)
 
     def memory(
         self, s: Complex[np.ndarray, " point"]

@@ -95,7 +95,9 @@ class Poles(Family):
     @property
     def unit(self) -> float:
         """What frequencies are measured in, 1/s."""
-        return max(float(np.abs(np.linalg.eigvals(self.plant.A)).max()), 0.3 / self.plant.delay)
+        return max(
+            float(np.abs(np.linalg.eigvals(self.plant.A)).max()), 0.3 / self.plant.longest_delay
+        )
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +110,8 @@ class Poles(Family):
     def starts(self, gains: Float[np.ndarray, "mode m n"]) -> list[np.ndarray]:
         plant = self.plant
         closed = np.linalg.eigvals(plant.A + plant.B @ gains)
-        extra = [-1.0 / (part * plant.delay) for part in _FILTERS] if self.filtered else [None]
+        unit = plant.longest_delay
+        extra = [-1.0 / (part * unit) for part in _FILTERS] if self.filtered else [None]
         rows = []
         for pole in extra:
             lists = [list(row) + ([] if pole is None else [pole]) for row in closed]
@@ -198,7 +201,7 @@ class Weights(Family):
         R = np.concatenate((np.ones(1), values[n : n + m - 1]))
         states = values[:n]
         if self.filtered:
-            states, R = np.concatenate((states, R)), values[-1] * self.plant.delay**2 * R
+            states, R = np.concatenate((states, R)), values[-1] * self.plant.longest_delay**2 * R
         try:
             X = solve_continuous_are(A, B, np.diag(states), np.diag(R))
         except ValueError:  # LinAlgError among them

@@ -103,7 +103,8 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
     """
     instance("plant", plant, SwitchedSystem)
     mode = index("mode", mode, plant.modes)
-    D, slow = plant.delay, SLOW / plant.delay
+    D = plant.one_delay("delay_limit")
+    slow = SLOW / D
     _require_stabilisable(plant.A[mode], plant.B[mode], slow, mode)
     A, B = _unstable(plant.A[mode], plant.B[mode], slow)
     on_axis = _on_axis(plant.A[mode], D)

@@ -152,7 +152,7 @@ def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], 
         constant_growth(plant, feedback, mode, aged_row(feedback, mode))
         for mode in range(plant.modes)
     ]
-    longest = max(plant.delay, feedback.taps * step)
+    longest = max(plant.longest_delay, feedback.taps * step)
     loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest))
     constants = []
     for mode, rate in enumerate(rates):

@@ -124,7 +124,7 @@ class SampledLoop:
         else:
             seen = modes_at(signal, np.arange(periods) * step, step)
             rows = feedback.rows(np.tile(seen, 2))[periods:]
-        pieces = self.sampled.along(cuts_of(signal, self.sampled.window), periods)
+        pieces = self.sampled.along(cuts_of(signal, self.sampled), periods)
         first = pieces.lag[:, :1]
         power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)
         law = rows, feedback.state_gain, self.G

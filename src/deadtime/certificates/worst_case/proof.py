@@ -170,7 +170,7 @@ def _ahead(loop: SampledLoop, gains: list[list[list[Any]]], moves: list[Any]) ->
 
 def _moves(loop: SampledLoop, cycle: Cycle) -> list[Any]:
     """[Φ, Γ_N, Γ_{N−1}, …] of x⁺ = Φ x + Σ_l Γ_l u_{k−l} of every period, in balls."""
-    cuts = cuts_of(cycle.signal(loop.step), loop.sampled.window)
+    cuts = cuts_of(cycle.signal(loop.step), loop.sampled)
     table = loop.sampled.along(cuts, cycle.periods)
     lags = range(loop.sampled.longest_lag, int(table.lag.min()) - 1, -1)
     known: dict[tuple[int, ...], Any] = {}

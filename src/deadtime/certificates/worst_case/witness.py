@@ -117,7 +117,7 @@ def worst_case(
         signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
         sojourns = (math.inf,)
     else:
-        number = max(CYCLES, math.ceil(DELAYS * plant.delay / (cycle.periods * step)))
+        number = max(CYCLES, math.ceil(DELAYS * plant.longest_delay / (cycle.periods * step)))
         signal = repeat(cycle, number, dwell_time, step)
         missing = [dwell_time - gap * step for gap in cycle.gaps]
         sojourns = tuple(dwell_time if 0.0 < t < SLACK * step else dwell_time - t for t in missing)

@@ -6,6 +6,8 @@ The forecast that mode i is held gives, with the input held over each period, th
 
 u_{k−j} has left a whole period h of the delay line for j < N, but of u_{k−N} only the last φ
 still lies ahead. The averaged, single-mode and mean laws are weighted sums of such rows.
+Where inputs or modes have delays of their own each row is that of `along_signal`, along the signal
+that stays in i.
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Factor, Feedback
+from deadtime.laws.tables.along_signal import rows_along
 from deadtime.numerics.exponential import discretise, discretise_into, discretise_modes, product
 from deadtime.numerics.kernels import kernel
-from deadtime.plant import SampledPlant
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.switching import SwitchingSignal
 
 
 @kernel
@@ -56,13 +60,18 @@ def _rows(A, B, K, weights, ahead, longest, delay):
 
 
 def constant_table(
-    A: Float[np.ndarray, "mode n n"],
-    B: Float[np.ndarray, "mode n m"],
+    plant: SwitchedSystem,
     K: Float[np.ndarray, "mode m n"],
     weights: Float[np.ndarray, " mode"],
-    sampled: SampledPlant,
+    step: float,
 ) -> Feedback:
-    """The one-row table Σ_i w_i K_i P_i, with its factorisation (S block-diagonal over modes)."""
+    """The one-row table Σ_i w_i K_i P_i over the modes of a plant.
+
+    With one delay it has its factorisation (S block-diagonal over modes), else it is dense.
+    """
+    A, B, sampled = plant.A, plant.B, SampledPlant(plant, step)
+    if not plant.has_one_delay:
+        return _dense_table(sampled, K, weights)
     F, G = _rows(
         A, B, K, read_only(weights), sampled.ahead, sampled.longest_lag, sampled.window.delay
     )
@@ -74,3 +83,11 @@ def constant_table(
         S[i * n : (i + 1) * n, i * n : (i + 1) * n] = Phi[i]
     factor = Factor(H, S, Gamma.reshape(modes * n, m), G[None, -1])
     return Feedback(F[None], G[None], "none", sampled.step, factor=factor)
+
+
+def _dense_table(sampled: SampledPlant, K: np.ndarray, weights: np.ndarray) -> Feedback:
+    """The table without a factorisation, for any delays."""
+    modes = range(len(K))
+    rows = [rows_along(sampled, K, SwitchingSignal.constant(i), 1) for i in modes]
+    F, G = (np.tensordot(weights, np.stack(parts), 1) for parts in zip(*rows, strict=True))
+    return Feedback(F, G, "none", sampled.step)

@@ -6,6 +6,9 @@ systems (A_s, B_s), gain K_s. With [0, D) cut into the stretches in which inputs
 every system by itself down to r_a, where all branches join into R = Σ_s K_s e^{A_s (D − r_a)},
 and from there in mode i down to 0. Over a stretch, R adds R Γ to the taps of its inputs and
 becomes R Φ. The stretch that r_a cuts is propagated in two parts, so any real dwell time is exact.
+
+Where inputs or modes have delays of their own, each branch is a signal with one switch, and has the
+row of `along_signal`, under the gain of its last system.
 """
 
 from __future__ import annotations
@@ -17,11 +20,13 @@ from jaxtyping import Float
 
 from deadtime.feedback import Feedback
 from deadtime.feedback.law import require_room, room
+from deadtime.laws.tables.along_signal import rows_along
 from deadtime.laws.tables.constant_mode import place
 from deadtime.numerics.exponential import discretise, discretise_modes, multiply
 from deadtime.numerics.kernels import kernel
-from deadtime.plant import SampledPlant
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
+from deadtime.switching import SwitchingSignal
 
 
 @kernel(eager=True)
@@ -88,20 +93,49 @@ def _rows(A, B, fA, fB, fK, ahead, rest):
 
 
 def dwelling_table(
-    A: Float[np.ndarray, "mode n n"],
-    B: Float[np.ndarray, "mode n m"],
-    after: tuple[np.ndarray, np.ndarray, np.ndarray],
+    plant: SwitchedSystem,
+    after: SwitchedSystem,
+    K: Float[np.ndarray, "system m n"],
+    weights: Float[np.ndarray, " system"],
     dwell_time: float,
-    sampled: SampledPlant,
+    step: float,
 ) -> Feedback:
-    """The (mode, age) table; `after` are the A, B and (weighted) K of the systems that follow."""
+    """The (mode, age) table Σ_s w_s K_s P_s; `after` has the systems that may follow as modes."""
+    everything = SwitchedSystem(
+        np.concatenate((plant.A, after.A)),
+        np.concatenate((plant.B, after.B)),
+        np.concatenate((plant.delays, after.delays)),
+    )
+    sampled = SampledPlant(everything, step)
     periods = snap(dwell_time / sampled.step)
-    modes, _, m = B.shape
+    modes, m = plant.modes, plant.inputs
     most = room(8 * modes * sampled.longest_lag * m * m)
     require_room("dwell_time", periods, sampled.step, most)
     ages = math.ceil(periods) + 1
     rest = np.maximum(0.0, periods - np.arange(ages)) * sampled.step
-    fA, fB, fK = (np.array(M, order="C") for M in after)
-    rest = np.minimum(rest, sampled.window.delay)
-    F, G = _rows(A, B, fA, fB, fK, sampled.ahead, rest)
+    rest = np.minimum(rest, sampled.windows[-1].delay)
+    if everything.has_one_delay:
+        gains = np.array(weights[:, None, None] * K, order="C")
+        F, G = _rows(plant.A, plant.B, after.A, after.B, gains, sampled.ahead, rest)
+    else:
+        F, G = _dense_rows(sampled, modes, K, weights, rest)
     return Feedback(F, G, "mode_age", sampled.step, ages)
+
+
+def _dense_rows(
+    sampled: SampledPlant, modes: int, K: np.ndarray, weights: np.ndarray, rest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """F and G for any delays; the systems that follow are the modes from `modes` on."""
+    m, n = K.shape[1:]
+    ages = rest.size
+    F = np.zeros((modes * ages, m, n))
+    G = np.zeros((modes * ages, sampled.longest_lag, m, m))
+    for i in range(modes):
+        for s, weight in enumerate(weights.tolist()):
+            gains = np.tile(K[s], (sampled.plant.modes, 1, 1))
+            for a, left in enumerate(rest.tolist()):
+                times, path = ([0.0, left], [i, modes + s]) if left else ([0.0], [modes + s])
+                row = rows_along(sampled, gains, SwitchingSignal(times, path), 1)
+                F[i * ages + a] += weight * row[0][0]
+                G[i * ages + a] += weight * row[1][0]
+    return F, G

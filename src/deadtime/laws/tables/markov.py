@@ -59,12 +59,16 @@ def markov_table(
 ) -> Feedback:
     """One row per current mode."""
     modes, n, m = B.shape
+    _require_precision(generator, sampled.step)
+    if not sampled.plant.has_one_delay:
+        from deadtime.laws.tables.markov_passage import passage_table
+
+        return passage_table(K, generator, sampled)
     ahead, h = sampled.ahead, sampled.step
     states = modes * n
     Z = np.zeros((states + modes * m, states + modes * m))
     Z[:states, :states], Z[:states, states:] = _expected_system(A, B, generator)
     Z[states:, states:] = np.kron(generator.T, np.eye(m))
-    _require_precision(generator, h)
     whole = [transition(Z, length) for length in ahead.length.tolist()]
     moved = [transition(generator.T, length) for length in ahead.length.tolist()]
     spread = [np.eye(modes)]  # the modes' probabilities at the start of every stretch

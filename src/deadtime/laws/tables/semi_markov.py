@@ -26,7 +26,7 @@ from jaxtyping import Float
 from deadtime.feedback import Feedback
 from deadtime.numerics.exponential import discretise_modes, multiply
 from deadtime.numerics.kernels import kernel
-from deadtime.plant import Window
+from deadtime.plant import SampledPlant
 
 
 @kernel(eager=True, fastmath={"contract"})
@@ -114,15 +114,18 @@ def semi_markov_rows(A, B, K, hazard, transition, ages, step, phase, count):
 
 
 def semi_markov_table(
-    A: Float[np.ndarray, "mode n n"],
-    B: Float[np.ndarray, "mode n m"],
     K: Float[np.ndarray, "mode m n"],
     hazard: Float[np.ndarray, "mode total"],
     transition: Float[np.ndarray, "mode mode"],
     ages: int,
-    window: Window,
+    sampled: SampledPlant,
 ) -> Feedback:
     """The (mode, age) table; `hazard` reaches N ages past the table's."""
+    if not sampled.plant.has_one_delay:
+        from deadtime.laws.tables.semi_markov_passage import semi_markov_passage
+
+        return semi_markov_passage(K, hazard, transition, ages, sampled)
+    A, B, window = sampled.plant.A, sampled.plant.B, sampled.window
     modes, m, n = K.shape
     F, G = semi_markov_rows(
         A, B, K, hazard, transition, ages, window.step, window.phase, window.count

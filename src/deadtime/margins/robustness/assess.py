@@ -147,9 +147,10 @@ def robustness(
     scenarios, seed = count("scenarios", scenarios), count("seed", seed, 0)
     step, horizon = positive("step", step), positive("horizon", horizon)
     streams(imperfections, seed)
-    if horizon <= plant.delay:
+    if horizon <= plant.longest_delay:
         raise ArgumentError(
-            f"horizon must be longer than the delay, {plant.delay:g} s, got {horizon:g}: until "
+            f"horizon must be longer than the delay, {plant.longest_delay:g} s, got {horizon:g}: "
+            "until "
             "then no input arrives."
         )
     weight = weight_of(weight, plant)

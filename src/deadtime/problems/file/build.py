@@ -61,7 +61,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         truth = _change_plant(plant, file.truth) if file.truth is not None else plant
     imperfections = _imperfections(file, plant, laws, step)
     with _section("signal"):
-        longest = max(truth.delay, *(law.plant.delay for law in laws.values()))
+        longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
         if rule is None:
             end = horizon + longest + min(step or 0.0, horizon)
             signal = build_signal(file.signal, plant, end, source.parent, model)
@@ -230,12 +230,12 @@ def _change_plant(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:
         mine = getattr(plant, name)
         array = mine if given is None else real_array(name, given, "(modes, n, n or m)", 3)
         parts[name] = require_shape(name, array, mine.shape, "that of [plant]")
-    return SwitchedSystem(**parts, delay=plant.delay if own.delay is None else own.delay)
+    return SwitchedSystem(**parts, delay=plant.delays if own.delay is None else own.delay)
 
 
 def _period(file: schema.ProblemFile, plant: SwitchedSystem) -> float:
     """The sampling period of the run; a fine one where the law is updated continuously."""
-    return plant.delay / 100.0 if file.run.step == "ideal" else file.run.step
+    return plant.delays.min() / 100.0 if file.run.step == "ideal" else file.run.step
 
 
 def _mean_gain(section: schema.GainsSection, gains: np.ndarray, mean: SwitchedSystem) -> np.ndarray:

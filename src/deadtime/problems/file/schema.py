@@ -15,6 +15,7 @@ from deadtime.problems.law_registry import ENTRIES, LawSection
 from deadtime.problems.law_registry.entry import (
     SQUARE,
     UNIT,
+    Delays,
     InputMatrices,
     InputWeight,
     ModelSection,
@@ -47,7 +48,9 @@ Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
 class PlantSection(Section):
     """The plant dx/dt = A_σ x + B_σ u(t − delay)."""
 
-    delay: float = Field(description="Input delay D, seconds.")
+    delay: Delays = Field(
+        description="Input delay D, seconds: one for all, one per input, or a row of them per mode."
+    )
     A: Plants = Field(description="One n × n matrix per mode.")
     B: InputMatrices = Field(description="One n × m matrix per mode.")
     states: Names = Field([], description="Names of the states, for figures.")

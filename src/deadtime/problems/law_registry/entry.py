@@ -22,7 +22,7 @@ from pydantic import Field
 from deadtime.feedback import Law
 from deadtime.problems.law_registry.setting import Need, Setting
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrices, Matrix, Section
+from deadtime.problems.toml.table import Matrices, Matrix, Section, Vector
 
 SQUARE = [[0.0, 1.0], [-1.0, -0.5]]
 COLUMN = [[0.0], [1.0]]
@@ -75,10 +75,16 @@ class Named:
     on_page: bool = True
 
 
+# One for all, one per input, or a row of them per mode.
+Delays = Annotated[
+    float | Vector | Matrix, Shape("a number, (m,), (modes, 1) or (modes, m)", [0.5, 0.2])
+]
+
+
 class ModelSection(Section):
     """A plant that differs from [plant] in what is given here: the truth, or a law's own model."""
 
-    delay: float | None = None
+    delay: Delays | None = None
     A: Plants | None = None
     B: InputMatrices | None = None
 

@@ -59,7 +59,7 @@ def random_signals(
     return [
         SwitchingSignal.random(
             problem.plant.modes,
-            problem.horizon + problem.plant.delay,
+            problem.horizon + problem.plant.longest_delay,
             dwell_time=dwell_time,
             seed=scenario_seed(seed, i),
         )

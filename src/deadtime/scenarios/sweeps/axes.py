@@ -103,8 +103,9 @@ def _distance(draft: Draft, alpha: float) -> None:
 
 
 def _delay_error(draft: Draft, error: float) -> None:
-    """The true delay is (1 + e) times that which laws believe."""
-    draft.setdefault("truth", {})["delay"] = (1.0 + error) * draft["plant"]["delay"]
+    """The true delays are (1 + e) times those which laws believe."""
+    delays = (1.0 + error) * np.asarray(draft["plant"]["delay"])
+    draft.setdefault("truth", {})["delay"] = delays.tolist()
 
 
 def _gain_error(draft: Draft, error: float) -> None:

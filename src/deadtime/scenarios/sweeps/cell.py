@@ -107,7 +107,7 @@ def _measure(loop: Loop, laws: Mapping[str, Law], scenarios: int, seed: int) -> 
     if loop.imperfections or scenarios > _FEW:
         chance = loop.imperfections  # equal signals do not make equal runs
         return run(loop.model, scenarios=scenarios, seed=seed, imperfections=chance, threads=1)
-    reach = max(loop.plant.delay, *(law.plant.delay for law in laws.values()))
+    reach = max(loop.plant.longest_delay, *(law.plant.longest_delay for law in laws.values()))
     signals, which = _distinct(draw_signals(loop.model, loop.horizon + reach, seed, 0, scenarios))
     return run(signals, threads=1).isel(scenario=which)
 

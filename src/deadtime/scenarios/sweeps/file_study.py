@@ -123,7 +123,7 @@ class FileStudy(Study):
             plant=plant,
             gains=problem.gains,
             mean_gain=lambda _: mean_gain,
-            period=max(problem.step or 0.0, plant.delay / COARSE),
+            period=max(problem.step or 0.0, plant.longest_delay / COARSE),
             model=model,
             weight=problem.weight or Weight(1.0, INPUT_WEIGHT),
         )

@@ -134,7 +134,7 @@ def _of_law(loop: Loop, law: Law) -> float:
     if not all(map(is_batched, loop.imperfections)):
         return _ALONE
     heard = _HEARD if any(isinstance(one, Relaying) for one in loop.imperfections) else 0.0
-    taps = Window.of(law.plant.delay, loop.step).count
+    taps = Window.of(law.plant.longest_delay, loop.step).count
     size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
     if law.foresees:
         return heard + size * _FORESEEN

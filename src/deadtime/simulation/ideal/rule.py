@@ -77,7 +77,8 @@ def run_ideal_rule(
 ) -> Outcome:
     """Solve the loop on [0, horizon]."""
     gains = _exact_gains(plant, law, rule)
-    loops, delay = plant.A + plant.B @ gains, plant.delay
+    loops = plant.A + plant.B @ gains
+    delay = plant.one_delay("a rule that switches the ideal loop")
     rate = max(_rate(plant.A), _rate(loops))
     if (horizon + delay) * rate > _PIECE * _MOST_PIECES:
         raise ArgumentError(

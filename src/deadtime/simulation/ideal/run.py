@@ -42,6 +42,16 @@ class IdealRecord:
     inputs: Piecewise
     held: ClassVar[bool] = False
 
+    @property
+    def last(self) -> float:
+        """Up to when x is known, seconds."""
+        return float(self.states.edges[-1])
+
+    @property
+    def slack(self) -> float:
+        """Seconds before a switch within which a time counts as at it."""
+        return self.states.slack
+
     def grid(self, end: float) -> Float[np.ndarray, " T"]:
         """The instants that a run reports unless asked for others: 1001, uniform."""
         return np.linspace(0.0, end, _SAMPLES)

@@ -75,7 +75,7 @@ class AveragedLaw(LawSection):
             plant, allow = setting.plant, setting.allow_unstable
             arrays = (_hashable(plant.A), _hashable(plant.B), _hashable(setting.gains))
             tuned = (setting.period, self.common_gain, self.dwell_time, allow)
-            return _minimax(*arrays, plant.delay, *tuned)
+            return _minimax(*arrays, tuple(map(tuple, plant.delays.tolist())), *tuned)
         if self.common_gain:
             raise ArgumentError('common_gain = true goes with weights = "minimax" only.')
         return AveragedPredictor(
@@ -97,7 +97,7 @@ def _minimax(
     A: tuple,
     B: tuple,
     gains: tuple,
-    delay: float,
+    delays: tuple,
     step: float,
     common_gain: bool,
     dwell_time: float | None,
@@ -105,7 +105,7 @@ def _minimax(
 ) -> Law:
     """The same in all cells of a study with this plant: it depends on no switching."""
     return AveragedPredictor.minimax(
-        SwitchedSystem(np.array(A), np.array(B), delay),
+        SwitchedSystem(np.array(A), np.array(B), np.array(delays)),
         np.array(gains),
         step,
         common_gain=common_gain,
@@ -172,7 +172,7 @@ class MeanLaw(LawSection):
         if self.gain is not None:
             gain = real_array("gain", self.gain, "(m, n)", 2)
         else:
-            gain = setting.mean_gain(SwitchedSystem(A[None], B[None], plant.delay))
+            gain = setting.mean_gain(SwitchedSystem(A[None], B[None], plant.mean().delays))
         return MeanPredictor(
             plant,
             gain,
