@@ -166,3 +166,23 @@ def test_the_drone_is_its_model_linearised_and_the_push_is_made_up_for():
     means = [abs(run.states[0, late].mean()) for run in out["runs"].values()]
     assert means[0] < 0.05 < 0.2 < means[1]
     assert np.abs(out["runs"]["delay ignored"].states[0, late]).max() > 1.0
+
+
+def test_each_feed_is_as_late_as_its_pipe_is_long_and_no_single_delay_is_as_good_at_both():
+    out = ran("two_pipes")
+    assert_allclose(out["plant"].delays, [[0.4, 0.15], [0.8, 0.3]])
+    # Mass and heat of two tanks, of unit volume, at flow q.
+    for mode, q in enumerate(out["FLOWS"]):
+
+        def motion(first, second, ordered, added, q=q):
+            return [
+                q * (ordered - first) + 0.6 * first,
+                q * first + 0.5 * q * added - 1.5 * q * second + 0.7 * second,
+            ]
+
+        model = np.hstack((out["A"][mode], out["B"][mode]))
+        assert_allclose(slopes(motion, (0, 0, 0, 0)), model, rtol=1e-6, atol=1e-9)
+    cost, slowest = out["data"].cost.mean("scenario").values, np.array(out["slowest"])
+    assert slowest[0] < slowest[1:].min() - 0.2
+    assert cost[1:].min() > 0.9 * cost[0]
+    assert slowest[out["best"]] > 0.5 * slowest[0]
