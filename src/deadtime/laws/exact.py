@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -101,8 +102,6 @@ class ExactPredictor(TableLaw):
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Foresight:
-        from deadtime.numerics.exponential import discretise_modes
-
         sampled = self.sampled_plant(step)
         if steps is None:
             raise ArgumentError(
@@ -112,11 +111,19 @@ class ExactPredictor(TableLaw):
             )
         count("steps", steps)
         known = self._require_signal(signal, (steps - 1) * step)
+        _ = self._finite
+        m = self.plant.inputs
+        return Foresight(sampled, self.gains, np.zeros((m, m)), known)
+
+    @cached_property
+    def _finite(self) -> bool:
+        """That floats hold all K_i e^{A_i D}, checked once; others are refused."""
+        from deadtime.numerics.exponential import discretise_modes
+
         ahead, _ = discretise_modes(self.plant.A, self.plant.B, self.plant.delay)
         with np.errstate(all="ignore"):
             require_finite_gains(self.gains @ ahead)
-        m = self.plant.inputs
-        return Foresight(sampled, self.gains, np.zeros((m, m)), known)
+        return True
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
