@@ -67,15 +67,13 @@ class Foreseen(NamedTuple):
         until = np.searchsorted(sample.min(axis=1), np.arange(samples))
         gain = foresight.gains[foresight.modes_ahead(samples)]
         slots = max(1, int((until - begin).max())) + 2
-        kept = (
-            np.concatenate((table.Phi, table.Gamma), axis=2),
-            np.column_stack((table.entry, sample)),
-            np.column_stack((begin, until)),
-            gain,
-            foresight.latest,
+        move = np.concatenate((table.Phi, table.Gamma), axis=2)
+        piece, window = np.column_stack((table.entry, sample)), np.column_stack((begin, until))
+        return cls(
+            *(read_only(move), read_only(piece), read_only(window)),
+            *(read_only(gain), read_only(foresight.latest)),
+            *(np.zeros((slots, n, n + 1)), np.zeros(3, np.int64), np.zeros((2, n))),
         )
-        stacks = np.zeros((slots, n, n + 1)), np.zeros(3, np.int64), np.zeros((2, n))
-        return cls(*map(read_only, kept), *stacks)
 
 
 @kernel
