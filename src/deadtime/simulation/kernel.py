@@ -30,18 +30,18 @@ def _dot(a, b):
 
 
 @kernel
-def _row_dot(A, c, i, b, start, length):
-    """`_dot` of A[c, i] and the numbers of b from a place on: a slice costs as much as 20 terms."""
+def _row_dot(A, c, i, b):
+    """`_dot` of A[c, i] and b, for short rows: a slice costs as much as 20 terms."""
     first = second = third = fourth = 0.0
-    whole = length - length % 4
+    whole = b.size - b.size % 4
     for j in range(0, whole, 4):
-        first += A[c, i, j] * b[start + j]
-        second += A[c, i, j + 1] * b[start + j + 1]
-        third += A[c, i, j + 2] * b[start + j + 2]
-        fourth += A[c, i, j + 3] * b[start + j + 3]
+        first += A[c, i, j] * b[j]
+        second += A[c, i, j + 1] * b[j + 1]
+        third += A[c, i, j + 2] * b[j + 2]
+        fourth += A[c, i, j + 3] * b[j + 3]
     total = (first + second) + (third + fourth)
-    for j in range(whole, length):
-        total += A[c, i, j] * b[start + j]
+    for j in range(whole, b.size):
+        total += A[c, i, j] * b[j]
     return total
 
 
@@ -144,7 +144,7 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
                 if q < 0:
                     seen[i] = np.nan
                 else:
-                    seen[i] = _row_dot(C, sight.mode[k], i, spare, 0, n) if C.shape[1] else spare[i]
+                    seen[i] = _row_dot(C, sight.mode[k], i, spare) if C.shape[1] else spare[i]
                 if noise.size:
                     seen[i] += noise[k, i]
                 measured[k, i] = seen[i]
@@ -155,10 +155,10 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
             if foreseen is not None:
                 foresee(foreseen, k, past, told, known, answer)
             else:
+                recent = flat[at * m - window : at * m]
                 for i in range(m):
-                    answer[i] = _row_dot(G, row[k], i, flat, at * m - window, window) + _row_dot(
-                        F, row[k], i, known, 0, known.size
-                    )
+                    own = _row_dot(F, row[k], i, known)
+                    answer[i] = _dot(G[row[k], i], recent) + own
             held = not (_finite(seen) or _finite(answer))
             _apply(answer, held, at, asked, inputs, low, high, relative)
         for q in range(first[k], first[k + 1]):
