@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import deadtime as dt
+from deadtime.base.checks import read_only
 from deadtime.numerics import kernels
 from deadtime.numerics.exponential import discretise, gramian
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import gramian_up_to, gramians
+from deadtime.plant.cut_pieces import gramian_up_to, gramians, transitions
 from deadtime.plant.laid_cuts import lay_cuts
 from deadtime.switching.grid import cuts_of
 
@@ -56,6 +57,34 @@ def test_both_ways_give_the_same_bits(monkeypatch, plant):
         ways = python_and_compiled(gramian_up_to, *given, e, stop, plant.identity)
         assert np.array_equal(*ways)
         assert np.array_equal(ways[0], M[e])
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e200])
+def test_what_numpy_does_at_once_has_the_bits_of_the_kernel(plant, scale):
+    sampled = SampledPlant(plant, 0.1)
+    cuts = cuts_of(dt.SwitchingSignal([0.0, 0.17, 0.18, 0.31], [0, 2, 0, 1]), sampled.window)
+    table = sampled.along(cuts, 8)
+    place = cuts.offset, cuts.mode
+    entries = table.start, table.stop, table.mode, table.cut
+    A = read_only(scale * plant.A)  # the larger one is beyond what floats hold
+    for function, args in (
+        (transitions, (A, plant.B, *entries, *place)),
+        (gramians, (A, plant.B, table, *place, plant.identity)),
+    ):
+        ways = function.plain(*args), function.function(*args), function.dispatcher(*args)
+        plain, python, compiled = (way if isinstance(way, tuple) else (way,) for way in ways)
+        for one, two, three in zip(plain, python, compiled, strict=True):
+            assert np.isfinite(one).any() == (scale == 1.0)
+            assert np.array_equal(one, two, equal_nan=True)
+            assert np.array_equal(one, three, equal_nan=True)
+
+
+def test_what_numpy_does_runs_in_place_of_python_however_large(monkeypatch):
+    own = kernel(lambda a: a[0], plain=lambda a: -a[0])
+    monkeypatch.setattr(kernels, "START", np.inf)  # what an earlier run has compiled is left alone
+    assert own(np.ones(kernels.LARGE + 1)) == -1.0
+    monkeypatch.setattr(kernels, "PATIENCE", -1.0)
+    assert own(np.ones(3)) == 1.0
 
 
 def test_a_kernel_is_python_until_it_has_cost_its_patience(monkeypatch):

@@ -114,7 +114,7 @@ class Law(Frozen, ABC):
 
     def sampled_plant(self, step: float) -> SampledPlant:
         """The model at a sampling period."""
-        return SampledPlant(self.plant, step)
+        return SampledPlant.of(self.plant, step)
 
     def window(self, step: float) -> Window:
         """The window of the model's delay at a sampling period."""

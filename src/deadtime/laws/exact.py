@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -104,14 +105,10 @@ class ExactPredictor(TableLaw):
     def foresight(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Foresight | None:
-        from deadtime.numerics.exponential import discretise_modes
-
         sampled, known = self._known(step, signal, steps)
         if not self.plant.has_one_delay:
             return None
-        ahead, _ = discretise_modes(self.plant.A, self.plant.B, self.plant.delay)
-        with np.errstate(all="ignore"):
-            require_finite_gains(self.gains @ ahead)
+        _ = self._finite
         m = self.plant.inputs
         return Foresight(sampled, self.gains, np.zeros((m, m)), known)
 
@@ -128,6 +125,16 @@ class ExactPredictor(TableLaw):
             )
         count("steps", steps)
         return sampled, self._require_signal(signal, (steps - 1) * step)
+
+    @cached_property
+    def _finite(self) -> bool:
+        """That floats hold all K_i e^{A_i D}, checked once; others are refused."""
+        from deadtime.numerics.exponential import discretise_modes
+
+        ahead, _ = discretise_modes(self.plant.A, self.plant.B, self.plant.delay)
+        with np.errstate(all="ignore"):
+            require_finite_gains(self.gains @ ahead)
+        return True
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

@@ -8,9 +8,11 @@ milliseconds in it. So a kernel starts as the Python that it is, and goes over t
 - at once where its arguments are large, and where it says so (`@kernel(eager=True)`).
 
 At worst that is twice the time of the better choice, and a short run needs neither Numba nor a
-compiler. Both ways do the same floating-point operations in the same order: no figure depends on
-which is taken. What is written for both keeps to loops and scalars over arrays that its caller or
-its first lines make: array expressions cost seconds of compiling each.
+compiler. Where NumPy does the same over all pieces at once, it is given as `plain`: that runs in
+place of the Python, however large the arguments are. Both ways do the same floating-point
+operations in the same order: no figure depends on which is taken. What is written for both keeps to
+loops and scalars over arrays that its caller or its first lines make: array expressions cost
+seconds of compiling each.
 
 DEADTIME_COMPILE=always compiles everything at its first call; =never compiles nothing but what is
 eager.
@@ -53,13 +55,21 @@ class Kernel:
         Whether it is never run as Python.
     options : dict
         For `numba.njit`.
+    plain : callable or None
+        What runs in place of the function as Python.
     """
 
     spent = 0.0  # seconds of this process in the Python of kernels
 
-    def __init__(self, function: Callable[..., Any], eager: bool, options: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        eager: bool,
+        options: dict[str, Any],
+        plain: Callable[..., Any] | None = None,
+    ) -> None:
         functools.update_wrapper(self, function)
-        self.function, self.eager, self.options = function, eager, options
+        self.function, self.eager, self.options, self.plain = function, eager, options, plain
         self._own, self._asked = 0.0, False
         self._ready: Callable[..., Any] | None = None
 
@@ -75,7 +85,7 @@ class Kernel:
             return self.dispatcher(*args)
         began = time.perf_counter()
         try:
-            return self.function(*args) if within else self._interpret(args)
+            return (self.plain or self.function)(*args) if within else self._interpret(args)
         finally:
             self._own += time.perf_counter() - began
 
@@ -92,7 +102,7 @@ class Kernel:
             return self.eager
         if WISH == "always" or self._own > PATIENCE:
             return True
-        if not within and _size(args) > LARGE:
+        if not within and self.plain is None and _size(args) > LARGE:
             return True
         if self._asked or Kernel.spent < START:
             return False
@@ -106,14 +116,18 @@ class Kernel:
         try:
             # Compiled code says nothing about overflow either.
             with np.errstate(all="ignore"):
-                return _plain_numbers(self.function(*args))
+                return _plain_numbers((self.plain or self.function)(*args))
         finally:
             _HERE.within = False
             Kernel.spent += time.perf_counter() - began
 
 
 def kernel(
-    function: Callable[..., Any] | None = None, *, eager: bool = False, **options: Any
+    function: Callable[..., Any] | None = None,
+    *,
+    eager: bool = False,
+    plain: Callable[..., Any] | None = None,
+    **options: Any,
 ) -> Any:
     """Make a function of plain loops a kernel; options are those of `numba.njit`.
 
@@ -129,8 +143,8 @@ def kernel(
     3.0
     """
     if function is None:
-        return lambda inner: Kernel(inner, eager, options)
-    return Kernel(function, eager, options)
+        return lambda inner: Kernel(inner, eager, options, plain)
+    return Kernel(function, eager, options, plain)
 
 
 def _plain_numbers(result: Any) -> Any:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from deadtime.base.checks import read_only
-from deadtime.numerics.exponential import add_congruence, discretise, gramian, product
+from deadtime.numerics.exponential import (
+    add_congruence,
+    discretise,
+    discretise_into,
+    gramian,
+    product,
+)
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.stacked import congruence_all, discretise_all, gramian_all, product_all
+from deadtime.numerics.stacked import discretise_all
 from deadtime.plant.laid_cuts import lay_cuts
+from deadtime.plant.parts import consecutive, gramians_at_once, transitions_at_once
 from deadtime.plant.pieces import PieceTable, Stretches
 
 
@@ -33,17 +38,16 @@ def pieces_along(
     switches = int(np.searchsorted(cut_step, periods))
     laid = lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
     cut = np.concatenate((np.zeros((stretches.start.size, 2), np.int64), laid.cut))
-    parts = parts_of(laid.start, laid.stop, laid.mode, laid.cut, cut_offset, cut_mode)
     known = whole_stretches(A, B, stretches) if whole is None else whole
-    Phi, Gamma = (
-        np.concatenate(both) for both in zip(known, _over(A, B, parts, laid.mode.size), strict=True)
-    )
+    entries = map(read_only, (laid.start, laid.stop, laid.mode, laid.cut))
+    own = transitions(A, B, *entries, cut_offset, cut_mode)
+    Phi, Gamma = (np.concatenate(both) for both in zip(known, own, strict=True))
     mode = cut_mode[np.searchsorted(cut_step[:switches], np.arange(periods))]
     counts = np.diff(stretches.first)[mode]
     counts[laid.period] = np.diff(laid.first)
     first = np.concatenate(([0], np.cumsum(counts)))
-    entry = _consecutive(stretches.first[mode], first)
-    entry[_consecutive(first[laid.period], laid.first)] = laid.entry
+    entry = consecutive(stretches.first[mode], first)
+    entry[consecutive(first[laid.period], laid.first)] = laid.entry
     return PieceTable(
         first,
         entry,
@@ -65,104 +69,9 @@ def whole_stretches(
     return read_only(Phi), read_only(Gamma)
 
 
-def gramians(
-    A: np.ndarray,
-    B: np.ndarray,
-    table: PieceTable,
-    cut_offset: np.ndarray,
-    cut_mode: np.ndarray,
-    Q: np.ndarray,
-) -> np.ndarray:
-    """`gramian_up_to` of every entry, to its end."""
-    entries, (n, m) = table.mode.size, B.shape[1:]
-    parts = parts_of(table.start, table.stop, table.mode, table.cut, cut_offset, cut_mode)
-    M = gramian_all(A, B, parts.mode, parts.length, Q)
-    result = np.zeros((entries, n + m, n + m))
-    moved = np.tile(np.eye(n + m), (entries, 1, 1))
-    with np.errstate(all="ignore"):
-        for rank in range(parts.rank.max(initial=-1) + 1):
-            of = np.flatnonzero(parts.rank == rank)
-            e = parts.entry[of]
-            result[e] += congruence_all(moved[e], M[of]) if rank else M[of]
-            of = of[parts.goes_on[of]]
-            e = parts.entry[of]
-            Phi, Gamma = discretise_all(A, B, parts.mode[of], parts.length[of])
-            moved[e, :n, n:] = product_all(Phi, moved[e, :n, n:]) + Gamma
-            moved[e, :n, :n] = product_all(Phi, moved[e, :n, :n])
-    return result
-
-
-class Parts(NamedTuple):
-    """What lies between the switches within entries: mode and seconds.
-
-    `rank` counts the parts of an entry, and `goes_on` says whether another one follows.
-    """
-
-    entry: np.ndarray
-    mode: np.ndarray
-    length: np.ndarray
-    rank: np.ndarray
-    goes_on: np.ndarray
-
-
-def parts_of(
-    start: np.ndarray,
-    stop: np.ndarray,
-    mode: np.ndarray,
-    cut: np.ndarray,
-    cut_offset: np.ndarray,
-    cut_mode: np.ndarray,
-) -> Parts:
-    """The parts of entries, those without length left out."""
-    inner = cut[:, 1] - cut[:, 0]
-    first = np.concatenate(([0], np.cumsum(inner + 1)))
-    entry = np.repeat(np.arange(start.size), inner + 1)
-    switch = _consecutive(cut[:, 0], first)  # that ends a part
-    begins, ends = first[:-1], first[1:] - 1
-    until = np.empty(entry.size)
-    until[ends] = stop
-    inside = np.ones(entry.size, bool)
-    inside[ends] = False
-    until[inside] = cut_offset[switch[inside]]
-    since, of = np.empty(entry.size), np.empty(entry.size, np.int64)
-    since[1:] = until[:-1]
-    since[begins] = start
-    inside[ends], inside[begins] = True, False
-    of[inside] = cut_mode[switch[inside]]
-    of[begins] = mode
-    kept = until > since
-    entry, of, length = entry[kept], of[kept], (until - since)[kept]
-    change = np.concatenate(([True], entry[1:] != entry[:-1]))[: entry.size]
-    begin = np.flatnonzero(change)
-    rank = np.arange(entry.size) - np.repeat(begin, np.diff(np.append(begin, entry.size)))
-    return Parts(entry, of, length, rank, np.append(~change[1:], False)[: entry.size])
-
-
-def _over(
-    A: np.ndarray, B: np.ndarray, parts: Parts, entries: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Φ and Γ of entries, part after part."""
-    Phi, Gamma = np.empty((entries, *A.shape[1:])), np.empty((entries, *B.shape[1:]))
-    of, entered = discretise_all(A, B, parts.mode, parts.length)
-    Phi[parts.entry[parts.rank == 0]] = of[parts.rank == 0]
-    Gamma[parts.entry[parts.rank == 0]] = entered[parts.rank == 0]
-    with np.errstate(all="ignore"):
-        for rank in range(1, parts.rank.max(initial=0) + 1):
-            now = np.flatnonzero(parts.rank == rank)
-            e = parts.entry[now]
-            Phi[e] = product_all(of[now], Phi[e])
-            Gamma[e] = product_all(of[now], Gamma[e]) + entered[now]
-    return Phi, Gamma
-
-
 def _modes_of(stretches: Stretches) -> np.ndarray:
     """The mode of every stretch."""
     return np.repeat(np.arange(stretches.first.size - 1), np.diff(stretches.first))
-
-
-def _consecutive(values: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """values[i], values[i] + 1, … at the places first[i], …, first[i + 1] − 1."""
-    return np.repeat(values - first[:-1], np.diff(first)) + np.arange(first[-1])
 
 
 @kernel
@@ -177,6 +86,40 @@ def go_on(Phi, Gamma, part_Phi, part_Gamma):
             Phi[i, j] = moved[i, j]
         for j in range(m):
             Gamma[i, j] = entered[i, j] + part_Gamma[i, j]
+
+
+@kernel(plain=transitions_at_once)
+def transitions(A, B, start, stop, mode, cut, cut_offset, cut_mode):
+    """Φ and Γ of entries, part after part."""
+    n, m = B.shape[1:]
+    Phi, Gamma = np.empty((start.size, n, n)), np.empty((start.size, n, m))
+    for e in range(start.size):
+        of, now, begun = mode[e], start[e], False
+        for p in range(cut[e, 0], cut[e, 1] + 1):
+            until = cut_offset[p] if p < cut[e, 1] else stop[e]
+            if until > now:
+                if begun:
+                    part_Phi, part_Gamma = discretise(A[of], B[of], until - now)
+                    go_on(Phi[e], Gamma[e], part_Phi, part_Gamma)
+                else:
+                    discretise_into(A[of], B[of], until - now, Phi[e], Gamma[e])
+                now, begun = until, True
+            if p < cut[e, 1]:
+                of = cut_mode[p + 1]
+    return Phi, Gamma
+
+
+@kernel(plain=gramians_at_once)
+def gramians(A, B, table, cut_offset, cut_mode, Q):
+    """`gramian_up_to` of every entry, to its end."""
+    q = B.shape[1] + B.shape[2]
+    M = np.empty((table.mode.size, q, q))
+    for e in range(table.mode.size):
+        own = gramian_up_to(A, B, table, cut_offset, cut_mode, e, table.stop[e], Q)
+        for i in range(q):
+            for j in range(q):
+                M[e, i, j] = own[i, j]
+    return M
 
 
 @kernel

@@ -22,12 +22,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.checks import read_only
+from deadtime.base.checks import positive, read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Stretches
 from deadtime.plant.steps import Cuts, Window, require_step, windows_of
@@ -74,6 +74,14 @@ class SampledPlant(Frozen):
         ordered = tuple(windows[delay] for delay in sorted(windows))
         vars(self).update(step=step, windows=ordered, _by_mode=by_mode)
         super().__post_init__()
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, step: float) -> SampledPlant:
+        """The one of a plant and a period that was made before, if it was one of the last.
+
+        So runs of one plant share what it works out.
+        """
+        return _made_before(plant, positive("step", step))
 
     @property
     def window(self) -> Window:
@@ -155,6 +163,11 @@ class SampledPlant(Frozen):
                 Gamma[lag] = Gamma.get(lag, np.zeros((n, m))) + arriving
         lags = tuple(sorted(Gamma, reverse=True))
         return Period(read_only(Phi), read_only(np.stack([Gamma[lag] for lag in lags])), lags)
+
+
+@lru_cache(maxsize=16)
+def _made_before(plant: SwitchedSystem, step: float) -> SampledPlant:
+    return SampledPlant(plant, step)
 
 
 def _by_lag(piece: Piece) -> dict[int, Float[np.ndarray, "n m"]]:

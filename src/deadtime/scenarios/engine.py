@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
@@ -121,7 +122,7 @@ def _size(count: int) -> tuple[float, ...]:
 
 def _factored(feedback: Feedback, form: WindowForm) -> Factored:
     flat: list[Any] = [part.ravel() for part in (feedback.state_gain, *form)]
-    state, out, transition, enter, last, ahead, behind = map(np.ascontiguousarray, flat)
+    state, out, transition, enter, last, ahead, behind = map(read_only, flat)  # one type
     length = form.ahead.shape[0]
     return Factored(length, state, out, last, transition, enter, ahead, behind)
 

@@ -110,9 +110,8 @@ class Work(NamedTuple):
 
 
 @kernel(eager=True, nogil=True)
-def _work(shape, plant, run, start, count, period):
-    """The memory at time 0."""
-    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
+def _work(n, m, wide, plant, run, start, count, period):
+    """The memory at time 0; sizes are numbers here, so that laws of all kinds share it."""
     at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
     mode, number = np.empty(LANES, np.int64), np.zeros(LANES)
     began, xs = np.empty(LANES, np.int64), np.empty(n * LANES)
@@ -243,7 +242,7 @@ def _run_eight(
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
     period = min(max(plant.lags[0], taps), run.samples) + 1
-    work = _work(shape, plant, run, start, count, period)
+    work = _work(n, m, wide, plant, run, start, count, period)
     ring, own = work.ring, work.own
     none, one = same(0.0, _ONE), same(1.0, _ONE)
     small = same(OUTSIDE, _ONE)
@@ -251,7 +250,9 @@ def _run_eight(
     ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
     # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
     P, Q, EP, EQ = one, one, none, none
-    soon, now, older, r, place = np.int64(0), 0, period - min(taps, run.samples), 0, 0
+    # A plain 0 is a type of its own, for which what is called would be compiled once more.
+    soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    older = period - min(taps, run.samples)
     if factored is not None:
         sizes, b = len(shape.rows), same(0.0, shape.b)
         carry = np.zeros(max(1, min(factored.length, run.samples)) * sizes * LANES)
@@ -285,12 +286,12 @@ def _run_eight(
                 enters = turn(model, ahead, k, enters)
             if r == model.length:
                 sum_up(shape, model.length, ahead)
-                r = 0
+                r = np.int64(0)
             u = foresee(shape, model.length, ahead, r, seen, before)
         if factored is not None:
             if r == factored.length:
                 _refill(shape, factored, ring, period, now, carry)
-                b, r = same(0.0, shape.b), 0
+                b, r = same(0.0, shape.b), np.int64(0)
             sums = load(carry, r * sizes * LANES, shape.rows)
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
             sums = product(factored.out, 0, b, product(factored.state, 0, seen, sums))

@@ -18,7 +18,7 @@ from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Arrays, no_clip
 from deadtime.simulation.forcing import Forcing
-from deadtime.simulation.foreseen import Foreseen
+from deadtime.simulation.foreseen import Along, Foreseen
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.imperfect import Told
 from deadtime.simulation.initial_input import InitialInput, held_samples
@@ -88,7 +88,7 @@ class Grid:
         cls, plant: SwitchedSystem, law: Law, horizon: float, step: float, u0: InitialInput
     ) -> Grid:
         """The grid of a run on [0, horizon], its history read from `simulate`'s u0."""
-        sampled = SampledPlant(plant, step)
+        sampled = SampledPlant.of(plant, step)
         samples = math.floor(snap(horizon / step)) + 1
         past = max(sampled.longest_lag, law.sampled_plant(step).longest_lag)
         inputs = np.zeros((past + samples, plant.inputs))
@@ -163,7 +163,8 @@ def run_table(
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
     line = Line.of(grid, arrays, measured, 0 if memory is None else memory.start.size)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
-    foreseen = Foreseen.of(tables.foresight, samples) if tables.foresight else None
+    along = Along(sampled, signal, table)
+    foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
     kept, path = closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,

@@ -30,11 +30,27 @@ def _dot(a, b):
 
 
 @kernel
-def _within_limit(x):
-    """Whether |x| ≤ LIMIT (false when x is not a number)."""
+def _row_dot(A, c, i, b):
+    """`_dot` of A[c, i] and b, for short rows: a slice costs as much as 20 terms."""
+    first = second = third = fourth = 0.0
+    whole = b.size - b.size % 4
+    for j in range(0, whole, 4):
+        first += A[c, i, j] * b[j]
+        second += A[c, i, j + 1] * b[j + 1]
+        third += A[c, i, j + 2] * b[j + 2]
+        fourth += A[c, i, j + 3] * b[j + 3]
+    total = (first + second) + (third + fourth)
+    for j in range(whole, b.size):
+        total += A[c, i, j] * b[j]
+    return total
+
+
+@kernel
+def _within_limit(path, q):
+    """Whether |x| ≤ LIMIT at the start of piece q (false when x is not a number)."""
     square = 0.0
-    for i in range(x.size):
-        square += (x[i] / LIMIT) ** 2
+    for i in range(path.shape[1]):
+        square += (path[q, i] / LIMIT) ** 2
     return square <= 1.0
 
 
@@ -48,22 +64,42 @@ def _finite(a):
 
 
 @kernel
-def _limit(u, before, low, high, relative):
-    """An input under limits, one after the other, `before` being what was applied before it."""
-    for j in range(relative.size):
-        base = before if relative[j] else 0.0
-        u = np.minimum(np.maximum(u, base + low[j]), base + high[j])
-    return u
+def _apply(answer, held, at, asked, inputs, low, high, relative):
+    """Ask for the answer, or for what was asked for before, and give the plant what limits leave.
+
+    Limits follow one after the other; relative ones count from what was applied before.
+    """
+    for i in range(answer.size):
+        u = asked[at - 1, i] if held else answer[i]
+        asked[at, i] = u
+        before = inputs[at - 1, i]
+        for j in range(relative.size):
+            base = before if relative[j] else 0.0
+            u = np.minimum(np.maximum(u, base + low[j, i]), base + high[j, i])
+        inputs[at, i] = u
 
 
 @kernel
-def _go_on(Phi, Gamma, x, inputs, now, lag, force, result):
-    """x further on in its piece, under the inputs of `lag` samples before `now`, and the force."""
-    m = lag.size
-    acting = np.empty(Gamma.shape[1])
+def _go_on(table, sight, k, x, inputs, past, result):
+    """x further on in its piece, to where it is measured, under what acts there and the force."""
+    q, way, now = sight.piece[k], sight.way[k], past + sight.step[k]
+    e, m = table.entry[q], inputs.shape[1]
+    acting = np.empty(sight.Gamma.shape[2])
     for i in range(acting.size):
-        acting[i] = inputs[now - lag[i], i] if i < m else force[i - m]
-    advance(Phi, Gamma, x, acting, result)
+        acting[i] = inputs[now - table.lag[e, i], i] if i < m else sight.force[q, i - m]
+    advance(sight.Phi[way], sight.Gamma[way], x, acting, result)
+
+
+@kernel
+def _move(Phi, Gamma, e, path, q, acting):
+    """x at the end of piece q, of entry e: `advance` from row to row."""
+    for i in range(path.shape[1]):
+        total = 0.0
+        for j in range(path.shape[1]):
+            total += Phi[e, i, j] * path[q, j]
+        for j in range(acting.size):
+            total += Gamma[e, i, j] * acting[j]
+        path[q + 1, i] = total
 
 
 @kernel
@@ -77,56 +113,62 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
     how many samples were kept before |x| left the limit, and x at the start of every piece that was
     run and at the end of the last.
     """
-    m, window = line.inputs.shape[1], rows.G.shape[2]
-    n, past, samples = x0.size, line.past, rows.row.size
-    told, outputs, noises = line.told.reshape(-1), sight.C.shape[1], sight.noise.shape[1]
-    spare, acting, answer = np.empty(n), np.empty(m), np.zeros(m)
-    path = np.empty((table.entry.size + 1, n))
+    first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
+    inputs, asked, told, flat = line.inputs, line.asked, line.told, line.told.reshape(-1)
+    F, G, row, measured, piece, way = (
+        rows.F,
+        rows.G,
+        rows.row,
+        line.measured,
+        sight.piece,
+        sight.way,
+    )
+    noise, C, low, high, relative = sight.noise, sight.C, clip.low, clip.high, clip.relative
+    n, m, window, past, samples = x0.size, inputs.shape[1], G.shape[2], line.past, row.size
+    spare, seen = np.empty(n), np.empty(measured.shape[1])
+    known = seen if memory is None else np.empty(line.estimates.shape[1])
+    acting, answer = np.empty(m), np.zeros(m)
+    path = np.empty((entry.size + 1, n))
     for i in range(n):
         path[0, i] = x0[i]
-    for k in range(table.first.size - 1):
-        if k < samples and k > 0 and not _within_limit(path[table.first[k]]):
+    for k in range(first.size - 1):
+        if k < samples and k > 0 and not _within_limit(path, first[k]):
             samples = k
         if k < samples:
-            row, at, q, way = rows.row[k], past + k, sight.piece[k], sight.way[k]
-            recent, seen = told[at * m - window : at * m], line.measured[k]
-            x = path[max(q, 0)]
-            if way >= 0:
-                now, lag = past + sight.step[k], table.lag[table.entry[q]]
-                Phi, Gamma, force = sight.Phi[way], sight.Gamma[way], sight.force[q]
-                _go_on(Phi, Gamma, x, line.inputs, now, lag, force, spare)
-                x = spare
+            at, q = past + k, piece[k]
+            for i in range(n):
+                spare[i] = path[max(q, 0), i]
+            if way[k] >= 0:
+                _go_on(table, sight, k, path[q], inputs, past, spare)
             for i in range(seen.size):
                 if q < 0:
                     seen[i] = np.nan
                 else:
-                    seen[i] = _dot(sight.C[sight.mode[k], i], x) if outputs else x[i]
-            for i in range(noises):
-                seen[i] += sight.noise[k, i]
-            known = seen
+                    seen[i] = _row_dot(C, sight.mode[k], i, spare) if C.shape[1] else spare[i]
+                if noise.size:
+                    seen[i] += noise[k, i]
+                measured[k, i] = seen[i]
             if memory is not None:
-                known = line.estimates[k]
-                remember(memory, rows.mode, k, line.told, past, seen, answer, line.estimates)
+                remember(memory, rows.mode, k, told, past, seen, answer, line.estimates)
+                for i in range(known.size):
+                    known[i] = line.estimates[k, i]
             if foreseen is not None:
-                foresee(foreseen, k, past, line.told, known, answer)
+                foresee(foreseen, k, past, told, known, answer)
             else:
+                recent = flat[at * m - window : at * m]
                 for i in range(m):
-                    answer[i] = _dot(rows.G[row, i], recent) + _dot(rows.F[row, i], known)
+                    own = _row_dot(F, row[k], i, known)
+                    answer[i] = _dot(G[row[k], i], recent) + own
             held = not (_finite(seen) or _finite(answer))
+            _apply(answer, held, at, asked, inputs, low, high, relative)
+        for q in range(first[k], first[k + 1]):
+            e = entry[q]
             for i in range(m):
-                command = line.asked[at - 1, i] if held else answer[i]
-                line.asked[at, i] = command
-                line.inputs[at, i] = _limit(
-                    command, line.inputs[at - 1, i], clip.low[:, i], clip.high[:, i], clip.relative
-                )
-        for q in range(table.first[k], table.first[k + 1]):
-            e = table.entry[q]
-            for i in range(m):
-                sample = k - table.lag[e, i]
+                sample = k - lag[e, i]
                 if sample >= samples:
                     return samples, path[: q + 1]
-                acting[i] = line.inputs[past + sample, i]
-            advance(table.Phi[e], table.Gamma[e], path[q], acting, path[q + 1])
+                acting[i] = inputs[past + sample, i]
+            _move(Phi, Gamma, e, path, q, acting)
             if shift.size:
                 for i in range(n):
                     path[q + 1, i] += shift[q, i]
