@@ -4,8 +4,8 @@ Two pipes, two flows: a delay for every input and regime
 
 Two stirred tanks in series are warmed by two feeds, each mixed far away and piped to its tank. What
 is ordered arrives when the pipe has been emptied, so each feed has a delay of its own, and half the
-flow doubles both. What one learns: told the four delays, a law needs no tuning; told one for all, no
-choice is good at both, for the cheapest leaves a regime that decays at a third of the rate.
+flow doubles both. What one learns: told the four delays, a law needs no tuning; told one for all,
+the cheapest choice leaves a regime that decays at a third of the rate.
 
 **Source.** Delay of a pipe, volume over flow: D. E. Seborg, T. F. Edgar and D. A. Mellichamp,
 *Process Dynamics and Control*, chapter 6. Feedback with a delay per input: D. Tsubakino, T. R.

@@ -62,7 +62,7 @@ def test_both_ways_give_the_same_bits(monkeypatch, plant):
 @pytest.mark.parametrize("scale", [1.0, 1e200])
 def test_what_numpy_does_at_once_has_the_bits_of_the_kernel(plant, scale):
     sampled = SampledPlant(plant, 0.1)
-    cuts = cuts_of(dt.SwitchingSignal([0.0, 0.17, 0.18, 0.31], [0, 2, 0, 1]), sampled.window)
+    cuts = cuts_of(dt.SwitchingSignal([0.0, 0.17, 0.18, 0.31], [0, 2, 0, 1]), sampled)
     table = sampled.along(cuts, 8)
     place = cuts.offset, cuts.mode
     entries = table.start, table.stop, table.mode, table.cut

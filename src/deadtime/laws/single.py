@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Forecast
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback.law import TableLaw, remember_table
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -61,6 +61,7 @@ class SingleModePredictor(TableLaw):
     def label(self) -> str:
         return f"mode {self.mode} only"
 
+    @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
