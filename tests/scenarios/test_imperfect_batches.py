@@ -101,20 +101,19 @@ def test_lost_samples_hold_the_command_and_not_the_limited_input():
 def heard_block(kinds):
     loop = Loop(SampledPlant(TRUTH, H), np.array(X0), HORIZON)
     signals = draw_signals(MODEL, HORIZON + 1.0, SEED, count=COUNT)
-    return HeardBlock(loop, kinds, loop.lay(signals), SEED, 0)
+    return HeardBlock(loop, kinds, loop.lay(signals), SEED, 0, by_mode=True)
 
 
 def test_what_is_heard_is_stacked_once_and_in_32_bits():
     block, tables = heard_block(CASES["all"]), [LAWS[name].digital(H) for name in KINDS[:3]]
     for begin in (0, 8):
-        told = [block.told(table, begin, 3) for table in tables]
-        assert all(np.shares_memory(each.sample, told[0].sample) for each in told)
+        told = [block.relayed(table, begin, 3) for table in tables]
+        assert all(np.shares_memory(each.lag, told[0].lag) for each in told)
         assert all(np.shares_memory(each.noise, told[0].noise) for each in told)
-        assert told[0].sample.dtype == told[-1].row.dtype == np.int32
-    with_signals = heard_block(CASES["noise"]).told(tables[-1], 0, 3)
-    assert not with_signals.row.size
-    assert with_signals.reach == 0
-    np.testing.assert_array_equal(with_signals.sample, np.tile(np.arange(61), 3))
+        assert told[0].lag.dtype == told[-1].row.dtype == np.int32
+    noisy = heard_block(CASES["noise"]).relayed(tables[-1], 0, 3)
+    assert noisy.lag.size == noisy.row.size == noisy.reach == 0
+    assert noisy.noise.size == 16 * 61 * 3  # two groups of eight
 
 
 def test_blocks_in_which_all_that_is_heard_is_kept_are_smaller():

@@ -13,7 +13,7 @@ from deadtime.imperfections import Imperfection, Relaying
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.heard import HeardBlock
-from deadtime.scenarios.layout import Told
+from deadtime.scenarios.layout import Relayed
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.source import Source, scenario_seed
@@ -58,18 +58,18 @@ class Block:
         Where `stopped` says so in between, the block is left and counts as not done.
         """
         signals = self.source.batch(first, count)
-        laid = None
-        if self.tables:
+        laid, tables = None, {name: table(signals) for name, table in self.tables.items()}
+        if tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
         heard = None
         if laid is not None and any(isinstance(one, Relaying) for one in self.imperfections):
-            heard = HeardBlock(self.loop, self.imperfections, laid[0], self.seed, first)
+            by_mode = any(_by_mode(table) for table in tables.values())
+            heard = HeardBlock(self.loop, self.imperfections, laid[0], self.seed, first, by_mode)
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
-            if laid is not None and name in self.tables:
-                table = self.tables[name](signals)
-                left = self._at_once(row, table, laid, heard, first, stopped)
+            if laid is not None and name in tables:
+                left = self._at_once(row, tables[name], laid, heard, first, stopped)
             for i in left:
                 if stopped():
                     return 0
@@ -101,10 +101,10 @@ class Block:
             if stopped():
                 return []
             these = slice(first + start, first + min(start + size, count))
-            told = None
+            relayed = None
             if heard is not None:
-                told = heard.told(table.feedback, start, these.stop - these.start)
-            figures = self._figures(row, table, laid, told, start, these)
+                relayed = heard.relayed(table.feedback, start, these.stop - these.start)
+            figures = self._figures(row, table, laid, relayed, start, these)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
@@ -115,20 +115,20 @@ class Block:
         row: int,
         table: Table,
         laid: Sequence[Laid],
-        told: Told | None,
+        relayed: Relayed | None,
         start: int,
         these: slice,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results = these.stop - these.start, self.results
         if results.x is None or results.u is None:
-            figures = self.engine.run(table, laid[0], start, count, told)
+            figures = self.engine.run(table, laid[0], start, count, relayed)
         else:
-            figures, path = self.engine.path(table, laid[0], start, count, told=told)
+            figures, path = self.engine.path(table, laid[0], start, count, relayed=relayed)
             results.x[row, these], results.u[row, these] = path
         if self.weighed is None:
             return [figures]
-        return [figures, self.weighed[1].run(table, laid[1], start, count, told)]
+        return [figures, self.weighed[1].run(table, laid[1], start, count, relayed)]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""
@@ -152,3 +152,8 @@ class Block:
                 kept = min(found.shape[1], target.shape[3])
                 target[row, scenario, :, :kept] = found[:, :kept]
                 target[row, scenario, :, kept:] = np.nan
+
+
+def _by_mode(table: Table) -> bool:
+    """Whether a law's rows depend on the mode."""
+    return table.feedback is not None and table.feedback.context != "none"

@@ -11,14 +11,13 @@ from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import Model
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.layout import Dense, Factored, Limits, Plant, Run, Shape, Told
+from deadtime.scenarios.layout import KINDS, Clip, Dense, Factored, Plant, Relayed, Run, Shape
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.window_form import WindowForm, window_form
 from deadtime.switching import SignalBatch
 
-_KINDS = {"none": 0, "mode": 1, "mode_age": 2}
 _NOTHING = np.zeros(0)
 
 
@@ -44,7 +43,7 @@ class Engine:
         root = loop.root.ravel()
         self._run = Run(loop.whole + 1, loop.rest / loop.window.step, loop.late, loop.x0, root)
         rate, low, high = loop.limits
-        self._limits = Limits(rate, low.ravel(), high.ravel()) if rate.size else None
+        self._clip = Clip(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         self._shape = Shape(*map(_size, (n, m, n + m, wide - n, wide, 2 * m)))
 
@@ -75,11 +74,11 @@ class Engine:
         laid: Laid,
         first: int = 0,
         count: int | None = None,
-        told: Told | None = None,
+        relayed: Relayed | None = None,
     ) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1, which hear `told`."""
+        """Run a table along the scenarios first, …, first + count − 1 under what is relayed."""
         count = laid.scenarios - first if count is None else count
-        return self._run_kernel(table, laid, first, count, told, _NOTHING, 0)
+        return self._run_kernel(table, laid, first, count, relayed, _NOTHING, 0)
 
     def path(
         self,
@@ -88,13 +87,13 @@ class Engine:
         first: int,
         count: int,
         keep: int = 0,
-        told: Told | None = None,
+        relayed: Relayed | None = None,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        figures = self._run_kernel(table, laid, first, count, told, path, keep)
+        figures = self._run_kernel(table, laid, first, count, relayed, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
         return figures, Path(both[:, :n], both[:, n:])
 
@@ -104,13 +103,13 @@ class Engine:
         laid: Laid,
         first: int,
         count: int,
-        told: Told | None,
+        relayed: Relayed | None,
         path: np.ndarray,
         keep: int,
     ) -> Figures:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._limits, told
+        loop = plant, self._run, self._clip, relayed
         return Figures(*run_scenarios(*table[:5], *loop, first, count, path, keep))
 
 
@@ -134,7 +133,7 @@ def _dense(feedback: Feedback) -> Dense:
     G = feedback.latest_first
     head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
     rest[:, :, : (taps - 1) * m] = G[:, :, m:]
-    kind = _KINDS[feedback.context]
+    kind = KINDS[feedback.context]
     return Dense(taps, head.ravel(), rest.ravel(), width, kind, feedback.ages)
 
 

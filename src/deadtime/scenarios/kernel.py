@@ -43,7 +43,7 @@ from deadtime.numerics.lanes import (
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
-from deadtime.scenarios.hearing import command, hear, memory_of, told_rows
+from deadtime.scenarios.hearing import add_noise, command, hear, hear_rows, recent_of, told_rows
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -213,13 +213,13 @@ def _sum_dense(shape, dense, window, place):
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def _limit(shape, limits, u, before):
+def _clip(shape, clip, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
-    for a in range(limits.rate.size):
-        base = times(same(limits.rate[a], shape.u), before, same(0.0, shape.u))
-        low = product(limits.low, a * m, one, base)
-        u = smaller(larger(u, low), product(limits.high, a * m, one, base))
+    for a in range(clip.rate.size):
+        base = times(same(clip.rate[a], shape.u), before, same(0.0, shape.u))
+        low = product(clip.low, a * m, one, base)
+        u = smaller(larger(u, low), product(clip.high, a * m, one, base))
     return u
 
 
@@ -233,12 +233,12 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def _run_eight(
-    shape, factored, dense, model, plant, run, limits, told, start, count, out, path, keep, first,
+    shape, factored, dense, model, plant, run, clip, relayed, start, count, out, path, keep, first,
     taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
-    The first of them is number `first` of those that `told` is about.
+    The first of them is number `first` of those that `relayed` is about, a multiple of eight.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -261,8 +261,11 @@ def _run_eight(
     if model is not None:
         ahead, enters = look_ahead(shape, model, start, count, period)
         r = model.length
-    if told is not None:
-        memory = memory_of(shape, told, run.samples, first, count)
+    if relayed is not None:
+        recent = recent_of(shape, relayed)
+        # Asked here, for what ends within a branch is counted by Numba in every period.
+        late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
+        by_told = relayed.row.size > 0
     for k in range(run.samples):
         if soon // LANES == k:
             soon = _switch(plant, work, k, soon)
@@ -278,8 +281,14 @@ def _run_eight(
                 P, Q = mantissa(P), mantissa(Q)
         before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
         seen = x
-        if told is not None:
-            seen = hear(shape, told, memory, x, k)
+        if relayed is not None:
+            at = first * run.samples + k * LANES
+            if late:
+                seen = hear(shape, relayed, recent, x, at)
+            if noisy:
+                seen = add_noise(shape, relayed, seen, at)
+            if by_told:
+                hear_rows(relayed, recent, at)
         if model is not None:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
@@ -295,23 +304,24 @@ def _run_eight(
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
             sums = product(factored.out, 0, b, product(factored.state, 0, seen, sums))
             number = load(work.number, 0, _ONE)
-            if told is not None:  # noqa: SIM102
-                if told.row.size > 0:
-                    number = load(memory.number, 0, _ONE)
+            if relayed is not None:  # noqa: SIM102
+                if by_told:
+                    number = load(recent.number, 0, _ONE)
             u = choose(sums, number, shape.u)
         if dense is not None:
             _choose_rows(dense, work, window, k)
-            if told is not None:
-                told_rows(told, memory, window.row)
+            if relayed is not None:  # noqa: SIM102
+                if by_told:
+                    told_rows(recent, window.row)
             _sum_dense(shape, dense, window, place)
             heads = gather(dense.head, window.head, shape.head)
             sums = gather(window.sums, places, shape.u)
             u = matrix_product(heads, first_of(seen, before, before, shape.both), sums)
-        if told is not None:
-            u = command(shape, memory, u, asked)
+        if relayed is not None:
+            u = command(shape, recent, u, asked)
             asked = u
-        if limits is not None:
-            u = _limit(shape, limits, u, before)
+        if clip is not None:
+            u = _clip(shape, clip, u, before)
         store(ring, now * m * LANES, u)
         if model is not None:  # noqa: SIM102
             if model.length > 0:
@@ -350,12 +360,12 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, taps, plant, run, limits, told, start, count, path, keep
+    shape, factored, dense, model, taps, plant, run, clip, relayed, start, count, path, keep
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `limits` and
-    `told`, what the law hears, may be None. `path`, empty or for at most eight scenarios, gets x
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip` and
+    `relayed`, what the law hears, may be None. `path`, empty or for at most eight scenarios, gets x
     and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
@@ -363,7 +373,7 @@ def run_scenarios(
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, plant, run, limits, told, start + at, few, out, path,
+            shape, factored, dense, model, plant, run, clip, relayed, start + at, few, out, path,
             keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):
