@@ -81,20 +81,20 @@ class Heard(NamedTuple):
     def at(self, sample: Int[np.ndarray, "*runs sample"]) -> Heard:
         """What was heard at other samples, one for each; nothing at −1."""
         none, noise = sample < 0, _of_samples(self.noise, sample)
-        found = np.where(none, -1, _at(self.sample, sample))
+        found = np.where(none, -1, at_samples(self.sample, sample))
         mode_of = found
         if self.mode_of is not self.sample:
-            mode_of = np.where(none, -1, _at(self.mode_of, sample))
+            mode_of = np.where(none, -1, at_samples(self.mode_of, sample))
         return Heard(found, noise, mode_of, _of_samples(self.named, sample))
 
     def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> Heard:
         """The same with the modes that were heard at other samples."""
-        mode_of, named = _at(self.mode_of, sample), _of_samples(self.named, sample)
+        mode_of, named = at_samples(self.mode_of, sample), _of_samples(self.named, sample)
         return self._replace(mode_of=mode_of, named=named)
 
     def modes(self, sampled: Int[np.ndarray, "*runs sample"]) -> Int[np.ndarray, "*runs sample"]:
         """The mode that the law is told at each sample, from σ(t_k); −1 where it is told none."""
-        true = _at(sampled, self.mode_of)
+        true = at_samples(sampled, self.mode_of)
         if self.named.shape[-2] == 1:
             told = self.named.reshape(-1)[true]
         else:
@@ -102,8 +102,10 @@ class Heard(NamedTuple):
         return np.where(self.mode_of < 0, -1, told)
 
 
-def _at(array: np.ndarray, sample: np.ndarray) -> np.ndarray:
+def at_samples(array: np.ndarray, sample: np.ndarray) -> np.ndarray:
     """Entries of an array (…, samples) at samples, those of all runs or of each."""
+    if array.shape[-1] == 1:
+        return array
     one = sample.reshape(-1) if sample.size == sample.shape[-1] else None
     if one is not None or array.size == array.shape[-1]:
         return array[..., one] if one is not None else array.reshape(-1)[sample]

@@ -11,7 +11,7 @@ from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import Model
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.layout import KINDS, Clip, Dense, Factored, Plant, Relayed, Run, Shape
+from deadtime.scenarios.layout import KINDS, Clip, Dense, Factored, Hearing, Plant, Run, Shape
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid
@@ -19,6 +19,7 @@ from deadtime.scenarios.window_form import WindowForm, window_form
 from deadtime.switching import SignalBatch
 
 _NOTHING = np.zeros(0)
+PERFECT = Hearing()
 
 
 class Table(NamedTuple):
@@ -74,11 +75,11 @@ class Engine:
         laid: Laid,
         first: int = 0,
         count: int | None = None,
-        relayed: Relayed | None = None,
+        hearing: Hearing = PERFECT,
     ) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1 under what is relayed."""
+        """Run a table along the scenarios first, …, first + count − 1 which hear this."""
         count = laid.scenarios - first if count is None else count
-        return self._run_kernel(table, laid, first, count, relayed, _NOTHING, 0)
+        return self._run_kernel(table, laid, first, count, hearing, _NOTHING, 0)
 
     def path(
         self,
@@ -87,13 +88,13 @@ class Engine:
         first: int,
         count: int,
         keep: int = 0,
-        relayed: Relayed | None = None,
+        hearing: Hearing = PERFECT,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        figures = self._run_kernel(table, laid, first, count, relayed, path, keep)
+        figures = self._run_kernel(table, laid, first, count, hearing, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
         return figures, Path(both[:, :n], both[:, n:])
 
@@ -103,13 +104,13 @@ class Engine:
         laid: Laid,
         first: int,
         count: int,
-        relayed: Relayed | None,
+        hearing: Hearing,
         path: np.ndarray,
         keep: int,
     ) -> Figures:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._clip, relayed
+        loop = plant, self._run, self._clip, *hearing
         return Figures(*run_scenarios(*table[:5], *loop, first, count, path, keep))
 
 

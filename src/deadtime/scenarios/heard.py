@@ -13,10 +13,12 @@ from deadtime.feedback import Feedback
 from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.drawn import in_many_runs
-from deadtime.scenarios.layout import KINDS, Relayed
+from deadtime.scenarios.layout import KINDS, Hearing, Relayed
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.side_by_side import groups, lay_lags, lay_numbers, lay_rows
+from deadtime.scenarios.sights import Sights
+from deadtime.switching import SignalBatch
 
 _FEW = 16  # scenarios that are gone through at a time, so that they stay in the caches
 
@@ -24,12 +26,14 @@ _FEW = 16  # scenarios that are gone through at a time, so that they stay in the
 class _Stack(NamedTuple):
     """What is heard in all scenarios: as `Relayed` has it, and the modes.
 
+    sight : as `Hearing` has it
     modes : (scenario, sample), the modes told, or None where they are the plant's
     """
 
     lag: np.ndarray
     reach: int
     noise: np.ndarray
+    sight: np.ndarray | None
     modes: np.ndarray | None
 
 
@@ -39,20 +43,21 @@ class HeardBlock:
 
     Attributes
     ----------
-    laid : Laid
-        Their signals.
+    signals, laid : SignalBatch, Laid
+        Their signals, and these laid on periods.
     by_mode : bool
         Whether a law's rows depend on the modes that it is told.
     """
 
     loop: Loop
     imperfections: Sequence[Imperfection]
+    signals: SignalBatch
     laid: Laid
     seed: int
     first: int
     by_mode: bool
 
-    def relayed(self, feedback: Feedback | None, begin: int, count: int) -> Relayed:
+    def hearing(self, feedback: Feedback | None, begin: int, count: int) -> Hearing:
         """What a law with this table hears in `count` scenarios of the block from `begin` on.
 
         `begin` is a multiple of eight.
@@ -64,7 +69,8 @@ class HeardBlock:
             told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
             lay_rows(told, sampled, age, KINDS[feedback.context], feedback.ages, row)
         lag, noise = (self._from(begin, part) for part in (heard.lag, heard.noise))
-        return Relayed(lag, heard.reach, noise, row)
+        sight = None if heard.sight is None else self._from(begin, heard.sight)
+        return Hearing(Relayed(lag, heard.reach, noise, row), sight)
 
     def _from(self, begin: int, laid: np.ndarray) -> np.ndarray:
         """What is laid, from a scenario on."""
@@ -79,15 +85,19 @@ class HeardBlock:
         rooms = [each.room(sizes, samples, min(_FEW, count)) for each in kinds]
         size = groups(count) * samples * LANES
         nothing, modes, reach = Heard.of_many(samples, sizes), None, 0
+        sights = Sights.of(self.loop, self.imperfections, self.seed, self.first, count)
         lag, noise = np.zeros(0, np.int32), np.zeros(0)
         for begin in range(0, count, _FEW):
             few, heard = min(_FEW, count - begin), nothing
             these = slice(begin, begin + few)
             for each, room in zip(kinds, rooms, strict=True):
                 heard = each.relay(begin, room[:few], heard, sizes)
-            if heard.sample is not nothing.sample:
+            sample = heard.sample
+            if sights is not None:
+                sample = sights.lay(self.signals, self.laid.records, begin, few, sample)
+            if sample is not nothing.sample:
                 lag = lag if lag.size else np.zeros(size, np.int32)
-                reach = lay_lags(heard.sample, few, begin // LANES, lag, reach)
+                reach = lay_lags(sample, few, begin // LANES, lag, reach)
             if heard.noise.shape[1] > 1:
                 noise = noise if noise.size else np.zeros(size * plant.states)
                 lay_numbers(heard.noise, begin // LANES, noise)
@@ -95,7 +105,7 @@ class HeardBlock:
             if self.by_mode and not true:
                 modes = self._sampled.copy() if modes is None else modes
                 modes[these] = heard.modes(self._sampled[these])
-        return _Stack(lag, reach, noise, modes)
+        return _Stack(lag, reach, noise, None if sights is None else sights.laid, modes)
 
     @cached_property
     def _sampled(self) -> np.ndarray:

@@ -13,13 +13,25 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.lanes import LANES, choose, first_of, gather, load, same, spread, times
+from deadtime.numerics.lanes import (
+    LANES,
+    choose,
+    first_of,
+    gather,
+    load,
+    own_product,
+    same,
+    spread,
+    times,
+)
 
 _ONE = (0.0,)
 
 
 class Recent(NamedTuple):
     """The last states of eight scenarios, scenario by scenario, and where to read in them.
+
+    Where measurements lie within periods, the inputs that act in its period are beside each.
 
     slot : of x_k, one number;  places : where what is heard lies
     lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
@@ -33,9 +45,10 @@ class Recent(NamedTuple):
 
 
 @kernel(eager=True, nogil=True)
-def recent_of(shape, relayed):
-    """Room for as many states as are looked back to."""
-    states = np.zeros(LANES * (relayed.reach + 1) * len(shape.x))
+def recent_of(shape, relayed, sight):
+    """Room for as many states as are looked back to, or for what acts on these, too."""
+    size = len(shape.x) if sight is None else len(shape.z)
+    states = np.zeros(LANES * (relayed.reach + 1) * size)
     slot, places = np.zeros(1, np.int64), np.zeros(LANES, np.int64)
     return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES))
 
@@ -45,14 +58,39 @@ def hear(shape, relayed, recent, x, at):
     """The state that was measured as long before x_k as is said at `at`."""
     n, slots, slot = len(shape.x), relayed.reach + 1, recent.slot[0]
     spread(recent.states, slot * n, slots * n, x)
+    _look_back(relayed, recent, at, slots, n)
+    recent.slot[0] = 0 if slot + 1 == slots else slot + 1
+    return gather(recent.states, recent.places, shape.x)
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def see(shape, relayed, sight, recent, x, at):
+    """The same within a period; its inputs follow by `go_on`."""
+    size, slots = len(shape.z), relayed.reach + 1
+    spread(recent.states, recent.slot[0] * size, slots * size, x)
+    _look_back(relayed, recent, at, slots, size)
+    z = gather(recent.states, recent.places, shape.z)
+    return own_product(sight, at * len(shape.x) * size, z, same(0.0, shape.x))
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def go_on(shape, relayed, recent, acting):
+    """Put the inputs that act in this period beside its x."""
+    size, slots, slot = len(shape.z), relayed.reach + 1, recent.slot[0]
+    spread(recent.states, slot * size + len(shape.x), slots * size, acting)
+    recent.slot[0] = 0 if slot + 1 == slots else slot + 1
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def _look_back(relayed, recent, at, slots, size):
+    """Note where what is heard lies, and where nothing is."""
+    slot = recent.slot[0]
     for lane in range(LANES):
         lag = np.int64(relayed.lag[at + lane])
         recent.lost[lane] = 1.0 if lag < 0 else 0.0
         place = slot - max(lag, 0)
         place += slots if place < 0 else 0
-        recent.places[lane] = (lane * slots + place) * n
-    recent.slot[0] = 0 if slot + 1 == slots else slot + 1
-    return gather(recent.states, recent.places, shape.x)
+        recent.places[lane] = (lane * slots + place) * size
 
 
 @kernel(eager=True, nogil=True, inline="always")

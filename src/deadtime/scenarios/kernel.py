@@ -43,7 +43,16 @@ from deadtime.numerics.lanes import (
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
-from deadtime.scenarios.hearing import add_noise, command, hear, hear_rows, recent_of, told_rows
+from deadtime.scenarios.hearing import (
+    add_noise,
+    command,
+    go_on,
+    hear,
+    hear_rows,
+    recent_of,
+    see,
+    told_rows,
+)
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -233,8 +242,8 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def _run_eight(
-    shape, factored, dense, model, plant, run, clip, relayed, start, count, out, path, keep, first,
-    taps,
+    shape, factored, dense, model, plant, run, clip, relayed, sight, start, count, out, path, keep,
+    first, taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
@@ -262,7 +271,7 @@ def _run_eight(
         ahead, enters = look_ahead(shape, model, start, count, period)
         r = model.length
     if relayed is not None:
-        recent = recent_of(shape, relayed)
+        recent = recent_of(shape, relayed, sight)
         # Asked here, for what ends within a branch is counted by Numba in every period.
         late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
         by_told = relayed.row.size > 0
@@ -283,7 +292,9 @@ def _run_eight(
         seen = x
         if relayed is not None:
             at = first * run.samples + k * LANES
-            if late:
+            if sight is not None:
+                seen = see(shape, relayed, sight, recent, x, at)
+            elif late:
                 seen = hear(shape, relayed, recent, x, at)
             if noisy:
                 seen = add_noise(shape, relayed, seen, at)
@@ -340,6 +351,8 @@ def _run_eight(
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
         acting = load_each(ring, work.acting, shape.u, shape.acting)
+        if sight is not None:
+            go_on(shape, relayed, recent, acting)
         z = first_of(x, acting, acting, shape.z)
         ise = own_form(own, n * wide * LANES, z, ise)
         x = own_product(own, 0, z, same(0.0, shape.x))
@@ -360,21 +373,21 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, taps, plant, run, clip, relayed, start, count, path, keep
+    shape, factored, dense, model, taps, plant, run, clip, relayed, sight, start, count, path, keep
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip` and
-    `relayed`, what the law hears, may be None. `path`, empty or for at most eight scenarios, gets x
-    and u of every sample from `keep` on.
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip`, and
+    `relayed` and `sight`, what the law hears (`layout.Hearing`), may be None. `path`, empty or for
+    at most eight scenarios, gets x and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, plant, run, clip, relayed, start + at, few, out, path,
-            keep, at, taps,
+            shape, factored, dense, model, plant, run, clip, relayed, sight, start + at, few, out,
+            path, keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):
             for lane in range(few):

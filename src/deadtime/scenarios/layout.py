@@ -107,8 +107,9 @@ class Clip(NamedTuple):
 class Relayed(NamedTuple):
     """What sensors tell a law in every scenario, by groups of eight that lie side by side, flat.
 
-    lag : (group, sample, lane), how many samples ago it was measured, −1 for nothing: the last
-        command is held; empty where every sample is heard at once
+    lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
+        was began, −1 for nothing: the last command is held; empty where every sample is heard at
+        once
     reach : the longest of them
     noise : (group, sample, n, lane), what was added to it; empty for nothing
     row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
@@ -118,3 +119,14 @@ class Relayed(NamedTuple):
     reach: int
     noise: np.ndarray
     row: np.ndarray
+
+
+class Hearing(NamedTuple):
+    """What a law hears, None for all of it.
+
+    sight : (group, sample, n, z, lane), flat: from x and the inputs that act in the period of a
+        measurement to what is measured; None where all are taken at samples
+    """
+
+    relayed: Relayed | None = None
+    sight: np.ndarray | None = None
