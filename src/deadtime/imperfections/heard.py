@@ -80,12 +80,17 @@ class Heard(NamedTuple):
 
     def at(self, sample: Int[np.ndarray, "*runs sample"]) -> Heard:
         """What was heard at other samples, one for each; nothing at −1."""
-        none, noise = sample < 0, _of_samples(self.noise, sample)
-        found = np.where(none, -1, at_samples(self.sample, sample))
-        mode_of = found
+        found = mode_of = self._through(self.sample, sample)
         if self.mode_of is not self.sample:
-            mode_of = np.where(none, -1, at_samples(self.mode_of, sample))
-        return Heard(found, noise, mode_of, _of_samples(self.named, sample))
+            mode_of = self._through(self.mode_of, sample)
+        noise, named = _of_samples(self.noise, sample), _of_samples(self.named, sample)
+        return Heard(found, noise, mode_of, named)
+
+    def _through(self, heard: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        """Which samples are heard at samples of which these are heard, −1 for none."""
+        if heard.size == self.samples and (heard.reshape(-1) == np.arange(self.samples)).all():
+            return sample
+        return np.where(sample < 0, -1, at_samples(heard, sample))
 
     def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> Heard:
         """The same with the modes that were heard at other samples."""

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.lanes import LANES, store
-from deadtime.scenarios.laid import series
+from deadtime.numerics.lanes import LANES, load, same, store, times
 
 
 @kernel(eager=True, nogil=True)
@@ -20,65 +19,60 @@ def lay_sights(
 
     period, offset : (few or 1, sample), period −1 for no measurement
     laid : (group, sample, n, z, lane), flat
+    pieces : (mode, cell, degree, size), Φ and Γ of one mode over a time; `cell` is in seconds
     """
-    samples, wide = period.shape[1], acting.wide
+    samples, wide, m, count = period.shape[1], acting.wide, acting.column.shape[1], pieces.shape[0]
     flat, cells, degrees, size = pieces.reshape(-1), *pieces.shape[1:]
-    place = (cells, degrees, size, cell)
-    move, moved, scratch = np.empty((n, wide)), np.empty((n, wide)), np.empty(8 * len(width))
+    stretch, column = acting.stretches.first, acting.column
+    opens, closes = acting.stretches.start, acting.stretches.stop
+    record_step, record_map, first = records.step, records.map, records.first
+    sojourn, until, at = records.sojourn, records.until, records.at
+    move, moved, piece = np.empty((n, wide)), np.empty((n, wide)), np.empty(LANES * len(width))
     for f in range(few + -few % LANES):
         s, row = begin + min(f, few - 1), min(f, few - 1, period.shape[0] - 1)
-        group, lane = (begin + f) // LANES, f % LANES
-        record, known, when = records.first[s], -1, -1.0
+        place = ((begin + f) // LANES * samples * n * wide) * LANES + f % LANES
+        r, last_record, known, when = first[s], first[s + 1] - 1, -1, -1.0
         for k in range(samples):
             now, t = period[row, k], offset[row, k]
-            while record + 1 < records.first[s + 1] and records.step[record + 1] <= now:
-                record += 1
-            while records.step[record] > max(now, 0):
-                record -= 1
-            if records.map[record] != known or t != when:
-                known, when = records.map[record], t
+            while r < last_record and record_step[r + 1] <= now:
+                r += 1
+            while record_step[r] > max(now, 0):
+                r -= 1
+            if record_map[r] != known or t != when:
+                known, when, start = record_map[r], t, 0.0
+                cut = known - count
                 for i in range(n):
                     for a in range(wide):
                         move[i, a] = 1.0 if i == a else 0.0
-                cut = known - pieces.shape[0]
-                if cut < 0:
-                    _go_on(known, 0.0, t, acting, flat, place, width, move, moved, scratch)
-                else:
-                    start = 0.0
-                    for i in range(records.sojourn[cut], records.until[cut]):
-                        last = i + 1 == records.until[cut]
-                        stop = t if last else min(records.at[i + 1], t)
-                        _go_on(
-                            modes[i], start, stop, acting, flat, place, width, move, moved, scratch
-                        )
-                        start = max(start, stop)
-            at = ((group * samples + k) * n * wide) * LANES + lane
+                i, stop_at = (0, 1) if cut < 0 else (sojourn[cut], until[cut])
+                while i < stop_at and start < t:
+                    mode = known if cut < 0 else modes[i]
+                    stop = t if i + 1 == stop_at else min(at[i + 1], t)
+                    for e in range(stretch[mode], stretch[mode + 1]):
+                        length = min(stop, closes[e]) - max(start, opens[e])
+                        if length > 0.0:
+                            c = min(np.int64(length / cell), cells - 1)
+                            delta = same(2.0 * (length / cell - c) - 1.0, width)
+                            term = ((mode * cells + c) * degrees + degrees - 1) * size
+                            value = load(flat, term, width)
+                            for _ in range(degrees - 1):
+                                term -= size
+                                value = times(value, delta, load(flat, term, width))
+                            store(piece, 0, value)
+                            for p in range(n):
+                                for a in range(wide):
+                                    total = 0.0
+                                    for q in range(n):
+                                        total += piece[p * n + q] * move[q, a]
+                                    moved[p, a] = total
+                                for q in range(m):
+                                    moved[p, column[e, q]] += piece[n * n + p * m + q]
+                            for p in range(n):
+                                for a in range(wide):
+                                    move[p, a] = moved[p, a]
+                    start = max(start, stop)
+                    i += 1
             for i in range(n):
                 for a in range(wide):
-                    laid[at] = move[i, a]
-                    at += LANES
-
-
-@kernel(eager=True, nogil=True)
-def _go_on(mode, start, stop, acting, flat, place, width, move, moved, scratch):
-    """Follow a map by a mode from `start` to `stop`, seconds into the period."""
-    n, wide = move.shape
-    cells, degrees, size, cell = place
-    for s in range(acting.stretches.first[mode], acting.stretches.first[mode + 1]):
-        begin, end = max(start, acting.stretches.start[s]), min(stop, acting.stretches.stop[s])
-        if end <= begin:
-            continue
-        value = series(flat, mode, cells, degrees, size, 0.0, cell, end - begin, width)
-        store(scratch, 0, value)
-        m = acting.column.shape[1]
-        for i in range(n):
-            for a in range(wide):
-                value_at = 0.0
-                for j in range(n):
-                    value_at += scratch[i * n + j] * move[j, a]
-                moved[i, a] = value_at
-            for j in range(m):
-                moved[i, acting.column[s, j]] += scratch[n * n + i * m + j]
-        for i in range(n):
-            for a in range(wide):
-                move[i, a] = moved[i, a]
+                    laid[place] = move[i, a]
+                    place += LANES
