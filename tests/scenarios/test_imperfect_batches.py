@@ -8,11 +8,14 @@ import plants
 from deadtime.feedback.table import follow
 from deadtime.imperfections import (
     Dropout,
+    Jitter,
     LateSamples,
+    MeasurementDelay,
     ModeDelay,
     Noise,
     RateLimit,
     Saturation,
+    TimingImperfection,
     WrongMode,
 )
 from deadtime.plant import SampledPlant
@@ -20,6 +23,19 @@ from deadtime.scenarios import draw_signals, scenario_seed
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.run import _block
+
+
+class Early(TimingImperfection):
+    """Every other sample is taken early, some by more than a period."""
+
+    waits = False
+
+    def __init__(self, most):
+        vars(self)["most"] = most
+
+    def lags(self, sizes, samples, rng):
+        return self.most * rng.random(samples) * (np.arange(samples) % 2)
+
 
 H, HORIZON, COUNT, SEED = 0.1, 6.03, 11, 5
 TRUTH, BELIEVED = plants.generic(0.234), plants.generic(0.3, seed=5)
@@ -34,7 +50,13 @@ CASES = {
     "late modes": [ModeDelay(4)],
     "wrong modes": [WrongMode(0.1)],
     "late, then noise": [LateSamples(2, 0.3), Noise(0.02)],
+    "measured late": [MeasurementDelay(0.237)],
+    "measured whole periods late": [MeasurementDelay(0.2)],
+    "jitter": [Jitter(0.08)],
+    "measured late, with jitter, lost": [Jitter(0.1), MeasurementDelay(0.133), Dropout(0.2)],
+    "timing of one's own": [Early(0.13), LateSamples(2, 0.3), Noise(0.02)],
     "all": [
+        Jitter(0.05),
         Noise(0.02),
         Saturation([-2.0, -1.0], 1.5),
         LateSamples(2, 0.2),
@@ -101,20 +123,19 @@ def test_lost_samples_hold_the_command_and_not_the_limited_input():
 def heard_block(kinds):
     loop = Loop(SampledPlant(TRUTH, H), np.array(X0), HORIZON)
     signals = draw_signals(MODEL, HORIZON + 1.0, SEED, count=COUNT)
-    return HeardBlock(loop, kinds, loop.lay(signals), SEED, 0)
+    return HeardBlock(loop, kinds, signals, loop.lay(signals), SEED, 0, by_mode=True)
 
 
 def test_what_is_heard_is_stacked_once_and_in_32_bits():
     block, tables = heard_block(CASES["all"]), [LAWS[name].digital(H) for name in KINDS[:3]]
     for begin in (0, 8):
-        told = [block.told(table, begin, 3) for table in tables]
-        assert all(np.shares_memory(each.sample, told[0].sample) for each in told)
+        told = [block.hearing(table, begin, 3).relayed for table in tables]
+        assert all(np.shares_memory(each.lag, told[0].lag) for each in told)
         assert all(np.shares_memory(each.noise, told[0].noise) for each in told)
-        assert told[0].sample.dtype == told[-1].row.dtype == np.int32
-    with_signals = heard_block(CASES["noise"]).told(tables[-1], 0, 3)
-    assert not with_signals.row.size
-    assert with_signals.reach == 0
-    np.testing.assert_array_equal(with_signals.sample, np.tile(np.arange(61), 3))
+        assert told[0].lag.dtype == told[-1].row.dtype == np.int32
+    noisy = heard_block(CASES["noise"]).hearing(tables[-1], 0, 3).relayed
+    assert noisy.lag.size == noisy.row.size == noisy.reach == 0
+    assert noisy.noise.size == 16 * 61 * 3  # two groups of eight
 
 
 def test_blocks_in_which_all_that_is_heard_is_kept_are_smaller():

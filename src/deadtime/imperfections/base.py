@@ -54,6 +54,25 @@ class Imperfection(Frozen, ABC):
     """Something between the law and its plant."""
 
 
+class Drawing(ABC):
+    """What draws so many numbers of one kind: those of many runs are drawn at once.
+
+    `normal` says whether they are of the standard normal distribution, or uniform on [0, 1).
+    """
+
+    normal: ClassVar[bool] = False
+
+    @abstractmethod
+    def count(self, sizes: Sizes, samples: int) -> int:
+        """How many numbers a run takes."""
+
+    @final
+    def draw(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
+        """Those of one run."""
+        size = self.count(sizes, samples)
+        return rng.standard_normal(size) if self.normal else rng.random(size)
+
+
 class SensorImperfection(Imperfection):
     """Changes what the law is told; one that reads no state says so by `Relaying`."""
 
@@ -73,6 +92,22 @@ class TimingImperfection(Imperfection):
     @abstractmethod
     def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
         """How long before each sample x is measured, seconds (samples,)."""
+
+
+class DrawnTiming(Drawing, TimingImperfection):
+    """Timing from numbers that are drawn at once, of one run or of many."""
+
+    @abstractmethod
+    def lags_from(self, numbers: np.ndarray, sizes: Sizes, samples: int) -> np.ndarray:
+        """The lags (runs, samples) of runs that drew these numbers (runs, count), or of one run.
+
+        An axis of length 1 stands for all runs, or for all samples.
+        """
+
+    @final
+    def lags(self, sizes: Sizes, samples: int, rng: np.random.Generator) -> np.ndarray:
+        lags = self.lags_from(self.draw(sizes, samples, rng), sizes, samples)
+        return np.broadcast_to(lags, (samples,)).copy()
 
 
 class ActuatorImperfection(Imperfection):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple, final
 
 import numpy as np
@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Seen, Sense, Sizes
+from deadtime.imperfections.base import Drawing, Seen, Sense, Sizes
 
 _BLOCK = 64  # samples
 
@@ -26,6 +26,9 @@ Draw = Callable[[int], np.ndarray]  # from how many samples to what is added in 
 
 class Heard(NamedTuple):
     """What reaches a law at every sample of a run.
+
+    Of many runs, each array has an axis of them in front; axes of length 1 stand for all runs, and
+    for all samples of `noise` and `named`.
 
     sample : (samples,)
         Whose measurement; −1 for none.
@@ -49,25 +52,78 @@ class Heard(NamedTuple):
     named: Int[np.ndarray, "sample mode"]
 
     @classmethod
+    def of_many(cls, samples: int, sizes: Sizes) -> Heard:
+        """Every sample of all runs at once and as it is."""
+        each, noise = np.arange(samples)[None], np.zeros((1, 1, sizes.states))
+        return cls(each, noise, each, np.arange(sizes.modes)[None, None])
+
+    def each(self, runs: int) -> Iterator[Heard]:
+        """What is heard in each of so many runs."""
+        samples = self.samples
+        shapes = [(runs, samples), (runs, samples, self.noise.shape[-1]), (runs, samples)]
+        shapes.append((runs, samples, self.named.shape[-1]))
+        whole = [np.broadcast_to(part, shape) for part, shape in zip(self, shapes, strict=True)]
+        for run in range(runs):
+            yield Heard(*(part[run] for part in whole))
+
+    @property
+    def samples(self) -> int:
+        """How many there are."""
+        return self.sample.shape[-1]
+
+    @classmethod
     def perfect(cls, samples: int, sizes: Sizes) -> Heard:
         """Every sample at once and as it is."""
         each, noise = np.arange(samples), np.zeros((samples, sizes.states))
         named = np.broadcast_to(np.arange(sizes.modes), (samples, sizes.modes))
         return cls(each, noise, each, named)
 
-    def at(self, sample: Int[np.ndarray, " sample"]) -> Heard:
+    def at(self, sample: Int[np.ndarray, "*runs sample"]) -> Heard:
         """What was heard at other samples, one for each; nothing at −1."""
-        return Heard(
-            np.where(sample < 0, -1, self.sample[sample]),
-            self.noise[sample],
-            np.where(sample < 0, -1, self.mode_of[sample]),
-            self.named[sample],
-        )
+        found = mode_of = self._through(self.sample, sample)
+        if self.mode_of is not self.sample:
+            mode_of = self._through(self.mode_of, sample)
+        noise, named = _of_samples(self.noise, sample), _of_samples(self.named, sample)
+        return Heard(found, noise, mode_of, named)
 
-    def modes(self, sampled: Int[np.ndarray, " sample"]) -> Int[np.ndarray, " sample"]:
+    def _through(self, heard: np.ndarray, sample: np.ndarray) -> np.ndarray:
+        """Which samples are heard at samples of which these are heard, −1 for none."""
+        if heard.size == self.samples and (heard.reshape(-1) == np.arange(self.samples)).all():
+            return sample
+        return np.where(sample < 0, -1, at_samples(heard, sample))
+
+    def with_modes_of(self, sample: Int[np.ndarray, " sample"]) -> Heard:
+        """The same with the modes that were heard at other samples."""
+        mode_of, named = at_samples(self.mode_of, sample), _of_samples(self.named, sample)
+        return self._replace(mode_of=mode_of, named=named)
+
+    def modes(self, sampled: Int[np.ndarray, "*runs sample"]) -> Int[np.ndarray, "*runs sample"]:
         """The mode that the law is told at each sample, from σ(t_k); −1 where it is told none."""
-        told = self.named[np.arange(sampled.size), sampled[self.mode_of]]
+        true = at_samples(sampled, self.mode_of)
+        if self.named.shape[-2] == 1:
+            told = self.named.reshape(-1)[true]
+        else:
+            told = np.take_along_axis(self.named, true[..., None], -1)[..., 0]
         return np.where(self.mode_of < 0, -1, told)
+
+
+def at_samples(array: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    """Entries of an array (…, samples) at samples, those of all runs or of each."""
+    if array.shape[-1] == 1:
+        return array
+    one = sample.reshape(-1) if sample.size == sample.shape[-1] else None
+    if one is not None or array.size == array.shape[-1]:
+        return array[..., one] if one is not None else array.reshape(-1)[sample]
+    return np.take_along_axis(array, sample, -1)
+
+
+def _of_samples(rows: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    """Rows of an array (…, samples, entries) at samples; one row stands for all."""
+    if rows.shape[-2] == 1:
+        return rows
+    if sample.ndim == 1:
+        return rows[..., sample, :]
+    return np.take_along_axis(rows, sample[..., None], -2)
 
 
 class Relaying(ABC):
@@ -95,7 +151,7 @@ class Relaying(ABC):
             nonlocal heard
             k = len(seen)
             seen.append(now)
-            if k == heard.sample.size:
+            if k == heard.samples:
                 heard = draw(2 * k)
             j, i = heard.sample[k], heard.mode_of[k]
             mode = -1 if i < 0 else seen[i].mode
@@ -147,6 +203,20 @@ def _require_fit(name: str, found: object, samples: int, sizes: Sizes) -> None:
         )
 
 
+class DrawnRelaying(Drawing, Relaying):
+    """What relays by numbers that are drawn at once, of one run or of many."""
+
+    @abstractmethod
+    def relay_from(
+        self, numbers: Float[np.ndarray, "*runs count"], heard: Heard, sizes: Sizes
+    ) -> Heard:
+        """What is heard through it in runs that drew these numbers, which it may overwrite."""
+
+    @final
+    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+        return self.relay_from(self.draw(sizes, heard.samples, rng), heard, sizes)
+
+
 class Additive(Relaying):
     """What adds to the measured state, whatever it is, and leaves the mode as it is."""
 
@@ -154,7 +224,6 @@ class Additive(Relaying):
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
         """A function of a count that draws noise (count, n), the same in blocks or one by one."""
 
-    @final
     def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
         with np.errstate(over="ignore", invalid="ignore"):
-            return heard._replace(noise=heard.noise + self.sampler(sizes, rng)(heard.sample.size))
+            return heard._replace(noise=heard.noise + self.sampler(sizes, rng)(heard.samples))

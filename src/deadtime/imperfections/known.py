@@ -38,4 +38,5 @@ def is_known(each: Imperfection) -> bool:
 
 def is_batched(each: Imperfection) -> bool:
     """Whether the engine of many scenarios can take all that it does."""
-    return is_known(each) and not isinstance(each, TimingImperfection | Disturbance)
+    both = isinstance(each, Relaying) and isinstance(each, TimingImperfection)  # of one stream
+    return is_known(each) and not both and not isinstance(each, Disturbance)

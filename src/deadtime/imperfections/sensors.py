@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count
+from deadtime.base.checks import count as whole
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import SensorImperfection, Sizes, per_signal, probability_of
-from deadtime.imperfections.heard import Additive, Draw, Heard, Relaying
+from deadtime.imperfections.heard import Additive, Draw, DrawnRelaying, Heard
 
 _MOST = 10**9  # periods
 
 
 @dataclass(frozen=True)
-class Noise(Additive, SensorImperfection):
+class Noise(DrawnRelaying, Additive, SensorImperfection):
     """White measurement noise: x + ν, ν normal, independent from sample to sample.
 
     Parameters
@@ -26,17 +27,35 @@ class Noise(Additive, SensorImperfection):
         measures outputs.
     """
 
+    normal: ClassVar[bool] = True
     std: ArrayLike
 
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return samples * sizes.states
+
+    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+        std, before = self._check(sizes), heard.noise
+        whole = *before.shape[:-2], heard.samples, sizes.states
+        before = np.broadcast_to(before, whole).reshape(*before.shape[:-2], -1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            # In place, as numbers of many runs are long, and over rows that are long.
+            numbers *= np.tile(std, heard.samples)
+            numbers += before
+        return heard._replace(noise=numbers.reshape(*numbers.shape[:-1], *whole[-2:]))
+
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
+        std = self._check(sizes)
+        return lambda count: std * rng.standard_normal((count, sizes.states))
+
+    def _check(self, sizes: Sizes) -> np.ndarray:
         std = per_signal("Noise.std", self.std, sizes.states)
         if (std < 0.0).any():
             raise ArgumentError(f"Noise.std must be ≥ 0, got {std.tolist()}.")
-        return lambda count: std * rng.standard_normal((count, sizes.states))
+        return std
 
 
 @dataclass(frozen=True)
-class Dropout(Relaying, SensorImperfection):
+class Dropout(DrawnRelaying, SensorImperfection):
     """Lost samples: the law learns neither x nor σ, and its last input is held.
 
     A law that measures outputs goes on instead: its observer predicts.
@@ -49,14 +68,16 @@ class Dropout(Relaying, SensorImperfection):
 
     probability: float
 
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return samples
+
+    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
         p = probability_of("Dropout.probability", self.probability)
-        each = np.arange(len(heard.noise))
-        return heard.at(np.where(rng.random(each.size) < p, -1, each))
+        return heard.at(np.where(numbers < p, -1, np.arange(heard.samples)))
 
 
 @dataclass(frozen=True)
-class LateSamples(Relaying, SensorImperfection):
+class LateSamples(DrawnRelaying, SensorImperfection):
     """Samples that come late: the law uses the newest that has arrived, as if it were fresh.
 
     Parameters
@@ -70,20 +91,23 @@ class LateSamples(Relaying, SensorImperfection):
     periods: int
     probability: float = 1.0
 
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        late = count("LateSamples.periods", self.periods)
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return samples
+
+    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+        late = whole("LateSamples.periods", self.periods)
         p = probability_of("LateSamples.probability", self.probability)
-        each = np.arange(len(heard.noise))
-        delayed = rng.random(each.size) < p
+        each, delayed = np.arange(heard.samples), numbers < p
         newest = np.where(delayed, -1, each)
         # Of those that are due at a sample its own is newer, where that is there.
         due = each[: max(0, each.size - late)]
-        newest[late:] = np.maximum(newest[late:], np.where(delayed[: due.size], due, -1))
-        return heard.at(np.maximum.accumulate(newest))
+        came = np.where(delayed[..., : due.size], due, -1)
+        newest[..., late:] = np.maximum(newest[..., late:], came)
+        return heard.at(np.maximum.accumulate(newest, axis=-1))
 
 
 @dataclass(frozen=True)
-class ModeDelay(Relaying, SensorImperfection):
+class ModeDelay(DrawnRelaying, SensorImperfection):
     """Late mode detection: the law is told the mode of some samples ago.
 
     Parameters
@@ -94,16 +118,18 @@ class ModeDelay(Relaying, SensorImperfection):
 
     periods: int
 
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        periods = count("ModeDelay.periods", self.periods)
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return 0
+
+    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+        periods = whole("ModeDelay.periods", self.periods)
         if periods > _MOST:
             raise ArgumentError(f"ModeDelay.periods must be at most {_MOST:,}, got {periods}.")
-        then = np.maximum(np.arange(len(heard.noise)) - periods, 0)
-        return heard._replace(mode_of=heard.mode_of[then], named=heard.named[then])
+        return heard.with_modes_of(np.maximum(np.arange(heard.samples) - periods, 0))
 
 
 @dataclass(frozen=True)
-class WrongMode(Relaying, SensorImperfection):
+class WrongMode(DrawnRelaying, SensorImperfection):
     """Wrong mode detection: the law is told another mode, any with equal probability.
 
     Parameters
@@ -114,14 +140,19 @@ class WrongMode(Relaying, SensorImperfection):
 
     probability: float
 
-    def relay(self, heard: Heard, sizes: Sizes, rng: np.random.Generator) -> Heard:
-        p, samples = probability_of("WrongMode.probability", self.probability), len(heard.noise)
-        others = max(1, sizes.modes - 1)
-        drawn = rng.random((samples, min(others, 2)))  # of two modes there is no choice to draw
-        wrong, other = drawn[:, 0] < p, np.zeros(samples, np.int64)
-        if others > 1:
-            other = (drawn[:, 1] * others).astype(np.int64)
-        if sizes.modes == 1:
+    def count(self, sizes: Sizes, samples: int) -> int:
+        return samples * (2 if sizes.modes > 2 else 1)  # of two modes there is no choice to draw
+
+    def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
+        p, others = probability_of("WrongMode.probability", self.probability), sizes.modes - 1
+        if others == 0:
             return heard
-        named = other[:, None] + (other[:, None] >= heard.named)
-        return heard._replace(named=np.where(wrong[:, None], named, heard.named))
+        drawn = numbers.reshape(*numbers.shape[:-1], heard.samples, 2 if others > 1 else 1)
+        wrong, other = drawn[..., 0] < p, np.zeros((), np.int64)
+        if others > 1:
+            other = (drawn[..., 1] * others).astype(np.int64)
+        named = np.empty((*wrong.shape, sizes.modes), np.int64)
+        for mode in range(sizes.modes):
+            taken = heard.named[..., mode]
+            named[..., mode] = np.where(wrong, other + (other >= taken), taken)
+        return heard._replace(named=named)

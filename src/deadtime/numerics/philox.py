@@ -38,7 +38,7 @@ _ZERO = np.uint64(0)
 
 
 @intrinsic
-def _high_word(typing, a, b):
+def high_word(typing, a, b):
     """⌊ab/2⁶⁴⌋: a machine multiplies two words in one instruction, which no Numba type can say."""
 
     def generate(context, builder, signature, arguments):
@@ -56,8 +56,8 @@ def block_words(key, block, scenario, stream):
     c0, c1, c2, c3 = np.uint64(block), np.uint64(scenario), np.uint64(stream), _ZERO
     k0, k1 = key[0], key[1]
     for _ in range(_ROUNDS):
-        high0, low0 = _high_word(_M0, c0), _M0 * c0  # pyright: ignore[reportCallIssue]
-        high1, low1 = _high_word(_M1, c2), _M1 * c2  # pyright: ignore[reportCallIssue]
+        high0, low0 = high_word(_M0, c0), _M0 * c0  # pyright: ignore[reportCallIssue]
+        high1, low1 = high_word(_M1, c2), _M1 * c2  # pyright: ignore[reportCallIssue]
         c0, c1, c2, c3 = high1 ^ c1 ^ k0, low1, high0 ^ c3 ^ k1, low0
         k0, k1 = k0 + _W0, k1 + _W1
     return c0, c1, c2, c3

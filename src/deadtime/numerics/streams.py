@@ -1,8 +1,9 @@
 """Streams of random numbers: each is a function of a seed and of what it is for.
 
-Whoever draws once in order takes the generator of `stream`. Whoever must reach any number at once
-takes `uniforms`, which addresses the generator Philox by its counter; this is NumPy's, for few
-numbers, and `deadtime.numerics.philox` gives the same ones compiled, for many.
+Whoever draws once in order takes the generator of `stream`; whoever does so for many seeds takes
+`deadtime.numerics.pcg.Streams`, compiled, which draws what these generators do. Whoever must reach
+any number at once takes `uniforms`, which addresses the generator Philox by its counter; this is
+NumPy's, for few numbers, and `deadtime.numerics.philox` gives the same ones compiled, for many.
 """
 
 from __future__ import annotations
@@ -28,8 +29,13 @@ def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
     False
     """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key(name, index)))
+
+
+def spawn_key(name: str, index: int) -> tuple[int, int]:
+    """The spawn key of a stream."""
     word = int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(word, index)))
+    return word, index
 
 
 def key_of(seed: int) -> UInt64[np.ndarray, 2]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection, Relaying
+from deadtime.imperfections import Imperfection, Relaying, TimingImperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
 from deadtime.scenarios.heard import HeardBlock
-from deadtime.scenarios.layout import Told
+from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.source import Source, scenario_seed
@@ -58,18 +58,22 @@ class Block:
         Where `stopped` says so in between, the block is left and counts as not done.
         """
         signals = self.source.batch(first, count)
-        laid = None
-        if self.tables:
+        laid, tables = None, {name: table(signals) for name, table in self.tables.items()}
+        if tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
         heard = None
-        if laid is not None and any(isinstance(one, Relaying) for one in self.imperfections):
-            heard = HeardBlock(self.loop, self.imperfections, laid[0], self.seed, first)
+        if laid is not None and any(
+            isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
+        ):
+            by_mode = any(_by_mode(table) for table in tables.values())
+            heard = HeardBlock(
+                self.loop, self.imperfections, signals, laid[0], self.seed, first, by_mode
+            )
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
-            if laid is not None and name in self.tables:
-                table = self.tables[name](signals)
-                left = self._at_once(row, table, laid, heard, first, stopped)
+            if laid is not None and name in tables:
+                left = self._at_once(row, tables[name], laid, heard, first, stopped)
             for i in left:
                 if stopped():
                     return 0
@@ -101,10 +105,10 @@ class Block:
             if stopped():
                 return []
             these = slice(first + start, first + min(start + size, count))
-            told = None
+            hearing = Hearing()
             if heard is not None:
-                told = heard.told(table.feedback, start, these.stop - these.start)
-            figures = self._figures(row, table, laid, told, start, these)
+                hearing = heard.hearing(table.feedback, start, these.stop - these.start)
+            figures = self._figures(row, table, laid, hearing, start, these)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
@@ -115,20 +119,20 @@ class Block:
         row: int,
         table: Table,
         laid: Sequence[Laid],
-        told: Told | None,
+        hearing: Hearing,
         start: int,
         these: slice,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results = these.stop - these.start, self.results
         if results.x is None or results.u is None:
-            figures = self.engine.run(table, laid[0], start, count, told)
+            figures = self.engine.run(table, laid[0], start, count, hearing)
         else:
-            figures, path = self.engine.path(table, laid[0], start, count, told=told)
+            figures, path = self.engine.path(table, laid[0], start, count, hearing=hearing)
             results.x[row, these], results.u[row, these] = path
         if self.weighed is None:
             return [figures]
-        return [figures, self.weighed[1].run(table, laid[1], start, count, told)]
+        return [figures, self.weighed[1].run(table, laid[1], start, count, hearing)]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""
@@ -152,3 +156,8 @@ class Block:
                 kept = min(found.shape[1], target.shape[3])
                 target[row, scenario, :, :kept] = found[:, :kept]
                 target[row, scenario, :, kept:] = np.nan
+
+
+def _by_mode(table: Table) -> bool:
+    """Whether a law's rows depend on the mode."""
+    return table.feedback is not None and table.feedback.context != "none"

@@ -12,15 +12,15 @@ from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import Model
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.layout import Dense, Factored, Limits, Plant, Run, Shape, Told
+from deadtime.scenarios.layout import KINDS, Clip, Dense, Factored, Hearing, Plant, Run, Shape
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.window_form import WindowForm, window_form
 from deadtime.switching import SignalBatch
 
-_KINDS = {"none": 0, "mode": 1, "mode_age": 2}
 _NOTHING = np.zeros(0)
+PERFECT = Hearing()
 
 
 class Table(NamedTuple):
@@ -45,7 +45,7 @@ class Engine:
         root = loop.root.ravel()
         self._run = Run(loop.whole + 1, loop.rest / loop.step, loop.late, loop.x0, root)
         rate, low, high = loop.limits
-        self._limits = Limits(rate, low.ravel(), high.ravel()) if rate.size else None
+        self._clip = Clip(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         self._shape = Shape(*map(_size, (n, m, n + m, wide - n, wide, 2 * m)))
 
@@ -76,11 +76,11 @@ class Engine:
         laid: Laid,
         first: int = 0,
         count: int | None = None,
-        told: Told | None = None,
+        hearing: Hearing = PERFECT,
     ) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1, which hear `told`."""
+        """Run a table along the scenarios first, …, first + count − 1 which hear this."""
         count = laid.scenarios - first if count is None else count
-        return self._run_kernel(table, laid, first, count, told, _NOTHING, 0)
+        return self._run_kernel(table, laid, first, count, hearing, _NOTHING, 0)
 
     def path(
         self,
@@ -89,13 +89,13 @@ class Engine:
         first: int,
         count: int,
         keep: int = 0,
-        told: Told | None = None,
+        hearing: Hearing = PERFECT,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        figures = self._run_kernel(table, laid, first, count, told, path, keep)
+        figures = self._run_kernel(table, laid, first, count, hearing, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
         return figures, Path(both[:, :n], both[:, n:])
 
@@ -105,13 +105,13 @@ class Engine:
         laid: Laid,
         first: int,
         count: int,
-        told: Told | None,
+        hearing: Hearing,
         path: np.ndarray,
         keep: int,
     ) -> Figures:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._limits, told
+        loop = plant, self._run, self._clip, *hearing
         return Figures(*run_scenarios(*table[:5], *loop, first, count, path, keep))
 
 
@@ -135,7 +135,7 @@ def _dense(feedback: Feedback) -> Dense:
     G = feedback.latest_first
     head = np.concatenate((feedback.state_gain, G[:, :, :m]), axis=2)
     rest[:, :, : (taps - 1) * m] = G[:, :, m:]
-    kind = _KINDS[feedback.context]
+    kind = KINDS[feedback.context]
     return Dense(taps, head.ravel(), rest.ravel(), width, kind, feedback.ages)
 
 

@@ -53,7 +53,7 @@ class Model(NamedTuple):
     tails: np.ndarray
 
 
-class Ahead(NamedTuple):
+class Stacks(NamedTuple):
     """Memory of eight scenarios: the two stacks, and what holds in the period that enters.
 
     stack : slots of Φ (n, n) and v (n,);  back : one more;  own : the period's map, flat
@@ -84,7 +84,7 @@ def look_ahead(shape, model, start, count, period):
     for p in range(model.lags.size):
         acting[p] = (period + model.length - model.lags[p]) % period * m * LANES
     slot = (n * n + n) * LANES
-    ahead = Ahead(
+    ahead = Stacks(
         np.empty(max(1, model.length) * slot),
         np.empty(slot),
         np.empty(n * wide * LANES),

@@ -10,29 +10,30 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.feedback import Feedback
-from deadtime.feedback.table import follow
-from deadtime.imperfections import Imperfection, Sizes, streams
-from deadtime.scenarios.layout import Told
+from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes
+from deadtime.numerics.lanes.code import LANES
+from deadtime.scenarios.drawn import in_many_runs
+from deadtime.scenarios.layout import KINDS, Hearing, Relayed
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
-from deadtime.scenarios.source import scenario_seed
-from deadtime.simulation.compiled import heard_of
+from deadtime.scenarios.side_by_side import groups, lay_lags, lay_numbers, lay_rows
+from deadtime.scenarios.sights import Sights
+from deadtime.switching import SignalBatch
 
-_FEW = 32  # scenarios that are gone through at a time, so that they stay in the caches
+_FEW = 16  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 class _Stack(NamedTuple):
-    """What is heard in all scenarios.
+    """What is heard in all scenarios: as `Relayed` has it, and the modes.
 
-    sample : (scenario, sample), whose measurement, −1 for none
-    reach : (scenario,), how many samples back these go, at most
-    noise : (scenario, sample·n), or (scenario, 0) where there is none
+    sight : as `Hearing` has it
     modes : (scenario, sample), the modes told, or None where they are the plant's
     """
 
-    sample: np.ndarray
-    reach: np.ndarray
+    lag: np.ndarray
+    reach: int
     noise: np.ndarray
+    sight: np.ndarray | None
     modes: np.ndarray | None
 
 
@@ -42,59 +43,71 @@ class HeardBlock:
 
     Attributes
     ----------
-    laid : Laid
-        Their signals.
+    signals, laid : SignalBatch, Laid
+        Their signals, and these laid on periods.
+    by_mode : bool
+        Whether a law's rows depend on the modes that it is told.
     """
 
     loop: Loop
     imperfections: Sequence[Imperfection]
+    signals: SignalBatch
     laid: Laid
     seed: int
     first: int
+    by_mode: bool
 
-    def told(self, feedback: Feedback | None, begin: int, count: int) -> Told:
-        """What a law with this table hears in `count` scenarios of the block from `begin` on."""
-        heard, part, row = self._heard, slice(begin, begin + count), np.zeros(0, np.int32)
+    def hearing(self, feedback: Feedback | None, begin: int, count: int) -> Hearing:
+        """What a law with this table hears in `count` scenarios of the block from `begin` on.
+
+        `begin` is a multiple of eight.
+        """
+        heard, row = self._heard, np.zeros(0, np.int32)
         if feedback is not None and feedback.context != "none" and heard.modes is not None:
-            modes, ages = (each[part] for each in self._followed)
-            row = feedback.rows_at(modes, ages).astype(np.int32).ravel()
-        reach = int(heard.reach[part].max())
-        return Told(heard.sample[part].ravel(), reach, heard.noise[part].ravel(), row)
+            part = slice(begin, begin + count)
+            row = np.empty(groups(count) * heard.modes.shape[1] * LANES, np.int32)
+            told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
+            lay_rows(told, sampled, age, KINDS[feedback.context], feedback.ages, row)
+        lag, noise = (self._from(begin, part) for part in (heard.lag, heard.noise))
+        sight = None if heard.sight is None else self._from(begin, heard.sight)
+        return Hearing(Relayed(lag, heard.reach, noise, row), sight)
+
+    def _from(self, begin: int, laid: np.ndarray) -> np.ndarray:
+        """What is laid, from a scenario on."""
+        return laid[begin // LANES * (laid.size // groups(self.laid.scenarios)) :]
 
     @cached_property
     def _heard(self) -> _Stack:
         """What reaches the law of every scenario."""
-        plant, step, samples = self.loop.plant, self.loop.step, self.loop.whole + 1
-        sizes, count = Sizes.of(plant, step), self.laid.scenarios
-        each, modes = np.arange(samples), np.arange(plant.modes)
-        sample, told = np.empty((count, samples), np.int32), None
-        noise, reach = np.zeros((count, 0)), np.empty(count, np.int64)
-        for i in range(count):
-            generators = streams(self.imperfections, scenario_seed(self.seed, self.first + i))
-            heard = heard_of(list(zip(self.imperfections, generators, strict=True)), sizes, samples)
-            sample[i] = heard.sample
-            reach[i] = (each - heard.sample)[heard.sample >= 0].max(initial=0)
-            if not noise.size and heard.noise.any():
-                noise = np.zeros((count, samples * plant.states))
-            if noise.size:
-                noise[i] = heard.noise.ravel()
-            if (heard.mode_of != each).any() or (heard.named != modes).any():
-                told = self._sampled.copy() if told is None else told
-                told[i] = heard.modes(self._sampled[i])
-        return _Stack(sample, reach, noise, told)
+        plant, samples = self.loop.plant, self.loop.whole + 1
+        count, sizes = self.laid.scenarios, Sizes.of(plant, self.loop.step)
+        kinds = in_many_runs(self.imperfections, Relaying, self.seed, self.first, count)
+        rooms = [each.room(sizes, samples, min(_FEW, count)) for each in kinds]
+        size = groups(count) * samples * LANES
+        nothing, modes, reach = Heard.of_many(samples, sizes), None, 0
+        sights = Sights.of(self.loop, self.imperfections, self.seed, self.first, count)
+        lag, noise = np.zeros(0, np.int32), np.zeros(0)
+        for begin in range(0, count, _FEW):
+            few, heard = min(_FEW, count - begin), nothing
+            these = slice(begin, begin + few)
+            for each, room in zip(kinds, rooms, strict=True):
+                heard = each.relay(begin, room[:few], heard, sizes)
+            sample = heard.sample
+            if sights is not None:
+                sample = sights.lay(self.signals, self.laid.records, begin, few, sample)
+            if sample is not nothing.sample:
+                lag = lag if lag.size else np.zeros(size, np.int32)
+                reach = lay_lags(sample, few, begin // LANES, lag, reach)
+            if heard.noise.shape[1] > 1:
+                noise = noise if noise.size else np.zeros(size * plant.states)
+                lay_numbers(heard.noise, begin // LANES, noise)
+            true = heard.mode_of is nothing.mode_of and heard.named is nothing.named
+            if self.by_mode and not true:
+                modes = self._sampled.copy() if modes is None else modes
+                modes[these] = heard.modes(self._sampled[these])
+        return _Stack(lag, reach, noise, None if sights is None else sights.laid, modes)
 
     @cached_property
     def _sampled(self) -> np.ndarray:
         """The modes of the plant at the samples."""
         return self.laid.records.modes(self.loop.whole + 1).astype(np.int32)
-
-    @cached_property
-    def _followed(self) -> tuple[np.ndarray, np.ndarray]:
-        """The mode that laws go by at every sample, and its age."""
-        sampled, told = self._sampled, self._heard.modes
-        assert told is not None
-        modes, ages = np.empty_like(sampled), np.empty_like(sampled)
-        for begin in range(0, len(sampled), _FEW):
-            part = slice(begin, begin + _FEW)
-            modes[part], ages[part] = follow(told[part], sampled[part], self.laid.age[part])
-        return modes, ages

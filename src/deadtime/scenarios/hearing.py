@@ -1,6 +1,6 @@
 """What the laws of eight scenarios hear: samples late or lost, noise, rows by the modes told.
 
-`layout.Told` has it, drawn before the run.
+`layout.Relayed` has it, drawn before the run.
 """
 
 # Intrinsics take one argument less than the functions that declare them.
@@ -13,64 +13,108 @@ from typing import NamedTuple
 import numpy as np
 
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.lanes import LANES, choose, first_of, gather, load, same, spread, times
+from deadtime.numerics.lanes import (
+    LANES,
+    choose,
+    first_of,
+    gather,
+    load,
+    own_product,
+    same,
+    spread,
+    times,
+)
 
 _ONE = (0.0,)
 
 
-class Memory(NamedTuple):
+class Recent(NamedTuple):
     """The last states of eight scenarios, scenario by scenario, and where to read in them.
 
-    begin : where a scenario begins in `layout.Told`, and where its noise lies
+    Where measurements lie within periods, the inputs that act in its period are beside each.
+
+    slot : of x_k, one number;  places : where what is heard lies
     lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
     """
 
     states: np.ndarray
+    slot: np.ndarray
     places: np.ndarray
-    begin: np.ndarray
-    added: np.ndarray
     lost: np.ndarray
     number: np.ndarray
 
 
 @kernel(eager=True, nogil=True)
-def memory_of(shape, told, samples, first, count):
-    """Room for as many states as are looked back to; `first` is the first scenario's number."""
-    states = np.zeros(LANES * (told.reach + 1) * len(shape.x))
-    begin = samples * (first + np.minimum(np.arange(LANES), count - 1))
-    places, added = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
-    return Memory(states, places, begin, added, np.zeros(LANES), np.zeros(LANES))
+def recent_of(shape, relayed, sight):
+    """Room for as many states as are looked back to, or for what acts on these, too."""
+    size = len(shape.x) if sight is None else len(shape.z)
+    states = np.zeros(LANES * (relayed.reach + 1) * size)
+    slot, places = np.zeros(1, np.int64), np.zeros(LANES, np.int64)
+    return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES))
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def hear(shape, told, memory, x, k):
-    """What the law takes x_k to be."""
-    n, slots = len(shape.x), told.reach + 1
-    spread(memory.states, k % slots * n, slots * n, x)
+def hear(shape, relayed, recent, x, at):
+    """The state that was measured as long before x_k as is said at `at`."""
+    n, slots, slot = len(shape.x), relayed.reach + 1, recent.slot[0]
+    spread(recent.states, slot * n, slots * n, x)
+    _look_back(relayed, recent, at, slots, n)
+    recent.slot[0] = 0 if slot + 1 == slots else slot + 1
+    return gather(recent.states, recent.places, shape.x)
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def see(shape, relayed, sight, recent, x, at):
+    """The same within a period; its inputs follow by `go_on`."""
+    size, slots = len(shape.z), relayed.reach + 1
+    spread(recent.states, recent.slot[0] * size, slots * size, x)
+    _look_back(relayed, recent, at, slots, size)
+    z = gather(recent.states, recent.places, shape.z)
+    return own_product(sight, at * len(shape.x) * size, z, same(0.0, shape.x))
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def go_on(shape, relayed, recent, acting):
+    """Put the inputs that act in this period beside its x."""
+    size, slots, slot = len(shape.z), relayed.reach + 1, recent.slot[0]
+    spread(recent.states, slot * size + len(shape.x), slots * size, acting)
+    recent.slot[0] = 0 if slot + 1 == slots else slot + 1
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def _look_back(relayed, recent, at, slots, size):
+    """Note where what is heard lies, and where nothing is."""
+    slot = recent.slot[0]
     for lane in range(LANES):
-        at = memory.begin[lane] + k
-        memory.added[lane] = at * n
-        sample = told.sample[at]
-        memory.lost[lane] = 1.0 if sample < 0 else 0.0
-        memory.places[lane] = (lane * slots + max(0, sample) % slots) * n
-        if told.row.size > 0:
-            memory.number[lane] = told.row[at]
-    heard = gather(memory.states, memory.places, shape.x)
-    if told.noise.size > 0:
-        heard = times(same(1.0, shape.x), heard, gather(told.noise, memory.added, shape.x))
-    return heard
+        lag = np.int64(relayed.lag[at + lane])
+        recent.lost[lane] = 1.0 if lag < 0 else 0.0
+        place = slot - max(lag, 0)
+        place += slots if place < 0 else 0
+        recent.places[lane] = (lane * slots + place) * size
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def told_rows(told, memory, row):
+def add_noise(shape, relayed, x, at):
+    """What the law takes x to be."""
+    return times(same(1.0, shape.x), x, load(relayed.noise, at * len(shape.x), shape.x))
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def hear_rows(relayed, recent, at):
+    """Note the row of the law's table in every scenario."""
+    for lane in range(LANES):
+        recent.number[lane] = relayed.row[at + lane]
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def told_rows(recent, row):
     """Put the rows of the modes told in place of those of the plant's."""
-    if told.row.size > 0:
-        for lane in range(LANES):
-            row[lane] = np.int64(memory.number[lane])
+    for lane in range(LANES):
+        row[lane] = np.int64(recent.number[lane])
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def command(shape, memory, u, before):
+def command(shape, recent, u, before):
     """What is asked for: u, or what was asked for before where nothing was heard."""
     both = first_of(u, before, before, shape.pair)
-    return choose(both, load(memory.lost, 0, _ONE), shape.u)
+    return choose(both, load(recent.lost, 0, _ONE), shape.u)

@@ -43,7 +43,16 @@ from deadtime.numerics.lanes import (
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
-from deadtime.scenarios.hearing import command, hear, memory_of, told_rows
+from deadtime.scenarios.hearing import (
+    add_noise,
+    command,
+    go_on,
+    hear,
+    hear_rows,
+    recent_of,
+    see,
+    told_rows,
+)
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
 OUTSIDE = 0.02**2
@@ -212,13 +221,13 @@ def _sum_dense(shape, dense, window, place):
 
 
 @kernel(eager=True, nogil=True, inline="always")
-def _limit(shape, limits, u, before):
+def _clip(shape, clip, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
-    for a in range(limits.rate.size):
-        base = times(same(limits.rate[a], shape.u), before, same(0.0, shape.u))
-        low = product(limits.low, a * m, one, base)
-        u = smaller(larger(u, low), product(limits.high, a * m, one, base))
+    for a in range(clip.rate.size):
+        base = times(same(clip.rate[a], shape.u), before, same(0.0, shape.u))
+        low = product(clip.low, a * m, one, base)
+        u = smaller(larger(u, low), product(clip.high, a * m, one, base))
     return u
 
 
@@ -232,12 +241,12 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def _run_eight(
-    shape, factored, dense, model, plant, run, limits, told, start, count, out, path, keep, first,
-    taps,
+    shape, factored, dense, model, plant, run, clip, relayed, sight, start, count, out, path, keep,
+    first, taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
-    The first of them is number `first` of those that `told` is about.
+    The first of them is number `first` of those that `relayed` is about, a multiple of eight.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -262,8 +271,11 @@ def _run_eight(
     if model is not None:
         ahead, enters = look_ahead(shape, model, start, count, period)
         r = model.length
-    if told is not None:
-        memory = memory_of(shape, told, run.samples, first, count)
+    if relayed is not None:
+        recent = recent_of(shape, relayed, sight)
+        # Asked here, for what ends within a branch is counted by Numba in every period.
+        late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
+        by_told = relayed.row.size > 0
     for k in range(run.samples):
         if soon // LANES == k:
             soon = _switch(plant, work, k, soon)
@@ -279,8 +291,16 @@ def _run_eight(
                 P, Q = mantissa(P), mantissa(Q)
         before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
         seen = x
-        if told is not None:
-            seen = hear(shape, told, memory, x, k)
+        if relayed is not None:
+            at = first * run.samples + k * LANES
+            if sight is not None:
+                seen = see(shape, relayed, sight, recent, x, at)
+            elif late:
+                seen = hear(shape, relayed, recent, x, at)
+            if noisy:
+                seen = add_noise(shape, relayed, seen, at)
+            if by_told:
+                hear_rows(relayed, recent, at)
         if model is not None:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
@@ -296,23 +316,24 @@ def _run_eight(
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
             sums = product(factored.out, 0, b, product(factored.state, 0, seen, sums))
             number = load(work.number, 0, _ONE)
-            if told is not None:  # noqa: SIM102
-                if told.row.size > 0:
-                    number = load(memory.number, 0, _ONE)
+            if relayed is not None:  # noqa: SIM102
+                if by_told:
+                    number = load(recent.number, 0, _ONE)
             u = choose(sums, number, shape.u)
         if dense is not None:
             _choose_rows(dense, work, window, k)
-            if told is not None:
-                told_rows(told, memory, window.row)
+            if relayed is not None:  # noqa: SIM102
+                if by_told:
+                    told_rows(recent, window.row)
             _sum_dense(shape, dense, window, place)
             heads = gather(dense.head, window.head, shape.head)
             sums = gather(window.sums, places, shape.u)
             u = matrix_product(heads, first_of(seen, before, before, shape.both), sums)
-        if told is not None:
-            u = command(shape, memory, u, asked)
+        if relayed is not None:
+            u = command(shape, recent, u, asked)
             asked = u
-        if limits is not None:
-            u = _limit(shape, limits, u, before)
+        if clip is not None:
+            u = _clip(shape, clip, u, before)
         store(ring, now * m * LANES, u)
         if model is not None:  # noqa: SIM102
             if model.length > 0:
@@ -331,6 +352,8 @@ def _run_eight(
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
         acting = load_each(ring, work.acting, shape.u, shape.acting)
+        if sight is not None:
+            go_on(shape, relayed, recent, acting)
         z = first_of(x, acting, acting, shape.z)
         ise = own_form(own, n * wide * LANES, z, ise)
         x = own_product(own, 0, z, same(0.0, shape.x))
@@ -351,21 +374,21 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, taps, plant, run, limits, told, start, count, path, keep
+    shape, factored, dense, model, taps, plant, run, clip, relayed, sight, start, count, path, keep
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `limits` and
-    `told`, what the law hears, may be None. `path`, empty or for at most eight scenarios, gets x
-    and u of every sample from `keep` on.
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip`, and
+    `relayed` and `sight`, what the law hears (`layout.Hearing`), may be None. `path`, empty or for
+    at most eight scenarios, gets x and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, plant, run, limits, told, start + at, few, out, path,
-            keep, at, taps,
+            shape, factored, dense, model, plant, run, clip, relayed, sight, start + at, few, out,
+            path, keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):
             for lane in range(few):

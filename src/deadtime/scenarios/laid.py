@@ -91,7 +91,7 @@ def lay(offset, times, modes, samples, step, acting, plants):
 
 
 @kernel(eager=True, nogil=True)
-def _series(flat, index, cells, degrees, size, start, cell, t, width):
+def series(flat, index, cells, degrees, size, start, cell, t, width):
     """Σ_d flat[index, c, d] δ^d: c the cell of t, δ ∈ [−1, 1] the place in it."""
     c = min(max(np.int64((t - start) / cell), 0), cells - 1)
     delta = same(2.0 * ((t - start) / cell - c) - 1.0, width)
@@ -149,7 +149,7 @@ def compose_period(first, last, modes, at, end, acting, pieces, cell, result, sc
         for s in range(acting.stretches.first[mode], acting.stretches.first[mode + 1]):
             edge = min(stop, acting.stretches.stop[s])
             if edge > start:
-                value = _series(flat, mode, cells, degrees, size, 0.0, cell, edge - start, width)
+                value = series(flat, mode, cells, degrees, size, 0.0, cell, edge - start, width)
                 store(scratch, 0, value)
                 _compose(scratch, acting.column[s], move, energy, own)
                 start = edge
@@ -197,7 +197,7 @@ def fill_maps(
                 part += 1
             low, high = edges[part], edges[part + 1]
             index = (modes[i] * count + modes[i + 1]) * parts + part
-            value = _series(flat, index, cells, degrees, size, low, (high - low) / cells, t, width)
+            value = series(flat, index, cells, degrees, size, low, (high - low) / cells, t, width)
             store(place, (count + c) * size, value)
         else:
             end = rest if last[c] else step

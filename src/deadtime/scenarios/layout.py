@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
+
 
 class Shape(NamedTuple):
     """The sizes of a loop as the lengths of tuples, so that they are types.
@@ -94,7 +96,7 @@ class Run(NamedTuple):
     root: np.ndarray
 
 
-class Limits(NamedTuple):
+class Clip(NamedTuple):
     """Actuator a clips to [low[a], high[a]], relative to the input before where `rate[a]`."""
 
     rate: np.ndarray
@@ -102,16 +104,29 @@ class Limits(NamedTuple):
     high: np.ndarray
 
 
-class Told(NamedTuple):
-    """What reaches a law in every scenario, flat.
+class Relayed(NamedTuple):
+    """What sensors tell a law in every scenario, by groups of eight that lie side by side, flat.
 
-    sample : (scenario, sample), whose measurement is used, −1 for none: the last command is held
-    reach : how many samples back these go, at most
-    noise : (scenario, sample, n), what was added to it; empty for nothing
-    row : (scenario, sample), the row of the law's table; empty where that is the plant's mode's
+    lag : (group, sample, lane), how many samples ago it was measured, or the period in which it
+        was began, −1 for nothing: the last command is held; empty where every sample is heard at
+        once
+    reach : the longest of them
+    noise : (group, sample, n, lane), what was added to it; empty for nothing
+    row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
     """
 
-    sample: np.ndarray
+    lag: np.ndarray
     reach: int
     noise: np.ndarray
     row: np.ndarray
+
+
+class Hearing(NamedTuple):
+    """What a law hears, None for all of it.
+
+    sight : (group, sample, n, z, lane), flat: from x and the inputs that act in the period of a
+        measurement to what is measured; None where all are taken at samples
+    """
+
+    relayed: Relayed | None = None
+    sight: np.ndarray | None = None

@@ -15,7 +15,13 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
-from deadtime.imperfections import Imperfection, Limiting, Relaying, streams
+from deadtime.imperfections import (
+    Imperfection,
+    Limiting,
+    Relaying,
+    TimingImperfection,
+    streams,
+)
 from deadtime.imperfections.known import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
@@ -70,10 +76,10 @@ def monte_carlo(
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
     where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
-    laws where the plant is disturbed, states are not measured at samples, or an imperfection is
-    one of the user's own, horizons of fewer than some 20 periods, plants beyond some 30 states (11
-    for a law that knows the signal) or a thousand times faster than the period;
-    `attrs["one_by_one"]` names the laws. So do scenarios that diverge or vanish.
+    laws where the plant is disturbed or an imperfection is a function of the user's own, horizons
+    of fewer than some 20 periods, plants beyond some 30 states (11 for a law that knows the signal)
+    or a thousand times faster than the period; `attrs["one_by_one"]` names the laws. So do
+    scenarios that diverge or vanish.
 
     Parameters
     ----------
@@ -194,8 +200,11 @@ def _sampled(plant: SwitchedSystem, step: float) -> SampledPlant:
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     """Scenarios in a block, in whole vectors of eight; fewer where all that is heard is kept."""
-    heard = any(isinstance(one, Relaying) for one in imperfections)
-    steps = _BLOCK_STEPS / 8 if heard else _BLOCK_STEPS
+    steps = _BLOCK_STEPS
+    if any(isinstance(one, TimingImperfection) for one in imperfections):
+        steps /= 32
+    elif any(isinstance(one, Relaying) for one in imperfections):
+        steps /= 8
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 

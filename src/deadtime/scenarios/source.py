@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import UInt64
 
 from deadtime.base.errors import ArgumentError
+from deadtime.numerics.seeds import states
 from deadtime.switching import SignalBatch, SwitchingSignal
 
 
@@ -34,6 +36,11 @@ def scenario_seed(seed: int, scenario: int) -> int:
     """
     child = np.random.SeedSequence(seed, spawn_key=(scenario,))
     return int(child.generate_state(1, np.uint64)[0])
+
+
+def scenario_seeds(seed: int, first: int, count: int) -> UInt64[np.ndarray, " scenario"]:
+    """Those of the scenarios first, …, first + count − 1, all below 2³²."""
+    return states(seed, [np.arange(first, first + count)], 1)[:, 0]
 
 
 class Source(ABC):

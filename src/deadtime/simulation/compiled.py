@@ -21,6 +21,7 @@ from deadtime.imperfections import (
 )
 from deadtime.imperfections.heard import relayed
 from deadtime.imperfections.known import is_known
+from deadtime.plant.steps import snap_all
 
 Pairs = Sequence[tuple[Imperfection, np.random.Generator]]  # imperfections and their streams
 
@@ -59,10 +60,20 @@ class Lags(NamedTuple):
 
     missing : (samples,), of which what was before time 0 is missing
     early : (samples,), of which time 0 is taken instead
+
+    Of many runs there is an axis of these in front; axes of length 1 stand for all.
     """
 
-    missing: Float[np.ndarray, " sample"]
-    early: Float[np.ndarray, " sample"]
+    missing: Float[np.ndarray, "*runs sample"]
+    early: Float[np.ndarray, "*runs sample"]
+
+    def instants(self, h: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """The period, −1 before time 0, and the seconds into it at which each state is measured."""
+        k = np.arange(samples)
+        ratio = np.maximum(0.0, snap_all(k - (self.missing + self.early) / h))
+        whole = np.floor(ratio)
+        step = np.where(snap_all(k - self.missing / h) < 0.0, -1, whole.astype(np.int64))
+        return step, (ratio - whole) * h
 
     @classmethod
     def of(cls, pairs: Pairs, sizes: Sizes, samples: int) -> Lags | None:
@@ -72,11 +83,11 @@ class Lags(NamedTuple):
             return None
         sums = cls(np.zeros(samples), np.zeros(samples))
         for each, rng in timings:
-            sums[0 if each.waits else 1][:] += _lags_of(each, sizes, samples, rng)
+            sums[0 if each.waits else 1][:] += lags_of(each, sizes, samples, rng)
         return sums
 
 
-def _lags_of(
+def lags_of(
     each: TimingImperfection, sizes: Sizes, samples: int, rng: np.random.Generator
 ) -> Float[np.ndarray, " sample"]:
     """Its lags; refused where they do not fit, as compiled loops look back by them."""

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
-from deadtime.plant.steps import Cuts, snap_all
+from deadtime.plant.steps import Cuts
 from deadtime.simulation.compiled import Arrays, Lags
 
 
@@ -67,15 +67,6 @@ class Sight(NamedTuple):
         return cls(*map(read_only, (*place, force, noise, C, mode)))
 
 
-def _instants(lags: Lags, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """The period, −1 before time 0, and the seconds into it at which each state is measured."""
-    k = np.arange(lags.missing.size)
-    ratio = np.maximum(0.0, snap_all(k - (lags.missing + lags.early) / h))
-    whole = np.floor(ratio)
-    step = np.where(snap_all(k - lags.missing / h) < 0.0, -1, whole.astype(np.int64))
-    return step, (ratio - whole) * h
-
-
 def _within(
     lags: Lags,
     heard: np.ndarray,
@@ -88,7 +79,7 @@ def _within(
     A, B = sampled.plant.A, sampled.plant.B
     from deadtime.simulation.kernel import ways
 
-    measured, offset = _instants(lags, sampled.step)
+    measured, offset = lags.instants(sampled.step, heard.size)
     step = np.where(heard < 0, -1, measured[heard])
     offset = np.where(step < 0, 0.0, offset[heard])
     piece, way, inside = table.first[step], np.full(step.size, -1), np.flatnonzero(offset > 0.0)

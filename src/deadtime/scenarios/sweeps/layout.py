@@ -16,7 +16,7 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.imperfections import Relaying
+from deadtime.imperfections import Relaying, TimingImperfection
 from deadtime.imperfections.known import is_batched
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
@@ -27,7 +27,8 @@ from deadtime.switching import SwitchingSignal
 _FACTORED = 3e-9  # … whose row is factorised,
 _TAP = 1.5e-10  # … for every past input of a dense row,
 _FORESEEN = 1.2e-8  # … of a law that knows the signal,
-_HEARD = 5e-8  # … where sensors are imperfect,
+_HEARD = 2e-8  # … where sensors are imperfect,
+_SEEN = 1e-7  # … where measurements lie within periods,
 _ALONE = 2e-6  # … run by `simulate`,
 _CALLED = 2.5e-5  # … sample by sample.
 _CELL = 0.01  # plant, laws and tables of a cell
@@ -133,7 +134,10 @@ def _of_law(loop: Loop, law: Law) -> float:
         return _CALLED
     if not all(map(is_batched, loop.imperfections)):
         return _ALONE
-    heard = _HEARD if any(isinstance(one, Relaying) for one in loop.imperfections) else 0.0
+    heard = 0.0
+    for kind, cost in ((Relaying, _HEARD), (TimingImperfection, _SEEN)):
+        if any(isinstance(one, kind) for one in loop.imperfections):
+            heard += cost
     taps = Window.of(law.plant.longest_delay, loop.step).count
     size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
     if law.foresees:

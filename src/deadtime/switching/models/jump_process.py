@@ -89,6 +89,7 @@ class JumpProcess(Frozen):
         mode = (start * self.transition.shape[0]).astype(np.int64)
         rows, time, last = np.arange(size), np.zeros(size), np.full(size, -1)
         rounds, block, jumps_read = [], 0, 0
+        choices = bool(((bounds > 0.0) & (bounds < 1.0)).any())
         while rows.size:
             # Longer and longer rounds: at most a quarter of what a signal needs is read in vain.
             blocks = max(_FIRST_BLOCKS, block // 4)
@@ -98,7 +99,10 @@ class JumpProcess(Frozen):
             if jumps_read > 2.0 * MOST_JUMPS:
                 _refuse(size, horizon)
             draw, own = _numbers(size, block), read_only(numbers[rows])
-            path, mode = walk(bounds, mode, draw(key, own, block, blocks, _JUMPS))
+            shape = rows.size, WORDS * blocks
+            # Where a mode leads to one other, whatever is drawn decides the same.
+            jumps = draw(key, own, block, blocks, _JUMPS) if choices else np.full(shape, 0.5)
+            path, mode = walk(bounds, mode, jumps)
             sojourns = self.sojourn(path, draw(key, own, block, blocks, _SOJOURNS))
             times, modes, used, time, last = lay(path, sojourns, time, last, horizon)
             rounds.append((rows, used, times, modes))

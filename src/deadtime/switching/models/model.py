@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.switching.batch import SignalBatch
 from deadtime.switching.signal import SwitchingSignal
@@ -69,4 +70,5 @@ class JumpModel(Frozen, ABC):
         """
         drawn = self.process.draw(horizon, seed, first, count)
         ends, ages = np.full(count, float(horizon)), np.zeros(count)
-        return SignalBatch(drawn.first, drawn.times, drawn.modes, ends, ages)
+        # Nobody else has these arrays, so that the batch need not copy them.
+        return SignalBatch(*map(read_only, (*drawn, ends, ages)))

@@ -1,0 +1,78 @@
+"""Numbers of every scenario and sample, laid eight scenarios side by side for the compiled loop.
+
+(scenario, sample, …) goes to (group, sample, …, lane), flat: group g has the scenarios 8g, …,
+8g + 7, the last of all filling the rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.numerics.kernels import kernel
+from deadtime.numerics.lanes.code import LANES
+
+
+def groups(scenarios: int) -> int:
+    """How many groups there are."""
+    return -(-scenarios // LANES)
+
+
+@kernel(eager=True, nogil=True)
+def lay_lags(sample, scenarios, begin, lag, reach):
+    """Fill `lag`, from group `begin` on; how long the longest is, `reach` at least.
+
+    `sample` (scenario or 1, sample) is whose measurement is heard, −1 for none.
+    """
+    samples, at = sample.shape[1], begin * sample.shape[1] * LANES
+    for first in range(0, scenarios, LANES):
+        for k in range(samples):
+            for lane in range(LANES):
+                s = min(first + lane, scenarios - 1, sample.shape[0] - 1)
+                heard = sample[s, k]
+                lag[at] = -1 if heard < 0 else k - heard
+                reach = max(reach, lag[at])
+                at += 1
+    return reach
+
+
+@kernel(eager=True, nogil=True)
+def lay_numbers(numbers, begin, laid):
+    """Fill `laid` from group `begin` on with numbers (scenario, sample, n)."""
+    scenarios, samples, n = numbers.shape
+    at = begin * samples * n * LANES
+    for first in range(0, scenarios, LANES):
+        for k in range(samples):
+            for i in range(n):
+                for lane in range(LANES):
+                    laid[at] = numbers[min(first + lane, scenarios - 1), k, i]
+                    at += 1
+
+
+@kernel(eager=True, nogil=True)
+def lay_rows(told, sampled, begun, kind, ages, row):
+    """Fill `row` with a table's rows by the modes told, −1 for none, as `feedback.table.follow`.
+
+    told, sampled : (scenario, sample), the mode that a law hears of, and the plant's
+    begun : (scenario,), how old the first mode is at time 0, samples
+    kind, ages : those of `layout.Dense`
+    """
+    scenarios, samples = told.shape
+    for s in range(scenarios + -scenarios % LANES):
+        source = min(s, scenarios - 1)
+        at = s // LANES * samples * LANES + s % LANES
+        mode, age, before = -1, np.int64(begun[source]), sampled[source, 0]
+        for k in range(samples):
+            now, true = told[source, k], sampled[source, k]
+            if mode < 0:
+                # Before any is known, the age is that of the plant's mode.
+                if k > 0:
+                    age = age + 1 if true == before else 0
+                mode = now
+            else:
+                age = age + 1 if now < 0 or now == mode else 0
+                mode = mode if now < 0 else now
+            before = true
+            row[at] = max(mode, 0)
+            if kind == 2:
+                row[at] = max(mode, 0) * ages + min(age, ages - 1)
+            at += LANES

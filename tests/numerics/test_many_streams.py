@@ -1,0 +1,69 @@
+"""Generators of many seeds at once, against NumPy's, one by one."""
+
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from deadtime.numerics import pcg
+from deadtime.numerics.seeds import states
+from deadtime.numerics.streams import stream
+
+SEEDS = np.array([0, 7, 2**32 - 1, 2**32, 2**64 - 1], np.uint64)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 2**32 + 1, 2**64 - 1, 3**90, 3**150])
+@pytest.mark.parametrize("last", [0, 2**40 + 7, 2**64 - 1])
+def test_seeds_of_many_streams_are_those_of_numpy(seed, last):
+    found = states(seed, [np.array([0, 1, 2**32 - 1]), last], 3)
+    for row, key in zip(found, (0, 1, 2**32 - 1), strict=True):
+        sequence = np.random.SeedSequence(seed, spawn_key=(key, last))
+        np.testing.assert_array_equal(row, sequence.generate_state(3, np.uint64))
+
+
+def test_seeds_may_differ_from_stream_to_stream():
+    for seed, row in zip(SEEDS, states(SEEDS, [3, 0], 4), strict=True):
+        sequence = np.random.SeedSequence(int(seed), spawn_key=(3, 0))
+        np.testing.assert_array_equal(row, sequence.generate_state(4, np.uint64))
+
+
+def test_uniform_numbers_are_those_of_numpy_in_all_bits():
+    many, room = pcg.Streams(SEEDS, "Dropout", 2), np.empty((4, 3000))
+    many.draw_compiled(1, False, room)
+    for row, seed in zip(room, SEEDS[1:], strict=True):
+        np.testing.assert_array_equal(row, stream(int(seed), "Dropout", 2).random(3000))
+
+
+def test_normal_numbers_are_those_of_numpy_but_for_the_round_off_of_its_tables():
+    many, room = pcg.Streams(SEEDS, "Noise", 0), np.empty((5, 400_000))
+    many.draw_compiled(0, True, room)
+    for row, seed in zip(room, SEEDS, strict=True):
+        wanted = stream(int(seed), "Noise").standard_normal(row.size)
+        np.testing.assert_allclose(row, wanted, rtol=2e-14, atol=0.0)
+    assert np.abs(room).max() > 4.5  # the tail was drawn from, too
+
+
+def test_layers_have_one_area_and_end_where_the_curve_does():
+    width, below, height = pcg.layers()
+    edges, r = width * 2.0**52, float(pcg.TAIL)
+    area = r * np.exp(-0.5 * r * r) + quad(lambda x: np.exp(-0.5 * x * x), r, np.inf)[0]
+    assert edges[0] * height[255] == pytest.approx(area, rel=1e-13)
+    np.testing.assert_allclose(height, np.exp(-0.5 * np.append(0.0, edges[1:]) ** 2), rtol=1e-13)
+    rises = height[1:-1] - height[2:]
+    np.testing.assert_allclose(edges[2:] * rises, area, rtol=1e-12)
+    assert edges[1] * (1.0 - height[1]) == pytest.approx(area, rel=1e-12)
+    np.testing.assert_allclose(below[2:] / 2.0**52, edges[1:-1] / edges[2:], rtol=1e-15)
+    assert isinstance(pcg.TAIL, Decimal)
+    assert below[1] == 0
+
+
+def test_a_numpy_that_draws_otherwise_is_asked_itself(monkeypatch):
+    many, mine, theirs = pcg.Streams(SEEDS, "Noise", 0), np.empty((2, 50)), np.empty((2, 50))
+    assert pcg.draws_as_numpy()
+    many.draw(0, True, mine)
+    monkeypatch.setattr(pcg, "draws_as_numpy", lambda: False)
+    many.draw(0, True, theirs)
+    wanted = [stream(int(seed), "Noise").standard_normal(50) for seed in SEEDS[:2]]
+    np.testing.assert_array_equal(theirs, wanted)
+    np.testing.assert_allclose(mine, theirs, rtol=2e-14, atol=0.0)
