@@ -43,7 +43,7 @@ class Sights:
         if not kinds:
             return None
         samples, nobody = loop.whole + 1, np.empty((1, 0))
-        sizes, step = Sizes.of(loop.plant, loop.window.step), loop.window.step
+        sizes, step = Sizes.of(loop.plant, loop.step), loop.step
         if all(each.is_fixed(sizes, samples) for each in kinds):
             fixed = [each.lags(0, nobody, sizes, samples) for each in kinds]
             _, offset = _sum(kinds, fixed).instants(step, samples)
@@ -63,7 +63,7 @@ class Sights:
         from deadtime.scenarios.laid_sights import lay_sights
 
         loop, samples = self.loop, self.loop.whole + 1
-        step, tables = loop.window.step, loop.tables
+        step, tables = loop.step, loop.tables
         sizes = Sizes.of(loop.plant, step)
         rooms = [each.room(sizes, samples, few) for each in self.kinds]
         lags = [
