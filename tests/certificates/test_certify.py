@@ -189,6 +189,7 @@ def a_problem(rng):
     return with_delay(model, delay), law, 0.1 * rng.uniform(1.001, 9.0), 0.1
 
 
+@pytest.mark.long
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
 def test_no_loop_is_certified_to_decay_faster_than_along_some_periodic_signal(seed):

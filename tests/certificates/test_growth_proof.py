@@ -175,6 +175,7 @@ def test_growth_under_every_law_of_the_paper_s_plant_is_proved(name):
     assert_refuted(plant, plants.LAWS[name](plant), 0.2, H)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["weighted", "expected", "averaged, dwell-aware"])
 def test_growth_over_a_hundred_periods_of_delay_is_proved(name):
     plant = plants.paper()
@@ -208,6 +209,7 @@ def test_growth_within_the_tolerance_of_the_clock_is_proved():
     assert_refuted(plant, law, 0.2, H)
 
 
+@pytest.mark.long
 def test_a_constant_mode_that_grows_stands_in_for_a_cycle_beyond_reach(monkeypatch):
     plant = plants.paper()
     law = plants.LAWS["weighted"](plant)

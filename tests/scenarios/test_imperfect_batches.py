@@ -20,6 +20,7 @@ from deadtime.scenarios import draw_signals, scenario_seed
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.run import _block
+from shares import mostly_long
 
 H, HORIZON, COUNT, SEED = 0.1, 6.03, 11, 5
 TRUTH, BELIEVED = plants.generic(0.234), plants.generic(0.3, seed=5)
@@ -45,7 +46,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", mostly_long(CASES, "late, then noise", "all"))
 def test_imperfect_scenarios_are_those_of_single_runs(case):
     data = dt.monte_carlo(
         TRUTH, LAWS, MODEL, X0, HORIZON, H, COUNT, SEED,
