@@ -19,6 +19,7 @@ from deadtime.switching import SignalBatch
 from shares import mostly_long
 
 X0 = np.array([0.3, -0.6, 0.9])
+X0.setflags(write=False)  # as in `monte_carlo`: another layout would be compiled once more
 H, HORIZON, COUNT = 0.1, 6.03, 7
 TRUTH, BELIEVED = plants.generic(), plants.generic(0.3, seed=5)
 LIMITS = (Saturation([-2.0, -1.0], 1.5), RateLimit([9.0, 12.0]))

@@ -234,7 +234,8 @@ def test_the_follower_has_margin_to_spare():
     assert found.message.endswith("Nothing in the plant limits the margin below 100 %.")
 
 
-@pytest.mark.parametrize("filtered", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.long
+@pytest.mark.parametrize("filtered", [False, True])
 def test_three_modes_with_two_inputs_are_designed_by_weights(filtered):
     plain = dt.delay_margin(PLANT, LAW, 0.02).relative
     asked = 1.15 * plain
