@@ -79,6 +79,7 @@ def test_the_search_is_reproducible(common_gain):
         assert np.array_equal(a, b)
 
 
+@pytest.mark.long
 def test_one_gain_for_all_modes_makes_the_paper_s_example_stable_in_every_mode():
     plant, own = plants.paper(), plants.gains(plants.paper())
     weights, gains, growth = minimax(plant, own, H, True, False)

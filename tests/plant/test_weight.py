@@ -131,9 +131,11 @@ def test_a_batch_with_the_identity_is_one_without_a_weight():
     assert data[0].identical(data[1])
 
 
-def test_trajectories_come_with_a_weight_as_without():
-    data = dt.monte_carlo(TRUTH, LAWS, [SIGNAL], X0, 3.0, 0.1, trajectories=True, weight=WEIGHT)
-    plain = dt.monte_carlo(TRUTH, LAWS, [SIGNAL], X0, 3.0, 0.1, trajectories=True)
+@pytest.mark.parametrize("name", mostly_long(LAWS, "averaged"))
+def test_trajectories_come_with_a_weight_as_without(name):
+    laws = {name: LAWS[name]}
+    data = dt.monte_carlo(TRUTH, laws, [SIGNAL], X0, 3.0, 0.1, trajectories=True, weight=WEIGHT)
+    plain = dt.monte_carlo(TRUTH, laws, [SIGNAL], X0, 3.0, 0.1, trajectories=True)
     assert data.x.equals(plain.x)
     assert data.u.equals(plain.u)
 
