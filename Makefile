@@ -33,15 +33,20 @@ lint: .venv/installed-test
 types: .venv/installed-test
 	$(BIN)/basedpyright
 
-# The tests compile more than they run: one level of optimisation takes half the time of three.
-# `make long` compiles as users do.
-pytest: .venv/installed-test
-	NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba \
-		$(BIN)/pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
+# A process per core, so that one more thread of linear algebra in each would only wait; bytecode is
+# kept, whatever the caller says, because many tests start processes that import everything again.
+TESTED := env -u PYTHONDONTWRITEBYTECODE OPENBLAS_NUM_THREADS=1
+PARALLEL := --numprocesses auto --dist worksteal
 
-# What is too long for every change: the whole report, certificates of N = 100 put back.
+# The tests compile as much as they run: one level of optimisation takes less than three.
+# `make long` compiles as users do, into a cache of its own: Numba's does not tell levels apart.
+pytest: .venv/installed-test
+	$(TESTED) NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba $(BIN)/pytest $(PARALLEL)
+
+# What is too long for every change: the whole report, certificates of N = 100 put back, and the
+# other cases of claims of which `make pytest` tries a few.
 long: .venv/installed-test
-	$(BIN)/pytest -m long
+	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-long $(BIN)/pytest -m long $(PARALLEL)
 
 # Mutants of every kind of file that the package reads: make fuzz FUZZ="--kind log --count 100000".
 FUZZ ?= --count 2000 --seconds 120

@@ -3,6 +3,7 @@
 Compiled ones cannot; in modules without shapes the checks would only bind arguments at every call.
 """
 
+import gc
 from importlib import import_module
 from pathlib import Path
 
@@ -31,3 +32,9 @@ def _filled_faces() -> None:
     for face in ("deadtime", *(f"deadtime.{path.parent.name}" for path in ROOMS)):
         for name in import_module(face).__all__:
             getattr(import_module(face), name)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays: the garbage collector need not visit it again."""
+    gc.collect()
+    gc.freeze()

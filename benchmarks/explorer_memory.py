@@ -5,7 +5,9 @@ A plain GET, as of a robot, gets the page only. Memory is that of the server's p
 MB, as the system counts it (VmRSS, Linux only); the first visitors warm it up. Asserted: it grows
 by at most `MOST` MB from visitor `WARM` to the last.
 
-    python benchmarks/explorer_memory.py [--visitors 500]
+    python benchmarks/explorer_memory.py [--visitors 500] [--compared]
+
+With --compared memory is read where the assertion compares it alone: each reading takes a rest.
 """
 
 from __future__ import annotations
@@ -76,13 +78,16 @@ async def visit(url: str) -> None:
     socket.close()
 
 
-async def measured(server: Server, visitors: int, how: object) -> list[tuple[int, float]]:
+def marks_of(visitors: int, compared: bool) -> list[int]:
+    """After how many visitors memory is read."""
+    between = () if compared else (min(10, visitors), *range(100, visitors + 1, 100))
+    return sorted({min(WARM, visitors), *between, visitors})
+
+
+async def measured(server: Server, marks: list[int], how: object) -> list[tuple[int, float]]:
     """Memory after so many visitors, MB, once the server has rested."""
-    marks = sorted(
-        {min(10, visitors), min(WARM, visitors), *range(100, visitors + 1, 100), visitors}
-    )
     rows = []
-    for count in range(1, visitors + 1):
+    for count in range(1, marks[-1] + 1):
         await how(server.url)  # pyright: ignore
         if count in marks:
             await asyncio.sleep(REST)
@@ -94,7 +99,9 @@ async def measured(server: Server, visitors: int, how: object) -> list[tuple[int
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--visitors", type=int, default=500)
-    visitors = parser.parse_args().visitors
+    parser.add_argument("--compared", action="store_true")
+    asked = parser.parse_args()
+    visitors, marks = asked.visitors, marks_of(asked.visitors, asked.compared)
     print(heading(), "\n\n| visitors | how | memory, MB | since the first mark, MB |", sep="")
     print("|---|---|---|---|")
     for how, name in ((visit, "websocket"), (get, "plain GET")):
@@ -102,7 +109,7 @@ def main() -> None:
         try:
             before = server.memory()
             print(f"| 0 | {name} | {before:.0f} | |")
-            rows = asyncio.run(measured(server, visitors, how))
+            rows = asyncio.run(measured(server, marks, how))
         finally:
             server.stop()
         for count, memory in rows:

@@ -63,7 +63,7 @@ scenarios = 12
 seed = 3
 
 [grid]
-plant.delay = [0.234, 0.3]
+plant.delay = [0.234, 0.31]
 law.told.dwell_time = [0.1, 0.15]
 delay_error = [-0.1, 0.0, 0.1]
 """

@@ -25,6 +25,7 @@ from deadtime.problems.file import load_problem
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.figures.runs import plot_laws
 from mixer import OWN
+from shares import mostly_long
 
 
 def shown(page, law):
@@ -148,6 +149,7 @@ def test_what_is_saved_after_a_refused_move_is_still_what_is_shown(own):
     assert page.toml() == shown_now
 
 
+@pytest.mark.long
 def test_a_law_that_fails_while_it_runs_says_so_and_is_not_saved(own, tmp_path):
     page = Page(own, None)
     page.controls.step.value = "ideal"
@@ -178,7 +180,7 @@ poles = [-5.0, -6.0]
 """
 
 
-@pytest.mark.parametrize("more", ["regions", "observer"])
+@pytest.mark.parametrize("more", mostly_long(["regions", "observer"], "observer"))
 def test_scripts_of_rules_and_observers_run(more, tmp_path, monkeypatch):
     head, tail = OWN.split("[signal]")
     text = OWN + OBSERVER
@@ -213,7 +215,7 @@ def test_the_csv_holds_every_sample_of_every_law(own):
             np.testing.assert_array_equal([float(r[f"{law}: u[{i}]"]) for r in rows], run.inputs[i])
 
 
-@pytest.mark.parametrize("name", ["own", "paper"])
+@pytest.mark.parametrize("name", mostly_long(["own", "paper"], "paper"))
 def test_the_script_makes_the_same_runs_and_a_figure(name, own, tmp_path, monkeypatch, capsys):
     document = own if name == "own" else open_named("paper")
     offer, _ = laws_on_offer(document)

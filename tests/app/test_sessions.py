@@ -155,5 +155,5 @@ def test_a_server_of_no_sessions_is_refused(count, capsys):
 @pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is read from /proc")
 def test_five_hundred_visitors_leave_no_memory_behind():
-    done = subprocess.run([sys.executable, MEMORY], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, MEMORY, "--compared"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -16,6 +16,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.certificates.worst_case.proof import prove
 from deadtime.spectrum import enclosure, growth
+from shares import mostly_long
 
 H = 0.1
 DECAY = 2.0**-12
@@ -169,12 +170,15 @@ def assert_refuted(plant, law, dwell_time, step):
     assert size[-1] > 10.0 * size[0]
 
 
-@pytest.mark.parametrize("name", [name for name in plants.LAWS if name != "exact"])
+@pytest.mark.parametrize(
+    "name", mostly_long([n for n in plants.LAWS if n != "exact"], "averaged", "expected", "delayed")
+)
 def test_growth_under_every_law_of_the_paper_s_plant_is_proved(name):
     plant = plants.paper()
     assert_refuted(plant, plants.LAWS[name](plant), 0.2, H)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["weighted", "expected", "averaged, dwell-aware"])
 def test_growth_over_a_hundred_periods_of_delay_is_proved(name):
     plant = plants.paper()
@@ -208,6 +212,7 @@ def test_growth_within_the_tolerance_of_the_clock_is_proved():
     assert_refuted(plant, law, 0.2, H)
 
 
+@pytest.mark.long
 def test_a_constant_mode_that_grows_stands_in_for_a_cycle_beyond_reach(monkeypatch):
     plant = plants.paper()
     law = plants.LAWS["weighted"](plant)

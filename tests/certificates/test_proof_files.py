@@ -47,6 +47,7 @@ def assert_refused(path, message):
         dt.verify(path)
 
 
+@pytest.mark.long
 def test_ages_with_the_same_row_are_checked_once(monkeypatch):
     plant = dt.problems.paper().plant.apart(0.5)
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]), dwell_time=20.0)

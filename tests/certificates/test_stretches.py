@@ -173,6 +173,7 @@ def test_without_input_certify_reaches_what_the_lmis_on_exponentials_prove(seed,
     assert certificate.stable is True, certificate.message
 
 
+@pytest.mark.long
 def test_two_modes_that_turn_are_proved_at_twenty_seconds_whatever_delay_nothing_travels_through():
     found = [dt.certify(*idle(TURNING, delay), 20.0, 0.01) for delay in (0.3, 0.305)]
     for certificate in found:

@@ -23,6 +23,9 @@ LINES = [
 ]
 ASKED = [shlex.split(line.partition(" > ")[0])[1:] for line in LINES if line.startswith("deadtime")]
 COMMANDS = {name for name in app if not name.startswith("-")} - {"app"}  # it serves until stopped
+# Half a minute of compiling and searching; what they print is the way of the others, too.
+SLOW = {"simulate", "reproduce", "robustness", "monte-carlo", "sweep", "plot", "study", "design"}
+QUICK = [command for command in ASKED if command[0] not in SLOW]
 ANSI = b"\x1b["
 
 # One process for all: it starts once, and a word of any command on stderr is still a word too many.
@@ -45,10 +48,14 @@ def refuse(token):
     raise AssertionError(f"{token} is no JSON")
 
 
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory):
-    """Every command of the page, with --json, in one folder; what is on stderr, codes, outputs."""
-    folder = tmp_path_factory.mktemp("page")
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(ASKED, marks=pytest.mark.long), QUICK],
+    ids=["all", "quick"],
+)
+def ran(request, tmp_path_factory):
+    """Commands of the page, with --json, in one folder; what is on stderr, codes, outputs."""
+    folder, asked = tmp_path_factory.mktemp("page"), request.param
     (folder / "study.toml").write_text(re.search(r"```toml\n(.*?)```", PAGE, re.S)[1])
     (log,) = (line for line in LINES if line.startswith("python -c "))
     with pytest.MonkeyPatch.context() as patch:
@@ -56,26 +63,30 @@ def ran(tmp_path_factory):
         exec(shlex.split(log)[2])
     (folder / "driver.py").write_text(DRIVER)
     result = subprocess.run(
-        [sys.executable, "driver.py", json.dumps(ASKED)],
+        [sys.executable, "driver.py", json.dumps(asked)],
         cwd=folder,
         stdin=subprocess.DEVNULL,
         capture_output=True,
     )
-    outputs = [(folder / f"{n}.out").read_text(encoding="utf-8") for n in range(len(ASKED))]
-    return folder, result, (folder / "codes").read_text().split(), outputs
+    outputs = [(folder / f"{n}.out").read_text(encoding="utf-8") for n in range(len(asked))]
+    return folder, asked, result, (folder / "codes").read_text().split(), outputs
 
 
 def test_every_command_runs_without_a_word_on_stderr(ran):
-    _, result, codes, _ = ran
+    _, asked, result, codes, _ = ran
     assert (result.stderr, result.stdout, result.returncode) == (b"", b"", 0)
-    assert codes == ["0"] * len(ASKED)
+    assert codes == ["0"] * len(asked)
+
+
+def test_every_command_is_on_the_page():
     assert {command[0] for command in ASKED} == COMMANDS
+    assert {command[0] for command in QUICK} == COMMANDS - SLOW
 
 
 def test_json_of_every_command_is_one_strict_document_with_the_keys_of_the_page(ran):
-    folder, _, _, outputs = ran
+    folder, asked, _, _, outputs = ran
     told = dict(re.findall(r"^\| `([a-z-]+)` \| (`.*) \|$", PAGE, re.M))
-    for (command, *arguments), output in zip(ASKED, outputs, strict=True):
+    for (command, *arguments), output in zip(asked, outputs, strict=True):
         record = json.loads(output, parse_constant=refuse)
         if command == "schema":
             assert record["properties"].keys() >= {"plant", "law"}

@@ -21,6 +21,7 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 from deadtime.cli.entry import app, as_command, main
 from deadtime.controller.export.compiler import compiler
+from shares import mostly_long
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -60,6 +61,13 @@ def has_code(text):
 
 
 RUN = [name for name, text in PAGES.items() if has_code(text) and name not in ELSEWHERE]
+# Those that compile laws that no other test needs, or start processes of their own.
+LONG = (
+    "howto/add-a-law.md",
+    "howto/add-an-imperfection.md",
+    "howto/choose-a-law.md",
+    "theory/known-switching.md",
+)
 
 
 def pattern(said):
@@ -125,7 +133,7 @@ def run(name, folder, monkeypatch, capsys):
     return names, everything
 
 
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize("name", mostly_long(RUN, *(name for name in RUN if name not in LONG)))
 def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monkeypatch, capsys):
     if "export" in PAGES[name] and compiler() is None:
         pytest.skip("needs a C compiler")

@@ -29,6 +29,7 @@ def test_python_of_the_readme_runs_and_draws(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_python_of_the_page_on_certificates_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page, names = run_page("certificates.md")
@@ -118,6 +119,7 @@ def test_python_of_the_page_on_robustness_runs(capsys):
     assert f"−{-low:.1f} to +{high:.1f} % in the\ngain" in page
 
 
+@pytest.mark.long
 def test_python_of_the_page_on_design_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, names = run_page("design.md")

@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from shares import mostly_long
+
 SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
 NAMES = [path.stem.split("_", 2)[2] for path in SCRIPTS]
+# Those that compile or search for seconds.
+LONG = ("epidemic", "shared_network", "follower")
 
 
 @functools.cache
@@ -28,7 +32,7 @@ def ran(name):
     return names | {"said": said.getvalue(), "pictures": pictures}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", mostly_long(NAMES, *(name for name in NAMES if name not in LONG)))
 def test_script_runs_prints_names_its_source_and_leaves_pictures_of_decent_size(name):
     out = ran(name)
     docstring = out["__doc__"]
@@ -118,6 +122,7 @@ def test_the_grid_needs_gains_for_its_period_and_the_epidemic_prediction():
         assert (max(rates) < 0.0) == stable
 
 
+@pytest.mark.long
 def test_the_epidemic_is_linearised_right_and_only_late_reactions_make_waves():
     out = ran("epidemic")
     for mode, part in enumerate((1.0, 0.5)):

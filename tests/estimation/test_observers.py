@@ -131,6 +131,7 @@ def test_no_other_gain_has_a_smaller_covariance_in_a_mode_that_lasts():
             assert np.trace(other) > np.trace(best)
 
 
+@pytest.mark.long
 def test_the_steady_covariance_is_the_riccati_one_within_monte_carlo_error():
     """Errors of exact noisy runs, thinned until they forget each other; bounds at 5 sigma."""
     plant = plants.near()

@@ -140,6 +140,7 @@ def test_white_noise_adds_its_covariance_through_switches(start, end):
     plants.close(L @ L.T, quadrature(start, end, integrand), 1e-12)
 
 
+@pytest.mark.long
 def test_coloured_noise_and_what_it_adds_have_their_joint_covariance():
     E, std, T = np.stack((FORCE, X0), axis=1), np.array([0.4, 0.2]), np.array([0.3, 2.0])
     start, end = 0.3, 0.4
@@ -240,6 +241,7 @@ def expected_cost(steps, noise):
     return np.array([ise, energy, np.trace(P[:3, :3])])
 
 
+@pytest.mark.long
 def test_the_cost_under_additive_noise_is_that_of_the_covariance_recursion():
     steps, noise = 12, 0.2
     expected = expected_cost(steps, noise)

@@ -26,6 +26,7 @@ from deadtime.scenarios import scenario_seed
 from deadtime.scenarios.sweeps.layout import _ALONE, _of_law
 from deadtime.scenarios.sweeps.study import Loop
 from deadtime.simulation.compiled import Arrays
+from shares import mostly_long
 
 LAW = plants.LAWS["averaged"](MODEL)
 SIZES = Sizes.of(PLANT, 0.1)
@@ -238,7 +239,9 @@ class LateStart(Relaying, SensorImperfection):
         return heard._replace(mode_of=np.where(each < 7, -1, heard.mode_of))
 
 
-@pytest.mark.parametrize("law", ["averaged, dwell-aware", "exact", "expected"])
+@pytest.mark.parametrize(
+    "law", mostly_long(["averaged, dwell-aware", "exact", "expected"], "averaged, dwell-aware")
+)
 def test_before_any_mode_is_known_the_first_is_assumed(law):
     law = plants.LAWS[law](MODEL)
     signal = dt.SwitchingSignal([0.0, 1.33], [2, 1])

@@ -7,6 +7,7 @@ import deadtime as dt
 import plants
 from deadtime.laws.minimax import GAIN_LIMIT, minimax as search
 from deadtime.spectrum import growth_rate
+from shares import mostly_long
 
 H = 0.05
 
@@ -33,7 +34,9 @@ def test_the_paper_s_weights_make_both_modes_grow_alike_and_slower_than_equal_on
     assert rates(plant, gains, None, 0.01).max() == pytest.approx(0.2817, abs=1e-4)
 
 
-@pytest.mark.parametrize("problem", ["two modes", "three modes", "three modes, two inputs"])
+@pytest.mark.parametrize(
+    "problem", mostly_long(["two modes", "three modes", "three modes, two inputs"], "two modes")
+)
 def test_no_other_weights_leave_the_worst_mode_slower(problem):
     plant, gains = {
         "two modes": (plants.paper(), plants.gains(plants.paper())),
@@ -68,13 +71,15 @@ def test_one_mode_keeps_its_law():
     assert growth[0] == pytest.approx(growth_rate(plant, single, 0, H), abs=1e-12)
 
 
-def test_the_search_is_reproducible():
+@pytest.mark.parametrize("common_gain", mostly_long([False, True], False))
+def test_the_search_is_reproducible(common_gain):
     plant = plants.paper()
-    first, second = (minimax(plant, plants.gains(plant), 0.1, True, False) for _ in range(2))
+    first, second = (minimax(plant, plants.gains(plant), 0.1, common_gain, False) for _ in range(2))
     for a, b in zip(first, second, strict=True):
         assert np.array_equal(a, b)
 
 
+@pytest.mark.long
 def test_one_gain_for_all_modes_makes_the_paper_s_example_stable_in_every_mode():
     plant, own = plants.paper(), plants.gains(plants.paper())
     weights, gains, growth = minimax(plant, own, H, True, False)
@@ -91,6 +96,7 @@ def test_one_gain_for_all_modes_makes_the_paper_s_example_stable_in_every_mode()
         assert run.metrics()["final_norm"] < 1e-2 * run.metrics()["peak"]
 
 
+@pytest.mark.long
 def test_where_the_averaged_loop_is_unstable_one_gain_makes_long_sojourns_cheaper():
     plant, own = plants.paper(), plants.gains(plants.paper())
     weights, gains, _ = minimax(plant, own, H, True, False)

@@ -7,6 +7,7 @@ import deadtime as dt
 import plants
 from deadtime.laws import StateDependentPredictor
 from deadtime.switching import HalfSpace, Polyhedra
+from shares import mostly_long
 from swinging import idle, run
 
 
@@ -20,7 +21,9 @@ def nodes(seed, alike):
     return dt.SwitchedSystem(A, [[[0.0], [1.0]]] * 2, 0.25), V, np.array([-v[1], v[0]])
 
 
-@pytest.mark.parametrize("alike", [True, False], ids=["one mode twice", "two modes"])
+@pytest.mark.parametrize(
+    "alike", mostly_long([True, False], False), ids=["one mode twice", "two modes"]
+)
 @pytest.mark.parametrize(
     "as_function",
     [pytest.param(False, marks=pytest.mark.long), True],
@@ -52,6 +55,7 @@ def test_a_law_predicts_along_a_boundary():
             plants.close(one.states, free.states, 1e-10)
 
 
+@pytest.mark.long
 def test_a_plant_that_comes_to_rest_on_an_offset_boundary_does_not_slide():
     """Nodes, affine by a third state that is 1; far from rest they may truly slide."""
     rng = np.random.default_rng(3)
@@ -89,7 +93,7 @@ CORNERS = {
 }
 
 
-@pytest.mark.parametrize("corner", CORNERS)
+@pytest.mark.parametrize("corner", mostly_long(CORNERS, "quadrants"))
 def test_a_plant_that_passes_through_a_corner_goes_on_in_the_region_beyond(corner):
     rng = np.random.default_rng(5)
     for _ in range(100):

@@ -9,6 +9,7 @@ import deadtime as dt
 import encirclements
 import plants
 from deadtime.base.wording import error_percent, inwards
+from shares import mostly_long
 
 
 def touching(omega=1.0, damping=0.5, factor=1.0, delay=1.0):
@@ -68,6 +69,7 @@ def test_a_touch_in_one_of_two_inputs_is_found_in_mixed_coordinates():
     assert dt.delay_margin(plant, law, None).upper == pytest.approx(np.pi, rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_sampled_loop_whose_root_comes_close_and_goes_back_is_not_said_to_cross():
     plant, law = touching()
     margin = dt.delay_margin(plant, law, 0.01, upto=20.0)
@@ -128,7 +130,7 @@ def radius_of(plant, table, mode, delay):
     return np.abs(np.linalg.eigvals(lifted(plant, table, row, mode, delay))).max()
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", mostly_long(range(12), 0, 6, 8))
 def test_sampled_loops_are_lost_where_the_eigenvalues_of_the_lifted_loop_say(seed):
     plant, law = encirclements.random_loop(seed)
     h, nominal = 0.1, plant.delay
@@ -185,7 +187,7 @@ def first_lost(plant, law, end):
     return solved.x[1]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", mostly_long(range(12), 0, 1, 3))
 def test_ideal_loops_are_lost_where_roots_begin_to_be_encircled(seed):
     plant, law = encirclements.random_loop(seed + 100)
     margin = dt.delay_margin(plant, law, None, upto=3.0 * plant.delay)

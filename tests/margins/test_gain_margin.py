@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 import deadtime as dt
 import encirclements
 import plants
+from shares import mostly_long
 
 # Three modes so near that a law keeps each; N = 3, φ = 0.051 in truth, φ = 0.034 for the law.
 NEAR = plants.generic().apart(0.02)
@@ -91,7 +92,7 @@ def test_a_scalar_loop_has_the_margin_of_its_characteristic_equation():
     assert margin.upper == pytest.approx((1.0 + np.exp(-h)) / coefficient, rel=1e-6)
 
 
-@pytest.mark.parametrize(("pole", "step"), [(0.02, 0.01), (0.2, 0.001)])
+@pytest.mark.parametrize(("pole", "step"), mostly_long([(0.02, 0.01), (0.2, 0.001)], (0.02, 0.01)))
 def test_a_slow_unstable_mode_is_lost_at_frequency_zero(pole, step):
     # At rest u = −K̂ x and 0 = p x + k u: the least factor makes the static gain 1.
     plant = plants.scalar(pole, delay=1.0)
@@ -199,7 +200,7 @@ def test_an_ideal_unstable_mode_is_lost_at_both_ends_where_its_equation_says(del
     assert margin.upper == (pytest.approx(known, rel=1e-9) if known < 1e6 else np.inf)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", mostly_long(range(8), 0, 1, 2))
 def test_ideal_loops_are_lost_to_a_gain_where_roots_begin_to_be_encircled(seed):
     plant, law = encirclements.random_loop(seed + 200)
     margin = dt.gain_margin(plant, law, None)

@@ -20,6 +20,7 @@ PLANT = dt.SwitchedSystem(TURNING, np.ones((2, 2, 1)), 0.3)
 IDLE = dt.AveragedPredictor(PLANT, np.zeros((2, 1, 2)), allow_unstable=True)
 
 
+@pytest.mark.long
 def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
     turn = 2.0 * np.pi / math.sqrt(10.0)
     limit = products.critical(

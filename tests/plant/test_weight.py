@@ -13,6 +13,7 @@ from deadtime.imperfections import Noise, Saturation, WhiteDisturbance
 from deadtime.numerics.exponential import energy_gramian
 from deadtime.plant.weight import weight_of
 from deadtime.switching import HalfSpace
+from shares import mostly_long
 from weighted import GAINS, LAWS, MODEL, SIGNAL, TRUTH, WEIGHT, X0, Q, R
 
 
@@ -100,22 +101,26 @@ def test_the_cost_of_every_kind_of_run_is_the_integral_of_its_states_and_inputs(
     assert run.metrics(weight)["cost"] == pytest.approx(parts @ density, rel=1e-3)
 
 
-@pytest.mark.parametrize("actuators", [(), (Saturation(-0.8, 0.8),)], ids=["free", "saturated"])
-def test_a_batch_has_the_costs_of_runs_one_by_one(actuators):
+# Each case compiles a loop with and one without a weight.
+@pytest.mark.parametrize(
+    ("name", "limited"),
+    mostly_long(itertools.product(LAWS, (False, True)), ("averaged", False), ("oracle", True)),
+)
+def test_a_batch_has_the_costs_of_runs_one_by_one(name, limited):
+    laws, actuators = {name: LAWS[name]}, [Saturation(-0.8, 0.8)] if limited else []
     model = dt.Markov(2.0 * (np.ones((3, 3)) - np.eye(3)))
     signals = dt.draw_signals(model, 3.03 + TRUTH.delay, 7, 0, 11)
     data = dt.monte_carlo(
-        TRUTH, LAWS, signals, X0, 3.03, 0.1, imperfections=actuators, weight=WEIGHT
+        TRUTH, laws, signals, X0, 3.03, 0.1, imperfections=actuators, weight=WEIGHT
     )
     assert data.attrs["one_by_one"] == []
-    plain = dt.monte_carlo(TRUTH, LAWS, signals, X0, 3.03, 0.1, imperfections=actuators)
+    plain = dt.monte_carlo(TRUTH, laws, signals, X0, 3.03, 0.1, imperfections=actuators)
     for metric in set(plain) - {"cost"}:
         assert data[metric].equals(plain[metric])
-    for name, law in LAWS.items():
-        for i in (0, 4, 10):
-            run = dt.simulate(TRUTH, law, signals[i], X0, 3.03, 0.1, imperfections=actuators)
-            cost = data.cost.sel(law=name).values[i]
-            assert cost == pytest.approx(run.metrics(WEIGHT)["cost"], rel=1e-11)
+    for i in (0, 4, 10):
+        run = dt.simulate(TRUTH, laws[name], signals[i], X0, 3.03, 0.1, imperfections=actuators)
+        cost = data.cost.sel(law=name).values[i]
+        assert cost == pytest.approx(run.metrics(WEIGHT)["cost"], rel=1e-11)
 
 
 def test_a_batch_with_the_identity_is_one_without_a_weight():
@@ -126,9 +131,11 @@ def test_a_batch_with_the_identity_is_one_without_a_weight():
     assert data[0].identical(data[1])
 
 
-def test_trajectories_come_with_a_weight_as_without():
-    data = dt.monte_carlo(TRUTH, LAWS, [SIGNAL], X0, 3.0, 0.1, trajectories=True, weight=WEIGHT)
-    plain = dt.monte_carlo(TRUTH, LAWS, [SIGNAL], X0, 3.0, 0.1, trajectories=True)
+@pytest.mark.parametrize("name", mostly_long(LAWS, "averaged"))
+def test_trajectories_come_with_a_weight_as_without(name):
+    laws = {name: LAWS[name]}
+    data = dt.monte_carlo(TRUTH, laws, [SIGNAL], X0, 3.0, 0.1, trajectories=True, weight=WEIGHT)
+    plain = dt.monte_carlo(TRUTH, laws, [SIGNAL], X0, 3.0, 0.1, trajectories=True)
     assert data.x.equals(plain.x)
     assert data.u.equals(plain.u)
 

@@ -171,6 +171,7 @@ delay = [0.2, 0.3]
 """
 
 
+@pytest.mark.long
 def test_a_study_measures_the_problem_s_cost_or_its_own(tmp_path):
     written(tmp_path)
     own = "[cost]\nQ = 2.0\nR = 3.0\n"
@@ -201,6 +202,7 @@ def test_a_study_s_bad_cost_is_refused_with_its_line(tmp_path):
         load_study(path)
 
 
+@pytest.mark.long
 def test_a_study_in_python_takes_a_weight(tmp_path):
     def loop(gain):
         plant = dt.SwitchedSystem([[[0.5]], [[0.3]]], [[[1.0]], [[1.0]]], 0.2)

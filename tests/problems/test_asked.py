@@ -95,6 +95,7 @@ def test_the_bound_of_a_plant_that_a_rule_switches_takes_the_dwell_time_asked_fo
     assert (code, "give --dwell-time" in err) == (2, True)
 
 
+@pytest.mark.long
 def test_report_bound_and_certificate_ask_about_the_file_s_dwell_time(file, capsys, tmp_path):
     path = file("dwell_time = 0.6\nmean_sojourn = 1.1")
     problem = load_problem(path)

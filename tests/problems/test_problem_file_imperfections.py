@@ -177,7 +177,7 @@ poles = [-1.0, -2.0]
 horizon = 2.0
 step = 0.05
 scenarios = 4
-laws = ["averaged", "mean"]
+laws = ["averaged"]
 
 [grid]
 dwell_time = 0.3

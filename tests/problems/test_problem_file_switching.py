@@ -78,8 +78,8 @@ def test_a_markov_model_runs_the_ideal_loop_too(tmp_path):
         ("mean\ndwell_time = 0.3", lambda p, K: dt.MeanPredictor(
             p, dt.place(p.mean(), [-1, -2])[0], K, 0.3)),
         ('averaged\nweights = "minimax"', lambda p, K: dt.AveragedPredictor.minimax(p, K, 0.1)),
-        ('averaged\nweights = "minimax"\ncommon_gain = true', lambda p, K:
-            dt.AveragedPredictor.minimax(p, K, 0.1, common_gain=True)),
+        pytest.param('averaged\nweights = "minimax"\ncommon_gain = true', lambda p, K:
+            dt.AveragedPredictor.minimax(p, K, 0.1, common_gain=True), marks=pytest.mark.long),
         ("expected\nages = 3", lambda p, K: dt.ExpectedPredictor(
             p, K, dt.SemiMarkov([stats.gamma(3.0, scale=0.2), 0.5]), ages=3)),
         ("optimal", lambda p, K: dt.OptimalPredictor(

@@ -202,6 +202,7 @@ def test_regions_name_the_axes_that_cells_do_not_span():
 # The report
 
 
+@pytest.mark.long
 def test_the_report_opens_with_the_answers_and_holds_every_map(small, tmp_path, monkeypatch):
     study, data = small
     monkeypatch.setattr("deadtime.reports.study.report.run_study", lambda *_: data)

@@ -16,8 +16,10 @@ from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.switching import SignalBatch
+from shares import mostly_long
 
 X0 = np.array([0.3, -0.6, 0.9])
+X0.setflags(write=False)  # as in `monte_carlo`: another layout would be compiled once more
 H, HORIZON, COUNT = 0.1, 6.03, 7
 TRUTH, BELIEVED = plants.generic(), plants.generic(0.3, seed=5)
 LIMITS = (Saturation([-2.0, -1.0], 1.5), RateLimit([9.0, 12.0]))
@@ -69,22 +71,15 @@ def check_as_simulated(loop, law, scenarios=(3, 6)):
 # -- against simulate --------------------------------------------------------------------------
 
 
-def every_law():
-    """All laws; those that add no kind of row to the others take `make long`."""
-    kinds = "averaged", "weighted", "expected", "single", "delayed", "exact"
-    aware = "averaged, dwell-aware", "mean, dwell-aware"
-    for name in plants.LAWS:
-        yield pytest.param(name, marks=() if name in (*kinds, *aware) else pytest.mark.long)
-
-
-@pytest.mark.parametrize("name", list(every_law()))
+# A kind of rows each: factored, by mode, of a signal. Batches of other tests have the others.
+@pytest.mark.parametrize("name", mostly_long(plants.LAWS, "averaged", "expected", "exact"))
 def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name):
     assert TRUTH.delay % H > 0.0
     assert HORIZON % H > 0.0
     check_as_simulated(loop_of(), plants.LAWS[name](BELIEVED))
 
 
-@pytest.mark.parametrize("name", ["averaged", "mean, dwell-aware"])
+@pytest.mark.parametrize("name", mostly_long(["averaged", "mean, dwell-aware"], "averaged"))
 def test_limited_inputs_are_as_simulated(name):
     check_as_simulated(loop_of(actuators=LIMITS), plants.LAWS[name](BELIEVED))
 
@@ -118,7 +113,7 @@ def predicted(plant, signal, x, inputs, start):
     return x
 
 
-@pytest.mark.parametrize("delay", [0.06, 0.1, 0.234, 0.3, 8.54])
+@pytest.mark.parametrize("delay", mostly_long([0.06, 0.1, 0.234, 0.3, 8.54], 0.06, 0.1, 0.234))
 def test_an_oracle_predicts_along_its_signal(delay):
     loop, law = loop_of(), plants.LAWS["exact"](plants.generic(delay, seed=5))
     engine = Engine(loop)
@@ -188,7 +183,7 @@ def plain_figures(plant, law, signal):
     return Figures(ise, energy, squares.max(), outside, np.exp(late.min()), *sums, x @ x)
 
 
-@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
+@pytest.mark.parametrize("name", mostly_long(["averaged", "averaged, dwell-aware"], "averaged"))
 def test_figures_of_all_scenarios_are_those_of_a_plain_loop(name):
     loop, law = loop_of(), plants.LAWS[name](BELIEVED)
     engine = Engine(loop)

@@ -23,6 +23,7 @@ from deadtime.scenarios import draw_signals, scenario_seed
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.run import _block
+from shares import mostly_long
 
 
 class Early(TimingImperfection):
@@ -67,7 +68,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", mostly_long(CASES, "late, then noise", "all"))
 def test_imperfect_scenarios_are_those_of_single_runs(case):
     data = dt.monte_carlo(
         TRUTH, LAWS, MODEL, X0, HORIZON, H, COUNT, SEED,

@@ -13,7 +13,7 @@ def test_every_cell_is_monte_carlo_on_the_problem_with_its_values(own):
         "plant.delay", "law.told.dwell_time", "delay_error", "law", "scenario",
     )  # fmt: skip
     base = study.base
-    plant = dt.SwitchedSystem(base.plant.A, base.plant.B, 0.3)
+    plant = dt.SwitchedSystem(base.plant.A, base.plant.B, 0.31)
     gains = dt.place(plant, [-1.5, -2.0, -2.5])
     model = dt.Markov([[0.0, 1.0, 2.0], [1.5, 0.0, 0.5], [1.0, 1.0, 0.0]])
     laws = {
@@ -22,7 +22,7 @@ def test_every_cell_is_monte_carlo_on_the_problem_with_its_values(own):
         "expected": dt.ExpectedPredictor(plant, gains, model),
         "oracle": dt.ExactPredictor(plant, gains),
     }
-    truth = dt.SwitchedSystem(plant.A, plant.B, 0.3 * (1.0 - 0.1))
+    truth = dt.SwitchedSystem(plant.A, plant.B, 0.31 * (1.0 - 0.1))
     direct = dt.monte_carlo(truth, laws, model, [1.0, -1.0, 0.5], 2.0, 0.02, scenarios=12, seed=3)
     here = data.isel({"plant.delay": 1, "law.told.dwell_time": 1, "delay_error": 0})
     for name in ("ise", "energy", "cost", "peak", "settling_time", "decay_rate", "final_norm"):

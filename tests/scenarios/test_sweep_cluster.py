@@ -89,6 +89,7 @@ def kill_a_worker(client):
     max(children, key=lambda process: process.num_threads()).kill()
 
 
+@pytest.mark.long
 def test_a_killed_worker_stops_nothing_and_after_a_killed_client_the_next_run_goes_on(slow):
     study, folder = slow
     store, client = started(slow, "client.zarr")

@@ -21,6 +21,7 @@ from ideal_runs import (
     run,
     same_run,
 )
+from shares import mostly_long
 
 SWITCHING = dt.problems.paper().signal
 
@@ -112,7 +113,7 @@ def test_three_modes_agree_with_a_second_discretisation(name):
 
 
 @pytest.mark.parametrize("name", plants.IDEAL)
-@pytest.mark.parametrize("delay", [0.234, pytest.param(0.3171, marks=pytest.mark.long), 0.1517])
+@pytest.mark.parametrize("delay", mostly_long([0.234, 0.3171, 0.1517], 0.234))
 def test_a_law_with_a_wrong_model_agrees_with_a_second_discretisation(name, delay):
     agrees(plants.LAWS[name](other_model(delay)), PLANT, SIGNAL, X0, 1.5)
 
@@ -165,6 +166,7 @@ def test_the_oracle_s_mismatch_stays_zero():
     assert np.abs(one.mismatch).max() <= 1e-11 * np.abs(one.states).max()
 
 
+@pytest.mark.long
 def test_thirty_seconds_agree_with_a_second_discretisation():
     law = plants.LAWS["mean"](PAPER)
     agrees(law, PAPER, LONG, [-1.0, 1.0], 30.0)

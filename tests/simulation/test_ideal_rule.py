@@ -106,6 +106,7 @@ def slope_of(steps, errors):
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 
 
+@pytest.mark.long
 def test_the_digital_example_comes_close_to_the_ideal_with_order_1():
     steps = [0.04, 0.02, 0.01, 0.005, 0.0025]
     times = np.linspace(0.0, 10.0, 251)

@@ -12,6 +12,7 @@ import plants
 from deadtime.spectrum.characteristic import rightmost
 from deadtime.spectrum.count import count_right_of
 from deadtime.spectrum.ideal import IdealLoop
+from shares import mostly_long
 
 PAPER = plants.paper()
 IDEAL = [name for name in plants.IDEAL if name != "mean with gains"]
@@ -134,7 +135,7 @@ def second_matrix(plant, law, mode):
     return matrix
 
 
-@pytest.mark.parametrize("loop", ["same", "later", "sooner", "other"])
+@pytest.mark.parametrize("loop", mostly_long(["same", "later", "sooner", "other"], "other"))
 @pytest.mark.parametrize("name", IDEAL)
 def test_roots_solve_the_equation_written_down_from_the_law_s_definition(name, loop):
     plant, model = LOOPS[loop]
@@ -240,7 +241,7 @@ def test_no_root_lies_beyond_the_radius(name, delay):
 
 
 @pytest.mark.parametrize("name", IDEAL)
-@pytest.mark.parametrize("loop", ["paper", "other"])
+@pytest.mark.parametrize("loop", mostly_long(["paper", "other"], "paper"))
 def test_the_digital_rate_tends_to_the_ideal_one_with_order_one(name, loop):
     plant, model = LOOPS[loop]
     law = plants.LAWS[name](model)

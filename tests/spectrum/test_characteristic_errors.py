@@ -41,6 +41,13 @@ def determinant(plant, law, s):
     return mpmath.det(free) * (1 - W - fed)
 
 
+def turns_of(plant, law, root, error, count):
+    """How far the determinant's argument turns in each of `count` steps around a root's circle."""
+    circle = [error * mpmath.expjpi(2.0 * k / count) for k in range(count + 1)]
+    values = [determinant(plant, law, mpmath.mpc(root) + z) for z in circle]
+    return [mpmath.arg(b / a) for a, b in pairwise(values)]
+
+
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("kind", ["delayed", "exact", "mismatched"])
 @pytest.mark.parametrize("poles", GAINS)
@@ -52,10 +59,12 @@ def test_claimed_errors_of_roots_are_no_smaller_than_true_ones(poles, kind, dela
     assert found.roots.size >= (1 if delay == 10.0 else 2)
     with mpmath.workdps(60):
         for root, error in zip(found.roots, found.errors, strict=True):
-            circle = mpmath.mpf(error) * np.array([mpmath.expjpi(k / 12.0) for k in range(25)])
-            values = [determinant(plant, law, mpmath.mpc(complex(root)) + z) for z in circle]
-            turns = [mpmath.arg(b / a) for a, b in pairwise(values)]
             # A true root lies inside: the determinant goes round 0 as its argument goes round.
+            # Where half of a double root is near the circle, shorter steps are needed to follow it.
+            for count in (24, 96, 384):
+                turns = turns_of(plant, law, complex(root), mpmath.mpf(error), count)
+                if max(map(abs, turns)) < 1.5:
+                    break
             assert max(map(abs, turns)) < 1.5
             assert round(float(sum(turns) / (2 * mpmath.pi))) in (
                 (1, 2) if poles == "double" else (1,)

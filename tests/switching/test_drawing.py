@@ -18,6 +18,7 @@ from deadtime.numerics.philox import block_words, uniform, uniforms
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 from deadtime.switching.models import jump_process
 from deadtime.switching.models.quantiles import Quantiles
+from shares import mostly_long
 
 RATES = np.array([[0.0, 2.0, 1.0], [0.5, 0.0, 1.5], [4.0, 1.0, 0.0]])
 JUMPS = np.array([[0.0, 0.8, 0.2], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]])
@@ -261,7 +262,7 @@ def time_in_mode_0(batch):
     return np.add.reduceat(lengths * (batch.modes == 0), batch.first[:-1])
 
 
-@pytest.mark.parametrize("model", [Markov(RATES), MIXED], ids=str)
+@pytest.mark.parametrize("model", mostly_long([Markov(RATES), MIXED], MIXED), ids=str)
 def test_scenarios_of_a_seed_and_seeds_of_a_scenario_have_one_law(model):
     drawn = model.draw(8.0, seed=1, count=20000)
     sampled = SignalBatch.of([model.sample(8.0, seed=seed) for seed in range(2500)])

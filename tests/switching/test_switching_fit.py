@@ -10,6 +10,7 @@ from deadtime import ArgumentError, SwitchingSignal
 from deadtime.switching import SemiMarkov
 from deadtime.switching.models.families import Observed, estimate
 from deadtime.switching.models.fit import distance, kaplan_meier, sojourns_of
+from shares import mostly_long
 
 TRUTH = {
     "exponential": stats.expon(scale=0.7),
@@ -176,17 +177,18 @@ def drawn(truth, cut, rng, count):
     return Observed(np.sort(lengths[ended]), np.sort(limits[~ended]))
 
 
-@pytest.mark.parametrize(
-    ("family", "start", "cut"),
-    [
-        ("shifted exponential", 0.3, stats.uniform(10.0, 1.0)),
-        ("shifted exponential", 0.3, stats.uniform(0.2, 0.6)),  # 18 of 60 are complete
-        ("shifted exponential", 0.3, stats.uniform(0.2, 0.3)),  # 8
-        ("uniform", 0.2, stats.uniform(10.0, 1.0)),
-        ("uniform", 0.2, stats.uniform(0.3, 0.6)),  # 30
-        ("uniform", 0.2, stats.uniform(0.2, 0.25)),  # 10
-    ],
-)
+# Of a thousand logs each, of which one case of a family runs always.
+STARTS = [
+    ("shifted exponential", 0.3, stats.uniform(10.0, 1.0)),
+    ("shifted exponential", 0.3, stats.uniform(0.2, 0.6)),  # 18 of 60 are complete
+    ("shifted exponential", 0.3, stats.uniform(0.2, 0.3)),  # 8
+    ("uniform", 0.2, stats.uniform(10.0, 1.0)),
+    ("uniform", 0.2, stats.uniform(0.3, 0.6)),  # 30
+    ("uniform", 0.2, stats.uniform(0.2, 0.25)),  # 10
+]
+
+
+@pytest.mark.parametrize(("family", "start", "cut"), mostly_long(STARTS, STARTS[1], STARTS[5]))
 def test_the_start_of_a_support_is_less_biased_than_the_least_sojourn_by_nine_tenths(
     family, start, cut
 ):

@@ -179,6 +179,7 @@ def confirmed(plant, found):
         assert max(rates) < 0.0
 
 
+@pytest.mark.long
 def test_the_paper_s_mode_is_designed_for_twice_its_margin_at_a_price():
     plant = alone(0)
     found = dt.design(plant, delay_margin=0.018, gains=dt.place(plant, [-1.0, -2.0]), budget=200)
@@ -213,6 +214,7 @@ def test_what_no_gains_reach_is_the_largest_found_beside_the_limit(mode, asked):
     assert asks_too_much.message.endswith("the margin asked for does not exist.")
 
 
+@pytest.mark.long
 def test_the_averaged_law_for_both_modes_falls_short_of_half_a_percent():
     found = dt.design(dt.problems.paper().plant, delay_margin=0.005, budget=120)
     assert not found.reached
@@ -232,7 +234,8 @@ def test_the_follower_has_margin_to_spare():
     assert found.message.endswith("Nothing in the plant limits the margin below 100 %.")
 
 
-@pytest.mark.parametrize("filtered", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.long
+@pytest.mark.parametrize("filtered", [False, True])
 def test_three_modes_with_two_inputs_are_designed_by_weights(filtered):
     plain = dt.delay_margin(PLANT, LAW, 0.02).relative
     asked = 1.15 * plain
@@ -280,6 +283,7 @@ def test_longer_steps_are_tried_where_they_are_allowed():
     confirmed(plant, found)
 
 
+@pytest.mark.long
 def test_the_worst_mode_s_cost_is_at_least_the_mean():
     options = {"delay_margin": 0.05, "step": 0.05, "budget": 20}
     mean, worst = (dt.design(PLANT, cost=kind, **options) for kind in ("mean", "worst"))
