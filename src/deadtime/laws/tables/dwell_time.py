@@ -22,7 +22,7 @@ from deadtime.feedback import Feedback
 from deadtime.feedback.law import require_room, room
 from deadtime.laws.tables.along_signal import rows_along
 from deadtime.laws.tables.constant_mode import place
-from deadtime.numerics.exponential import discretise, discretise_modes, multiply
+from deadtime.numerics.exponential import discretise_into, product
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import snap
@@ -30,65 +30,101 @@ from deadtime.switching import SwitchingSignal
 
 
 @kernel(eager=True)
-def _branches(A, B, K, ahead):
-    """Σ_s of the functionals at the start of every stretch, apart per system, and their taps.
-
-    R (stretches + 1, systems, m, n): stretch p starts with R[p]; the last is K. taps (stretches,
-    m, m).
-    """
-    systems, m, n = K.shape
-    stretches = ahead.kind.size
-    R, taps = np.empty((stretches + 1, systems, m, n)), np.zeros((stretches, m, m))
-    R[stretches] = K
-    Phi, Gamma = _kinds(A, B, ahead.length)
-    for p in range(stretches - 1, -1, -1):
-        kind = ahead.kind[p]
-        for s in range(systems):
-            taps[p] += multiply(R[p + 1, s], Gamma[kind, s])
-            R[p, s] = multiply(R[p + 1, s], Phi[kind, s])
-    return R, taps
+def _add_product(X, Y, spare, result):
+    """Add X Y to result; `spare` is overwritten by it."""
+    product(X, Y, spare)
+    for i in range(spare.shape[0]):
+        for j in range(spare.shape[1]):
+            result[i, j] += spare[i, j]
 
 
 @kernel(eager=True)
-def _kinds(A, B, length):
+def _branches(K, ahead, Phi, Gamma, R, taps):
+    """Σ_s of the functionals at the start of every stretch, apart per system, and their taps.
+
+    R (stretches + 1, systems, m, n): stretch p starts with R[p]; the last is K. taps (stretches,
+    m, m) is to be zero before.
+    """
+    systems, m, n = K.shape
+    stretches, spare = ahead.kind.size, np.empty((m, m))
+    for s in range(systems):
+        for i in range(m):
+            for j in range(n):
+                R[stretches, s, i, j] = K[s, i, j]
+    for p in range(stretches - 1, -1, -1):
+        kind = ahead.kind[p]
+        for s in range(systems):
+            _add_product(R[p + 1, s], Gamma[kind, s], spare, taps[p])
+            product(R[p + 1, s], Phi[kind, s], R[p, s])
+
+
+@kernel(eager=True)
+def _kinds(A, B, length, Phi, Gamma):
     """Φ (kinds, modes, n, n) and Γ (kinds, modes, n, m) over stretches of these lengths."""
-    Phi, Gamma = np.empty((length.size, *A.shape)), np.empty((length.size, *B.shape))
     for kind in range(length.size):
-        Phi[kind], Gamma[kind] = discretise_modes(A, B, length[kind])
-    return Phi, Gamma
+        for i in range(A.shape[0]):
+            discretise_into(A[i], B[i], length[kind], Phi[kind, i], Gamma[kind, i])
+
+
+@kernel(eager=True)
+def _join(A, B, K, seconds, R, tap, joined):
+    """Σ_s of R_s e^{A_s seconds}, and what the input of this time weighs on the way."""
+    m, n = joined.shape
+    Phi, Gamma = np.empty((n, n)), np.empty((n, m))
+    one, two = np.empty((m, m)), np.empty((m, n))
+    for i in range(m):
+        for j in range(m):
+            tap[i, j] = 0.0
+        for j in range(n):
+            joined[i, j] = 0.0
+    for s in range(K.shape[0]):
+        discretise_into(A[s], B[s], seconds, Phi, Gamma)
+        _add_product(R[s], Gamma, one, tap)
+        _add_product(R[s], Phi, two, joined)
 
 
 @kernel(eager=True)
 def _rows(A, B, fA, fB, fK, ahead, rest):
     """F (modes·ages, m, n) and G (modes·ages, N, m, m); `rest` (ages,) are the r_a < D."""
     modes, n, m = B.shape
-    ages, stretches = rest.size, ahead.kind.size
-    F = np.empty((modes * ages, m, n))
-    G = np.zeros((modes * ages, ahead.lag.max(), m, m))
-    R, taps = _branches(fA, fB, fK, ahead)
-    Phi, Gamma = _kinds(A, B, ahead.length)
+    ages, stretches, kinds, systems = rest.size, ahead.kind.size, ahead.length.size, fK.shape[0]
+    F, G = np.empty((modes * ages, m, n)), np.zeros((modes * ages, ahead.lag.max(), m, m))
+    R, taps = np.empty((stretches + 1, systems, m, n)), np.zeros((stretches, m, m))
+    Phi, Gamma = np.empty((kinds, systems, n, n)), np.empty((kinds, systems, n, m))
+    _kinds(fA, fB, ahead.length, Phi, Gamma)
+    _branches(fK, ahead, Phi, Gamma, R, taps)
+    Phi, Gamma = np.empty((kinds, modes, n, n)), np.empty((kinds, modes, n, m))
+    _kinds(A, B, ahead.length, Phi, Gamma)
+    joined, now, moved = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
+    tap, whole, spare = np.empty((m, m)), np.empty((m, m)), np.empty((m, m))
+    before, forced = np.empty((n, n)), np.empty((n, m))
     for a in range(ages):
         cut = 0
         while cut < stretches - 1 and ahead.stop[cut] <= rest[a]:
             cut += 1
         inside = max(rest[a] - ahead.start[cut], 0.0)
-        joined, tap = np.zeros((m, n)), np.zeros((m, m))
-        for s in range(fK.shape[0]):
-            after, forced = discretise(fA[s], fB[s], ahead.stop[cut] - ahead.start[cut] - inside)
-            tap += multiply(R[cut + 1, s], forced)
-            joined += multiply(R[cut + 1, s], after)
+        left = ahead.stop[cut] - ahead.start[cut] - inside
+        _join(fA, fB, fK, left, R[cut + 1], tap, joined)
         for i in range(modes):
             row = i * ages + a
             for p in range(cut + 1, stretches):
                 place(taps[p], ahead.lag[p], G[row])
-            before, forced = discretise(A[i], B[i], inside)
-            place(tap + multiply(joined, forced), ahead.lag[cut], G[row])
-            now = multiply(joined, before)
+            discretise_into(A[i], B[i], inside, before, forced)
+            for r in range(m):
+                for c in range(m):
+                    whole[r, c] = tap[r, c]
+            _add_product(joined, forced, spare, whole)
+            place(whole, ahead.lag[cut], G[row])
+            product(joined, before, now)
             for p in range(cut - 1, -1, -1):
                 kind = ahead.kind[p]
-                place(multiply(now, Gamma[kind, i]), ahead.lag[p], G[row])
-                now = multiply(now, Phi[kind, i])
-            F[row] = now
+                product(now, Gamma[kind, i], spare)
+                place(spare, ahead.lag[p], G[row])
+                product(now, Phi[kind, i], moved)
+                now, moved = moved, now
+            for r in range(m):
+                for c in range(n):
+                    F[row, r, c] = now[r, c]
     return F, G
 
 
