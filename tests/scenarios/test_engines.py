@@ -87,7 +87,7 @@ def test_limited_inputs_are_as_simulated(name):
 @pytest.mark.parametrize("name", ["averaged", "exact"])
 def test_a_window_longer_than_the_run_is_as_simulated(name):
     loop = loop_of(plants.generic(8.04))
-    assert loop.window.count > loop.whole + 1
+    assert loop.sampled.longest_lag > loop.whole + 1
     check_as_simulated(loop, plants.LAWS[name](plants.generic(8.5, seed=5)), scenarios=(3,))
 
 
