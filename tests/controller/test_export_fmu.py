@@ -102,12 +102,25 @@ def closed_loop(law_path, plant_path, folder, signal, cuts, step, horizon):
     return np.array(states).T, np.array(inputs).T
 
 
+# Of a delay that is no multiple of the period; and of one per mode and input, and another truth.
+OWN = np.array([[0.234, 0.1], [0.1, 0.187], [0.3, 0.05]])
+
+
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
-def test_controller_and_plant_in_co_simulation_are_the_loop_of_simulate(tmp_path, name, version):
-    """The delay is no multiple of the period, the plant is not the model, switches off the grid."""
-    law, signal = plants.LAWS[name](GENERIC), plants.off_grid()
-    truth = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, 0.251)
+@pytest.mark.parametrize(
+    ("name", "delay", "true"),
+    [
+        ("averaged", 0.234, 0.251),
+        ("averaged, dwell-aware", 0.234, 0.251),
+        ("averaged", OWN, OWN + 0.013),
+    ],
+)
+def test_controller_and_plant_in_co_simulation_are_the_loop_of_simulate(
+    tmp_path, name, delay, true, version
+):
+    """The plant is not the model, and switches are off the grid."""
+    law = plants.LAWS[name](dt.SwitchedSystem(GENERIC.A, GENERIC.B, delay))
+    signal, truth = plants.off_grid(), dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, true)
     paths = tmp_path / "law.fmu", tmp_path / "plant.fmu"
     exported = dt.Controller(law, 0.01).export_fmu(paths[0], version=version)
     assert "binaries/" in str(exported)

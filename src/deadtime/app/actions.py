@@ -275,7 +275,7 @@ class Actions:
         page = self.page
         if "dwell_time" in page.controls.ranges:
             return page.controls.value("dwell_time")
-        return page.outcome.problem.plant.delay
+        return page.outcome.problem.plant.longest_delay
 
 
 def verdict(law: str, modes: Sequence[str], rates: Sequence[float]) -> str:

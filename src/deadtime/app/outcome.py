@@ -86,6 +86,11 @@ class Outcome:
 def require_size(draft: Mapping[str, Any]) -> None:
     """Refuse a problem that a page could not keep up with, before anything of it is built."""
     plant, run = draft["plant"], draft["run"]
+    if not isinstance(plant["delay"], (int, float)):
+        raise ArgumentError(
+            "plant.delay must be one number for the explorer, got one per input or mode: "
+            "`deadtime simulate`, `monte-carlo` and `export` take the file as it is."
+        )
     step, sizes = run.get("step", 0.01), []
     if isinstance(step, (int, float)) and step > 0.0:
         sizes = [

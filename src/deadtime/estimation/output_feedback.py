@@ -201,9 +201,10 @@ class OutputUpdate(Remembering):
 
 def _same(name: str, mine: SwitchedSystem, whose: str, other: SwitchedSystem) -> None:
     """Refuse models that do not fit each other."""
-    for size in ("modes", "states", "inputs", "delay"):
+    for size in ("modes", "states", "inputs", "delay_data"):
         a, b = getattr(mine, size), getattr(other, size)
         if a != b:
+            size = size.removesuffix("_data")
             raise ArgumentError(
-                f"{name} must be made for {whose}, with {size} = {b:g}, got {size} = {a:g}."
+                f"{name} must be made for {whose}, with {size} = {b}, got {size} = {a}."
             )

@@ -233,7 +233,7 @@ class Servo(Frozen):
                 G = solve_discrete_lyapunov((Phi + Gamma @ K[i]).T, weight * step)
             qq += G[n:, n:]
             qx += G[n:, :n] @ X
-        return -self.base.delay * np.eye(r) - np.linalg.solve(qq, qx)
+        return -self.base.longest_delay * np.eye(r) - np.linalg.solve(qq, qx)
 
     def __repr__(self) -> str:
         d = self.disturbance.shape[2]

@@ -146,7 +146,9 @@ def _interval(
 
     def candidates(most: float) -> np.ndarray:
         if step is not None:
-            return _candidates(digital_response(plant, law, mode, step), plant.delay)
+            return _candidates(
+                digital_response(plant, law, mode, step), plant.one_delay("gain_margin")
+            )
         # Stronger inputs have roots at higher frequencies.
         response = IdealResponse.of(IdealLoop.of(plant, law, mode))
         highest = IdealResponse.of(IdealLoop.of(scale_inputs(most), law, mode)).highest

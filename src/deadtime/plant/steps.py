@@ -67,13 +67,13 @@ class Window:
     phase: float
 
     @classmethod
-    def of(cls, delay: float, step: float) -> Window:
-        """The window of an input delay at a sampling period, both in seconds."""
+    def of(cls, delay: float, step: float, name: str = "delay") -> Window:
+        """The window of an input delay, by its name, at a sampling period, both in seconds."""
         ratio = snap(delay / step)
         if ratio > MOST_PERIODS:
             raise ArgumentError(
-                f"delay / step = {ratio:.3g} periods, at most {MOST_PERIODS:.0e} are possible: are "
-                "both in seconds? Lengthen the step."
+                f"{name} / step = {ratio:.3g} periods, at most {MOST_PERIODS:.0e} are possible: "
+                "are both in seconds? Lengthen the step."
             )
         count = max(1, math.ceil(ratio))
         phase = step if ratio == count else delay - (count - 1) * step
@@ -101,8 +101,9 @@ def windows_of(plant: SwitchedSystem, step: float) -> list[list[Window]]:
     shorter.
     """
     places: dict[float, Window] = {}
-    for delay in sorted(set(plant.delays.ravel().tolist())):
-        places[delay] = Window.of(delay, step)
+    for (i, j), delay in np.ndenumerate(plant.delays):
+        name = "delay" if plant.has_one_delay else f"delay of input {j} in mode {i}"
+        places[delay.item()] = places.get(delay.item()) or Window.of(delay.item(), step, name)
     phase = -step
     for delay, window in sorted(places.items(), key=lambda place: place[1].phase):
         if window.phase - phase > TOLERANCE * step:

@@ -52,7 +52,7 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
     On the paper's example the first six are Figures 1 to 6 of the paper.
     """
     problem = result.problem
-    signal, delay, end = result.signal, problem.plant.delay, problem.horizon
+    signal, delay, end = result.signal, problem.plant.longest_delay, problem.horizon
     yield (
         "window",
         "Switching instants and modes in [t, t + D]: what the exact predictor must know at t.",

@@ -112,6 +112,7 @@ def design(
     (True, True, True)
     """
     asked = check_request(plant, delay_margin, step, filtered, longest_step, cost, dearest)
+    plant.one_delay("design")
     floors = Floors(asked, decay_asked(decay_rate))
     given = None if gains is None else check_gains(plant, gains, True)
     weight = weight_of(weight, plant)

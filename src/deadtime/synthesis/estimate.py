@@ -28,10 +28,11 @@ _HIGH = -0.2  # of log|λ|: a peak that may reach 1 at another delay
 def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
     """The smallest error of the delay, relative to it, that loses a mode stable without one."""
     response = DigitalResponse.of(plant, feedback, mode)
-    omega = frequencies(plant.delay, response.highest)
+    delay = plant.delay
+    omega = frequencies(delay, response.highest)
     z, _ = response.free(omega)
     M, _ = response.law(omega)
-    p, _, _ = response.delay_line(omega, np.full(omega.size, plant.delay))
+    p, _, _ = response.delay_line(omega, np.full(omega.size, delay))
     loop = np.linalg.solve(M, feedback_to_state(response.F, z) @ p)
     values = loop[:, :, 0] if loop.shape[1] == 1 else np.linalg.eigvals(loop)
     values = np.take_along_axis(values, np.argsort(np.abs(values), axis=1), axis=1)
@@ -39,9 +40,9 @@ def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> fl
     best, batch = math.inf, 0
     while batch < w.size and _NEAREST * abs(away[batch]) < best:
         some = slice(batch, batch + _STARTS)
-        found = _refine(response, w[some], away[some], sure[some], plant.delay)
+        found = _refine(response, w[some], away[some], sure[some], delay)
         best, batch = min(best, found), batch + _STARTS
-    return best / plant.delay
+    return best / delay
 
 
 def feedback_to_state(F: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -117,7 +117,8 @@ def export_plant_fmu(
     """Write a plant with its input delay as an FMU for co-simulation.
 
     Its inputs are u and the mode, held over a step of any length; its outputs the state. Inputs
-    arrive exactly D later, on the grid of the steps or off it: the state is exact to round-off.
+    arrive exactly their delays later, those of the mode in force, on the grid of the steps or off
+    it: the state is exact to round-off.
     Parameters set the state at the start, and the constant input before it.
 
     Parameters
@@ -131,7 +132,7 @@ def export_plant_fmu(
     version : "3.0" or "2.0"
         Of FMI.
     changes : int
-        How often the input may change within the delay: more than D / h.
+        How often the input may change within the longest delay D: more than D / h.
     names : Names, optional
         Of states, inputs and modes, for the descriptions.
     staging : Staging, optional
@@ -188,8 +189,8 @@ def export_plant_fmu(
     ]
     size = count("changes", changes, 2)
     values = {
-        "delay": literal(plant.delay, "double"),
-        "slack": literal(1e-6 * plant.delay, "double"),
+        "delay": literal(plant.longest_delay, "double"),
+        "slack": literal(1e-6 * plant.longest_delay, "double"),
         "include": (
             f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
             "typedef struct {\n    int first, count; /* of the inputs that have not passed */\n"
@@ -197,11 +198,17 @@ def export_plant_fmu(
         ),
         "tables": [
             {"name": key, "shape": brackets(array), "text": initializer(array, "double")}
-            for key, array in (("A", plant.A), ("B", plant.B), ("START", start), ("PAST", past))
+            for key, array in (
+                ("A", plant.A),
+                ("B", plant.B),
+                ("DELAYS", plant.delays),
+                ("START", start),
+                ("PAST", past),
+            )
         ],
     }
     sources = {"model.c": render("plant_model.c.j2", values)}
-    title = names.title or f"Plant with a delay of {plant.delay:g} s"
+    title = names.title or f"Plant with a delay of {plant.delay_text} s"
     return write_fmu(Path(path), version, name, title, None, variables, sources, values, staging)
 
 

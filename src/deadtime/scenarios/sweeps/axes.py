@@ -102,6 +102,12 @@ def _distance(draft: Draft, alpha: float) -> None:
     plant |= {"A": moved.A.tolist(), "B": moved.B.tolist()}
 
 
+def _delay(draft: Draft, value: float) -> None:
+    """The longest delay is `value` seconds, the others in proportion."""
+    delays = np.asarray(draft["plant"]["delay"], dtype=float)
+    draft["plant"]["delay"] = (delays * (value / delays.max())).tolist() if delays.ndim else value
+
+
 def _delay_error(draft: Draft, error: float) -> None:
     """The true delays are (1 + e) times those which laws believe."""
     delays = (1.0 + error) * np.asarray(draft["plant"]["delay"])
@@ -170,7 +176,7 @@ def _by_name(*axes: Axis) -> dict[str, Axis]:
 # In the order in which they are written: what reads the plant comes after what changes it.
 AXES: Mapping[str, Axis] = _by_name(
     Axis("distance", "mode distance α", "", _distance),
-    Axis("delay", "delay", "s", at("plant.delay")),
+    Axis("delay", "delay", "s", _delay),
     Axis("speed", "closed-loop speed", "", _speed),
     Axis("step", "sampling period", "s", at("run.step")),
     Axis("horizon", "horizon", "s", at("run.horizon")),
@@ -199,11 +205,13 @@ OVERWRITES: Mapping[str, tuple[str, ...]] = {
 
 
 def axis_of(name: str) -> Axis:
-    """A named parameter, or the one at a dotted path.
+    """A named parameter, or the one at a dotted path; `delay.1` is that of input 1.
 
     Examples
     --------
-    >>> axis_of("noise").label, axis_of("run.x0.1").label
-    ('measurement noise', 'run.x0.1')
+    >>> axis_of("noise").label, axis_of("run.x0.1").label, axis_of("delay.1").unit
+    ('measurement noise', 'run.x0.1', 's')
     """
+    if name.startswith("delay."):
+        return Axis(name, f"delay of input {name[6:]}", "s", at(f"plant.{name}"))
     return AXES[name] if name in AXES else Axis(name, name, "", at(name))
