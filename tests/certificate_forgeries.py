@@ -113,6 +113,12 @@ FALSE = [
     ("paper-dwell", entries("law.F", turned)),
     (PAIR, put("plant.delays", [0.2, 0.2])),
     (PAIR, put("plant.delays", [0.295, 0.295])),
+    ("delays-both", put("plant.delays", [[0.22, 0.26], [0.34, 0.17]])),
+    ("delays-both", put("plant.delays", [[0.34, 0.17], [0.34, 0.17]])),
+    ("delays-both", put("plant.delays", [[0.31, 0.11], [0.21, 0.21]])),
+    ("delays-inputs", put("plant.delays", [0.34, 0.34])),
+    ("delays-inputs", put("plant.delays", [[0.17, 0.34], [0.17, 0.34]])),
+    ("stretches-delays", put("plant.delays", [[0.22, 0.26], [0.34, 0.17]])),
     ("range", put("plant.delays", [0.2, 0.31])),
     ("range-narrow", put("plant.delays", [0.201, 0.299])),
     ("stretches-range", put("plant.delays", [0.1, 0.3])),
@@ -148,6 +154,20 @@ MALFORMED = [
     *((PAIR, put("rho", rho)) for rho in (1.01, 0.0, -0.9, HUGE, None, "1", True)),
     *((PAIR, put("law.step", step)) for step in (0, -0.1, HUGE, None, [0.1])),
     *((PAIR, put("plant.delays", D)) for D in ([0.3, 0.2], [0.2], 0.2, [HUGE, HUGE], [0, 0])),
+    *(
+        ("delays-both", put("plant.delays", D))
+        for D in (
+            [[0.34, 0.17]],
+            [[0.34], [0.22]],
+            [0.34, [0.22, 0.26]],
+            [[0.34, 0.17], 0.2],
+            [[0.34, 0.17], [0.22, 0]],
+            [[0.34, "0.17"], [0.22, 0.26]],
+            [[0.34, HUGE], [0.22, 0.26]],
+            [[[0.34, 0.17]], [[0.22, 0.26]]],
+            [],
+        )
+    ),
     (PAIR, put("plant.A", [1.0, 2.0])),
     (PAIR, put("plant.A", lambda A: A[0])),
     (PAIR, put("plant.A", [[[[HUGE, 0], [0, 1]]] * 2])),
