@@ -3,7 +3,7 @@
 The loop. ξ_k = (x_k, u_{k−1}, …, u_{k−W}) of order d = n + W m. A period under the row c of the
 table and the plant's rows E is
 
-    u_k = row_c ξ,    x⁺ = E y,    y = (x, u_{k−j}: j in taps),    the rest of ξ is shifted.
+    u_k = row_c ξ,    x⁺ = E y,    y = (x, the inputs read),    the rest of ξ is shifted.
 
 The centre E₀, row₀ makes of it one linear system with a small feedback Δ around it,
 
