@@ -241,16 +241,15 @@ class Loop:
         for D in {D for row in each for D in row}:
             ratios = [Fraction(repr(x)) / Fraction(repr(self.c.step)) for x in D]
             ratios = [round(r) if abs(r - round(r)) <= near else r for r in ratios]
-            N = math.ceil(ratios[1])
-            first, last = (r - N + 1 for r in ratios)  # φ/h
-            need(N >= 1 and first >= 0, "the delays are not within one period")
-            low, high = (ball(x) - (N - 1) * h for x in D)
-            low, high = low if first else arb(0), high if last < 1 else h
-            at[D] = last, first == 1, N, (low, high - low)
-        for D, (last, whole, N, mark) in sorted(at.items(), key=lambda item: item[1][0]):
+            late = math.ceil(ratios[1]) - 1  # N − 1
+            first, last = (r - late for r in ratios)  # φ/h
+            need(late >= 0 and first >= 0, "the delays are not within one period")
+            low = ball(D[0]) - late * h if first else arb(0)
+            at[D] = last, first == 1, late, (low, (ball(D[1]) - late * h if last < 1 else h) - low)
+        for D, (last, whole, late, mark) in sorted(at.items(), key=lambda item: item[1][0]):
             if not whole and last - here > near:
                 here, marks = last, [*marks, mark]
-            at[D] = [N] * (len(marks) - 1 + whole) + [N - 1] * (1 + len(at))  # by part
+            at[D] = [late + 1] * (len(marks) - 1 + whole) + [late] * (1 + len(at))  # by part
         lags = [[[at[D][q] for D in row] for q in range(len(marks))] for row in each]
         return [*marks, (h, arb(0))], lags
 
@@ -465,7 +464,8 @@ def summary(c):
     signals = f"sojourns of {c.dwell!r} s {longest}"
     if c.chatter > 1:
         signals = f"{c.chatter} + T/({c.dwell!r} s) switches or fewer in any T, one in a period"
-    D = f"D = {c.delays if len({*map(str, c.delays)}) > 1 else c.delays[0]} s"
+    (low, high), D = c.D[0][0], c.delays if type(c.delays[0]) is list else c.delays[0]
+    D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"

@@ -143,9 +143,13 @@ def test_no_certificate_is_violated_by_signals_searched_by_other_code():
     assert violated == []
 
 
-def test_no_certificate_for_delays_of_ones_own_is_violated():
-    count, violated = attacked(range(100, 130), several=True)
-    assert count >= 8
+@pytest.mark.parametrize(
+    ("seeds", "least"),
+    [(range(112, 118), 5), pytest.param(range(100, 130), 8, marks=pytest.mark.long)],
+)
+def test_no_certificate_for_delays_of_ones_own_is_violated(seeds, least):
+    count, violated = attacked(seeds, several=True)
+    assert count >= least
     assert violated == []
 
 

@@ -163,7 +163,7 @@ def test_evidence_about_other_delays_is_no_proof():
     certificate = certified("delays-both")[2]
     evidence, setting = certificate.evidence, certificate.evidence.setting
     assert check(evidence).proven
-    for delays in (setting.delays[:, ::-1], setting.delays[::-1], setting.delays - 0.02):
+    for delays in (setting.delays[:, ::-1], setting.delays - 0.02):
         outcome = check(replace(evidence, setting=replace(setting, delays=delays.copy())))
         assert not outcome.proven
     for delays, reason in (
