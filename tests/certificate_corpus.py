@@ -57,6 +57,22 @@ def of_pair(alpha):
     return plant, dt.AveragedPredictor(plant, dt.place(plant, (-2.0, -3.0)), None, 0.8)
 
 
+BOTH = np.array([[[1.0, 1.0], [0.0, 0.5]], [[1.1, 0.95], [0.02, 0.45]]])
+INPUTS = np.array([[[1.0, 0.0], [0.2, 1.0]], [[1.02, 0.0], [0.2, 0.98]]])
+
+
+def several(delays, law=dt.AveragedPredictor, factor=1.0):
+    """Two inputs that move two states at will, each with a delay of its own."""
+    plant = dt.SwitchedSystem(BOTH, INPUTS, delays)
+    gains = np.linalg.solve(INPUTS, np.diag((-1.0, -1.5)) - BOTH)
+    return plant, law(plant, factor * gains)
+
+
+def slow(delays):
+    plant = dt.SwitchedSystem(BOTH - 1.5 * np.eye(2), INPUTS, delays)
+    return plant, dt.DelayedStateFeedback(plant, 0.1 * several(delays)[1].gains)
+
+
 UNSTABLE = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])
 DELAYED = dt.DelayedStateFeedback(MILD, WEAK)
 Case = tuple[Callable[[], tuple], float, float, dict]
@@ -102,6 +118,15 @@ CASES: dict[str, Case] = {
     ),
     "polytope-mode": (lambda: (corners((1, 1), (1.05, 1)), DELAYED), 0.2, 0.1, {}),
     "tolerant": (lambda: designed(PAIR), 0.3, 0.1, {"clock_tolerance": 0.05}),
+    "delays-inputs": (lambda: several([0.34, 0.17]), 0.3, 0.1, {}),
+    "delays-short": (lambda: several([0.04, 0.07]), 0.2, 0.1, {}),
+    "delays-alike": (lambda: several([0.37, 0.27]), 0.25, 0.1, {}),
+    "delays-modes": (lambda: designed(with_delay(PAIR, [[0.3], [0.27]])), 0.23, 0.1, {}),
+    "delays-both": (lambda: several([[0.34, 0.17], [0.22, 0.26]]), 0.3, 0.1, {}),
+    "delays-by-mode": (
+        lambda: slow([[0.34, 0.1], [0.05, 0.26]]),
+        *(0.23, 0.1, {"maximum_dwell": 0.6}),
+    ),
     "rate": (lambda: designed(PAIR), 0.2, 0.1, {"decay_rate": 0.3}),
 }
 
@@ -118,6 +143,7 @@ STRETCHES = {
     "stretches-off-grid": ("averaged-dwell", (0, 2)),
     "stretches-range": ("range", (0, 1, 2)),
     "stretches-polytope": ("polytope-mode", (0, 1)),
+    "stretches-delays": ("delays-both", (1, 2)),
     "stretches-one-mode": ("one-mode", (0,)),
 }
 

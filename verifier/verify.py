@@ -5,7 +5,7 @@ FORMAT.md, beside this file, says what a certificate holds, and that it has to p
 for every link, a stretch of L periods from a node of the graph to the next.
 
 **Only n rows move.** In one period of a link the instant s of a switch may vary. Its matrix is
-[E Y₀; U₀]: E (n rows) propagates (x, u_{k−N}, u_{k−N+1}) = Y₀ ξ, U₀ has the rows of u_k, ….
+[E Y₀; U₀]: E (n rows) propagates (x, the inputs read) = Y₀ ξ, U₀ has the rows of u_k, ….
 With the products Q and S of the periods before and after it M = S [E Y; U], Y = Y₀ Q, U = U₀ Q.
 Let Sᵀ V₊ S = [a, bᵀ; b, c], a ≻ 0 (checked), and complete the square:
     V − Mᵀ V₊ M/g = H − Kᵀ (a/g) K,  H = V − (Uᵀ c U − Zᵀ a⁻¹ Z)/g,  K = E Y + a⁻¹ Z,  Z = bᵀ U.
@@ -23,10 +23,11 @@ concave, for G ⪰ 0: (2) holds on the cell if it does for all E_c + R. In balls
 is ≻ 0 if T F Tᵀ is within ε < 1 of I, T from its centre: R counts in units in which F is I. A cell
 that fails is halved (R falls with the square of its size), unless its centre fails too.
 
-**A period** is cut at t_1 ≤ t_2 into pieces, E = e^{X_3 (h − t_2)} e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
-X = [A, B; 0, 0] with the B of the input that acts. As X commutes with its exponential,
+**A period** is cut at t_1 ≤ t_2 … into pieces, E = … e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
+X = [A, B; 0, 0] with each column of B at the input read. As X commutes with its exponential,
     ∂E/∂p = Σ_k ∂t_k/∂p (the pieces after t_k) (X_k − X_{k+1}) (the pieces before it).
-s = u φ or φ + u (h − φ), for E has a kink at s = φ. With vertices, X = X⁰ + Σ λ_v (Xᵛ − X⁰), and
+The t_k are marks, every φ, and s, a part u of the way from one mark, or 0, to the next, or h: E
+has a kink where s is at a mark. With vertices, X = X⁰ + Σ λ_v (Xᵛ − X⁰), and
 ∂e^{Xτ}/∂λ_v is the upper right block of exp τ[X, Xᵛ − X⁰; 0, X]. e^X = (e^{X/2^k})^(2^k), where
 |X/2^k| = θ ≤ 1/8 in the norm ∞: 24 terms of its series leave < θ²⁵/25!/(1 − θ/26) in every entry.
 
@@ -35,9 +36,8 @@ s = u φ or φ + u (h − φ), for E has a kink at s = φ. With vertices, X = X�
 same: so (1) at the first and the last age there implies the others, as it does for V ≻ 0.
 
 **Rounding.** P, Ψ, S, F, G, ρ are exact; V and up to order 16 its leading minors are rational.
-A, B, delays and the period are balls of half a unit in the last place; ages come from rational
-quotients of decimals. All else is in Arb's balls at 160 bits, which hold the exact results: a
-comparison is true only if it is for all of a ball.
+A, B, delays, the period are balls of half a unit in the last place; ages come from quotients of
+decimals. All else is in Arb's balls at 160 bits: a comparison is true only if it is for all of one.
 """
 
 import argparse
@@ -122,11 +122,13 @@ def certificate(content):
     form, _, rate, plant, law, signals, rho, lyapunov, _ = take(content, "the file", keys)
     need(form == "deadtime certificate 2", "the format is not 'deadtime certificate 2'")
     c = SimpleNamespace(rho=real(rho, "rho"), rate=real(0 if rate is None else rate, "decay_rate"))
-    A, B, delays = take(plant, "plant", "A B delays")
+    A, B, c.delays = take(plant, "plant", "A B delays")
     c.vertices, c.modes, c.n, c.m = len(A), len(A[0]), len(A[0][0]), len(B[0][0][0])
     c.A = nested(A, "A", c.vertices, c.modes, c.n, c.n)
     c.B = nested(B, "B", c.vertices, c.modes, c.n, c.m)
-    c.low, c.high = nested(delays, "delays", 2)
+    each = type(c.delays[0]) is list  # delays of every mode and input; else low and high of one
+    D = nested(c.delays, "delays", *(c.modes, c.m) if each else (2,))
+    c.D = [[(x, x) for x in row] for row in D] if each else [[tuple(D)] * c.m] * c.modes
     c.context, ages, step, F, G = take(law, "law", "context ages step F G")
     c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
     rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
@@ -136,7 +138,8 @@ def certificate(content):
     dwell, maximum, chatter, tolerance = take(signals, "signals", keys)
     c.dwell, c.tolerance = real(dwell, "dwell_time"), real(tolerance, "clock_tolerance")
     c.chatter, c.maximum = whole(chatter, "chatter", 1), maximum
-    fits = 0 < c.low <= c.high and c.step > 0 and c.dwell > 0 and 1e-8 <= c.tolerance < 1
+    fits = c.step > 0 and c.dwell > 0 and 1e-8 <= c.tolerance < 1
+    fits = fits and all(0 < low <= high for row in c.D for low, high in row)
     need(fits and 0 < c.rho <= 1, "delays, step, dwell_time, clock_tolerance or rho out of range")
     fits = maximum is None or (c.dwell <= real(maximum, "maximum_dwell") and c.chatter == 1)
     need(fits, "maximum_dwell is below dwell_time, or chatter is not 1")
@@ -145,12 +148,11 @@ def certificate(content):
     fits = c.linear or (kind == "stretches" and c.chatter == 1)
     need(fits, "lyapunov.kind is neither 'linear' nor 'stretches' with chatter 1")
     c.knots = [whole(k, "knots", 0) for k in knots]
-    need(c.knots and c.knots == sorted(set(c.knots)), "knots do not ascend")
-    need(not c.linear or c.knots[0] == 0, "the first knot is not 0")
-    shape = c.modes, len(knots)
-    c.P = array(P, "P", *shape[: 0 if c.linear else 2], None, None)
+    fits = c.knots and c.knots == sorted(set(c.knots)) and c.knots[0] * c.linear == 0
+    need(fits, "knots do not ascend, or not from 0 where they have to")
+    c.P = array(P, "P", *() if c.linear else (c.modes, len(knots)), None, None)
     c.Psi = array(rest[0], "Psi", None, None) if c.linear else []
-    c.S = array(rest[1], "S", *shape, len(c.Psi), len(c.Psi)) if c.linear else []
+    c.S = array(rest[1], "S", c.modes, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
     return c
 
 
@@ -212,10 +214,6 @@ def positive(H):
     return T, norm(T * H * T.transpose() - eye(H.nrows()))
 
 
-def rational(rows):
-    return fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in row] for row in rows])
-
-
 class Loop:
     """The loop of a certificate: its ages, rows, Lyapunov function and periods."""
 
@@ -223,10 +221,12 @@ class Loop:
         self.c, self.n, self.modes, self.deadline = c, c.n, range(c.modes), deadline
         gains = itertools.chain(*c.F, *itertools.chain(*c.G))
         self.acts, self.h = any(map(any, gains)), ball(c.step)  # else no input travels
-        self.N, self.ends = self.clock() if self.acts else (0, [(self.h, arb(0))] * 2)
+        self.marks, self.lags = self.clock(c.D if self.acts else [[]] * c.modes)
+        self.reads = sorted({(N, j) for i in self.lags for q in i for j, N in enumerate(q)})
         self.q0, self.q1, self.last = self.ages()
-        self.ranged, self.held = self.acts and c.low < c.high, max(self.N, len(c.G[0])) * self.acts
-        self.k, self.d = c.n + 2 * c.m * self.acts, c.n + c.m * self.held
+        self.ranged, N = self.acts and c.D[0][0][0] < c.D[0][0][1], max([0, *dict(self.reads)])
+        self.held, self.k = max(N, len(c.G[0])) * self.acts, c.n + len(self.reads)
+        self.d = c.n + c.m * self.held
         need(self.d <= LARGEST_ORDER, f"its order is above this verifier's {LARGEST_ORDER}")
         for X in [c.P] if c.linear else itertools.chain(*c.P):
             need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
@@ -235,18 +235,23 @@ class Loop:
         self.full = lru_cache(room)(self.new_full)
         self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
 
-    def clock(self):
-        """N, and φ and h − φ at both ends of the range of delays."""
-        c, h, ends = self.c, self.h, []
-        ratios = [Fraction(repr(D)) / Fraction(repr(c.step)) for D in (c.low, c.high)]
-        near = [round(r) if abs(r - round(r)) <= Fraction(1, 10**9) else r for r in ratios]
-        N = math.ceil(near[1])
-        for D, ratio in zip((c.low, c.high), near, strict=True):
-            past, phase = ratio - N + 1, ball(D) - (N - 1) * h
-            ends.append((h * past, h * (1 - past)) if past in (0, 1) else (phase, h - phase))
-            fits = N >= 1 and past >= 0 and ends[-1][0] >= 0 and ends[-1][1] >= 0
-            need(fits, "the delays are not within one period")
-        return N, ends
+    def clock(self, each):
+        """0, each φ below h, and h, and how the range moves them; lags by mode, part and input."""
+        h, near, at, marks, here = self.h, Fraction(1, 10**9), {}, [(arb(0), arb(0))], -1
+        for D in {D for row in each for D in row}:
+            ratios = [Fraction(repr(x)) / Fraction(repr(self.c.step)) for x in D]
+            ratios = [round(r) if abs(r - round(r)) <= near else r for r in ratios]
+            late = math.ceil(ratios[1]) - 1  # N − 1
+            first, last = (r - late for r in ratios)  # φ/h
+            need(late >= 0 and first >= 0, "the delays are not within one period")
+            low = ball(D[0]) - late * h if first else arb(0)
+            at[D] = last, first == 1, late, (low, (ball(D[1]) - late * h if last < 1 else h) - low)
+        for D, (last, whole, late, mark) in sorted(at.items(), key=lambda item: item[1][0]):
+            if not whole and last - here > near:
+                here, marks = last, [*marks, mark]
+            at[D] = [late + 1] * (len(marks) - 1 + whole) + [late] * (1 + len(at))  # by part
+        lags = [[[at[D][q] for D in row] for q in range(len(marks))] for row in each]
+        return [*marks, (h, arb(0))], lags
 
     def ages(self):
         """q₀, q₁ (None: no bound) and `last`."""
@@ -273,17 +278,18 @@ class Loop:
 
     def new_table(self, row):
         """Y₀ and U₀ of a row."""
-        n, m, d, old = self.n, self.c.m, self.d, self.N * self.c.m
+        n, m, d = self.n, self.c.m, self.d
         if not self.acts:
             return eye(d), arb_mat(0, n)
         G = self.c.G[row] + [[[0.0] * m] * m] * (self.held - len(self.c.G[row]))
         now = [[*self.c.F[row][i], *(x for g in G for x in g[i])] for i in range(m)]
         one, u = eye(d).tolist(), now + eye(d).tolist()[n:]  # u_k, u_{k−1}, …, u_{k−W}
-        return arb_mat(one[:n] + u[old : old + m] + u[old - m : old]), arb_mat(u[: d - n])
+        return arb_mat(one[:n] + [u[N * m + j] for N, j in self.reads]), arb_mat(u[: d - n])
 
     def new_V(self, mode, age):
         """V at a node, if it is ≻ 0."""
         c, d = self.c, self.d
+        rational = lambda X: fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in r] for r in X])  # noqa: E731
         V = rational(c.P if c.linear else c.P[mode][c.knots.index(age)])
         if c.Psi:
             Psi, S, knots = rational(c.Psi), c.S[mode], [*c.knots, max(age, c.knots[-1]) + 1]
@@ -298,29 +304,26 @@ class Loop:
         need(fits, f"V is not positive definite in mode {mode} at age {age}")
         return balls
 
-    def generator(self, vertex, mode, fresh):
-        """X of a piece on which u_{k−N}, or else u_{k−N+1}, acts."""
-        c, zeros, rows = self.c, [0] * self.c.m, []
+    def generator(self, vertex, mode, q):
+        """X of a piece in a part of the period."""
+        c, lags, rows = self.c, self.lags[mode][q], []
         for a, b in zip(c.A[vertex][mode], c.B[vertex][mode], strict=True):
-            row = [*map(ball, a), *zeros * fresh, *map(ball, b), *zeros * (1 - fresh)]
-            rows.append(row[: self.k])
+            rows.append([*map(ball, a), *(ball(b[j]) * (lags[j] == N) for N, j in self.reads)])
         return arb_mat(rows + [[0] * self.k] * (self.k - self.n))
 
-    def period(self, i, j, late, p, slopes):
+    def period(self, i, j, q, p, slopes):
         """E, and if asked for its derivatives by u, by the place f in the range, by λ_1, …."""
         (u, f, *weights), k, zero = p, self.k, arb_mat(self.k, self.k)
-        (phase, left), (phase_1, left_1) = self.ends
-        rise = phase_1 - phase
-        phase, left = phase + f * rise, left + f * (left_1 - left)
-        # Pieces (mode, which input, duration), and how u and f move the instant before each.
-        pieces = (i, 0, u * phase), (j, 0, (1 - u) * phase), (j, 1, left)
-        moved = (0, 0), (phase, u * rise), (0, rise)
-        if late:
-            pieces = (i, 0, phase), (i, 1, u * left), (j, 1, (1 - u) * left)
-            moved = (0, 0), (0, rise), (left, (1 - u) * rise)
+        marks, rise = [low + f * r for low, r in self.marks], [r for _, r in self.marks]
+        long = [b - a for a, b in itertools.pairwise(marks)]
+        # The pieces' modes, parts and durations, and how u and f move the instant before each.
+        modes, parts = [i] * (q + 1) + [j] * (len(long) - q), sorted([*range(len(long)), q])
+        durations = [*long[:q], u * long[q], (1 - u) * long[q], *long[q + 1 :]]
+        moved = [(0, r) for r in rise[:-1]]
+        moved.insert(q + 1, (long[q], rise[q] + u * (rise[q + 1] - rise[q])))
         E, D, before = eye(k), [zero] * (2 + len(weights)), zero
-        for (mode, fresh, duration), by in zip(pieces, moved, strict=True):
-            first, *others = [self.X(v, mode, fresh) for v in range(self.c.vertices)]
+        for mode, at, duration, by in zip(modes, parts, durations, moved, strict=True):
+            first, *others = [self.X(v, mode, at) for v in range(self.c.vertices)]
             steps = [X - first for X in others]
             X = sum((w * dX for w, dX in zip(weights, steps, strict=True)), first)
             P = exponential(X * duration)
@@ -333,15 +336,15 @@ class Loop:
             E, before = P * E, X
         return [part(Q, 0, self.n, 0, k) for Q in (E, *D)]
 
-    def new_enclosure(self, i, j, late, simplices):
+    def new_enclosure(self, i, j, q, simplices):
         """(E, R) at the centre and at the corners of a cell; how much each simplex moves E."""
         corners = [[x for v in vs for x in v] for vs in itertools.product(*simplices)]
         places = [*zip(*corners, strict=True)]
         middle = [sum(x, fmpq(0)) / len(x) for x in places]
         widths = [max(abs(x - y) for x in xs) for xs, y in zip(places, middle, strict=True)]
         box = [y + arb(0, 1) * arb(w) for y, w in zip(middle, widths, strict=True)]
-        E = self.period(i, j, late, [arb(y) for y in middle], False)[0]
-        D = self.period(i, j, late, box, True)[1:] if any(widths) else []
+        E = self.period(i, j, q, [arb(y) for y in middle], False)[0]
+        D = self.period(i, j, q, box, True)[1:] if any(widths) else []
         spread = ((S - S.mid()) * arb(w) for S, w in zip(D, widths, strict=False))
         spread = sum(spread, arb_mat(self.n, self.k))
         found = [(E.mid(), E - E.mid())]
@@ -365,27 +368,26 @@ class Loop:
 
     def roots(self, i, j, age=0):
         """Cells that cover the parameters: part of the period, simplices of u, of f and of λ."""
-        (p0, r0), (p1, r1), count, found = *self.ends, range(self.c.vertices), []
+        count, found = range(self.c.vertices), []
         f = ((fmpq(0),), (fmpq(1),)) if self.ranged else ((fmpq(0),),)
         low = 0 if self.bucket or i == j else max(0, self.shortest - age - 1)
         high = 0 if i == j else min(1, self.longest - age) if self.c.maximum else 1
         low, high = (self.h * x.numerator / x.denominator for x in (low, high))  # s of a switch
         weights = tuple(tuple(fmpq(p == q) for p in count[1:]) for q in count)
-        spans = [(low / p1, high / p0), ((low - p1) / r1, (high - p0) / r0)]  # of u, for all φ
-        for late, (first, last) in enumerate(spans[: 2 - (i == j or r0.is_zero())]):
+        for q, ((a, ra), (b, rb)) in enumerate(itertools.pairwise(self.marks)):
+            first, last = (low - a - ra) / (b + rb - a - ra), (high - a) / (b - a)  # u, for all φ
             u0 = float(first.lower()) - 2**-50 if first.is_finite() and i != j else 0.0
             u1 = float(last.upper()) + 2**-50 if last.is_finite() and i != j else float(i != j)
             ends = sorted({fmpq(*min(1.0, max(0.0, u)).as_integer_ratio()) for u in (u0, u1)})
-            if u0 <= 1 and u1 >= 0:
-                found.append((late, (tuple((x,) for x in ends), f, weights)))
+            if u0 <= 1 and u1 >= 0 and (i != j or q == 0):
+                found.append((q, (tuple((x,) for x in ends), f, weights)))
         return found
 
 
 def linear(loop):
     V, last, c = loop.V, loop.last, loop.c
-    found = {0, last, loop.q0, loop.q0 + 1, *c.knots}
+    found = {0, last, loop.q0, loop.q0 + 1, *c.knots, *range(min(c.ages, last + 1))}
     found |= {k + loop.q0 for k in c.knots if loop.bucket}
-    found |= set(range(min(c.ages, last + 1)))
     starts = {a for a in found if a <= last}
     for a, i in itertools.product(sorted(starts | {a - 1 for a in starts if a > 0}), loop.modes):
         for row in loop.rows(i, a):
@@ -421,10 +423,8 @@ def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=Non
     W = after.transpose() * W * after if after is not None else W
     a, b, c = part(W, 0, n, 0, n), part(W, n, d, 0, n), part(W, n, d, n, d)
     need(positive(a)[1] < 1, f"{name}: V after it is too close to singular")
-    inverse, Z = a.inv(), b.transpose() * U if loop.acts else arb_mat(n, d)
-    H = V + Z.transpose() * inverse * Z * (1 / g)
-    if loop.acts:
-        H -= U.transpose() * (c * U) * (1 / g)
+    inverse, Z = a.inv(), b.transpose() * U
+    H = V + (Z.transpose() * inverse * Z - U.transpose() * (c * U)) * (1 / g)
     T, error = positive(H)
     need(error < 1, f"{name}: V does not decrease, whatever the state")
     TW = T * block([[Y], [inverse * Z]]).transpose()
@@ -448,14 +448,14 @@ def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=Non
             cells += [(half, depth + 1) for half in halves(*cell, moves.index(max(moves)))]
 
 
-def halves(late, simplices, index):
+def halves(q, simplices, index):
     """The cell with one of its simplices cut in two across its longest edge."""
     pairs = itertools.combinations(simplices[index], 2)
     ends = max(pairs, key=lambda p: max(abs(x - y) for x, y in zip(*p, strict=True)))
     middle = tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
     for end in ends:
         cut = tuple(middle if v == end else v for v in simplices[index])
-        yield late, (*simplices[:index], cut, *simplices[index + 1 :])
+        yield q, (*simplices[:index], cut, *simplices[index + 1 :])
 
 
 def summary(c):
@@ -464,7 +464,8 @@ def summary(c):
     signals = f"sojourns of {c.dwell!r} s {longest}"
     if c.chatter > 1:
         signals = f"{c.chatter} + T/({c.dwell!r} s) switches or fewer in any T, one in a period"
-    D = f"D = {c.low!r} s" if c.low == c.high else f"every constant D of {c.low!r} to {c.high!r} s"
+    (low, high), D = c.D[0][0], c.delays if type(c.delays[0]) is list else c.delays[0]
+    D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
@@ -490,8 +491,7 @@ def main():
         except Exception as error:  # whatever a foreign file brings about
             code, verdict = (1, "NOT PROVED: ") if c else (2, "UNREADABLE: ")
             verdict += f"{error}" if type(error) is ValueError else repr(error)
-        line = f"{path}: {verdict}{about}; {time.monotonic() - start:.1f} s".split()
-        print(" ".join(line), flush=True)
+        print(*f"{path}: {verdict}{about}; {time.monotonic() - start:.1f} s".split(), flush=True)
         worst = max(worst, code)
     sys.exit(worst)
 

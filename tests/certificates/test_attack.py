@@ -13,20 +13,22 @@ import pytest
 
 import certificate_reference as reference
 import deadtime as dt
+import delayed_loops
 
 STEP = 0.1
 SLACK = 1e-5  # of the clock
 EDGES = (0.0, 1e-6, 0.3, 0.7, 1.0)  # instants of a switch in its period; 0 is just after the sample
 
 
-def a_loop(rng):
+def a_loop(rng, several=False):
     """A plant, a law that may have another model, and the options of `certify`."""
     modes, n, m = int(rng.integers(2, 4)), int(rng.integers(1, 4)), int(rng.integers(1, 3))
     A = rng.normal(size=(modes, n, n)) * rng.uniform(0.3, 8.0)
     A -= (np.linalg.eigvals(A).real.max() + rng.uniform(-0.3, 1.5)) * np.eye(n)
     B = rng.normal(size=(modes, n, m)) * rng.choice([0.3, 1.0, 3.0])
     delay = float(rng.choice([0.1, 0.2, rng.uniform(0.02, 0.3)]))
-    plant = dt.SwitchedSystem(A, B, delay)
+    own = rng.choice([0.1, 0.13, 0.2, 0.27, delay], (modes, m)) if several else delay
+    plant = dt.SwitchedSystem(A, B, own)
     error = 1.0 + 0.03 * rng.normal(size=A.shape) * (rng.random() < 0.3)
     model = dt.SwitchedSystem(A * error, B, float(rng.choice([delay, 0.15])))
     gains = rng.normal(size=(modes, m, n)) * rng.choice([0.05, 0.2, 0.6])
@@ -52,7 +54,9 @@ class Attack:
     """Cycles of sojourns, each (mode, full periods, instant of the switch that ends it)."""
 
     def __init__(self, plant, law, dwell_time, maximum_dwell=None):
-        self.loop = reference.Loop(plant.A, plant.B, plant.delay, law.digital(STEP))
+        self.loop = delayed_loops.Loop(plant, law.digital(STEP))
+        if plant.has_one_delay:
+            self.loop = reference.Loop(plant.A, plant.B, plant.delay, law.digital(STEP))
         self.modes = plant.modes
         self.least = dwell_time / STEP * (1.0 - SLACK)
         self.most = math.inf if maximum_dwell is None else maximum_dwell / STEP * (1.0 + SLACK)
@@ -111,7 +115,7 @@ class Attack:
         return rate
 
 
-def attacked(seeds, quick=False):
+def attacked(seeds, quick=False, several=False):
     """(certificates, certificates of loops that outgrow them) among random loops.
 
     Quick: of those with small tables and no longest sojourn, and of stability without a rate.
@@ -119,7 +123,7 @@ def attacked(seeds, quick=False):
     count, violated = 0, []
     for seed in seeds:
         rng = np.random.default_rng(seed)
-        plant, law, options = a_loop(rng)
+        plant, law, options = a_loop(rng, several)
         if quick and (plant.states > 2 or "maximum_dwell" in options or law.digital(STEP).ages > 1):
             continue
         rate = 0.0 if quick else None
@@ -136,6 +140,16 @@ def attacked(seeds, quick=False):
 def test_no_certificate_is_violated_by_signals_searched_by_other_code():
     count, violated = attacked(range(1, 25))
     assert count >= 12
+    assert violated == []
+
+
+@pytest.mark.parametrize(
+    ("seeds", "least"),
+    [(range(112, 118), 5), pytest.param(range(100, 130), 8, marks=pytest.mark.long)],
+)
+def test_no_certificate_for_delays_of_ones_own_is_violated(seeds, least):
+    count, violated = attacked(seeds, several=True)
+    assert count >= least
     assert violated == []
 
 

@@ -149,6 +149,8 @@ def test_the_line_tells_the_loop_and_the_signals():
     assert "every constant D of 0.2 to 0.29 s" in lines[0]
     assert "3 vertices" in lines[1]
     assert "3 + T/(0.2 s) switches or fewer in any T" in lines[2]
+    (line,) = run(corpus.CORPUS / "delays-both.json")[1]
+    assert "D = [[0.34, 0.17], [0.22, 0.26]] s" in line
 
 
 # -- its enclosures, against fifty digits --------------------------------------------------
@@ -186,11 +188,12 @@ def test_exponentials_and_periods_are_enclosed():
             cell = (((u * 0,), (u,)), ((u * 0,),), ((u * 0,), (weight,)))
             enclosed = loop.enclosure(0, 1, late, cell)[0][-1]
             mixed = [(1 - share[1]) * X[0] + share[1] * X[1] for X in (A, B)]
-            plant = reference.Plant(*mixed, loop.c.low, loop.c.step, digits=True)
+            plant = reference.Plant(*mixed, loop.c.D[0][0][0], loop.c.step, digits=True)
             at = plant.phase * reference.decimal(share[0])
             if late:
                 at = plant.phase + (plant.h - plant.phase) * reference.decimal(share[0])
-            E = plant.rows(0, 1, at / plant.h)
+            columns = [plant.n + plant.m * (plant.count - lag) + j for lag, j in loop.reads]
+            E = plant.rows(0, 1, at / plant.h)[:, [*range(plant.n), *columns]]
             ball = (enclosed[0] + enclosed[1]).tolist()
             assert all(
                 ball[i][j].contains(float(E[i, j])) or abs(ball[i][j] - float(E[i, j])) < 1e-12

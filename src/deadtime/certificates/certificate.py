@@ -117,6 +117,8 @@ class Certificate:
 
 def _also(evidence: Evidence | StretchEvidence) -> str:
     """For what else than every signal a certificate holds."""
-    low, high = evidence.setting.delays
-    delays = f" and every constant delay from {low:.6g} s to {high:.6g} s" if low < high else ""
+    delays = ""
+    if evidence.setting.family.ranges:
+        low, high = evidence.setting.delays
+        delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
     return delays + " and every plant in the polytope" * (len(evidence.setting.A) > 1)

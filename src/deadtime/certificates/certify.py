@@ -62,7 +62,7 @@ def certify(
     ----------
     plant : SwitchedSystem, or a sequence of them
         The truth, which may differ from the law's model; a sequence gives the corners of a
-        polytope of plants (of one delay).
+        polytope of plants (of the same delays).
     law : Law
         A law that is a table with rows by nothing, by mode, or by mode and age.
     dwell_time : float
@@ -76,7 +76,7 @@ def certify(
         N₀ + T/τ_a switches, at most one per period.
     delays : (low, high), optional
         A range of the plant's true delay, in seconds, within which it is constant; by default the
-        plant's delay. The law's table stays what it is.
+        plant's delay, or delays. The law's table stays what it is.
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.
@@ -110,7 +110,6 @@ def certify(
     (True, True)
     """
     plants = _plants(plant)
-    nominal = plants[0].one_delay("certify")
     instance("law", law, Law)
     for corner in plants:
         require_match(corner, law)
@@ -132,7 +131,7 @@ def certify(
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
-        _delays(delays, nominal, step),
+        _delays(delays, plants[0], step),
         table.state_gain,
         table.input_gain,
         table.context,
@@ -156,8 +155,9 @@ def _decide(
     search_signals: bool,
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
-    delays = sorted(set(setting.delays))
-    corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in delays]
+    given = setting.delays
+    ends = sorted(set(given)) if isinstance(given, tuple) else [given]
+    corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in ends]
     rates = [
         (growth_rate(corner, law, mode, setting.step), mode, corner)
         for corner in corners
@@ -276,15 +276,18 @@ def _plants(plant: SwitchedSystem | Sequence[SwitchedSystem]) -> list[SwitchedSy
         instance("plant", corner, SwitchedSystem)
         if not np.array_equal(corner.delays, plants[0].delays):
             raise ArgumentError(
-                "plant must have one delay at all corners of the polytope: give a range of delays "
-                "as delays=(low, high)."
+                "plant must have the same delays at all corners of the polytope: give a range of "
+                "one delay as delays=(low, high)."
             )
     return plants
 
 
-def _delays(delays: tuple[float, float] | None, nominal: float, step: float) -> tuple[float, float]:
+def _delays(
+    delays: tuple[float, float] | None, plant: SwitchedSystem, step: float
+) -> tuple[float, float] | np.ndarray:
     if delays is None:
-        return nominal, nominal
+        return (plant.delay, plant.delay) if plant.has_one_delay else plant.delays
+    plant.one_delay("certify(delays=...)")
     low, high = (positive("delays", value) for value in delays)
     if low > high:
         raise ArgumentError(f"delays must ascend, got ({low:g}, {high:g}).")

@@ -17,6 +17,7 @@ from deadtime.base.wording import number_of
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
@@ -77,10 +78,9 @@ class Asked:
             known = zip(setting.A, setting.B, strict=True)
             if not any(np.array_equal(A, plant.A) and np.array_equal(B, plant.B) for A, B in known):
                 return "the certificate is about a plant with other matrices."
-            low, high = setting.delays
-            if not (low <= plant.delays).all() or not (plant.delays <= high).all():
-                delay = f"of {low!r} s" if low == high else f"in [{low!r}, {high!r}] s"
-                return f"the certificate is about a plant with a delay {delay}."
+            other = _other_delay(setting.delays, plant)
+            if other:
+                return f"the certificate is about a plant with {other}."
         if step is not None and step != setting.step:
             return (
                 f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
@@ -229,14 +229,12 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
 def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     """What a certificate is about, so that a reader can tell it from another one."""
     corners, modes, n, m = setting.B.shape
-    low, high = setting.delays
-    delay = f"{low!r} s" if low == high else f"{low!r} to {high!r} s"
     polytope = f", a polytope of {corners} plants" if corners > 1 else ""
     rows, taps = setting.G.shape[:2]
     return (
         f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: "
         f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
-        f"delay {delay}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
+        f"{_in_figures(setting.delays)}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
         f"B[0] = {_first(setting.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
         f"{setting.context}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}; "
@@ -244,6 +242,24 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
         f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )
+
+
+def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:
+    """Which delays a certificate is about, if they are not the plant's."""
+    if isinstance(delays, np.ndarray):
+        same = np.array_equal(delays, plant.delays)
+        return "" if same else f"the delays {delays.tolist()} s"
+    low, high = delays
+    if plant.has_one_delay and low <= plant.delay <= high:
+        return ""
+    return f"a delay of {low!r} s" if low == high else f"a delay in [{low!r}, {high!r}] s"
+
+
+def _in_figures(delays: Delays) -> str:
+    if isinstance(delays, np.ndarray):
+        return f"delays {delays.tolist()} s"
+    low, high = delays
+    return f"delay {low!r} s" if low == high else f"delay {low!r} to {high!r} s"
 
 
 def _digest(*arrays: np.ndarray) -> str:

@@ -104,8 +104,9 @@ def loop_matrix(setting: Setting, E: np.ndarray, row: int) -> np.ndarray:
     """M of ξ⁺ = M ξ in a period of plant rows E under one row of the table."""
     n, m, d = setting.states, setting.inputs, setting.order
     inputs = np.concatenate((setting.rows[row], np.eye(d)[n:]))  # u_k, u_{k−1}, …
-    seen = [np.eye(d)[:n], *(inputs[j * m : (j + 1) * m] for j in setting.family.taps)]
-    return np.concatenate((E @ np.concatenate(seen), inputs[: d - n]))
+    read = [lag * m + j for lag, j in setting.family.reads]
+    seen = np.concatenate((np.eye(d)[:n], inputs[read]))
+    return np.concatenate((E @ seen, inputs[: d - n]))
 
 
 def _directions(
@@ -118,19 +119,16 @@ def _directions(
     as the filter of Ψ needs them, and `rank` leading singular directions.
     """
     count, m, d = differences.shape
-    n, taps = setting.states, setting.family.taps
-    y = n + m * len(taps)
+    n, reads = setting.states, setting.family.reads
+    y = n + len(reads)
     if not setting.rows_differ:
         return np.zeros((0, d)), np.zeros((count, m, y)), np.zeros((0, d))
     others, T = differences.copy(), np.zeros((count, m, y))
     T[:, :, :n], others[:, :, :n] = differences[:, :, :n], 0.0
-    for place, j in enumerate(taps):
-        if j:
-            here, there = (
-                slice(n + place * m, n + (place + 1) * m),
-                slice(n + (j - 1) * m, n + j * m),
-            )
-            T[:, :, here], others[:, :, there] = differences[:, :, there], 0.0
+    for place, (lag, j) in enumerate(reads, n):
+        if lag:
+            there = n + (lag - 1) * m + j
+            T[:, :, place], others[:, :, there] = differences[:, :, there], 0.0
     lasts = [oldest_row(setting, i) for i in range(setting.transitions.modes)]
     size = max(float(np.abs(differences).max()), 1e-300) * count
     first = _singular(others[lasts].reshape(-1, d), size)[1]

@@ -57,9 +57,8 @@ def _response(model: Model, z: np.ndarray) -> Response:
     G = centre.row[:, n:].reshape(m, W, m)
     system = np.zeros((len(z), n + m, n + m), complex)
     system[:, :n, :n] = z[:, None, None] * np.eye(n) - centre.E[:, :n]
-    for place, j in enumerate(setting.family.taps):
-        column = centre.E[:, n + place * m : n + (place + 1) * m]
-        system[:, :n, n:] -= column * late[:, j, None, None]
+    for place, (lag, j) in enumerate(setting.family.reads, n):
+        system[:, :n, n + j] -= centre.E[:, place] * late[:, lag, None]
     system[:, n:, :n] = -centre.row[:, :n]
     g = powers @ G.transpose(1, 0, 2).reshape(W, m * m)
     system[:, n:, n:] = np.eye(m) - g.reshape(len(z), m, m)

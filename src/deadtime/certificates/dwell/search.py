@@ -61,7 +61,7 @@ class Search:
         self.knots = tuple(sorted({int(mark) for mark in marks})) if level.eigenvectors else (0,)
         self.looked_at: set[tuple[Transition, tuple[Segment, ...], float]] = set()
         self.samples = self._samples()
-        delay = setting.delays[1]
+        delay = setting.longest_delay
         self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
         self.fine = fine_frequencies(setting.past, setting.step, delay)
 
@@ -125,12 +125,7 @@ class Search:
     def _add(self, failed: Transition, u: float) -> bool:
         """Look at a step at the instant u of the period, too; False if that is done already."""
         family = self.setting.family
-        order, inner = family.orders(failed.mode, failed.after)[0], u
-        if family.split and failed.switches:
-            part = family.phases[1] / family.step
-            late = u > part
-            order = family.orders(failed.mode, failed.after)[int(late)]
-            inner = (u - part) / (1.0 - part) if late else u / part
+        order, inner = family.place(failed.mode, failed.after, u)
         key = failed, order, inner if failed.switches else 0.0
         if key in self.looked_at:
             return False

@@ -23,6 +23,7 @@ from deadtime.base.errors import CertificateFileError
 from deadtime.base.text_files import read_text
 from deadtime.base.version import __version__
 from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
+from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
 
@@ -56,7 +57,11 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
         "format": FORMAT,
         "version": __version__,
         "decay_rate": decay_rate(evidence),
-        "plant": {"A": setting.A.tolist(), "B": setting.B.tolist(), "delays": setting.delays},
+        "plant": {
+            "A": setting.A.tolist(),
+            "B": setting.B.tolist(),
+            "delays": np.array(setting.delays).tolist(),
+        },
         "law": {
             "context": setting.context,
             "ages": setting.ages,
@@ -170,12 +175,11 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     if V["kind"] not in list(LYAPUNOV):
         raise ValueError(f"lyapunov.kind {V['kind']!r:.40} is neither 'linear' nor 'stretches'")
     _require_keys("lyapunov", V, LYAPUNOV[V["kind"]])
-    low, high = plant["delays"]
     maximum = signals["maximum_dwell"]
     setting = Setting(
         _array_of(plant["A"]),
         _array_of(plant["B"]),
-        (_float(low), _float(high)),
+        _delays(plant["delays"]),
         _array(law["F"]),
         _array(law["G"]),
         _text(law["context"]),
@@ -220,6 +224,14 @@ def _float(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TypeError(f"{value!r:.40} is no number")
     return float(value)
+
+
+def _delays(value: Any) -> Delays:
+    """Low and high of one delay, or lists with those of every mode."""
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return _array_of(value)
+    low, high = value
+    return _float(low), _float(high)
 
 
 def _array_of(value: Any) -> np.ndarray:

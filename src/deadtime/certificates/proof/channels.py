@@ -27,18 +27,17 @@ class Channels:
     def of(cls, setting: Setting, centre: Centre) -> Channels:
         """Lay out the channels of a centre."""
         n, m, d = setting.states, setting.inputs, setting.order
-        taps = setting.family.taps
+        reads = setting.family.reads
         w = n + m * setting.rows_differ
-        k = n + m * len(taps)
+        k = n + len(reads)
         C, D = np.zeros((k, d)), np.zeros((k, w))
         C[:n, :n] = np.eye(n)
-        for place, j in enumerate(taps):
-            rows = slice(n + place * m, n + (place + 1) * m)
-            if j:
-                C[rows, n + (j - 1) * m : n + j * m] = np.eye(m)
+        for place, (lag, j) in enumerate(reads, n):
+            if lag:
+                C[place, n + (lag - 1) * m + j] = 1.0
             else:
-                C[rows] = centre.row
-                D[rows, n:] = np.eye(m)[:, : w - n]
+                C[place] = centre.row[j]
+                D[place, n:] = np.eye(m)[j, : w - n]
         # (x⁺, u) = [E₀ I 0; 0 0 I] (y, w_x, row₀ ξ + w_u)
         left, right = np.zeros((n + m, k + n + m)), np.zeros((k + n + m, d + w))
         left[:n, :k], left[:n, k : k + n], left[n:, k + n :] = centre.E, np.eye(n), np.eye(m)

@@ -86,16 +86,9 @@ class Covering:
                 if direction is None:
                     continue
                 if direction < 0 or depth == DEEPEST or count == MOST_CELLS:
-                    return count, self._instant(cell)
+                    return count, self.family.instant(cell.order, 0.5 * sum(cell.u))
                 pending += [(half, depth + 1) for half in cell.halves(direction)]
         return count, None
-
-    def _instant(self, cell: Cell) -> float:
-        u, family = 0.5 * sum(cell.u), self.family
-        part = family.phases[1] / family.step
-        if not family.split:
-            return u
-        return part + u * (1.0 - part) if cell.order[0].share == "all" else u * part
 
     def enclosure(self, cell: Cell) -> Enclosure:
         """E over a cell; cells of one pair of modes come again in other forms: enclosed once."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.proof import balls
-from deadtime.certificates.proof.family import Family, Segment
+from deadtime.certificates.proof.family import Family, Lags, Segment
 
 SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
 
@@ -76,15 +76,16 @@ class Enclosures:
 
     def __init__(self, family: Family) -> None:
         self.family = family
-        self.step = balls.decimal_number(family.step)
-        self.phases = tuple(
-            self.step if phase == family.step else balls.decimal_number(phase) + _slack(family)
-            for phase in family.phases
-        )
-        self.generators = {
-            early: [[balls.decimal(X) for X in corner] for corner in family.generators(early)]
-            for early in (True, False)
-        }
+        from flint import arb
+
+        step, slack = balls.decimal_number(family.step), _slack(family)
+
+        def ball(mark: float) -> Any:
+            return step if mark == family.step else balls.decimal_number(mark) + slack
+
+        self.marks = [(arb(0), arb(0))]
+        self.marks += [(ball(low), ball(high)) for low, high in family.marks[1:]]
+        self.generators: dict[tuple[int, Lags], list[Any]] = {}
 
     def of(self, cell: Cell) -> Enclosure:
         """Enclose one cell; E may be split by `Cell.halves` until the slopes are small."""
@@ -123,22 +124,27 @@ class Enclosures:
 
     def _duration(self, part: Segment, u: Any, f: Any) -> Any:
         a, b = SHARES[part.share]
-        low, high = self.phases
-        phase = low + f * (high - low)
-        return (phase if part.early else self.step - phase) * (u * b + a)
+        return (self._mark(part.stop, f) - self._mark(part.start, f)) * (u * b + a)
+
+    def _mark(self, k: int, f: Any) -> Any:
+        low, high = self.family.marks[k]
+        return self.marks[k][0] + f * self._rise(k) if low < high else self.marks[k][0]
+
+    def _rise(self, k: int) -> Any:
+        """How far a mark moves over the range of the delay; 0 if it does not."""
+        (low, high), (first, last) = self.marks[k], self.family.marks[k]
+        return high - low if first < last else 0
 
     def _rate(self, part: Segment, direction: int, u: Any, f: Any) -> Any:
         """∂τ/∂u or ∂τ/∂f."""
         a, b = SHARES[part.share]
-        low, high = self.phases
         if direction == 0:
-            phase = low + f * (high - low)
-            return (phase if part.early else self.step - phase) * b
-        return (u * b + a) * (high - low) * (1 if part.early else -1)
+            return (self._mark(part.stop, f) - self._mark(part.start, f)) * b
+        return (u * b + a) * (self._rise(part.stop) - self._rise(part.start))
 
     def _generator(self, part: Segment, weights: np.ndarray, hull: np.ndarray | None) -> Any:
         """𝒜 at the weights, or over the simplex."""
-        corners = [corner[part.mode] for corner in self.generators[part.early]]
+        corners = self._corners(part)
         if len(corners) == 1:
             return corners[0]
         if hull is None:
@@ -151,6 +157,13 @@ class Enclosures:
         for point in points[1:]:
             union = [x.union(y) for x, y in zip(union, point, strict=True)]
         return arb_mat(size, size, union)
+
+    def _corners(self, part: Segment) -> list[Any]:
+        """𝒜 of every corner of the polytope."""
+        key = part.mode, part.lags
+        if key not in self.generators:
+            self.generators[key] = [balls.decimal(X) for X in self.family.generator(*key)]
+        return self.generators[key]
 
     def _factors(
         self, cell: Cell, u: Any, f: Any, weights: np.ndarray, hull: np.ndarray | None
@@ -173,7 +186,7 @@ class Enclosures:
         """The derivative of a segment's exponential from the weights towards a corner."""
         from flint import arb_mat
 
-        corners = [corner[part.mode] for corner in self.generators[part.early]]
+        corners = self._corners(part)
         tau = self._duration(part, u, f)
         X = self._generator(part, weights, hull) * tau
         Y = (_combine(corners, corner) - _combine(corners, weights)) * tau

@@ -3,7 +3,7 @@
 The loop. ξ_k = (x_k, u_{k−1}, …, u_{k−W}) of order d = n + W m. A period under the row c of the
 table and the plant's rows E is
 
-    u_k = row_c ξ,    x⁺ = E y,    y = (x, u_{k−j}: j in taps),    the rest of ξ is shifted.
+    u_k = row_c ξ,    x⁺ = E y,    y = (x, the inputs read),    the rest of ξ is shifted.
 
 The centre E₀, row₀ makes of it one linear system with a small feedback Δ around it,
 
@@ -32,7 +32,7 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.clock import CLOCK_TOLERANCE
-from deadtime.certificates.proof.family import Family
+from deadtime.certificates.proof.family import Delays, Family
 from deadtime.certificates.proof.transitions import Transitions, interpolation
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ class Setting(Frozen):
     ----------
     A : (vertices, modes, n, n), B : (vertices, modes, n, m)
         The corners of the polytope of plants; one for a plant.
-    delays : (low, high)
-        The plant's delay, seconds; equal for a known one.
+    delays : (low, high), or (modes, m)
+        The plant's delay, seconds, equal for a known one; or those of every mode and input.
     F : (rows, m, n), G : (rows, taps, m, m)
         The law's table.
     context, ages, step
@@ -64,7 +64,7 @@ class Setting(Frozen):
 
     A: Float[np.ndarray, "vertex mode n n"]
     B: Float[np.ndarray, "vertex mode n m"]
-    delays: tuple[float, float]
+    delays: Delays
     F: Float[np.ndarray, "row m n"]
     G: Float[np.ndarray, "row tap m m"]
     context: Context
@@ -93,6 +93,11 @@ class Setting(Frozen):
             self.context,
             self.ages,
         )
+
+    @property
+    def longest_delay(self) -> float:
+        """Seconds."""
+        return float(np.max(self.delays))
 
     @property
     def states(self) -> int:

@@ -1,14 +1,16 @@
 """The steps that a plant can take in one period, as products of exponentials.
 
-Over a period the plant takes y = (x, early, late) to e^{𝒜_K τ_K} … e^{𝒜_1 τ_1} y, where `early`
-is the input u_{k−N} that acts for the first φ and `late` is u_{k−N+1} that acts for the rest:
+Over a period the plant takes y = (x, what it reads) to e^{𝒜_K τ_K} … e^{𝒜_1 τ_1} y. It reads inputs
+of some samples ago: of a delay D, N = ⌈D/h⌉ and φ = D − (N − 1) h, u_{k−N} acts for the first φ and
+u_{k−N+1} for the rest. So marks, 0, the φ of all delays and h, cut the period in parts, and in part
+p mode i reads its inputs `lags[i][p]` samples ago:
 
-    𝒜 = [[A_i, B_i, 0], [0, 0, 0]] in the first part,   [[A_i, 0, B_i], [0, 0, 0]] in the second.
+    𝒜 = [[A_i, B_i where these are read], [0, 0]].
 
 Which generators act for how long depends on parameters, each in [0, 1]:
 
     the instant of the switch, a fraction u of the part that it falls in,
-    the plant's delay, φ = (1 − f) φ_low + f φ_high,
+    the plant's delay, φ = (1 − f) φ_low + f φ_high, where there is one and it has a range,
 
 and on the point of a polytope of plants, Σ λ_k (A^k, B^k). A `Segment` says so for one order of
 events: the generator and the duration, bilinear in u and f.
@@ -16,33 +18,42 @@ events: the generator and the duration, bilinear in u and f.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
-from deadtime.plant import Window
+from deadtime.plant import SwitchedSystem, Window
+from deadtime.plant.steps import windows_of
 
 ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
+
+Lags = tuple[int, ...]  # of every input, how many samples ago the one read was computed
+Delays = tuple[float, float] | Float[np.ndarray, "mode m"]  # a range of one, or each of several
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a period in one mode under one held input.
+    """A part of a period in one mode under the same held inputs.
 
-    The duration is phase part · fraction of it: `early` tells φ from h − φ, and `share` is
-    "all", "before" (u of it) or "after" (1 − u of it).
+    It lasts from the mark `start` to the mark `stop`, or a fraction of that: `share` is "all",
+    "before" a switch (u of it) or "after" it (1 − u of it).
     """
 
     mode: int
-    early: bool
+    lags: Lags
+    start: int
+    stop: int
     share: str
 
 
 @dataclass(frozen=True, eq=False)
 class Family(Frozen):
-    """A plant, or a polytope of plants, at a period, with a delay or a range of delays.
+    """A plant, or a polytope of plants, at a period, with its delays or a range of its delay.
 
     Attributes
     ----------
@@ -51,59 +62,84 @@ class Family(Frozen):
     step : float
         h.
     count : int
-        N of the plant.
-    phases : (low, high)
-        The range of φ.
+        N of the longest delay.
+    marks : tuple of (low, high)
+        Where the period is cut, seconds: (0, 0), the φ of the delays, (h, h). Only a range of one
+        delay has low < high.
+    lags : tuple by mode, part and input
+        What is read between one mark and the next.
     """
 
     A: Float[np.ndarray, "vertex mode n n"]
     B: Float[np.ndarray, "vertex mode n m"]
     step: float
     count: int
-    phases: tuple[float, float]
+    marks: tuple[tuple[float, float], ...]
+    lags: tuple[tuple[Lags, ...], ...]
 
     @classmethod
-    def of(cls, A: np.ndarray, B: np.ndarray, delays: tuple[float, float], step: float) -> Family:
-        """The family of a range of delays; its ends must have one N."""
+    def of(cls, A: np.ndarray, B: np.ndarray, delays: Delays, step: float) -> Family:
+        """The family of delays, or of a range of one, whose ends must have one N."""
+        start, stop, (modes, m) = (0.0, 0.0), (step, step), (B.shape[1], B.shape[3])
+        if isinstance(delays, np.ndarray):
+            windows = windows_of(SwitchedSystem(A[0], B[0], delays), step)
+            phases = sorted({window.phase for row in windows for window in row} - {step})
+            begins = [0.0, *phases]
+            lags = tuple(
+                tuple(tuple(w.count - (begin >= w.phase) for w in row) for begin in begins)
+                for row in windows
+            )
+            count = max(window.count for row in windows for window in row)
+            return cls(A, B, step, count, (start, *((p, p) for p in phases), stop), lags)
         low, high = (Window.of(delay, step) for delay in delays)
-        phase = low.phase
-        if low.count == high.count - 1 and low.phase == step:
+        phase, N = low.phase, high.count
+        if low.count == N - 1 and low.phase == step:
             phase = 0.0  # the range starts where u_{k−N+1} is not yet seen: φ = 0 of the next N
-        elif low.count != high.count:
+        elif low.count != N:
             raise ValueError("a range of delays must lie in one period")
-        return cls(A, B, step, high.count, (phase, high.phase))
+        if phase == high.phase == step:
+            return cls(A, B, step, N, (start, stop), (((N,) * m,),) * modes)
+        both = ((N,) * m, (N - 1,) * m)
+        return cls(A, B, step, N, (start, (phase, high.phase), stop), (both,) * modes)
 
-    @property
-    def split(self) -> bool:
-        """Whether a second held input acts in a period."""
-        return not self.phases[0] == self.phases[1] == self.step
-
-    @property
-    def taps(self) -> tuple[int, ...]:
-        """The past inputs that the plant reads, j of u_{k−j}."""
-        return (self.count, self.count - 1) if self.split else (self.count,)
+    @cached_property
+    def reads(self) -> tuple[tuple[int, int], ...]:
+        """The past inputs that the plant reads, (lag, input), the oldest first."""
+        every = {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}
+        return tuple(sorted(every, key=lambda read: (-read[0], read[1])))
 
     @property
     def ranges(self) -> bool:
         """Whether the delay is a range."""
-        return self.phases[0] != self.phases[1]
+        return any(low != high for low, high in self.marks)
 
     def orders(self, mode: int, after: int) -> list[tuple[Segment, ...]]:
         """The orders of events in a period from `mode` to `after`; one for a full step."""
+        parts = len(self.marks) - 1
         if mode == after:
-            parts = [Segment(mode, True, "all")]
-            return [(*parts, Segment(mode, False, "all"))] if self.split else [tuple(parts)]
-        first = [Segment(mode, True, "before"), Segment(after, True, "after")]
-        if not self.split:
-            return [tuple(first)]
+            return [tuple(self._held(mode, 0, parts))]
+        cuts = self._cuts((mode, after), 0, parts)
         return [
-            (*first, Segment(after, False, "all")),
             (
-                Segment(mode, True, "all"),
-                Segment(mode, False, "before"),
-                Segment(after, False, "after"),
-            ),
+                *self._held(mode, 0, a),
+                Segment(mode, self.lags[mode][a], a, b, "before"),
+                Segment(after, self.lags[after][a], a, b, "after"),
+                *self._held(after, b, parts),
+            )
+            for a, b in pairwise(cuts)
         ]
+
+    def _cuts(self, modes: tuple[int, ...], start: int, stop: int) -> list[int]:
+        """The marks from one to another at which these modes go on to other inputs."""
+        lags = [self.lags[i] for i in modes]
+        inner = [p for p in range(start + 1, stop) if any(of[p - 1] != of[p] for of in lags)]
+        return [start, *inner, stop]
+
+    def _held(self, mode: int, start: int, stop: int) -> Iterator[Segment]:
+        """The segments between two marks in one mode."""
+        if start < stop:
+            for a, b in pairwise(self._cuts((mode,), start, stop)):
+                yield Segment(mode, self.lags[mode][a], a, b, "all")
 
     def shares(
         self, order: tuple[Segment, ...], instants: tuple[float, float] = (0.0, 1.0)
@@ -112,31 +148,47 @@ class Family(Frozen):
 
         None if no switch of this order of events lies there; (0, 1) for a full step.
         """
-        if order[0].mode == order[-1].mode:
+        part = _switching(order)
+        if part is None:
             return 0.0, 1.0
-        if not self.split:
+        if part.stop - part.start == len(self.marks) - 1:
             return instants
         low, high = (fraction * self.step for fraction in instants)
-        first, last = self.phases
-        if order[0].share == "before":  # u = s/φ
-            least, most = low / last, high / first if first else 1.0
-        else:  # u = (s − φ)/(h − φ), which falls with φ
-            least = (low - last) / (self.step - last) if last < self.step else 0.0
-            most = (high - first) / (self.step - first)
-        part = self.step - last if order[0].share == "all" else first or last
-        wrong = ROUND_OFF + 8.0 * np.spacing(self.step * (self.count + 1)) / max(part, 1e-300)
+        (a0, a1), (b0, b1) = self.marks[part.start], self.marks[part.stop]
+        # u = (s − a)/(b − a) falls as a mark of a range rises
+        least = (low - a1) / (b1 - a1) if a1 < b1 else 0.0
+        most = (high - a0) / (b0 - a0) if a0 < b0 else 1.0
+        length = b1 - a1 if part.start else b0 or b1
+        wrong = ROUND_OFF + 8.0 * np.spacing(self.step * (self.count + 1)) / max(length, 1e-300)
         least, most = least - wrong, most + wrong
         return (max(0.0, least), min(1.0, most)) if least <= 1.0 and most >= 0.0 else None
 
-    def generators(self, early: bool) -> Float[np.ndarray, "vertex mode k k"]:
-        """𝒜 of every corner and mode."""
-        corners, modes, n, m = self.B.shape
-        size = n + m * len(self.taps)
-        result = np.zeros((corners, modes, size, size))
-        result[:, :, :n, :n] = self.A
-        if early or self.split:
-            at = n if early else n + m
-            result[:, :, :n, at : at + m] = self.B
+    def instant(self, order: tuple[Segment, ...], u: float) -> float:
+        """The fraction of the period at which a switch at u falls; φ at its largest."""
+        a, b = self._ends(order)
+        return a + u * (b - a)
+
+    def place(self, mode: int, after: int, instant: float) -> tuple[tuple[Segment, ...], float]:
+        """The order of events, and u, of a switch at a fraction of the period: as `instant`."""
+        orders = self.orders(mode, after)
+        order = next((one for one in orders if instant <= self._ends(one)[1]), orders[-1])
+        a, b = self._ends(order)
+        return order, (instant - a) / (b - a)
+
+    def _ends(self, order: tuple[Segment, ...]) -> tuple[float, float]:
+        """The part that the switch falls in, as fractions of the period; all of it without one."""
+        part = _switching(order)
+        if part is None:
+            return 0.0, 1.0
+        return self.marks[part.start][1] / self.step, self.marks[part.stop][1] / self.step
+
+    def generator(self, mode: int, lags: Lags) -> Float[np.ndarray, "vertex k k"]:
+        """𝒜 of every corner, in a mode that reads these inputs."""
+        n, size = self.A.shape[2], self.A.shape[2] + len(self.reads)
+        result = np.zeros((len(self.A), size, size))
+        result[:, :n, :n] = self.A[:, mode]
+        for j, lag in enumerate(lags):
+            result[:, :n, n + self.reads.index((lag, j))] = self.B[:, mode, :, j]
         return result
 
     def sample(
@@ -149,14 +201,14 @@ class Family(Frozen):
         """The plant's rows E of x⁺ = E y at one point of the parameters, in floating point."""
         from scipy.linalg import expm
 
-        n = self.A.shape[2]
-        phase = (1.0 - f) * self.phases[0] + f * self.phases[1]
+        marks = [low if low == high else (1.0 - f) * low + f * high for low, high in self.marks]
         weights = np.full(len(self.A), 1.0 / len(self.A)) if weights is None else weights
         share = {"all": 1.0, "before": u, "after": 1.0 - u}
-        result: np.ndarray = np.eye(n + self.B.shape[3] * len(self.taps))
+        n = self.A.shape[2]
+        result: np.ndarray = np.eye(n + len(self.reads))
         for part in order:
-            part_time = phase if part.early else self.step - phase
-            generator = np.tensordot(weights, self.generators(part.early)[:, part.mode], 1)
+            part_time = marks[part.stop] - marks[part.start]
+            generator = np.tensordot(weights, self.generator(part.mode, part.lags), 1)
             result = expm(generator * (part_time * share[part.share])) @ result
         return result[:n]
 
@@ -165,8 +217,12 @@ class Family(Frozen):
 
         Returns (samples, n, k): what a search for a certificate looks at before the proof.
         """
-        switches = any(part.share != "all" for part in order)
-        us = instants if switches else np.zeros(1)
+        us = np.zeros(1) if _switching(order) is None else instants
         fs = (0.0, 1.0) if self.ranges else (0.0,)
         points = np.eye(len(self.A))
         return np.stack([self.sample(order, u, f, w) for u in us for f in fs for w in points])
+
+
+def _switching(order: tuple[Segment, ...]) -> Segment | None:
+    """The segment that a switch ends, if there is one."""
+    return next((part for part in order if part.share == "before"), None)

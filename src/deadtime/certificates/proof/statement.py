@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from deadtime.certificates.proof.evidence import Evidence, Setting
 from deadtime.certificates.proof.stretches import StretchEvidence
 
@@ -39,16 +41,27 @@ def signals_in_words(setting: Setting) -> str:
     return f"for every switching signal with a dwell time of {dwell}"
 
 
+def delays_in_words(setting: Setting) -> str:
+    """The plant's delay, or delays."""
+    if isinstance(setting.delays, np.ndarray):
+        return f"s {setting.delays.tolist()} s (a list per mode, with a value per input)"
+    low, high = setting.delays
+    return f" {low!r} s" if low == high else f" any constant value in [{low!r}, {high!r}] s"
+
+
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
     words = signals_in_words(setting)
-    low, high = setting.delays
-    delay = f"{low!r} s" if low == high else f"any constant value in [{low!r}, {high!r}] s"
     plants = (
         "any plant in the polytope of the given ones (constant within each period)"
         if len(setting.A) > 1
         else "the plant"
+    )
+    alike = (
+        ", and parts of a period beyond one that differ by less count as the least of them"
+        if isinstance(setting.delays, np.ndarray)
+        else ""
     )
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
@@ -72,8 +85,9 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"{words[0].upper()}{words[1:]}, switching at any instant, and for every "
         f"initial state and past input, the digital loop of {plants} with this table{pace}; "
         f"{when} the Lyapunov function falls {falls}.",
-        f"Period {setting.step!r} s; input delay {delay}. A ratio of a delay to the period within "
-        "1e-9 of an integer counts as that integer, as in the loop that runs.",
+        f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
+        f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
+        "runs.",
         f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}. "
         "Plant entries, delay and period are all reals within half a unit in the last place of the "
         "stored ones: the decimals that were written and the binary64 numbers alike. By the "

@@ -88,12 +88,13 @@ class Period:
     @classmethod
     def of(cls, setting: Setting, row: np.ndarray) -> Period:
         """Under one row (m, d) of the table."""
-        n, m, d, taps = setting.states, setting.inputs, setting.order, setting.family.taps
+        n, m, d = setting.states, setting.inputs, setting.order
         u = np.zeros((setting.past + 1, m, d))
         u[0] = row
         for j in range(1, setting.past + 1):
             u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
-        seen = np.concatenate((np.eye(n, d), *(u[j] for j in taps)))
+        read = [u[lag, [j]] for lag, j in setting.family.reads]
+        seen = np.concatenate((np.eye(n, d), *read))
         rest = np.concatenate((np.zeros((n, d)), *u[: setting.past]))
         return cls(balls.exact(seen), balls.exact(rest))
 

@@ -41,8 +41,7 @@ def why_malformed(evidence: Evidence | StretchEvidence) -> str:
 def _numbers(setting: Setting) -> str:
     """Times and counts are finite numbers of their kind."""
     times: dict[str, Any] = {
-        "delays[0]": setting.delays[0],
-        "delays[1]": setting.delays[1],
+        **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays)},
         "step": setting.step,
         "dwell_time": setting.dwell_time,
     }
@@ -74,6 +73,8 @@ def _plants_and_table(setting: Setting) -> str:
         "F": (F, (rows, m, n)),
         "G": (G, (rows, taps, m, m)),
     }
+    if isinstance(setting.delays, np.ndarray):
+        expected["delays"] = setting.delays, (modes, m)
     return _misshapen(expected) or ("G has no taps" if taps < 1 else "")
 
 
@@ -90,10 +91,10 @@ def _context(setting: Setting) -> str:
 
 def _times(setting: Setting) -> str:
     """Delays within one period; a class of signals that the graph describes."""
-    low, high = setting.delays
-    if low > high:
+    if isinstance(setting.delays, tuple) and setting.delays[0] > setting.delays[1]:
         return "delays do not ascend"
-    if high / setting.step > MOST_AGES or setting.dwell_time / setting.step > MOST_AGES:
+    longest = max(setting.longest_delay, setting.dwell_time)
+    if longest / setting.step > MOST_AGES:
         return "the period is too short for these times"
     if setting.maximum_dwell is not None:
         if setting.maximum_dwell < setting.dwell_time:
@@ -111,7 +112,8 @@ def _times(setting: Setting) -> str:
         family = setting.family
     except ValueError as error:
         return str(error)
-    if not 0.0 <= family.phases[0] <= family.phases[1] <= setting.step:
+    marks = [mark for pair in family.marks for mark in pair]
+    if marks != sorted(marks) or marks[0] < 0.0 or marks[-1] > setting.step:
         return "the delays lie in no period"
     if setting.transitions.first < 0:
         return "the dwell time is below one period"
@@ -173,7 +175,7 @@ def _expected_shapes(
 ) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
     d, rows = setting.order, len(setting.F)
     n, m = setting.states, setting.inputs
-    y = n + m * len(setting.family.taps)
+    y = n + len(setting.family.reads)
     r, s = centre.R.shape[0], centre.Psi.shape[0]
     size = y + r + s + n + m * setting.rows_differ
     return {
