@@ -176,7 +176,7 @@ def test_loops_out_of_reach_are_left_open_with_the_reason():
         ({"clock_tolerance": 0.0}, "clock_tolerance must be a part from 1e-08 to 0.1, got 0"),
         ({"step": -0.1}, "step must be"),
         ({"plant": GENERIC}, "law must be made for a plant with 3 modes, got a law for 2"),
-        ({"plant": [PAIR, with_delay(PAIR, 0.2)]}, "one delay at all corners"),
+        ({"plant": [PAIR, with_delay(PAIR, 0.2)]}, "the same delays at all corners"),
         ({"plant": []}, "plant must be a SwitchedSystem or a sequence of them, got none"),
     ],
 )
