@@ -92,7 +92,7 @@ class Law(Frozen, ABC):
         """
 
     @abstractmethod
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         """The law in continuous time, for a run on [0, horizon] along a signal.
 
         Raises `ArgumentError` for a law that has no such form.
