@@ -16,7 +16,7 @@ from deadtime.switching import SwitchingSignal
 
 _DEPTH = 10
 _SAME = 1e-12
-_FAINT = 1e-17
+_FAINT = 1e-15
 
 
 class Shift(NamedTuple):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -43,20 +45,34 @@ def _rate(A: np.ndarray, B: np.ndarray, K: np.ndarray) -> float:
     return float(free + fed * gain)
 
 
-def _rate_and_shifts(
-    plant: SwitchedSystem, law: Forecast | Functional, seeds: np.ndarray
-) -> tuple[float, list[tuple[float, float]]]:
-    """The fastest rate, 1/s, and the shifts by which a law passes jumps of u on, with theirs."""
+class _Speeds(NamedTuple):
+    """How fast a loop is, 1/s: in all; what it makes, in u, of a jump of u that arrives; and what a
+    law makes of one that enters or leaves a window, with the seconds to there.
+    """
+
+    fastest: float
+    arriving: float
+    windows: dict[float, float]
+
+
+def _speeds(plant: SwitchedSystem, law: Forecast | Functional, seeds: np.ndarray) -> _Speeds:
     if isinstance(law, Forecast):
         rate = _fastest_rate(plant, law, law.gains(seeds[seeds >= 0.0]))
-        return rate, [(law.lead, rate)] if law.lead > 0.0 else []
-    jump = [np.linalg.norm(C @ R, 2) for C, R in zip(law.C, law.R, strict=True)]
+        return _Speeds(rate, rate, {law.lead: rate} if law.lead > 0.0 else {})
+    from deadtime.numerics.exponential import discretise
+
+    enter, ends = 0.0, {}
+    for C, S, R, near, far in zip(law.C, law.S, law.R, law.near, law.far, strict=True):
+        jump = float(np.linalg.norm(C @ R, 2))
+        left = float(np.linalg.norm(C @ discretise(S, R, far - near)[0] @ R, 2))
+        enter += jump * (near == 0.0)
+        for end, size in ((float(near), jump), (float(far), left)):
+            ends[end] = ends.get(end, 0.0) + size
+    ends.pop(0.0, None)
     none = np.zeros((1, plant.inputs, plant.states))
-    rate = _rate(np.concatenate((plant.A, law.S)), plant.B, none)
-    arriving = np.linalg.norm(law.F @ plant.B, 2, axis=(1, 2))
-    rate += max(float(np.sum(jump, where=law.near == 0.0)), *arriving.tolist())
-    ends = np.concatenate((law.near[law.near > 0.0], law.far))
-    return rate, [(float(end), rate) for end in np.unique(ends)]
+    free = _rate(np.concatenate((plant.A, law.S)), plant.B, none)
+    arriving = float(np.linalg.norm(law.F @ plant.B, 2, axis=(1, 2)).max())
+    return _Speeds(free + max(enter, arriving), arriving, ends)
 
 
 def segments_of(
@@ -76,9 +92,9 @@ def segments_of(
     before = np.concatenate((history.jumps, breaks, -reaches, -delays))
     seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
     # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
-    rate, shifts = _rate_and_shifts(plant, law, seeds)
+    speeds = _speeds(plant, law, seeds)
     shortest = min([delays[0], *reaches[reaches > 0.0].tolist()])
-    longest = min(_RESOLUTION / max(rate, np.finfo(float).tiny), shortest / 2.0)
+    longest = min(_RESOLUTION / max(speeds.fastest, np.finfo(float).tiny), shortest / 2.0)
     if (high - low) / longest > _MOST_SEGMENTS:
         raise ArgumentError(
             f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
@@ -90,13 +106,12 @@ def segments_of(
     else:
         size = longest / (2 * NODES)
         through = [
-            Shift(delay, i, rate * size)
+            Shift(float(delay), i, speeds.arriving * size)
             for i in range(plant.modes)
             for delay in np.unique(plant.delays[i])
         ]
-        reached = pass_on(
-            seeds, [*through, *(Shift(d, None, each * size) for d, each in shifts)], signal, high
-        )
+        through += [Shift(end, None, jump * size) for end, jump in speeds.windows.items()]
+        reached = pass_on(seeds, through, signal, high)
     after = np.concatenate((reached, [horizon]))
     past = subdivide(merge(before, low, 0.0), longest)
     future = subdivide(merge(after, 0.0, high), longest)
