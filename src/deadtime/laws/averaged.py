@@ -174,5 +174,7 @@ class AveragedPredictor(TableLaw):
         if self.dwell_time is not None:
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
         if not self.plant.has_one_delay:
-            return Functional.constant(self.plant, self.gains, self.weights)
+            from deadtime.laws.tables.windows import constant_functional
+
+            return constant_functional(self.plant, self.gains, self.weights)
         return Forecast.constant(*self._after, self.plant.delay)

@@ -128,5 +128,7 @@ class MeanPredictor(TableLaw):
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
         mean = self._mean_plant
         if not mean.has_one_delay:
-            return Functional.constant(mean, self.gain[None], np.ones(1))
+            from deadtime.laws.tables.windows import constant_functional
+
+            return constant_functional(mean, self.gain[None], np.ones(1))
         return Forecast.constant(*self._after, mean.delay)

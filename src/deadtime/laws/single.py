@@ -77,5 +77,7 @@ class SingleModePredictor(TableLaw):
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         plant, gain = self._own, self.gains[self.mode : self.mode + 1]
         if not plant.has_one_delay:
-            return Functional.constant(plant, gain, np.ones(1))
+            from deadtime.laws.tables.windows import constant_functional
+
+            return constant_functional(plant, gain, np.ones(1))
         return Forecast.constant(plant.A, plant.B, gain, plant.delay)
