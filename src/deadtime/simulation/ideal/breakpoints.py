@@ -76,7 +76,8 @@ def pass_on(
     Examples
     --------
     >>> shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01)]
-    >>> pass_on(np.array([0.0]), shifts, SwitchingSignal([0.0, 0.6], [0, 1]), 0.95).round(9).tolist()
+    >>> signal = SwitchingSignal([0.0, 0.6], [0, 1])
+    >>> pass_on(np.array([0.0]), shifts, signal, 0.95).round(9).tolist()
     [0.0, 0.5, 0.7, 0.9]
     """
     close = _SAME * max(1.0, high)
