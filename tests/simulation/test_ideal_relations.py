@@ -78,7 +78,7 @@ def test_a_fast_oscillation_under_slow_inputs_loses_nothing(monkeypatch):
     runs = []
     for resolution in (None, 0.4):
         if resolution:
-            monkeypatch.setattr("deadtime.simulation.ideal.run._RESOLUTION", resolution)
+            monkeypatch.setattr("deadtime.simulation.ideal.segments._RESOLUTION", resolution)
         signal = dt.SwitchingSignal.constant(0)
         runs.append(dt.simulate(plant, law, signal, [1.0, 0.0], 3.0, None, u0=5.0).states)
     assert np.abs(runs[0] - runs[1]).max() <= 3e-11 * np.abs(runs[1]).max()

@@ -16,6 +16,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
 from deadtime.feedback.foresight import Foresight
+from deadtime.feedback.functional import Functional
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
@@ -92,7 +93,7 @@ class Law(Frozen, ABC):
         """
 
     @abstractmethod
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         """The law in continuous time, for a run on [0, horizon] along a signal.
 
         Raises `ArgumentError` for a law that has no such form.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
 from deadtime.gains.checked import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
@@ -104,12 +104,17 @@ class MeanPredictor(TableLaw):
         A, B = self.mean
         return A[None], B[None], self.gain[None]
 
+    @property
+    def _mean_plant(self) -> SwitchedSystem:
+        """The one mode that may follow, with its delays."""
+        A, B, _ = self._after
+        return SwitchedSystem(A, B, self.plant.mean().delays)
+
     @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
-        A, B, K = self._after
-        mean = SwitchedSystem(A, B, self.plant.mean().delays)
+        mean, K = self._mean_plant, self.gain[None]
         if self.dwell_time is not None:
             from deadtime.laws.tables.dwell_time import dwelling_table
 
@@ -118,7 +123,12 @@ class MeanPredictor(TableLaw):
 
         return constant_table(mean, K, np.ones(1), step)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         if self.dwell_time is not None:
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        return Forecast.constant(*self._after, self.plant.one_delay("the ideal loop (step=None)"))
+        mean = self._mean_plant
+        if not mean.has_one_delay:
+            from deadtime.laws.tables.windows import constant_functional
+
+            return constant_functional(mean, self.gain[None], np.ones(1))
+        return Forecast.constant(*self._after, mean.delay)

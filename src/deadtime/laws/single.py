@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
-from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.law import TableLaw, remember_table
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
@@ -61,19 +61,24 @@ class SingleModePredictor(TableLaw):
     def label(self) -> str:
         return f"mode {self.mode} only"
 
+    @property
+    def _own(self) -> SwitchedSystem:
+        """The plant that stays in the law's mode."""
+        own, plant = slice(self.mode, self.mode + 1), self.plant
+        return SwitchedSystem(plant.A[own], plant.B[own], plant.delays[own])
+
     @remember_table
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         from deadtime.laws.tables.constant_mode import constant_table
 
-        own = slice(self.mode, self.mode + 1)
-        A, B, delays = self.plant.A, self.plant.B, self.plant.delays
-        plant = SwitchedSystem(A[own], B[own], delays[own])
-        return constant_table(plant, self.gains[own], np.ones(1), step)
+        return constant_table(self._own, self.gains[self.mode : self.mode + 1], np.ones(1), step)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        own = slice(self.mode, self.mode + 1)
-        plant = self.plant
-        delay = plant.one_delay("the ideal loop (step=None)")
-        return Forecast.constant(plant.A[own], plant.B[own], self.gains[own], delay)
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
+        plant, gain = self._own, self.gains[self.mode : self.mode + 1]
+        if not plant.has_one_delay:
+            from deadtime.laws.tables.windows import constant_functional
+
+            return constant_functional(plant, gain, np.ones(1))
+        return Forecast.constant(plant.A, plant.B, gain, plant.delay)

@@ -185,7 +185,7 @@ def _ideal(
     u0: InitialInput,
 ) -> Outcome:
     """The ideal run."""
-    delay = plant.one_delay("the ideal loop (step=None)")
+    delay = plant.longest_delay
     if horizon < TOLERANCE * delay:
         raise ArgumentError(
             f"horizon must be at least {TOLERANCE:.0e} of the delay = {delay:g} s, got "
@@ -193,10 +193,9 @@ def _ideal(
         )
     if not isinstance(switching, SwitchingSignal):
         return run_ideal_rule(plant, law, switching, x0, horizon, u0)
-    longest = max(delay, law.plant.one_delay("the ideal loop (step=None)"))
-    forecast = law.ideal(switching, horizon)
-    history = input_function(u0, plant.inputs, longest)
-    record, end = run_ideal(plant, forecast, switching, x0, horizon, history)
+    believed = law.ideal(switching, horizon)
+    history = input_function(u0, plant.inputs, max(delay, law.plant.longest_delay))
+    record, end = run_ideal(plant, believed, switching, x0, horizon, history)
     # A time within round-off before a switch is at it, as in the record.
     return Outcome(
         record,

@@ -81,6 +81,11 @@ class IdealLoop:
         delay = plant.one_delay("characteristic roots")
         A, B = plant.A[mode], plant.B[mode]
         forecast = law.ideal(SwitchingSignal.constant(mode), 0.0)
+        if not isinstance(forecast, Forecast):
+            raise ArgumentError(
+                "law must have a model with one delay for characteristic roots, got "
+                f"delay={law.plant.delay_text}: give a step for the growth of the digital loop."
+            )
         K, S, R, L = _terms_in_aged_mode(forecast)
         t, r = balance(A), balance(S)
         A, B, L = A * t / t[:, None], B / t[:, None], L * t / r[:, None]

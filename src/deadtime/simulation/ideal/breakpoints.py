@@ -7,11 +7,28 @@ edge of its window). A jump passed on ten times has no weight left in double pre
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.switching import SwitchingSignal
+
 _DEPTH = 10
 _SAME = 1e-12
+_FAINT = 1e-15
+
+
+class Shift(NamedTuple):
+    """A delay by which jumps are passed on.
+
+    seconds; the mode in which it is read, None for any; and by how much a jump counts less one
+    derivative further up, over the order of that derivative.
+    """
+
+    seconds: float
+    mode: int | None
+    weight: float
 
 
 def merge(times: np.ndarray, low: float, high: float) -> Float[np.ndarray, " edge"]:
@@ -44,6 +61,49 @@ def add_shifts(times: np.ndarray, delays: tuple[float, ...], high: float) -> np.
         if not front.size:
             break
         reached.append(front)
+    return np.concatenate(reached)
+
+
+def pass_on(
+    times: np.ndarray, shifts: list[Shift], signal: SwitchingSignal, high: float
+) -> np.ndarray:
+    """The times and their shifts up to `high`, as long as what is passed on has any weight.
+
+    A plant with delays of its own in every mode passes an input on by those of the mode that reads
+    it. Gauss sums of p nodes on segments of length h see a jump of the k-th derivative, of what
+    moves at a rate λ, as (λh/2p)ᵏ/k!, which is what the weights of shifts multiply to.
+
+    Examples
+    --------
+    >>> shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01)]
+    >>> signal = SwitchingSignal([0.0, 0.6], [0, 1])
+    >>> pass_on(np.array([0.0]), shifts, signal, 0.95).round(9).tolist()
+    [0.0, 0.5, 0.7, 0.9]
+    """
+    close = _SAME * max(1.0, high)
+    reached, weight, order = [times], np.ones(times.size), 0
+    while times.size:
+        order += 1
+        found, weights = [], []
+        for shift in shifts:
+            t, w = times + shift.seconds, weight * (shift.weight / order)
+            kept = (t <= high) & (w > _FAINT)
+            if shift.mode is not None:
+                inside = np.maximum(t, 0.0)
+                kept &= (
+                    (signal(inside) == shift.mode)
+                    | (signal(np.maximum(inside - close, 0.0)) == shift.mode)
+                    | (signal(inside + close) == shift.mode)
+                )
+            found.append(t[kept])
+            weights.append(w[kept])
+        times, weight = np.concatenate(found), np.concatenate(weights)
+        if times.size:
+            place = np.argsort(times, kind="stable")
+            times, weight = times[place], weight[place]
+            first = np.flatnonzero(np.append(True, np.diff(times) > close))
+            times, weight = times[first], np.maximum.reduceat(weight, first)
+            reached.append(times)
     return np.concatenate(reached)
 
 

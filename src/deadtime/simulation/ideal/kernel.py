@@ -2,7 +2,8 @@
 
 Time is cut into segments on which everything is analytic. On a segment [a, b] in mode σ:
 
-1. x solves dx/dt = A_σ x + B_σ u(t − D), whose input lies in the past.
+1. x solves dx/dt = A_σ x + B_σ u(t − D), whose input lies in the past (of every input its own
+   delay in mode σ).
 2. Each branch's prediction starts from P_b(a), summed afresh over the inputs in flight (so
    that nothing drifts from segment to segment), and solves
 

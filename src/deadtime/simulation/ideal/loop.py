@@ -99,6 +99,20 @@ def _prediction(y, g, end_system, whole, moved, line, ahead, nodes, P):
     return both[:, :n].copy()
 
 
+@kernel(eager=True)
+def arrivals(line, delays, times, nodes, hint):
+    """What acts at increasing times in a mode, u_j(t − D_j), (T, m)."""
+    edges, inputs = line.edges, line.inputs
+    known = inputs, nodes.support, nodes.barycentric
+    result = sample(edges, *known, times - delays[0], hint)
+    for j in range(1, delays.size):
+        if delays[j] != delays[0]:
+            other = sample(edges, *known, times - delays[j], hint)
+            for k in range(times.size):
+                result[k, j] = other[k, j]
+    return result
+
+
 class Owed(NamedTuple):
     """How the plant and a system differ: L A_i − A_f L (modes, systems, q, n), and L B_i."""
 
@@ -195,13 +209,13 @@ def march(plant, line, ahead, x0, nodes):
                 whole[g, s] = flow.forward[s, p]
         if g >= line.begin:
             times, i = start + length * points, line.mode[g]
-            known = inputs, nodes.support, nodes.barycentric
-            delayed = sample(edges, *known, times - plant.delay, g - 1)
+            delayed = arrivals(line, plant.delays[i], times, nodes, g - 1)
             _renew(own, i, plant.A[i], length, points, end)
             solve_state(
                 own.forward[i], own.backward[i], plant.B[i], x, delayed, length, nodes, states[g]
             )
             if predicts:
+                known = inputs, nodes.support, nodes.barycentric
                 recent = sample(edges, *known, times - ahead.lead, g - 1)
                 here, until, middle = ahead.here[g], ahead.until[g], start + length / 2.0
                 last = ahead.path[g] if ahead.foresees else here

@@ -9,19 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Forecast
+from deadtime.feedback import Forecast, Functional
 from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
-from deadtime.simulation.ideal.breakpoints import add_shifts, merge, subdivide
 from deadtime.simulation.ideal.piecewise import Piecewise
+from deadtime.simulation.ideal.segments import NODES, segments_of
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
 
-NODES = 10
-_MOST_SEGMENTS = 1e6
-_RESOLUTION = 1.5  # longest segment times the fastest rate
 _SAMPLES = 1001
 
 
@@ -87,7 +83,7 @@ class Plant(NamedTuple):
 
     A: np.ndarray
     B: np.ndarray
-    delay: float
+    delays: np.ndarray
 
 
 class Line(NamedTuple):
@@ -121,20 +117,22 @@ class Believed(NamedTuple):
 
 def run_ideal(
     plant: SwitchedSystem,
-    forecast: Forecast,
+    law: Forecast | Functional,
     signal: SwitchingSignal,
     x0: Float[np.ndarray, " n"],
     horizon: float,
     history: InputHistory,
 ) -> tuple[IdealRecord, float | None]:
     """Solve the loop on [0, horizon]; return the record, and where it ended if it diverged."""
-    from deadtime.numerics.exponential import discretise_modes
-    from deadtime.simulation.ideal.loop import march
+    if isinstance(law, Forecast):
+        from deadtime.numerics.exponential import discretise_modes
 
-    ahead, _ = discretise_modes(*_contiguous(forecast), forecast.lead)
-    require_finite_gains(ahead)
+        ahead, _ = discretise_modes(*_contiguous(law), law.lead)
+        require_finite_gains(ahead)
+    else:
+        require_finite_gains(law.F)
     nodes = gauss(NODES)
-    edges, begin = _edges(plant, forecast, signal, horizon, history)
+    edges, begin = segments_of(plant, law, signal, horizon, history)
     middles = (edges[:-1] + edges[1:]) / 2.0
     # One segment more than the run: u at its end is a right limit.
     stop = int(np.searchsorted(edges, horizon * (1.0 - 1e-15))) + 1
@@ -142,18 +140,15 @@ def run_ideal(
     inputs[:begin] = history.on(edges[: begin + 1], nodes)
     run = np.maximum(middles, 0.0)
     line = Line(edges, begin, stop, signal(run), inputs)
-    believed = Believed(
-        *_contiguous(forecast),
-        forecast.lead,
-        forecast.branches,
-        np.ascontiguousarray(forecast.gains(run)),
-        forecast.path(run),
-        forecast.path(np.maximum(middles + forecast.lead, 0.0)),
-        forecast.until(run),
-        forecast.foresees,
-        np.eye(plant.states) if forecast.lift is None else forecast.lift,
-    )
-    states, done = march(Plant(plant.A, plant.B, plant.delay), line, believed, x0, nodes)
+    moving = Plant(plant.A, plant.B, plant.delays)
+    if isinstance(law, Forecast):
+        from deadtime.simulation.ideal.loop import march
+
+        states, done = march(moving, line, _believed(law, middles, plant.states), x0, nodes)
+    else:
+        from deadtime.simulation.ideal.windows import march_windows, windows_of
+
+        states, done = march_windows(moving, line, windows_of(law), x0, nodes)
     # The states of the delay line's last inputs may leave the limit after the run's end.
     end = float(edges[done]) if done < stop else None
     kept = done if end is not None else stop
@@ -167,60 +162,22 @@ def run_ideal(
     )
 
 
+def _believed(forecast: Forecast, middles: np.ndarray, states: int) -> Believed:
+    """A forecast on the segments around these times."""
+    run = np.maximum(middles, 0.0)
+    return Believed(
+        *_contiguous(forecast),
+        forecast.lead,
+        forecast.branches,
+        np.ascontiguousarray(forecast.gains(run)),
+        forecast.path(run),
+        forecast.path(np.maximum(middles + forecast.lead, 0.0)),
+        forecast.until(run),
+        forecast.foresees,
+        np.eye(states) if forecast.lift is None else forecast.lift,
+    )
+
+
 def _contiguous(forecast: Forecast) -> tuple[np.ndarray, np.ndarray]:
     """The forecast's A and B as the compiled code needs them."""
     return read_only(forecast.A), read_only(forecast.B)
-
-
-def _fastest_rate(plant: SwitchedSystem, forecast: Forecast, gains: np.ndarray) -> float:
-    """A bound of |A| + |B||K| in units of the states in which they are balanced, 1/s.
-
-    `gains` (times, branches, m, q) are the K_b at every time at which they may change.
-    """
-    K = np.abs(gains).sum(axis=1)
-    if forecast.lift is None:
-        return _rate(np.concatenate((plant.A, forecast.A)), forecast.B, K)
-    return max(
-        _rate(plant.A, plant.B, np.zeros((1, plant.inputs, plant.states))),
-        _rate(forecast.A, forecast.B, K),
-    )
-
-
-def _rate(A: np.ndarray, B: np.ndarray, K: np.ndarray) -> float:
-    """The bound for any of the A, with any of the B and any of the K ≥ 0."""
-    from deadtime.numerics.exponential import balance
-
-    t = balance(np.abs(A).max(axis=0) + np.abs(B).max(axis=0) @ K.max(axis=0))
-    free, fed, gain = (
-        np.linalg.norm(M, 2, axis=(1, 2)).max()
-        for M in (A * t / t[:, None], np.abs(B) / t[:, None], K * t)
-    )
-    return float(free + fed * gain)
-
-
-def _edges(
-    plant: SwitchedSystem,
-    forecast: Forecast,
-    signal: SwitchingSignal,
-    horizon: float,
-    history: InputHistory,
-) -> tuple[np.ndarray, int]:
-    """All segments, and the index of the first after time 0."""
-    lead, delay = forecast.lead, plant.delay
-    low, high = -max(lead, delay), horizon + delay
-    breaks = np.concatenate((forecast.breaks, forecast.breaks - lead))
-    before = np.concatenate((history.jumps, breaks, [-lead, -delay]))
-    seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
-    delays = (delay, lead) if lead > 0.0 else (delay,)
-    after = np.concatenate((add_shifts(seeds, delays, high), [horizon]))
-    # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
-    rate = _fastest_rate(plant, forecast, forecast.gains(seeds[seeds >= 0.0]))
-    longest = min(_RESOLUTION / max(rate, np.finfo(float).tiny), min(delays) / 2.0)
-    if (high - low) / longest > _MOST_SEGMENTS:
-        raise ArgumentError(
-            f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
-            f"segments of {longest:.1e} s; shorten it, or give a step."
-        )
-    past = subdivide(merge(before, low, 0.0), longest)
-    future = subdivide(merge(after, 0.0, high), longest)
-    return np.concatenate((past, future[1:])), past.size - 1

@@ -1,0 +1,118 @@
+"""The segments of an ideal run: their edges, and how short they must be."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback import Forecast, Functional
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.ideal.breakpoints import Shift, add_shifts, merge, pass_on, subdivide
+from deadtime.simulation.initial_input import InputHistory
+from deadtime.switching import SwitchingSignal
+
+NODES = 10
+_MOST_SEGMENTS = 1e6
+_RESOLUTION = 1.5  # longest segment times the fastest rate
+
+
+def _fastest_rate(plant: SwitchedSystem, forecast: Forecast, gains: np.ndarray) -> float:
+    """A bound of |A| + |B||K| in units of the states in which they are balanced, 1/s.
+
+    `gains` (times, branches, m, q) are the K_b at every time at which they may change.
+    """
+    K = np.abs(gains).sum(axis=1)
+    if forecast.lift is None:
+        return _rate(np.concatenate((plant.A, forecast.A)), forecast.B, K)
+    return max(
+        _rate(plant.A, plant.B, np.zeros((1, plant.inputs, plant.states))),
+        _rate(forecast.A, forecast.B, K),
+    )
+
+
+def _rate(A: np.ndarray, B: np.ndarray, K: np.ndarray) -> float:
+    """The bound for any of the A, with any of the B and any of the K ≥ 0."""
+    from deadtime.numerics.exponential import balance
+
+    t = balance(np.abs(A).max(axis=0) + np.abs(B).max(axis=0) @ K.max(axis=0))
+    free, fed, gain = (
+        np.linalg.norm(M, 2, axis=(1, 2)).max()
+        for M in (A * t / t[:, None], np.abs(B) / t[:, None], K * t)
+    )
+    return float(free + fed * gain)
+
+
+class _Speeds(NamedTuple):
+    """How fast a loop is, 1/s: in all; what it makes, in u, of a jump of u that arrives; and what a
+    law makes of one that enters or leaves a window, with the seconds to there.
+    """
+
+    fastest: float
+    arriving: float
+    windows: dict[float, float]
+
+
+def _speeds(plant: SwitchedSystem, law: Forecast | Functional, seeds: np.ndarray) -> _Speeds:
+    if isinstance(law, Forecast):
+        rate = _fastest_rate(plant, law, law.gains(seeds[seeds >= 0.0]))
+        return _Speeds(rate, rate, {law.lead: rate} if law.lead > 0.0 else {})
+    from deadtime.numerics.exponential import discretise
+
+    enter, ends = 0.0, {}
+    for C, S, R, near, far in zip(law.C, law.S, law.R, law.near, law.far, strict=True):
+        jump = float(np.linalg.norm(C @ R, 2))
+        left = float(np.linalg.norm(C @ discretise(S, R, far - near)[0] @ R, 2))
+        enter += jump * (near == 0.0)
+        for end, size in ((float(near), jump), (float(far), left)):
+            ends[end] = ends.get(end, 0.0) + size
+    ends.pop(0.0, None)
+    none = np.zeros((1, plant.inputs, plant.states))
+    free = _rate(np.concatenate((plant.A, law.S)), plant.B, none)
+    arriving = float(np.linalg.norm(law.F @ plant.B, 2, axis=(1, 2)).max())
+    return _Speeds(free + max(enter, arriving), arriving, ends)
+
+
+def segments_of(
+    plant: SwitchedSystem,
+    law: Forecast | Functional,
+    signal: SwitchingSignal,
+    horizon: float,
+    history: InputHistory,
+) -> tuple[Float[np.ndarray, " edge"], int]:
+    """The edges of all segments, and the index of the first after time 0."""
+    delays, lead, breaks = np.unique(plant.delays), 0.0, np.empty(0)
+    if isinstance(law, Forecast):
+        lead = law.lead
+        breaks = np.concatenate((law.breaks, law.breaks - lead))
+    reaches = np.unique((lead,) if isinstance(law, Forecast) else (*law.near, *law.far))
+    low, high = -max(reaches[-1], delays[-1]), horizon + delays[0]
+    before = np.concatenate((history.jumps, breaks, -reaches, -delays))
+    seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
+    # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
+    speeds = _speeds(plant, law, seeds)
+    shortest = min([delays[0], *reaches[reaches > 0.0].tolist()])
+    longest = min(_RESOLUTION / max(speeds.fastest, np.finfo(float).tiny), shortest / 2.0)
+    if (high - low) / longest > _MOST_SEGMENTS:
+        raise ArgumentError(
+            f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
+            f"segments of {longest:.1e} s; shorten it, or give a step."
+        )
+    if plant.has_one_delay and isinstance(law, Forecast):
+        one = float(delays[0])
+        reached = add_shifts(seeds, (one, lead) if lead > 0.0 else (one,), high)
+    else:
+        size = longest / (2 * NODES)
+        through = [
+            Shift(float(delay), i, speeds.arriving * size)
+            for i in range(plant.modes)
+            for delay in np.unique(plant.delays[i])
+        ]
+        through += [Shift(end, None, jump * size) for end, jump in speeds.windows.items()]
+        reached = pass_on(seeds, through, signal, high)
+    after = np.concatenate((reached, [horizon]))
+    past = subdivide(merge(before, low, 0.0), longest)
+    future = subdivide(merge(after, 0.0, high), longest)
+    return np.concatenate((past, future[1:])), past.size - 1
