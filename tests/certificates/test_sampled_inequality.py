@@ -13,6 +13,8 @@ import pytest
 
 import certificate_forgeries as forgeries
 import certificate_reference as reference
+import deadtime as dt
+import delayed_loops
 from certificate_corpus import CORPUS
 
 FILES = sorted(path.stem for path in CORPUS.glob("*.json"))
@@ -33,12 +35,16 @@ class Sampled:
         table = SimpleNamespace(state_gain=F, input_gain=G, taps=G.shape[1], **self.law)
         A, B = (np.array(plant[name]) for name in "AB")
         weights = [*np.eye(len(A)), *rng.dirichlet(np.ones(len(A)), 2 * (len(A) > 1))]
+        self.modes, self.travels = A.shape[1], F.any() or G.any()
+        plants = [tuple(np.tensordot(w, X, 1) for X in (A, B)) for w in weights]
+        if isinstance(plant["delays"][0], list):
+            plants = [dt.SwitchedSystem(*pair, plant["delays"]) for pair in plants]
+            self.loops = [delayed_loops.Loop(one, table) for one in plants]
+            return
         low, high = plant["delays"]
         delays = {low + 1e-9 * (low < high), high, *rng.uniform(low, high, 2 * (low < high))}
-        self.modes, self.travels = A.shape[1], F.any() or G.any()
         self.loops = [
-            reference.Loop(*(np.tensordot(w, X, 1) for X in (A, B)), float(D), table)
-            for w, D in itertools.product(weights, delays)
+            reference.Loop(*pair, float(D), table) for pair, D in itertools.product(plants, delays)
         ]
 
     def V(self, mode, age):

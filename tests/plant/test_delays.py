@@ -108,3 +108,40 @@ def test_what_knows_one_delay_only_refuses_several_by_name(ask):
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]))
     with pytest.raises(dt.ArgumentError, match=r"must have one delay for \w.*delay=\[0.3, 0.1\]"):
         ask(plant, law)
+
+
+IDLE = np.array([[[0.0, 1.0], [1.0, 0.0]], [[0.0, -1.0], [1.0, 0.0]]])  # input 1 turns its sign
+
+
+@pytest.mark.parametrize("delay", [0.3, [0.3, 0.2]])
+def test_plants_made_from_one_may_have_inputs_that_act_on_nothing(delay):
+    plant = dt.SwitchedSystem([np.diag([-1.0, -2.0])] * 2, IDLE, delay)
+    assert not plant.mean().B[0, :, 1].any()
+    K = np.zeros((2, 2, 2))
+    for law in (dt.MeanPredictor(plant, K[0]), dt.MeanPredictor(plant, K[0], dwell_time=0.2)):
+        assert law.digital(0.1).taps == 3
+    once = dt.SwitchedSystem(plant.A, IDLE * [[[1.0, 1.0]], [[1.0, 0.0]]], delay)
+    assert dt.SingleModePredictor(once, K, 1).digital(0.1).taps == 3
+    nowhere = dt.SwitchedSystem(plant.A, IDLE * [1.0, 0.0], 0.3)
+    assert nowhere.apart(0.5).delays.tolist() == nowhere.delays.tolist()
+
+
+def test_delays_that_differ_by_round_off_are_one():
+    assert dt.SwitchedSystem(A, B, [0.3, 0.1 * 3]).delay == 0.3
+
+
+def test_rows_of_different_lengths_are_refused():
+    with pytest.raises(
+        dt.ArgumentError, match=r"delay must have shape .*rows of different lengths"
+    ):
+        dt.SwitchedSystem(A, B, [[0.3], [0.2, 0.1]])
+
+
+def test_robustness_leaves_out_the_margins_that_it_does_not_know():
+    plant = dt.SwitchedSystem([[[0.1]], [[0.2]]], [[[1.0, 0.5]], [[1.0, 0.6]]], [0.3, 0.1])
+    law, signal = dt.AveragedPredictor(plant, dt.place(plant, [-1.0])), dt.SwitchingSignal([0], [0])
+    found = dt.robustness(plant, law, signal, [1.0], 3.0, 0.1, scenarios=2)
+    assert found.left_out == ("delay margin", "gain margin")
+    assert (
+        "The delay margin was left out: it is not known for several delays yet." in found.sentences
+    )

@@ -176,7 +176,7 @@ BAD = [
     ("[plant]\ndelay = 0.35", "[rnu]\n[gain]", r"line 1: rnu is not .* Line 2: gain is .*\? plant is missing: add it\."),
     ("[run]", "[rnu]", r"line 14: rnu is not known: did you mean run\?"),
     ("delay = 0.35", "delay = ", r"not valid TOML: .*line 2"),
-    ("delay = 0.35", 'delay = "long"', r"line 2: plant\.delay: input should be a valid number"),
+    ("delay = 0.35", 'delay = "long"', r"line 2: plant\.delay must be a number, \(m,\), .*got 'long'"),
     ("delay = 0.35", "delay = nan", r"line 2, \[plant\]: delay must be finite, got nan"),
     ("delay = 0.35", "delay = 0.0", r"line 2, \[plant\]: delay must be positive"),
     ("[[0.0], [1.1]]", "[[1.1]]", r"line 4, \[plant\]: B must have shape"),

@@ -71,7 +71,6 @@ def design(
         Print the result as JSON instead of text.
     """
     from deadtime.base.checks import index, positive
-    from deadtime.plant import SwitchedSystem
     from deadtime.problems.asked import step_of
     from deadtime.reports.figures.design import plot_designs
     from deadtime.reports.tables.design import design_record, problem_sections
@@ -81,7 +80,7 @@ def design(
     plant, gains = chosen.plant, chosen.gains
     if mode is not None:
         one = slice(index("mode", mode, plant.modes), mode + 1)
-        plant = SwitchedSystem(plant.A[one], plant.B[one], plant.delays[one])
+        plant = plant.like(plant.A[one], plant.B[one], plant.delays[one])
         gains = gains[one]
     period = step_of(chosen) if step is None else positive("step", step)
     found = designed(

@@ -169,7 +169,7 @@ class Servo(Frozen):
         """
         keep = self.moving
         A, B = self.plant.A[:, keep][:, :, keep], self.plant.B[:, keep]
-        return SwitchedSystem(A, B, self.plant.delays)
+        return self.plant.like(A, B)
 
     def _complete(
         self, K: Float[np.ndarray, "mode m xq"], step: float | None
@@ -262,7 +262,7 @@ def _extend(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> Switched
     modes, n, k = E.shape
     A, B = np.zeros((modes, n + k, n + k)), np.zeros((modes, n + k, plant.inputs))
     A[:, :n, :n], A[:, :n, n:], B[:, :n] = plant.A, E, plant.B
-    return SwitchedSystem(A, B, plant.delays)
+    return plant.like(A, B)
 
 
 def _with_errors(
@@ -276,4 +276,4 @@ def _with_errors(
     if sums:
         A[:, n : n + sums, :n] = HC
         A[:, n : n + sums, n + sums :] = -np.eye(r)
-    return SwitchedSystem(A, B, model.delays)
+    return model.like(A, B)

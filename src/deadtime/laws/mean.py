@@ -108,7 +108,7 @@ class MeanPredictor(TableLaw):
     def _mean_plant(self) -> SwitchedSystem:
         """The one mode that may follow, with its delays."""
         A, B, _ = self._after
-        return SwitchedSystem(A, B, self.plant.mean().delays)
+        return self.plant.like(A, B, self.plant.mean().delays)
 
     @remember_table
     def digital(

@@ -65,7 +65,7 @@ class SingleModePredictor(TableLaw):
     def _own(self) -> SwitchedSystem:
         """The plant that stays in the law's mode."""
         own, plant = slice(self.mode, self.mode + 1), self.plant
-        return SwitchedSystem(plant.A[own], plant.B[own], plant.delays[own])
+        return plant.like(plant.A[own], plant.B[own], plant.delays[own])
 
     @remember_table
     def digital(

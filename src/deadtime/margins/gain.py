@@ -124,7 +124,7 @@ def _interval(
     """The factors next to 1 at which this mode is lost."""
 
     def scale_inputs(factor: float) -> SwitchedSystem:
-        return SwitchedSystem(plant.A, factor * plant.B, plant.delays)
+        return plant.like(plant.A, factor * plant.B)
 
     def limit(outwards: list[float]) -> float | None:
         """The first factor beyond which the mode is lost; the last is as far as any matters."""

@@ -10,6 +10,7 @@ Arrays hold one matrix per mode, mode first. Modes count from 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +23,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import brief, number, positive, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+
+ROUND_OFF = 1e-12  # relative: delays that close are one
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -84,9 +87,24 @@ class SwitchedSystem(Frozen):
         require_shape("A", A, (modes, n, n), "(modes, n, n)")
         rows = B.shape[2] == n != B.shape[1]  # of inputs, where columns are meant
         require_shape("B", B, (modes, n, B.shape[1] if rows else B.shape[2]), "(modes, n, m)")
-        delays = check_delays(delay, B)
+        delays = check_delays(delay, (modes, B.shape[2]))
+        _require_action(B, delays)
         vars(self).update(A=A, B=B, delays=delays)
         require_exponential("delay", A, self.longest_delay)
+
+    def like(
+        self, A: np.ndarray, B: np.ndarray, delays: np.ndarray | None = None
+    ) -> SwitchedSystem:
+        """A plant made from this one: with other matrices, and its delays unless others are given.
+
+        It may have inputs that act in no mode, as one of its modes alone may.
+        """
+        plant = object.__new__(SwitchedSystem)
+        delays = self.delays if delays is None else delays
+        A, B, delays = (np.array(part, dtype=float, order="C") for part in (A, B, delays))
+        vars(plant).update(A=read_only(A), B=read_only(B), delays=read_only(delays))
+        require_exponential("delay", A, plant.longest_delay)
+        return plant
 
     @classmethod
     def from_statespace(cls, systems: Sequence[Any], delay: ArrayLike) -> SwitchedSystem:
@@ -149,7 +167,7 @@ class SwitchedSystem(Frozen):
 
         Raises `ArgumentError` where there are several: they are `delays`.
         """
-        return self.one_delay("what asks for plant.delay")
+        return self.one_delay("plant.delay, which is a number (plant.delays has all)")
 
     def one_delay(self, feature: str) -> float:
         """The one delay, seconds, for a feature that cannot deal with several yet.
@@ -158,8 +176,8 @@ class SwitchedSystem(Frozen):
         """
         if not self.has_one_delay:
             raise ArgumentError(
-                f"plant must have one delay for {feature}, got delay={self.delay_text}: give it "
-                "one of them."
+                f"plant must have one delay for {feature}, got delay={self.delay_text}: several "
+                "are not possible there yet."
             )
         return float(self.delays[0, 0])
 
@@ -193,9 +211,8 @@ class SwitchedSystem(Frozen):
         """
         same = (self.delays == self.delays[0]).all(axis=0)
         delays = np.where(same, self.delays[0], self.delays.mean(axis=0))
-        return SwitchedSystem(
-            self.A.mean(axis=0, keepdims=True), self.B.mean(axis=0, keepdims=True), delays[None]
-        )
+        A, B = self.A.mean(axis=0, keepdims=True), self.B.mean(axis=0, keepdims=True)
+        return self.like(A, B, delays[None])
 
     def apart(self, alpha: float) -> SwitchedSystem:
         """The plant with its modes α times as far from mode 0: A_0 + α (A_i − A_0), B alike.
@@ -219,7 +236,7 @@ class SwitchedSystem(Frozen):
         if far < 0.0:
             raise ArgumentError(f"alpha must be ≥ 0 and finite, got {brief(alpha)}.")
         A, B = (M[0] + far * (M - M[0]) for M in (self.A, self.B))
-        return SwitchedSystem(A, B, self.delays)
+        return self.like(A, B)
 
     def __repr__(self) -> str:
         return (
@@ -228,14 +245,14 @@ class SwitchedSystem(Frozen):
         )
 
 
-def check_delays(delay: ArrayLike, B: Float[np.ndarray, "mode n m"]) -> np.ndarray:
+def check_delays(delay: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
     """The delays of all modes and inputs, (modes, m), from a number or an array of them."""
-    modes, _, m = B.shape
-    given = np.asarray(delay) if isinstance(delay, (list, tuple, np.ndarray)) else np.empty(())
-    if given.ndim == 0:
-        return read_only(np.full((modes, m), positive("delay", delay)))
+    modes, m = shape
+    if isinstance(delay, str) or not np.iterable(delay):
+        return read_only(np.full(shape, positive("delay", delay)))
     form = f"(m,) = ({m},), (modes, 1) = ({modes}, 1) or (modes, m) = ({modes}, {m})"
-    delays = real_array("delay", delay, form, 1 if given.ndim == 1 else 2)
+    rows = any(np.iterable(row) for row in delay)
+    delays = real_array("delay", delay, form, 2 if rows else 1)
     if delays.shape not in ((m,), (modes, 1), (modes, m)):
         per_mode = delays.shape == (modes,)
         hint = (
@@ -245,7 +262,7 @@ def check_delays(delay: ArrayLike, B: Float[np.ndarray, "mode n m"]) -> np.ndarr
             f"delay must be a number or have shape {form}, got {delays.shape}: a list is one per "
             f"input{hint}."
         )
-    delays = np.array(np.broadcast_to(delays, (modes, m)))
+    delays = _without_round_off(np.broadcast_to(delays, shape))
     wrong = np.argwhere(delays <= 0.0)
     if wrong.size:
         i, j = wrong[0]
@@ -253,13 +270,27 @@ def check_delays(delay: ArrayLike, B: Float[np.ndarray, "mode n m"]) -> np.ndarr
             f"delay of input {j} in mode {i} must be positive, in s, got {delays[i, j]:g}: for an "
             "input that acts at once give a small share of the sampling period."
         )
+    return read_only(delays)
+
+
+def _without_round_off(delays: np.ndarray) -> np.ndarray:
+    """Delays of which those that differ by round-off are the least of them."""
+    result, low = np.array(delays), -math.inf
+    for value in np.unique(delays):
+        if value - low > ROUND_OFF * abs(value):
+            low = value
+        result[delays == value] = low
+    return result
+
+
+def _require_action(B: Float[np.ndarray, "mode n m"], delays: np.ndarray) -> None:
+    """Refuse an input that acts in no mode where inputs have delays of their own."""
     idle = np.flatnonzero(~B.any(axis=(0, 1)))
-    if idle.size and m > 1:
+    if idle.size and (delays != delays[:, :1]).any():
         raise ArgumentError(
             f"B[:, :, {idle[0]}] must not be zero in every mode where inputs have delays of their "
             f"own: input {idle[0]} acts on nothing, so it has none; leave it out."
         )
-    return read_only(delays)
 
 
 def require_exponential(name: str, A: Float[np.ndarray, "mode n n"], tau: float) -> float:

@@ -210,5 +210,5 @@ def _averaged_law(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor
 
 def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
     """The growth rates at both ends of the margin asked for, from spectra of their own."""
-    ends = [SwitchedSystem(plant.A, plant.B, plant.delays * (1.0 + s * asked)) for s in (-1.0, 1.0)]
+    ends = [plant.like(plant.A, plant.B, plant.delays * (1.0 + s * asked)) for s in (-1.0, 1.0)]
     return np.array([[growth_rate(end, law, i, step) for i in range(plant.modes)] for end in ends])

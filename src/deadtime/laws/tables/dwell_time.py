@@ -137,7 +137,7 @@ def dwelling_table(
     step: float,
 ) -> Feedback:
     """The (mode, age) table Σ_s w_s K_s P_s; `after` has the systems that may follow as modes."""
-    everything = SwitchedSystem(
+    everything = plant.like(
         np.concatenate((plant.A, after.A)),
         np.concatenate((plant.B, after.B)),
         np.concatenate((plant.delays, after.delays)),

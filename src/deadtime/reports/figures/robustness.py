@@ -95,7 +95,7 @@ def _delay_panel(panel: Axes, result: Robustness) -> None:
     D, relative = plant.delay, margin.relative
     reach = min(0.9, 0.1 if relative is None else 2.0 * min(relative, 0.4))
     errors = np.linspace(-reach, reach, _points(result))
-    plants = [SwitchedSystem(plant.A, plant.B, (1.0 + e) * plant.delays) for e in errors]
+    plants = [plant.like(plant.A, plant.B, (1.0 + e) * plant.delays) for e in errors]
     ends = [
         None if end is None else 100.0 * (end / D - 1.0) for end in (margin.lower, margin.upper)
     ]
@@ -112,7 +112,7 @@ def _gain_panel(panel: Axes, result: Robustness) -> None:
     low = 0.8 if margin.lower is None else max(0.05, 1.0 - 2.0 * (1.0 - margin.lower))
     high = 1.2 if margin.upper is None else 1.0 + 2.0 * (min(margin.upper, 3.0) - 1.0)
     factors = np.linspace(low, high, _points(result))
-    plants = [SwitchedSystem(plant.A, k * plant.B, plant.delays) for k in factors]
+    plants = [plant.like(plant.A, k * plant.B) for k in factors]
     _growth_curves(panel, result, factors, plants, [margin.lower, margin.upper])
 
 
