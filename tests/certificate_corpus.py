@@ -135,7 +135,7 @@ CASES: dict[str, Case] = {
 STRETCHES = {
     "stretches-paper": ("paper", (0, 1)),
     "stretches-paper-far": ("paper-far", (0, 1)),
-    "stretches-dwell": ("paper-dwell", (1, 4)),
+    "stretches-dwell": ("paper-dwell", (2, 4)),  # before, V is singular to round-off
     "stretches-every-age": ("every-age", (2, 4)),
     "stretches-maximum": ("maximum", (0, 3)),
     "stretches-maximum-free": ("maximum-free", (5,)),
