@@ -145,7 +145,7 @@ def test_first_passages_with_one_delay_are_the_closed_forms(delay):
     close(table, semi_markov_passage(K, hazard, model.transition, table.ages, sampled))
 
 
-def test_a_markov_model_that_never_switches_is_the_current_mode_for_ever():
+def test_a_markov_model_that_never_switches_is_the_current_mode_held():
     plant, K = two_delays()
     sampled = SampledPlant(plant, STEP)
     table = passage_table(K, np.zeros((3, 3)), sampled)

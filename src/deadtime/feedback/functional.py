@@ -1,4 +1,4 @@
-"""Functional: a law that holds its belief for ever, as windows on the past inputs.
+"""Functional: a law whose belief does not change, as windows on the past inputs.
 
 It is the twin of `Forecast` for a law whose model has several delays; it is filled by
 `deadtime.laws.tables.windows`.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -162,7 +161,7 @@ def monte_carlo(
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    loop = Loop(_sampled(plant, step), x0, horizon, _actuators(imperfections))
+    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections))
     results = _room(loop, len(named), scenarios, trajectories)
     engine = Engine(loop)
     tables = _tables(engine, loop, named, imperfections)
@@ -190,12 +189,6 @@ def monte_carlo(
         "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
     }
     return dataset_of(list(named), results, step, attributes, weight)
-
-
-@lru_cache(8)
-def _sampled(plant: SwitchedSystem, step: float) -> SampledPlant:
-    """A plant at a period: one object for many calls, as series of cut periods are kept with it."""
-    return SampledPlant(plant, step)
 
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
@@ -254,7 +247,7 @@ def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Tabl
         return None
     step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if law.foresight(step, anything, samples) is not None:
-        ahead = ModelAhead(law, _sampled(law.plant, step), samples)
+        ahead = ModelAhead(law, law.sampled_plant(step), samples)
         if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:
             return None
         return lambda signals: engine.foresee(ahead, signals)

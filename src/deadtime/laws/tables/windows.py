@@ -34,7 +34,7 @@ def constant_functional(
     K: Float[np.ndarray, "mode m n"],
     weights: Float[np.ndarray, " mode"],
 ) -> Functional:
-    """Σ_i w_i of the exact feedbacks of a plant's modes, each held for ever.
+    """Σ_i w_i of the exact feedbacks of a plant's modes, each held throughout.
 
     Examples
     --------
