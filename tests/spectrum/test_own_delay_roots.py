@@ -4,6 +4,8 @@ Two second methods, neither of which knows of windows: Δ(s) from predictions ma
 e^{st} by exponentials alone, and the delay equation's generator on Chebyshev points.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 import pytest
 from numpy.polynomial.chebyshev import chebder, chebvander
@@ -48,32 +50,44 @@ LAWS = {
 }
 
 
+class Believed(NamedTuple):
+    """A mode that a law predicts along."""
+
+    weight: float
+    A: np.ndarray
+    B: np.ndarray
+    delays: np.ndarray
+    K: np.ndarray
+
+
 def believed(law, mode):
-    """The modes that a law predicts along: weight, A, B, delays and K of each."""
+    """The modes that a law predicts along."""
     model = law.plant
     if isinstance(law, dt.MeanPredictor):
-        return [(1.0, *law.mean, model.delays.mean(axis=0), law.gain)]
+        return [Believed(1.0, *law.mean, model.delays.mean(axis=0), law.gain)]
     if isinstance(law, dt.DelayedStateFeedback):
-        return [(1.0, model.A[mode], model.B[mode], np.zeros(model.inputs), law.gains[mode])]
+        none = np.zeros(model.inputs)
+        return [Believed(1.0, model.A[mode], model.B[mode], none, law.gains[mode])]
     single = isinstance(law, dt.SingleModePredictor)
     weights = np.eye(model.modes)[law.mode] if single else law.weights
     return [
-        (weights[i], model.A[i], model.B[i], model.delays[i], law.gains[i])
+        Believed(weights[i], model.A[i], model.B[i], model.delays[i], law.gains[i])
         for i in range(model.modes)
     ]
 
 
-def marched(A, B, delays, K, start, propagate):
-    """Rows u_j = K_j x̂(D_j) of a prediction; `propagate` takes it through one stage."""
-    rows, x = [None] * len(delays), start
-    ends = np.unique(delays)
-    for begin, end in zip(np.append(0.0, ends[:-1]), ends, strict=True):
-        open_inputs = delays >= end
-        closed = A + B[:, ~open_inputs] @ K[~open_inputs]
-        x = propagate(closed, np.where(open_inputs, B, 0.0), delays, begin, end, x)
-        for j in np.flatnonzero(delays == end):
-            rows[j] = K[j] @ x
-    return np.array(rows)
+def sent(law, mode, start, propagate):
+    """Rows of u_j = Σ w K_j x̂(D_j); `propagate` takes a prediction through one stage."""
+    rows = np.zeros((law.plant.inputs, start.shape[1]), start.dtype)
+    for weight, A, B, delays, K in believed(law, mode):
+        x, ends = start, np.unique(delays)
+        for begin, end in zip(np.append(0.0, ends[:-1]), ends, strict=True):
+            open_inputs = delays >= end
+            closed = A + B[:, ~open_inputs] @ K[~open_inputs]
+            x = propagate(closed, np.where(open_inputs, B, 0.0), delays, begin, end, x)
+            arrived = delays == end
+            rows[arrived] += weight * (K[arrived] @ x)
+    return rows
 
 
 def matrix_by_motions(plant, law, mode, s):
@@ -86,10 +100,9 @@ def matrix_by_motions(plant, law, mode, s):
         v = np.hstack((np.zeros((m, n)), np.diag(np.exp(s * (begin - delays)))))
         return (expm(both * (end - begin)) @ np.vstack((x, v)))[:n]
 
-    start = np.eye(n, n + m).astype(complex)
-    sent = sum(w * marched(*mode_of, start, propagate) for w, *mode_of in believed(law, mode))
+    row = sent(law, mode, np.eye(n, n + m).astype(complex), propagate)
     A, B = plant.A[mode], plant.B[mode] * np.exp(-s * plant.delays[mode])
-    return np.block([[s * np.eye(n) - A, -B], [-sent[:, :n], np.eye(m) - sent[:, n:]]])
+    return np.block([[s * np.eye(n) - A, -B], [-row[:, :n], np.eye(m) - row[:, n:]]])
 
 
 def roots_by_chebyshev(plant, law, mode, degree=30):
@@ -116,15 +129,15 @@ def roots_by_chebyshev(plant, law, mode, degree=30):
             x = x + np.einsum("gi,gp->ip", ahead[:, :, k], input_at(k, times - delays[k]))
         return x
 
-    start = np.eye(n, size)
-    sent = sum(w * marched(*mode_of, start, propagate) for w, *mode_of in believed(law, mode))
     G, E = np.zeros((size, size)), np.eye(size)
     G[:n, :n] = plant.A[mode]
     for j, delay in enumerate(plant.delays[mode]):
         G[:n] += np.outer(plant.B[mode][:, j], input_at(j, np.array([-delay]))[0])
         G[n + j :: m, n + j :: m] = slopes
-    G[n : n + m], E[n : n + m] = sent - np.eye(m, size, n), 0.0
-    alpha, beta = eigvals(G, E, homogeneous_eigvals=True)
+    G[n : n + m] = sent(law, mode, np.eye(n, size), propagate) - np.eye(m, size, n)
+    E[n : n + m] = 0.0
+    pairs: Any = eigvals(G, E, homogeneous_eigvals=True)
+    alpha, beta = pairs
     finite = beta != 0.0
     return alpha[finite] / beta[finite]
 
@@ -207,9 +220,9 @@ def test_beyond_the_radius_what_goes_round_the_loop_is_less_than_one(name, seed)
         for s in np.outer(far, np.exp(1j * angle)).ravel():
             if s.real < line:
                 continue
-            sent = matrix_by_motions(plant, law, mode, s)
-            inner = np.linalg.solve(sent[:n, :n], -sent[:n, n:])
-            gain = np.eye(plant.inputs) - sent[n:, n:] - sent[n:, :n] @ inner
+            Delta = matrix_by_motions(plant, law, mode, s)
+            inner = np.linalg.solve(Delta[:n, :n], -Delta[:n, n:])
+            gain = np.eye(plant.inputs) - Delta[n:, n:] - Delta[n:, :n] @ inner
             assert np.linalg.norm(gain, 2) <= 0.99 * (1.0 + 1e-9)
     found = rightmost(loop, 12)
     assert np.abs(found.roots).max() < loop.radius(found.line)
