@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Forecast, Functional
+from deadtime.feedback import Forecast, Functional, Outlook
 from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
@@ -117,7 +117,7 @@ class Believed(NamedTuple):
 
 def run_ideal(
     plant: SwitchedSystem,
-    law: Forecast | Functional,
+    law: Forecast | Functional | Outlook,
     signal: SwitchingSignal,
     x0: Float[np.ndarray, " n"],
     horizon: float,
@@ -129,7 +129,7 @@ def run_ideal(
 
         ahead, _ = discretise_modes(*_contiguous(law), law.lead)
         require_finite_gains(ahead)
-    else:
+    elif isinstance(law, Functional):
         require_finite_gains(law.F)
     nodes = gauss(NODES)
     edges, begin = segments_of(plant, law, signal, horizon, history)
@@ -145,6 +145,10 @@ def run_ideal(
         from deadtime.simulation.ideal.loop import march
 
         states, done = march(moving, line, _believed(law, middles, plant.states), x0, nodes)
+    elif isinstance(law, Outlook):
+        from deadtime.simulation.ideal.outlooks import march_outlook
+
+        states, done = march_outlook(moving, line, law, x0, nodes)
     else:
         from deadtime.simulation.ideal.windows import march_windows, windows_of
 
