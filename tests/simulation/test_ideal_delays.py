@@ -230,12 +230,11 @@ def other_delays_of_a_kind(plant, rng):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", FORESEEING)
-def test_they_do_so_where_every_mode_and_input_has_its_own(name):
+def test_the_oracle_does_so_where_every_mode_and_input_has_its_own():
     rng = np.random.default_rng(9)
     A, B = rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3, 2))
     plant = dt.SwitchedSystem(A, B, [[0.3, 0.4], [0.2, 0.35]])
-    law = FORESEEING[name](plant, random_gains(rng, plant))
+    law = FORESEEING["oracle"](plant, random_gains(rng, plant))
     signal = dt.SwitchingSignal([0.0, 0.9], [0, 1])
     check(dt.simulate(plant, law, signal, rng.normal(size=3), 1.6, step=None), plant, law)
 
@@ -249,6 +248,19 @@ def test_the_oracle_with_the_right_model_leaves_no_mismatch(kind):
     run = dt.simulate(plant, law, signal, x0, 1.6, step=None, u0=u0)
     assert run.mismatch is not None
     assert np.nanmax(np.abs(run.mismatch)) < 1e-12 * np.abs(run.inputs).max()
+
+
+def test_x_is_known_until_the_plant_reads_what_was_not_sent():
+    # Mode 1 reads 0.1 s back, but is over by then: mode 0 reads its inputs of before 1 up to 1.4.
+    plant = dt.SwitchedSystem(np.zeros((2, 1, 1)), np.ones((2, 1, 1)), [[0.4], [0.1]])
+    law = dt.SingleModePredictor(plant, np.full((2, 1, 1), -0.5), 0)
+    signal = dt.SwitchingSignal([0.0, 0.3, 1.05], [0, 1, 0])
+    run = dt.simulate(plant, law, signal, [1.0], 1.0, step=None)
+    assert run.record.last == pytest.approx(1.4, abs=1e-12)
+    assert run.mismatch is not None
+    assert np.isfinite(run.mismatch).all()
+    early = dt.simulate(plant, law, signal, [1.0], 0.9, step=None)
+    assert early.record.last == pytest.approx(1.0, abs=1e-12)
 
 
 def test_a_dwell_aware_law_whose_mode_is_always_sure_is_the_single_mode_law():

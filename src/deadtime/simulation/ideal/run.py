@@ -28,7 +28,7 @@ class IdealRecord:
     Attributes
     ----------
     states : Piecewise
-        x on [0, end of the run + delay].
+        x from 0 until the plant reads what is sent after the run's end.
     inputs : Piecewise
         u from the longest delay before 0 to the end of the run.
     """

@@ -20,6 +20,7 @@ from deadtime.simulation.ideal.breakpoints import (
 )
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import first_reads
 
 NODES = 10
 _MOST_SEGMENTS = 1e6
@@ -114,7 +115,9 @@ def segments_of(
     delays, reaches, breaks = np.unique(plant.delays), _reaches(law), np.empty(0)
     if not isinstance(law, Functional):
         breaks = np.concatenate([law.breaks, *(law.breaks - reach for reach in reaches)])
-    low, high = -max(reaches[-1], delays[-1]), horizon + delays[0]
+    # x is known until the plant reads what is not sent any more.
+    high = float(first_reads(signal, plant.delays, np.array([horizon]), 0.0).min())
+    low = -max(reaches[-1], delays[-1])
     before = np.concatenate((history.jumps, breaks, -reaches, -delays))
     seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
     # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
