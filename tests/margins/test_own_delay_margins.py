@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+import certificate_reference as reference
 import deadtime as dt
+from deadtime.margins import delay as searched
 from shares import mostly_long
 
 STEP = 0.05
@@ -151,3 +153,51 @@ def test_an_input_that_is_not_there_is_refused(input):
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]))
     with pytest.raises(dt.ArgumentError, match=r"input must be in 0\.\.1"):
         dt.delay_margin(plant, law, STEP, input=input)
+
+
+def certified_pair():
+    plant = dt.SwitchedSystem([[[0.5]], [[0.6]]], [[[1.0, 0.4]], [[0.95, 0.4]]], [0.234, 0.17])
+    return plant, dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
+
+
+@pytest.mark.parametrize("input", mostly_long([None, 0, 1], 1))
+def test_runs_decay_at_delays_drawn_from_the_certified_margin(input):
+    plant, law = certified_pair()
+    alone = dt.delay_margin(plant, law, 0.1, input=input, upto=0.5)
+    margin = dt.delay_margin(plant, law, 0.1, 0.27, upto=0.5, input=input)
+    assert margin.certified
+    assert margin.input == input
+    assert alone.lower <= margin.lower < margin.nominal < margin.upper <= alone.upper
+    assert margin.longer > 0.3 * alone.longer
+    rng = np.random.default_rng(3)
+    for _ in range(6):
+        delays = np.array(plant.delays)
+        which = slice(None) if input is None else [input]
+        shape = delays[:, which].shape
+        delays[:, which] += rng.uniform(-0.99 * margin.shorter, margin.longer, size=shape)
+        times, modes = reference.random_signal(rng, 2, 0.27, 60.0, 0.5)
+        truth = dt.SwitchedSystem(plant.A, plant.B, delays)
+        run = dt.simulate(truth, law, dt.SwitchingSignal(times, modes), [1.0], 60.0, 0.1)
+        late = np.abs(run.states[0])
+        assert late[-100:].max() < 0.1 * late[:100].max()
+
+
+def test_pieces_of_the_certified_margin_end_at_multiples_of_the_period_of_all_delays(monkeypatch):
+    plant, law = certified_pair()
+    asked = []
+
+    class Answer:
+        stable, message = True, ""
+
+    def certify(plant, law, dwell_time, step, *, delays=None, **options):
+        asked.append(delays)
+        return Answer()
+
+    monkeypatch.setattr(searched, "certify", certify)
+    margin = dt.delay_margin(plant, law, 0.1, 0.27, upto=0.5)
+    for low, high in asked[1:]:
+        ratios = np.array([low, high]) / 0.1
+        assert (np.floor(ratios[1] - 1e-9) <= np.floor(ratios[0] + 1e-9)).all()
+        assert low[0] - low[1] == pytest.approx(plant.delays[0] - plant.delays[1])
+    assert "s shorter to" in margin.message
+    assert "each whatever the others are" in margin.message

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
+from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.statement import decay_rate, round_down, statement
 
 

@@ -23,8 +23,8 @@ from deadtime.certificates.dwell.frame import WHOLE
 from deadtime.certificates.dwell.search import Level, Search
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
-from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.box import Interval
+from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import shortest
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Law

@@ -1,7 +1,8 @@
 """The steps of a box of delays, enclosed, input by input: E at a point, and its slopes on a cell.
 
-The generator X of a piece commutes with its exponential, so of E = e^{X_K (h − t_{K−1})} … e^{X_1 t_1}
+The generator X of a piece commutes with its exponential, so
 
+    E = e^{X_K (h − t_{K−1})} … e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
     ∂E/∂p = Σ_k ∂t_k/∂p (the pieces after t_k) (X_k − X_{k+1}) (the pieces before it).
 """
 
@@ -159,4 +160,3 @@ def _room(amount: Any, sign: int) -> Any:
 
     most = amount.upper()
     return arb(0).union(most * sign) if most > 0 else arb(0)
-
