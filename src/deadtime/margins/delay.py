@@ -113,9 +113,9 @@ def delay_margin(
     moving, nominal = moving_delays(plant, input), constant.nominal
 
     def holds(low: float, high: float) -> bool:
-        ends = low, high
+        ends: tuple[ArrayLike, ArrayLike] = low, high
         if input is not None or constant.differ:
-            ends = tuple(_moved(plant, input, end - nominal) for end in ends)
+            ends = _moved(plant, input, low - nominal), _moved(plant, input, high - nominal)
         return _is_certified(plant, law, dwell_time, step, ends)
 
     offsets = np.unique(moving - nominal).tolist()

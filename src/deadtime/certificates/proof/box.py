@@ -40,7 +40,8 @@ TOLERANCE = 1e-9  # of a period: marks nearer than that are one
 U, POLYTOPE, FIRST = 0, 1, 2
 
 
-class Interval(NamedTuple):
+@dataclass(frozen=True)
+class Interval:
     """A delay's: N, φ_low and φ_high in seconds, and both ends of the delay as they were given."""
 
     count: int
@@ -131,7 +132,7 @@ class Box(Frozen):
     def of(cls, A: np.ndarray, B: np.ndarray, delays: np.ndarray, step: float) -> Box:
         """The box between the lower and the upper delays, (2, modes, m)."""
         pairs = delays.transpose(1, 2, 0).tolist()
-        intervals = tuple(tuple(Interval.of(*pair, step) for pair in row) for row in pairs)
+        intervals = tuple(tuple(Interval.of(low, high, step) for low, high in row) for row in pairs)
         return cls(A, B, step, intervals)
 
     @property

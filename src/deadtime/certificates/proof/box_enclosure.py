@@ -140,7 +140,7 @@ class BoxEnclosures:
         factors: list[Any],
         c: int,
         weights: np.ndarray,
-        hull: np.ndarray,
+        hull: np.ndarray | None,
         corner: np.ndarray,
     ) -> Any:
         """The derivative from the weights towards a corner of the polytope."""

@@ -74,7 +74,8 @@ def cells_of(
 ) -> list[Cell]:
     """The cells that cover every step from `mode` to `after` with a switch at these instants."""
     corners, cells = np.eye(len(family.A)), []
-    for order in family.orders(mode, after):
+    orders: list[Any] = list(family.orders(mode, after))
+    for order in orders:
         shares = family.shares(order, instants)
         if shares is not None:
             whole = ((0.0, 1.0),) * len(family.moving(order))

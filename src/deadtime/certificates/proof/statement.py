@@ -49,9 +49,9 @@ def is_box(setting: Setting) -> bool:
 def delays_in_words(setting: Setting) -> str:
     """The plant's delay, or delays."""
     if is_box(setting):
-        low, high = setting.delays
+        low, high = np.array(setting.delays).tolist()
         return (
-            f"s any constant values from {low.tolist()} s to {high.tolist()} s (a list per mode, "
+            f"s any constant values from {low} s to {high} s (a list per mode, "
             "with a value per input), each in its range whatever the others are"
         )
     if isinstance(setting.delays, np.ndarray):
