@@ -60,7 +60,8 @@ def made_up(monkeypatch, tmp_path):
             save=lambda path: path.write_text(law.label) and path,
         )
 
-    margin = SimpleNamespace(lower=0.99, upper=1.012, message="between 0.99 s and 1.012 s")
+    text = "between 0.99 s and 1.012 s"
+    margin = SimpleNamespace(lower=0.99, upper=1.012, differ=False, message=text)
     for place, function in {
         "certificates.certify": certify,
         "certificates.falsify": lambda plant, law, dwell_time, step: CALM,
