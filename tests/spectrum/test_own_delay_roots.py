@@ -105,7 +105,7 @@ def matrix_by_motions(plant, law, mode, s):
     return np.block([[s * np.eye(n) - A, -B], [-row[:, :n], np.eye(m) - row[:, n:]]])
 
 
-def roots_by_chebyshev(plant, law, mode, degree=30):
+def roots_by_chebyshev(plant, law, mode, degree=50):
     """All eigenvalues of the generator on (x, u at Chebyshev points of [−T, 0]), u(0) algebraic."""
     n, m = plant.B.shape[1:]
     longest = max(plant.delays.max(), law.plant.delays.max())
