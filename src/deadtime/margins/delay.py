@@ -32,6 +32,8 @@ def delay_margin(
     step: float | None = 0.01,
     dwell_time: float | None = None,
     upto: float | None = None,
+    *,
+    input: int | None = None,
 ) -> DelayMargin:
     """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
 
@@ -74,7 +76,7 @@ def delay_margin(
     >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
     True
     """
-    constant = constant_delay_margin(plant, law, step, upto)
+    constant = constant_delay_margin(plant, law, step, upto, input)
     if dwell_time is None:
         return constant
     if step is None:

@@ -156,6 +156,11 @@ class SwitchedSystem(Frozen):
         """The longest delay of an input in a mode, seconds."""
         return float(self.delays.max())
 
+    @cached_property
+    def shortest_delay(self) -> float:
+        """The shortest delay of an input in a mode, seconds."""
+        return float(self.delays.min())
+
     @property
     def has_one_delay(self) -> bool:
         """Whether all inputs have the same delay in all modes."""

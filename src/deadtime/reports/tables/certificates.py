@@ -178,20 +178,25 @@ def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
 
 
 def margin_text(margin: DelayMargin | None) -> str:
-    """The true delays that are allowed, for a table.
+    """The true delays that are allowed, for a table; of several, their common error.
 
     Examples
     --------
     >>> from types import SimpleNamespace
-    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349))
+    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349, differ=False))
     '0.9866 to 1.013'
-    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf")))
+    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf"), differ=False))
     'any'
+    >>> margin_text(SimpleNamespace(lower=0.2, upper=0.4, shorter=0.1, longer=0.1, differ=True))
+    '−0.1 to +0.1'
     """
     if margin is None:
         return "–"
     if margin.lower is None or margin.upper is None:
         return "none"
+    if margin.differ:
+        shorter, longer = (_shorten(x, ROUND_FLOOR) for x in (margin.shorter, margin.longer))
+        return f"−{shorter} to +{longer}"
     low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
     if margin.lower == 0.0:
         return f"up to {high}" if math.isfinite(margin.upper) else "any"
