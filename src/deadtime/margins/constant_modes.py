@@ -146,8 +146,8 @@ def constant_delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate`; if there is no such input; if `upto` is no longer than the nominal delay, or the delay holds so
-        many periods that the answer would take long.
+        As by `growth_rate`; if there is no such input; if `upto` is no longer than the nominal
+        delay, or the delay holds so many periods that the answer would take long.
 
     Notes
     -----

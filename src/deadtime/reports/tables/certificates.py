@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import ArrayLike
+
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
@@ -63,6 +65,7 @@ def judge(
     laws: Sequence[str] | None = None,
     decay_rate: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    delays: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -78,6 +81,8 @@ def judge(
         The rate to certify, 1/s; as `certify` chooses by default.
     progress : callable
         Called with a few words after each law.
+    delays : (low, high), optional
+        Ranges of the true delays, as `certify` takes them.
 
     Raises
     ------
@@ -90,21 +95,23 @@ def judge(
     for name in names:
         problem.law(name)
     judged: list[Judged] = []
-    for one in in_order(lambda name: _judge(problem, name, (dwell_time, step, decay_rate)), names):
+    asked = {"decay_rate": decay_rate, "delays": delays}
+    for one in in_order(lambda name: _judge(problem, name, dwell_time, step, asked), names):
         progress(f"certified: {one.law}")
         judged.append(one)
     return judged
 
 
-def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]) -> Judged:
+def _judge(
+    problem: Problem, name: str, dwell_time: float, step: float, asked: dict[str, Any]
+) -> Judged:
     from deadtime.certificates import certify, falsify
     from deadtime.margins.constant_modes import constant_delay_margin
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
-    dwell_time, step, rate = asked
     try:
-        certificate = certify(plant, law, dwell_time, step, decay_rate=rate)
+        certificate = certify(plant, law, dwell_time, step, **asked)
     except ArgumentError as error:
         return Judged(name, None, None, None, str(error))
     worst, margin, reason = certificate.witness, None, ""
@@ -187,15 +194,16 @@ def margin_text(margin: DelayMargin | None) -> str:
     '0.9866 to 1.013'
     >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf"), differ=False))
     'any'
-    >>> margin_text(SimpleNamespace(lower=0.2, upper=0.4, shorter=0.1, longer=0.1, differ=True))
-    '−0.1 to +0.1'
+    >>> margin_text(SimpleNamespace(lower=0.25, upper=0.75, nominal=0.5, differ=True))
+    '−0.25 to +0.25'
     """
     if margin is None:
         return "–"
     if margin.lower is None or margin.upper is None:
         return "none"
     if margin.differ:
-        shorter, longer = (_shorten(x, ROUND_FLOOR) for x in (margin.shorter, margin.longer))
+        ends = margin.nominal - margin.lower, margin.upper - margin.nominal
+        shorter, longer = (_shorten(x, ROUND_FLOOR) for x in ends)
         return f"−{shorter} to +{longer}"
     low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
     if margin.lower == 0.0:
