@@ -193,5 +193,10 @@ def test_sweeps_move_all_of_them_or_one():
     assert draft["plant"]["delay"] == [[0.8, 0.2], [0.5, 0.2]]
     draft = {"plant": {"delay": [0.4, 0.1]}}
     axis_of("delay.1").write(draft, 0.3)
+    table, one = {"plant": {"delay": [[0.4, 0.1], [0.2, 0.1]]}}, {"plant": {"delay": 0.4, "B": B}}
+    axis_of("delay.1").write(table, 0.3)
+    assert table["plant"]["delay"] == [[0.4, 0.3], [0.2, 0.3]]
+    axis_of("delay.1").write(one, 0.3)
+    assert one["plant"]["delay"] == [0.4, 0.3]
     axis_of("delay_error").write(draft, 0.5)
     assert draft["truth"]["delay"] == pytest.approx([0.6, 0.45])
