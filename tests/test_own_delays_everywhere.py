@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import expm
 
 import deadtime as dt
-import plants
 from c_code import Library, needs_compiler
 from deadtime.cli.entry import main
 from deadtime.problems import load_problem
@@ -125,22 +124,6 @@ def test_the_controller_in_python_and_in_c_gives_the_inputs_of_the_loop(tmp_path
     assert library.reset() == 0
     found = library.run(run.states.T, run.mode)[0]
     np.testing.assert_allclose(found.T, run.inputs, rtol=0.0, atol=1e-12 * size)
-
-
-@needs_compiler
-@pytest.mark.parametrize(
-    "count", [5_000, pytest.param(1_000_000, marks=pytest.mark.long)], ids=["few", "million"]
-)
-def test_the_c_gives_what_the_table_says_of_any_inputs_that_were_applied(tmp_path, count):
-    law = LAWS["expected"]
-    dt.Controller(law, STEP).export_c(tmp_path)
-    library, rng = Library(tmp_path, PLANT), np.random.default_rng(0)
-    assert library.reset() == 0
-    x, applied = rng.normal(size=(count, 3)), rng.normal(size=(count, 2))
-    modes = np.repeat(rng.integers(0, 3, size=count), 7)[:count]
-    found = library.run(x, modes, [None, *applied[:-1]])[0]
-    u, scale = plants.expected_inputs(law.digital(STEP), x, modes, applied)
-    assert (np.abs(found - u) <= 1e-13 * scale).all()
 
 
 def test_an_observer_of_the_right_plant_forgets_its_first_error():

@@ -221,6 +221,12 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "ages": table.ages,
         "rows": len(table.state_gain),
         "taps": table.taps,
+        "windows": form.windows,
+        "starts": np.cumsum([0, *form.windows])[:-1].tolist(),
+        "length": f"{name.upper()}_PAST"
+        if form.windows
+        else f"{name.upper()}_TAPS * {name.upper()}_INPUTS",
+        "count": "count" if form.windows else "LENGTH",
         "rom": rom_bytes(table, form, precision),
         "ram": ram_bytes(table, form, precision),
         "unroll": 2 * form.state + 10,
