@@ -223,9 +223,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "taps": table.taps,
         "windows": form.windows,
         "starts": np.cumsum([0, *form.windows])[:-1].tolist(),
-        "length": f"{name.upper()}_PAST"
-        if form.windows
-        else f"{name.upper()}_TAPS * {name.upper()}_INPUTS",
+        "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(name.upper()),
         "count": "count" if form.windows else "LENGTH",
         "rom": rom_bytes(table, form, precision),
         "ram": ram_bytes(table, form, precision),
