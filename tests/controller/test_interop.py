@@ -64,7 +64,7 @@ def of_definition(plant, table, signal, x0, periods):
 
 @pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware", "expected", "delayed"])
 def test_with_several_delays_the_loop_is_that_of_their_definition(name):
-    """Another plant than the model's, delays per mode and input of both; and an age at the start."""
+    """Another plant than the model's, its own delays per mode and input."""
     model = dt.SwitchedSystem(GENERIC.A, GENERIC.B, OWN)
     plant = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, OWN + 0.021)
     law = plants.LAWS[name](model)
