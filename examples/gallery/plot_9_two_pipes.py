@@ -69,8 +69,9 @@ figure.savefig("two-pipes.png", dpi=120)
 # What holds for every signal
 # ---------------------------
 #
-# Of the averaged law, which needs no model of the flow: the decay that is proved for every signal whose
-# regimes last 0.25 min or more, with the four delays and with the single one that costs it the least.
+# Of the averaged law, which needs no model of the flow: the decay that is proved for every signal
+# whose regimes last 0.25 min or more, with the four delays and with the single one that costs it
+# the least.
 
 for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
     law = dt.AveragedPredictor(dt.SwitchedSystem(A, B, believed), gains)
@@ -82,8 +83,8 @@ for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
 # ---------------------------------------------
 #
 # The follower of this gallery, its throttle late by 0.4 s and its brake by 0.1 s: one input, whose
-# delay changes with the mode. Cost is the mean over 400 signals; the dwell time is the shortest with which
-# the loop is proved stable. 0.05 s, a period, is the shortest that can be asked about.
+# delay changes with the mode. Cost is the mean over 400 signals; the dwell time is the shortest with
+# which the loop is proved stable. 0.05 s, a period, is the shortest that can be asked about.
 
 car = dt.problems.follower()
 late = dt.SwitchedSystem(car.plant.A, car.plant.B, [[0.4], [0.1]])
