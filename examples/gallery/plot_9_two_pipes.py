@@ -76,15 +76,15 @@ figure.savefig("two-pipes.png", dpi=120)
 for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
     law = dt.AveragedPredictor(dt.SwitchedSystem(A, B, believed), gains)
     proof = dt.certify(plant, law, 0.25, STEP)
-    print(f"{name:10s} decays at {proof.decay_rate:.2f} /min: {proof.message}")
+    print(f"{name}: {proof.message}")
 
 # %%
 # A car whose brake is faster than its throttle
 # ---------------------------------------------
 #
 # The follower of this gallery, its throttle late by 0.4 s and its brake by 0.1 s: one input, whose
-# delay changes with the mode. Cost is the mean over 400 signals; the dwell time is the shortest with
-# which the loop is proved stable. 0.05 s, a period, is the shortest that can be asked about.
+# delay changes with the mode. Cost is the mean over 400 signals; the dwell time is the shortest
+# with which the loop is proved stable. 0.05 s, a period, is the shortest that can be asked about.
 
 car = dt.problems.follower()
 late = dt.SwitchedSystem(car.plant.A, car.plant.B, [[0.4], [0.1]])
