@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Forecast, Functional
+from deadtime.feedback import Forecast, Functional, Outlook
 from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
@@ -28,7 +28,7 @@ class IdealRecord:
     Attributes
     ----------
     states : Piecewise
-        x on [0, end of the run + delay].
+        x from 0 until the plant reads what is sent after the run's end.
     inputs : Piecewise
         u from the longest delay before 0 to the end of the run.
     """
@@ -118,7 +118,7 @@ class Believed(NamedTuple):
 
 def run_ideal(
     plant: SwitchedSystem,
-    law: Forecast | Functional,
+    law: Forecast | Functional | Outlook,
     signal: SwitchingSignal,
     x0: Float[np.ndarray, " n"],
     horizon: float,
@@ -130,7 +130,7 @@ def run_ideal(
 
         ahead, _ = discretise_modes(*_contiguous(law), law.lead)
         require_finite_gains(ahead)
-    else:
+    elif isinstance(law, Functional):
         require_finite_gains(law.F)
     nodes = gauss(NODES)
     edges, begin = segments_of(plant, law, signal, horizon, history)
@@ -146,6 +146,10 @@ def run_ideal(
         from deadtime.simulation.ideal.loop import march
 
         states, done = march(moving, line, _believed(law, middles, plant), x0, nodes)
+    elif isinstance(law, Outlook):
+        from deadtime.simulation.ideal.outlooks import march_outlook
+
+        states, done = march_outlook(moving, line, law, x0, nodes)
     else:
         from deadtime.simulation.ideal.windows import march_windows, windows_of
 
