@@ -97,8 +97,6 @@ def test_a_period_is_cut_at_every_arrival_and_fractions_that_are_one_are_one():
     "ask",
     [
         lambda plant, law: dt.theorem_bound(plant, law.gains, 0.5),
-        lambda plant, law: dt.simulate(plant, law, dt.HalfSpace([1.0]), [1.0], 1.0),
-        lambda plant, law: dt.StateDependentPredictor(plant, law.gains, dt.HalfSpace([1.0])),
     ],
 )
 def test_what_knows_one_delay_only_refuses_several_by_name(ask):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING, Any
@@ -80,7 +81,7 @@ def judge(
     decay_rate : float, optional
         The rate to certify, 1/s; as `certify` chooses by default.
     progress : callable
-        Called with a few words after each law.
+        Called with a few words after each law's certificate.
     delays : (low, high), optional
         Ranges of the true delays, as `certify` takes them.
 
@@ -90,28 +91,54 @@ def judge(
         If a law is not there, or a time is not positive. A law that cannot be certified is a
         result with a reason.
     """
+    from deadtime.certificates import certify
+
     dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
+    certified: list[Future[Certificate]] = [Future() for _ in names]
+
+    def answer(question: int) -> Judged | None:
+        """The certificates of all laws, then what else is asked of each.
+
+        A solver leaves Python to the other threads, a search for signals does not: the solver of
+        the law that takes longest works beside the searches of the others.
+        """
+        later, k = divmod(question, len(names))
+        law = problem.laws[names[k]]
+        if later:
+            return _judge(problem, names[k], certified[k], (dwell_time, step))
+        try:
+            found = certify(
+                problem.plant, law, dwell_time, step, decay_rate=decay_rate, delays=delays
+            )
+            certified[k].set_result(found)
+        except BaseException as error:
+            certified[k].set_exception(error)
+        return None
+
     judged: list[Judged] = []
-    asked = {"decay_rate": decay_rate, "delays": delays}
-    for one in in_order(lambda name: _judge(problem, name, dwell_time, step, asked), names):
-        progress(f"certified: {one.law}")
-        judged.append(one)
+    for question, one in enumerate(in_order(answer, range(2 * len(names)))):
+        if one is None:
+            progress(f"certified: {names[question]}")
+        else:
+            judged.append(one)
     return judged
 
 
 def _judge(
-    problem: Problem, name: str, dwell_time: float, step: float, asked: dict[str, Any]
+    problem: Problem, name: str, certified: Future[Certificate], asked: tuple[float, float]
 ) -> Judged:
-    from deadtime.certificates import certify, falsify
+    """The worst signal and the delay margin beside a certificate, which is waited for."""
+    from deadtime.certificates import falsify
     from deadtime.margins.constant_modes import constant_delay_margin
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
+    dwell_time, step = asked
     try:
-        certificate = certify(plant, law, dwell_time, step, **asked)
+        certificate = certified.result()
     except ArgumentError as error:
         return Judged(name, None, None, None, str(error))
     worst, margin, reason = certificate.witness, None, ""
