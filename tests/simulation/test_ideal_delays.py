@@ -300,12 +300,3 @@ def test_jumps_are_passed_on_by_the_mode_that_reads_them_until_they_are_faint():
     shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01), Shift(0.3, None, 1e-14)]
     times = pass_on(np.array([0.0]), shifts, signal, 0.95)
     assert times == pytest.approx([0.0, 0.3, 0.5, 0.7, 0.9])
-
-
-def test_characteristic_roots_refuse_a_law_with_several_delays():
-    rng = np.random.default_rng(0)
-    model = random_plant(rng, modes=2)
-    law = dt.AveragedPredictor(model, random_gains(rng, model), allow_unstable=True)
-    plant = dt.SwitchedSystem(model.A, model.B, 0.3)
-    with pytest.raises(dt.ArgumentError, match="law must have a model with one delay"):
-        dt.growth_rate(plant, law, 0, step=None)

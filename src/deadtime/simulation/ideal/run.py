@@ -100,7 +100,7 @@ class Line(NamedTuple):
 
 class Believed(NamedTuple):
     """A `Forecast` on the segments, for the compiled march: `here` and `path` are its systems at
-    the middle of a segment and a lead after it.
+    the middle of a segment and a lead after it; `twin` the one that is a mode of the plant, or −1.
     """
 
     A: np.ndarray
@@ -113,6 +113,7 @@ class Believed(NamedTuple):
     until: np.ndarray
     foresees: bool
     lift: np.ndarray
+    twin: np.ndarray
 
 
 def run_ideal(
@@ -144,7 +145,7 @@ def run_ideal(
     if isinstance(law, Forecast):
         from deadtime.simulation.ideal.loop import march
 
-        states, done = march(moving, line, _believed(law, middles, plant.states), x0, nodes)
+        states, done = march(moving, line, _believed(law, middles, plant), x0, nodes)
     elif isinstance(law, Outlook):
         from deadtime.simulation.ideal.outlooks import march_outlook
 
@@ -166,9 +167,10 @@ def run_ideal(
     )
 
 
-def _believed(forecast: Forecast, middles: np.ndarray, states: int) -> Believed:
+def _believed(forecast: Forecast, middles: np.ndarray, plant: SwitchedSystem) -> Believed:
     """A forecast on the segments around these times."""
     run = np.maximum(middles, 0.0)
+    twins = [[i for i, A in enumerate(forecast.A) if np.array_equal(A, own)] for own in plant.A]
     return Believed(
         *_contiguous(forecast),
         forecast.lead,
@@ -178,7 +180,8 @@ def _believed(forecast: Forecast, middles: np.ndarray, states: int) -> Believed:
         forecast.path(np.maximum(middles + forecast.lead, 0.0)),
         forecast.until(run),
         forecast.foresees,
-        np.eye(states) if forecast.lift is None else forecast.lift,
+        np.eye(plant.states) if forecast.lift is None else forecast.lift,
+        np.array([twin[0] if twin else -1 for twin in twins]),
     )
 
 
