@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import ArrayLike
+
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
@@ -64,6 +66,7 @@ def judge(
     laws: Sequence[str] | None = None,
     decay_rate: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    delays: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -79,6 +82,8 @@ def judge(
         The rate to certify, 1/s; as `certify` chooses by default.
     progress : callable
         Called with a few words after each law's certificate.
+    delays : (low, high), optional
+        Ranges of the true delays, as `certify` takes them.
 
     Raises
     ------
@@ -105,7 +110,9 @@ def judge(
         if later:
             return _judge(problem, names[k], certified[k], (dwell_time, step))
         try:
-            found = certify(problem.plant, law, dwell_time, step, decay_rate=decay_rate)
+            found = certify(
+                problem.plant, law, dwell_time, step, decay_rate=decay_rate, delays=delays
+            )
             certified[k].set_result(found)
         except BaseException as error:
             certified[k].set_exception(error)
@@ -205,20 +212,26 @@ def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
 
 
 def margin_text(margin: DelayMargin | None) -> str:
-    """The true delays that are allowed, for a table.
+    """The true delays that are allowed, for a table; of several, their common error.
 
     Examples
     --------
     >>> from types import SimpleNamespace
-    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349))
+    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349, differ=False))
     '0.9866 to 1.013'
-    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf")))
+    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf"), differ=False))
     'any'
+    >>> margin_text(SimpleNamespace(lower=0.25, upper=0.75, nominal=0.5, differ=True))
+    '−0.25 to +0.25'
     """
     if margin is None:
         return "–"
     if margin.lower is None or margin.upper is None:
         return "none"
+    if margin.differ:
+        ends = margin.nominal - margin.lower, margin.upper - margin.nominal
+        shorter, longer = (_shorten(x, ROUND_FLOOR) for x in ends)
+        return f"−{shorter} to +{longer}"
     low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
     if margin.lower == 0.0:
         return f"up to {high}" if math.isfinite(margin.upper) else "any"
