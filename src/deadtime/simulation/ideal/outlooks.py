@@ -136,6 +136,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
         return False
     R, carried, moved = np.zeros((m, n)), np.zeros((m, n)), np.empty(n)
     S, flow, u = np.empty((n, n)), np.empty((p + 1, n, n)), np.empty((1, m))
+    none = np.empty((0, n, n))
     for r in range(count - 1, -1, -1):
         i, known = into.system[r], -1.0
         for j in range(m):
@@ -161,7 +162,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
                 if length > 0.0:
                     panel = few if length < short else nodes
                     if abs(length - known) > 1e-15:
-                        flows(S, length, panel.points, flow)
+                        flows(S, length, panel.points, flow, none)
                         known = length
                     _hear(
                         line, g, q, begin, length, j, carried, flow, row, nodes, panel, branch.B[i],
