@@ -211,9 +211,8 @@ def test_a_certified_margin_of_all_delays_is_of_a_common_shift():
     for shift in np.linspace(-margin.shorter, margin.longer, 9):
         shifted = dt.SwitchedSystem(plant.A, plant.B, plant.delays + shift)
         assert dt.growth_rate(shifted, law, 0, 0.1) < 0.0
-    apart = dt.SwitchedSystem(
-        plant.A, plant.B, plant.delays + [[-0.99 * margin.shorter, 0.99 * margin.longer]]
-    )
+    corner = plant.delays + 0.99 * np.array([-margin.shorter, margin.longer])
+    apart = dt.SwitchedSystem(plant.A, plant.B, corner)
     assert dt.growth_rate(apart, law, 0, 0.1) > 1.0
     assert "all by as much" in margin.message
     assert "whatever the others" not in margin.message

@@ -3,8 +3,9 @@
 For every admissible signal the true delays around the nominal one are covered by pieces, each
 certified at once for all delays in it (`certify` with `delays`), since the loop's order changes
 where the delay passes a multiple of the period. Of several delays a piece is a box: together the
-boxes hold every common shift, but not one delay from one box with another from the next. What fails is halved, down to a small part of the
-interval that constant modes allow, the most that any certificate can reach.
+boxes hold every common shift, but not one delay from one box with another from the next. What fails
+is halved, down to a small part of the interval that constant modes allow, the most that any
+certificate can reach.
 """
 
 from __future__ import annotations
