@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from deadtime.imperfections.base import (
     ActuatorImperfection,
-    Disturbance,
     Imperfection,
     Limiting,
     SensorImperfection,
@@ -39,4 +38,4 @@ def is_known(each: Imperfection) -> bool:
 def is_batched(each: Imperfection) -> bool:
     """Whether the engine of many scenarios can take all that it does."""
     both = isinstance(each, Relaying) and isinstance(each, TimingImperfection)  # of one stream
-    return is_known(each) and not both and not isinstance(each, Disturbance)
+    return is_known(each) and not both

@@ -12,10 +12,12 @@ from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, Relaying, TimingImperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.forces import forces_of
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
+from deadtime.scenarios.side_by_side import from_scenario
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
 from deadtime.switching import SignalBatch, SwitchingSignal
@@ -62,7 +64,10 @@ class Block:
         if tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
-        heard = None
+        heard = force = None
+        if laid is not None and self.loop.forced:
+            records = laid[0].records
+            force = forces_of(self.loop, self.imperfections, signals, records, self.seed, first)
         if laid is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
@@ -73,7 +78,7 @@ class Block:
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
             if laid is not None and name in tables:
-                left = self._at_once(row, tables[name], laid, heard, first, stopped)
+                left = self._at_once(row, tables[name], laid, heard, force, first, stopped)
             for i in left:
                 if stopped():
                     return 0
@@ -94,6 +99,7 @@ class Block:
         table: Table,
         laid: Sequence[Laid],
         heard: HeardBlock | None,
+        force: np.ndarray | None,
         first: int,
         stopped: Stopped,
     ) -> Sequence[int]:
@@ -108,7 +114,8 @@ class Block:
             hearing = Hearing()
             if heard is not None:
                 hearing = heard.hearing(table.feedback, start, these.stop - these.start)
-            figures = self._figures(row, table, laid, hearing, start, these)
+            felt = None if force is None else from_scenario(force, start, count)
+            figures = self._figures(row, table, laid, hearing, felt, start, these)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
@@ -120,19 +127,23 @@ class Block:
         table: Table,
         laid: Sequence[Laid],
         hearing: Hearing,
+        force: np.ndarray | None,
         start: int,
         these: slice,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results = these.stop - these.start, self.results
         if results.x is None or results.u is None:
-            figures = self.engine.run(table, laid[0], start, count, hearing)
+            figures = self.engine.run(table, laid[0], start, count, hearing, force)
         else:
-            figures, path = self.engine.path(table, laid[0], start, count, hearing=hearing)
+            figures, path = self.engine.path(
+                table, laid[0], start, count, hearing=hearing, force=force
+            )
             results.x[row, these], results.u[row, these] = path
         if self.weighed is None:
             return [figures]
-        return [figures, self.weighed[1].run(table, laid[1], start, count, hearing)]
+        weighed = self.weighed[1].run(table, laid[1], start, count, hearing, force)
+        return [figures, weighed]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""

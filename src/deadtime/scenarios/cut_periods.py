@@ -1,6 +1,6 @@
 """Transitions over a period, whole or cut by switches.
 
-Over a period the plant sees z, its state and the inputs that act (`scenarios.acting`), and moves by
+Over a period the plant sees z, its state and what acts on it (`scenarios.acting`), and moves by
 x_{k+1} = M z with ∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts the period, M and E
 are analytic in the instant of the switch, as long as no piece of either mode ends there: series in
 it replace two exponentials by one short polynomial.
@@ -82,7 +82,7 @@ def parts_of(plant: SwitchedSystem, acting: Acting, i: int, low: float, high: fl
     for s in range(stretches.first[i], stretches.first[i + 1]):
         start, stop = max(low, stretches.start[s]), min(high, stretches.stop[s])
         if stop > start:
-            parts.append(Part(plant.A[i], plant.B[i], stop - start, acting.column[s]))
+            parts.append(Part(plant.A[i], acting.B[i], stop - start, acting.column[s]))
     return parts
 
 
@@ -114,16 +114,18 @@ def whole_periods(sampled: SampledPlant, acting: Acting, weight: Weight | None =
 
 
 @lru_cache(8)
-def tables_of(sampled: SampledPlant, cells: int, weight: Weight | None = None) -> Tables:
+def tables_of(
+    sampled: SampledPlant, cells: int, weight: Weight | None = None, forced: bool = False
+) -> Tables:
     """The series of a plant at a period."""
-    plant, step, acting = sampled.plant, sampled.step, acting_of(sampled)
+    plant, step, acting = sampled.plant, sampled.step, acting_of(sampled, forced)
     modes, n = plant.modes, plant.states
-    wide, edges, alone = acting.wide, acting.edges, np.arange(n, n + plant.inputs)
+    wide, edges, m = acting.wide, acting.edges, acting.B.shape[2]
 
     def piece(i: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
-            parts = [Part(plant.A[i], plant.B[i], t, alone)]
-            move, energy = compose(parts, n + plant.inputs, weight)
+            parts = [Part(plant.A[i], acting.B[i], t, np.arange(n, n + m))]
+            move, energy = compose(parts, n + m, weight)
             return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), pack(energy)))
 
         return at

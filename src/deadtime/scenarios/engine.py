@@ -47,7 +47,9 @@ class Engine:
         rate, low, high = loop.limits
         self._clip = Clip(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
-        self._shape = Shape(*map(_size, (n, m, n + m, wide - n, wide, 2 * m)))
+        inputs = loop.acting.lags.size * m
+        sizes = n, m, n + m, inputs, wide - n, wide, 2 * m, wide - n - inputs
+        self._shape = Shape(*map(_size, sizes))
 
     def table(self, feedback: Feedback) -> Table:
         """A law's rows as the compiled loop reads them."""
@@ -77,10 +79,11 @@ class Engine:
         first: int = 0,
         count: int | None = None,
         hearing: Hearing = PERFECT,
+        force: np.ndarray | None = None,
     ) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1 which hear this."""
+        """Run a table along the scenarios first, …, first + count − 1 which hear and feel this."""
         count = laid.scenarios - first if count is None else count
-        return self._run_kernel(table, laid, first, count, hearing, _NOTHING, 0)
+        return self._run_kernel(table, laid, first, count, hearing, force, _NOTHING, 0)
 
     def path(
         self,
@@ -90,12 +93,13 @@ class Engine:
         count: int,
         keep: int = 0,
         hearing: Hearing = PERFECT,
+        force: np.ndarray | None = None,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        figures = self._run_kernel(table, laid, first, count, hearing, path, keep)
+        figures = self._run_kernel(table, laid, first, count, hearing, force, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
         return figures, Path(both[:, :n], both[:, n:])
 
@@ -106,12 +110,13 @@ class Engine:
         first: int,
         count: int,
         hearing: Hearing,
+        force: np.ndarray | None,
         path: np.ndarray,
         keep: int,
     ) -> Figures:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._clip, *hearing
+        loop = plant, self._run, self._clip, *hearing, force
         return Figures(*run_scenarios(*table[:5], *loop, first, count, path, keep))
 
 

@@ -16,7 +16,7 @@ from deadtime.scenarios.drawn import in_many_runs
 from deadtime.scenarios.layout import KINDS, Hearing, Relayed
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
-from deadtime.scenarios.side_by_side import groups, lay_lags, lay_numbers, lay_rows
+from deadtime.scenarios.side_by_side import from_scenario, groups, lay_lags, lay_numbers, lay_rows
 from deadtime.scenarios.sights import Sights
 from deadtime.switching import SignalBatch
 
@@ -68,13 +68,10 @@ class HeardBlock:
             row = np.empty(groups(count) * heard.modes.shape[1] * LANES, np.int32)
             told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
             lay_rows(told, sampled, age, KINDS[feedback.context], feedback.ages, row)
-        lag, noise = (self._from(begin, part) for part in (heard.lag, heard.noise))
-        sight = None if heard.sight is None else self._from(begin, heard.sight)
+        all_of, sight = self.laid.scenarios, heard.sight
+        lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
+        sight = None if sight is None else from_scenario(sight, begin, all_of)
         return Hearing(Relayed(lag, heard.reach, noise, row), sight)
-
-    def _from(self, begin: int, laid: np.ndarray) -> np.ndarray:
-        """What is laid, from a scenario on."""
-        return laid[begin // LANES * (laid.size // groups(self.laid.scenarios)) :]
 
     @cached_property
     def _heard(self) -> _Stack:

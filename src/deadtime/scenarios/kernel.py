@@ -241,12 +241,13 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def _run_eight(
-    shape, factored, dense, model, plant, run, clip, relayed, sight, start, count, out, path, keep,
-    first, taps,
+    shape, factored, dense, model, plant, run, clip, relayed, sight, force, start, count, out, path,
+    keep, first, taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
-    The first of them is number `first` of those that `relayed` is about, a multiple of eight.
+    The first of them is number `first` of those that `relayed` and `force` are about, a multiple of
+    eight.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -259,6 +260,7 @@ def _run_eight(
     ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
     # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
     P, Q, EP, EQ = one, one, none, none
+    felt = same(0.0, shape.force)
     # A plain 0 is a type of its own, for which what is called would be compiled once more.
     soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     older = period - min(taps, run.samples)
@@ -352,14 +354,17 @@ def _run_eight(
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
         acting = load_each(ring, work.acting, shape.u, shape.acting)
+        if force is not None:
+            at = (first * run.samples + k * LANES) * len(shape.force)
+            felt = load(force, at, shape.force)
         if sight is not None:
-            go_on(shape, relayed, recent, acting)
-        z = first_of(x, acting, acting, shape.z)
+            go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
+        z = first_of(x, acting, felt, shape.z)
         ise = own_form(own, n * wide * LANES, z, ise)
         x = own_product(own, 0, z, same(0.0, shape.x))
         weight = run.rest if k == run.samples - 1 else 1.0
-        felt = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
-        energy = times(same(weight, _ONE), squares(felt, none), energy)
+        weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
+        energy = times(same(weight, _ONE), squares(weighed, none), energy)
         now = 0 if now + 1 == period else now + 1
         _turn_around(work.acting, m, ring.size)
         older = 0 if older + 1 == period else older + 1
@@ -374,21 +379,23 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, taps, plant, run, clip, relayed, sight, start, count, path, keep
+    shape, factored, dense, model, taps, plant, run, clip, relayed, sight, force, start, count,
+    path, keep,
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip`, and
-    `relayed` and `sight`, what the law hears (`layout.Hearing`), may be None. `path`, empty or for
-    at most eight scenarios, gets x and u of every sample from `keep` on.
+    `relayed` and `sight`, what the law hears (`layout.Hearing`), and `force`, what the plant feels
+    (`forces`), may be None. `path`, empty or for at most eight scenarios, gets x and u of every
+    sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, plant, run, clip, relayed, sight, start + at, few, out,
-            path, keep, at, taps,
+            shape, factored, dense, model, plant, run, clip, relayed, sight, force, start + at, few,
+            out, path, keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):
             for lane in range(few):

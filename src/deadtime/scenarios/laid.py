@@ -136,8 +136,7 @@ def _compose(piece, column, move, energy, own):
 def compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
-    flat, wide, m = pieces.reshape(-1), acting.wide, acting.column.shape[1]
-    n = wide - acting.lags.size * m
+    flat, n, wide, m = pieces.reshape(-1), acting.states, acting.wide, acting.column.shape[1]
     move, energy = np.zeros((n, wide)), np.zeros((wide, wide))
     own = np.empty((n + m, wide))
     for i in range(n):

@@ -13,9 +13,10 @@ class Shape(NamedTuple):
     """The sizes of a loop as the lengths of tuples, so that they are types.
 
     x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
-    acting : the inputs that act over a period;  z : these and the state
+    acting : the inputs that act over a period;  driving : these and the forces;  z : and the state
     b : the window of factorised rows;  block : a block of its transition
     rows : the inputs that all its rows ask for
+    force : all forces of a period
     head : m (n + m), for the heads of dense rows
     square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
     """
@@ -24,8 +25,10 @@ class Shape(NamedTuple):
     u: tuple
     both: tuple
     acting: tuple
+    driving: tuple
     z: tuple
     pair: tuple
+    force: tuple = ()
     b: tuple = ()
     block: tuple = ()
     rows: tuple = ()

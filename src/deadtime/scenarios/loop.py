@@ -49,6 +49,8 @@ class Loop:
     actuators : sequence of Limiting
     weight : Weight or None
         What engines measure: ∫xᵀQx as their ise, uᵀRu as their energy; None for the identity.
+    forced : bool
+        Whether disturbances act.
     """
 
     sampled: SampledPlant
@@ -56,6 +58,7 @@ class Loop:
     horizon: float
     actuators: Sequence[Limiting] = ()
     weight: Weight | None = None
+    forced: bool = False
 
     @property
     def plant(self) -> SwitchedSystem:
@@ -68,7 +71,7 @@ class Loop:
     @cached_property
     def acting(self) -> Acting:
         """What acts on the plant over a period."""
-        return acting_of(self.sampled)
+        return acting_of(self.sampled, self.forced)
 
     @cached_property
     def whole(self) -> int:
@@ -106,7 +109,7 @@ class Loop:
         cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
         if cells > _CELLS:
             return None
-        return tables_of(self.sampled, cells, self.weight)
+        return tables_of(self.sampled, cells, self.weight, self.forced)
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

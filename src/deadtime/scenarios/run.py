@@ -15,6 +15,7 @@ from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.imperfections import (
+    Disturbance,
     Imperfection,
     Limiting,
     Relaying,
@@ -161,7 +162,8 @@ def monte_carlo(
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections))
+    forced = any(isinstance(one, Disturbance) for one in imperfections)
+    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections), forced=forced)
     results = _room(loop, len(named), scenarios, trajectories)
     engine = Engine(loop)
     tables = _tables(engine, loop, named, imperfections)
@@ -196,7 +198,7 @@ def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     steps = _BLOCK_STEPS
     if any(isinstance(one, TimingImperfection) for one in imperfections):
         steps /= 32
-    elif any(isinstance(one, Relaying) for one in imperfections):
+    elif any(isinstance(one, Relaying | Disturbance) for one in imperfections):
         steps /= 8
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
@@ -232,6 +234,8 @@ def _tables(
     """The laws that the engine can run: what makes a table of each along signals."""
     n, wide = loop.plant.states, loop.acting.wide
     if loop.tables is None or not all(map(is_batched, imperfections)):
+        return {}
+    if loop.forced and not (loop.plant.delays == loop.plant.delays[0]).all():
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}

@@ -36,9 +36,7 @@ class Forcing:
         if not (plant.delays == plant.delays[0]).all():
             plant.one_delay("disturbances, or one per input that is the same in all modes")
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
-        # Of two stretches at least, so that a seed draws the same numbers for every delay.
-        lengths = [part.stop - part.start for part in sampled.stretches(0)] + [0.0]
-        lengths = tuple(lengths[: max(2, len(lengths) - 1)])
+        lengths = lengths_of(sampled)
         self._kinds = [force for force, _ in disturbances]
         self._draws = [force.draws(self._sizes, lengths, steps, rng) for force, rng in disturbances]
         held = [sampled.stretches(mode) for mode in range(plant.modes)]
@@ -78,29 +76,47 @@ class Forcing:
         for entry, pieces in enumerate(entries):
             for i, (matrix, seconds) in enumerate(pieces):
                 A[entry, i], tau[entry, i] = matrix, seconds
-        spreads = [
-            force.spreads(self._sizes, A, tau)
-            if isinstance(force, Stacked)
-            else np.stack([force.spread(self._sizes, pieces) for pieces in entries])
-            for force in self._kinds
-        ]
-        return spreads, self._inverse(A, tau)
+        spreads = [spread_over(force, self._sizes, A, tau) for force in self._kinds]
+        return spreads, force_over(A, tau, self._step)
 
-    def _inverse(self, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Γ_I⁻¹ of every entry, 0 where it takes no time."""
-        from deadtime.numerics.exponential import discretise_each
 
-        Gamma, total = np.zeros((len(A), *A.shape[2:])), tau.sum(axis=1)
-        unit = np.broadcast_to(np.eye(A.shape[2]), Gamma.shape)
-        for i in range(tau.shape[1]):
-            Phi, own = discretise_each(*map(read_only, (A[:, i], unit, tau[:, i])))
-            Gamma = Phi @ Gamma + own
-        size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
-        if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():
-            raise ArgumentError(
-                f"step = {self._step:g} s is too long for disturbances: a mode of the plant "
-                "oscillates a whole number of times within it; shorten it."
-            )
-        inverse = np.zeros(Gamma.shape)
-        inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
-        return inverse
+def lengths_of(sampled: SampledPlant) -> tuple[float, ...]:
+    """How long the stretches of a period are for which disturbances draw.
+
+    Of two at least, the other one of length 0: a seed draws the same numbers for every delay.
+    """
+    lengths = [part.stop - part.start for part in sampled.stretches(0)]
+    return tuple([*lengths, 0.0][: max(2, len(lengths))])
+
+
+def spread_over(
+    force: Disturbance, sizes: Sizes, A: np.ndarray, tau: np.ndarray
+) -> Float[np.ndarray, "count n r"]:
+    """How a disturbance's numbers become ξ over many stretches, A and tau as of `Stacked`."""
+    if isinstance(force, Stacked):
+        return force.spreads(sizes, A, tau)
+    pieces = [
+        [(of, float(t)) for of, t in zip(*each, strict=True) if t > 0.0]
+        for each in zip(A, tau, strict=True)
+    ]
+    return np.stack([force.spread(sizes, each) for each in pieces])
+
+
+def force_over(A: np.ndarray, tau: np.ndarray, step: float) -> Float[np.ndarray, "count n n"]:
+    """Γ_I⁻¹ over many stretches, from ξ to d, 0 where one takes no time."""
+    from deadtime.numerics.exponential import discretise_each
+
+    Gamma, total = np.zeros((len(A), *A.shape[2:])), tau.sum(axis=1)
+    unit = np.broadcast_to(np.eye(A.shape[2]), Gamma.shape)
+    for i in range(tau.shape[1]):
+        Phi, own = discretise_each(*map(read_only, (A[:, i], unit, tau[:, i])))
+        Gamma = Phi @ Gamma + own
+    size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
+    if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():
+        raise ArgumentError(
+            f"step = {step:g} s is too long for disturbances: a mode of the plant "
+            "oscillates a whole number of times within it; shorten it."
+        )
+    inverse = np.zeros(Gamma.shape)
+    inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
+    return inverse
