@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, read_only, real_array, require_shape
+from deadtime.base.checks import as_floats, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections.base import Sizes, per_signal
 from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
-from deadtime.numerics.covariance import lower_root, noise_covariances, transitions
+from deadtime.numerics.accumulated import accumulate, rates
+from deadtime.numerics.covariance import lower_root
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.steps import snap
 
@@ -48,8 +49,10 @@ class WhiteDisturbance(DrawnDisturbance):
     ) -> np.ndarray:
         return numbers.reshape(*numbers.shape[:2], steps, sizes.states)
 
-    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return lower_root(_accumulate(A, self._check(sizes.states), tau)[1])
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> np.ndarray:
+        return lower_root(accumulate(A, self._check(sizes.states), rates(A), mode, tau)[1])
 
     def _check(self, n: int) -> np.ndarray:
         name = "WhiteDisturbance.intensity"
@@ -98,16 +101,19 @@ class ColouredDisturbance(DrawnDisturbance):
         follow(std, kept, fresh, numbers, draws)
         return draws
 
-    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> np.ndarray:
         """From c at both ends and n normal numbers: the mean given c, and what is left."""
         E, std, T = self._check(sizes.states)
         n, q = E.shape
         total = tau.sum(axis=1)[:, None]
         W = np.zeros((n + q, n + q))
         W[n:, n:] = np.diag(2.0 * std**2 / T)
-        joint = np.zeros((*A.shape[:2], n + q, n + q))
-        joint[..., :n, :n], joint[..., :n, n:], joint[..., n:, n:] = A, E, np.diag(-1.0 / T)
-        M, Q = _accumulate(joint, W, tau)
+        joint = np.zeros((len(A), n + q, n + q))
+        joint[:, :n, :n], joint[:, :n, n:], joint[:, n:, n:] = A, E, np.diag(-1.0 / T)
+        rate = np.maximum(rates(A), (1.0 / T).max(initial=0.0))
+        M, Q = accumulate(joint, W, rate, mode, tau)
         kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
         slope = Q[:, :n, n:] / np.where(variance > 0.0, variance, 1.0)[:, None]
         left = lower_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
@@ -164,18 +170,16 @@ class StepDisturbance(DrawnDisturbance):
         active[:, :, first:stop] = 1.0
         return active
 
-    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        from deadtime.numerics.exponential import discretise_each
-
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> np.ndarray:
         name = "StepDisturbance.force"
         force = real_array(name, self.force, "(n,)", 1)
         require_shape(name, force, (sizes.states,), "(n,)")
-        total = np.zeros((len(A), sizes.states, 1))
-        B = np.broadcast_to(force[:, None], total.shape)
-        for i in range(tau.shape[1]):
-            Phi, Gamma = discretise_each(*map(read_only, (A[:, i], B, tau[:, i])))
-            total = Phi @ total + Gamma
-        return total
+        n = sizes.states
+        joint = np.zeros((len(A), n + 1, n + 1))
+        joint[:, :n, :n], joint[:, :n, n] = A, force
+        return accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:]
 
 
 @kernel(eager=True, nogil=True)
@@ -220,14 +224,3 @@ def _follow_one(
         draws[:, 0, :, j] = whole[:-1].reshape(steps, stretches).T
         draws[:, 0, :, q + j] = whole[1:].reshape(steps, stretches).T
     draws[:, 0, :, 2 * q :] = own[:, :, q:]
-
-
-def _accumulate(A: np.ndarray, W: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transition and covariance over pieces, W being the intensity in all of them."""
-    M = np.broadcast_to(np.eye(len(W)), (len(A), *W.shape))
-    Q = np.zeros(M.shape)
-    for i in range(tau.shape[1]):
-        Phi = transitions(A[:, i], tau[:, i])
-        M = Phi @ M
-        Q = Phi @ Q @ Phi.transpose(0, 2, 1) + noise_covariances(A[:, i], W, tau[:, i])
-    return M, Q

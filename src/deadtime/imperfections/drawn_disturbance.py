@@ -36,6 +36,20 @@ class DrawnDisturbance(Stacked, Disturbance):
         No length is 0. An axis of length 1 stands for all runs.
         """
 
+    @abstractmethod
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> Float[np.ndarray, "count n r"]:
+        """`Disturbance.spread` of many stretches, (count, n, r).
+
+        Each has tau (count, pieces) seconds in a mode (count, pieces) of A (modes, n, n).
+        """
+
+    @final
+    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        mode = np.arange(tau.size).reshape(tau.shape)
+        return self.spreads_in(sizes, A.reshape(-1, *A.shape[2:]), mode, tau)
+
     @final
     def draws(
         self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator

@@ -58,20 +58,20 @@ def _maps(
     sizes: Sizes,
 ) -> list[np.ndarray]:
     """From what each draws for a stretch to its force, (map, stretch, n, r); map: of `Records`."""
-    A, tau = _pieces(loop, signals, records)
-    shape, (parts, n, _) = tau.shape[:2], A.shape[2:]
-    A, tau = A.reshape(-1, parts, n, n), tau.reshape(-1, parts)
-    inverse = force_over(A, tau, loop.step)
+    A, (mode, tau) = loop.plant.A, _pieces(loop, signals, records)
+    shape = tau.shape
+    mode, tau = (part.reshape(-1, shape[2]) for part in (mode, tau))
+    inverse = force_over(A, mode, tau, loop.step)
     maps = []
     for each in kinds:
         assert isinstance(each.one, Disturbance)
-        T = inverse @ spread_over(each.one, sizes, A, tau)
-        maps.append(T.reshape(*shape, n, -1))
+        T = inverse @ spread_over(each.one, sizes, A, mode, tau)
+        maps.append(T.reshape(*shape[:2], *T.shape[1:]))
     return maps
 
 
 def _pieces(loop: Loop, signals: SignalBatch, records: Records) -> tuple[np.ndarray, np.ndarray]:
-    """A (map, stretch, part, n, n) and for how many seconds, 0 for parts that there are not.
+    """The modes (map, stretch, part), and for how many seconds, 0 for parts that there are not.
 
     The maps of modes, then of cut periods, the last ones of scenarios taken as whole.
     """
@@ -90,5 +90,4 @@ def _pieces(loop: Loop, signals: SignalBatch, records: Records) -> tuple[np.ndar
     held[0][:, 1:], held[1][:] = loop.step, loop.step
     begin, end = np.concatenate((held[0], begin)), np.concatenate((held[1], end))
     tau = np.minimum(end[:, None], stop[:, None]) - np.maximum(begin[:, None], start[:, None])
-    A = np.broadcast_to(loop.plant.A[mode][:, None], (*tau.shape, *loop.plant.A.shape[1:]))
-    return A, np.maximum(tau, 0.0)
+    return np.broadcast_to(mode[:, None], tau.shape), np.maximum(tau, 0.0)

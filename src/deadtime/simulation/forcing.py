@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes, Stacked
-from deadtime.imperfections.base import Piece
+from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
+from deadtime.numerics.accumulated import accumulate, rates
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import Cuts
@@ -42,9 +42,7 @@ class Forcing:
         held = [sampled.stretches(mode) for mode in range(plant.modes)]
         self._first = np.cumsum([0, *map(len, held)])
         self._held = [
-            [(A, part.stop - part.start)]
-            for A, parts in zip(plant.A, held, strict=True)
-            for part in parts
+            [(mode, part.stop - part.start)] for mode, parts in enumerate(held) for part in parts
         ]
         self._of_held = self._maps(self._held)
 
@@ -52,12 +50,12 @@ class Forcing:
         self, table: PieceTable, cuts: Cuts
     ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece n"]]:
         """ξ and d over the pieces of a known signal."""
-        A, shift = self._plant.A, np.zeros((table.entry.size, self._plant.states))
+        shift = np.zeros((table.entry.size, self._plant.states))
         period, entry = table.period, table.entry
         place = np.arange(period.size) - table.first[period]
         # The entries of modes held come first.
         cut = [table.parts(e, cuts) for e in range(len(self._held), table.mode.size)]
-        spreads, inverse = self._maps(self._held + [[(A[i], b - a) for i, a, b in e] for e in cut])
+        spreads, inverse = self._maps(self._held + [[(i, b - a) for i, a, b in e] for e in cut])
         for spread, draws in zip(spreads, self._draws, strict=True):
             shift += np.einsum("qnr,qr->qn", spread[entry], draws[period, place])
         return shift, np.einsum("qij,qj->qi", inverse[entry], shift)
@@ -69,15 +67,16 @@ class Forcing:
         shift = np.sum([spread[entry] @ draws[k, piece] for spread, draws in pairs], axis=0)
         return inverse[entry] @ shift
 
-    def _maps(self, entries: list[list[Piece]]) -> tuple[list[np.ndarray], np.ndarray]:
+    def _maps(self, entries: list[list[tuple[int, float]]]) -> tuple[list[np.ndarray], np.ndarray]:
         """How each disturbance's numbers become ξ over every entry, and Γ_I⁻¹."""
-        n, longest = self._plant.states, max(map(len, entries))
-        A, tau = np.zeros((len(entries), longest, n, n)), np.zeros((len(entries), longest))
+        shape = len(entries), max(map(len, entries))
+        mode, tau = np.zeros(shape, np.int64), np.zeros(shape)
         for entry, pieces in enumerate(entries):
-            for i, (matrix, seconds) in enumerate(pieces):
-                A[entry, i], tau[entry, i] = matrix, seconds
-        spreads = [spread_over(force, self._sizes, A, tau) for force in self._kinds]
-        return spreads, force_over(A, tau, self._step)
+            for i, (of, seconds) in enumerate(pieces):
+                mode[entry, i], tau[entry, i] = of, seconds
+        A = self._plant.A
+        spreads = [spread_over(force, self._sizes, A, mode, tau) for force in self._kinds]
+        return spreads, force_over(A, mode, tau, self._step)
 
 
 def lengths_of(sampled: SampledPlant) -> tuple[float, ...]:
@@ -90,33 +89,39 @@ def lengths_of(sampled: SampledPlant) -> tuple[float, ...]:
 
 
 def spread_over(
-    force: Disturbance, sizes: Sizes, A: np.ndarray, tau: np.ndarray
+    force: Disturbance, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
 ) -> Float[np.ndarray, "count n r"]:
-    """How a disturbance's numbers become ξ over many stretches, A and tau as of `Stacked`."""
+    """How a disturbance's numbers become ξ over many stretches.
+
+    Each has tau (count, pieces) seconds, 0 for no piece, in a mode (count, pieces).
+    """
+    if isinstance(force, DrawnDisturbance):
+        return force.spreads_in(sizes, A, mode, tau)
     if isinstance(force, Stacked):
-        return force.spreads(sizes, A, tau)
+        return force.spreads(sizes, A[mode], tau)
     pieces = [
-        [(of, float(t)) for of, t in zip(*each, strict=True) if t > 0.0]
-        for each in zip(A, tau, strict=True)
+        [(A[i], float(t)) for i, t in zip(*each, strict=True) if t > 0.0]
+        for each in zip(mode, tau, strict=True)
     ]
     return np.stack([force.spread(sizes, each) for each in pieces])
 
 
-def force_over(A: np.ndarray, tau: np.ndarray, step: float) -> Float[np.ndarray, "count n n"]:
-    """Γ_I⁻¹ over many stretches, from ξ to d, 0 where one takes no time."""
-    from deadtime.numerics.exponential import discretise_each
-
-    Gamma, total = np.zeros((len(A), *A.shape[2:])), tau.sum(axis=1)
-    unit = np.broadcast_to(np.eye(A.shape[2]), Gamma.shape)
-    for i in range(tau.shape[1]):
-        Phi, own = discretise_each(*map(read_only, (A[:, i], unit, tau[:, i])))
-        Gamma = Phi @ Gamma + own
-    size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
-    if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():
-        raise ArgumentError(
-            f"step = {step:g} s is too long for disturbances: a mode of the plant "
-            "oscillates a whole number of times within it; shorten it."
-        )
+def force_over(
+    A: np.ndarray, mode: np.ndarray, tau: np.ndarray, step: float
+) -> Float[np.ndarray, "count n n"]:
+    """Γ_I⁻¹ over many stretches, from ξ to d, 0 where one takes no time; the others as above."""
+    modes, n, _ = A.shape
+    joint = np.zeros((modes, 2 * n, 2 * n))
+    joint[:, :n, :n], joint[:, :n, n:] = A, np.eye(n)
+    Gamma, total = accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:], tau.sum(axis=1)
+    # In units of one matrix |Γ_I/τ − I| ≤ (e^s − 1)/s − 1 < 1 for s = |A|τ ≤ 1.
+    if rates(np.abs(A).sum(axis=0)[None])[0] * total.max() > 1.0:
+        size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
+        if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():
+            raise ArgumentError(
+                f"step = {step:g} s is too long for disturbances: a mode of the plant "
+                "oscillates a whole number of times within it; shorten it."
+            )
     inverse = np.zeros(Gamma.shape)
     inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
     return inverse
