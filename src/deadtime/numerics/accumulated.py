@@ -80,7 +80,7 @@ def _terms(
 @kernel(eager=True, nogil=True)
 def _follow(Phi, S, size, mode, tau, noisy, M, Q):
     """Fill M and Q of every stretch."""
-    terms, N = Phi.shape[1:3]
+    N = Phi.shape[2]
     P, R, half, spare = np.empty((N, N)), np.zeros((N, N)), np.empty((N, N)), np.empty((N, N))
     for e in range(tau.shape[0]):
         for i in range(N):
@@ -94,14 +94,9 @@ def _follow(Phi, S, size, mode, tau, noisy, M, Q):
             while s > 0.5 and doublings < _LONGEST:
                 s *= 0.5
                 doublings += 1
-            for i in range(N):
-                for j in range(N):
-                    value, more = Phi[a, terms - 1, i, j], S[a, terms - 1, i, j]
-                    for k in range(terms - 2, -1, -1):
-                        value = value * s + Phi[a, k, i, j]
-                        if noisy:
-                            more = more * s + S[a, k, i, j]
-                    P[i, j], R[i, j] = value, more * s
+            _horner_into(Phi, a, s, 1.0, P)
+            if noisy:
+                _horner_into(S, a, s, s, R)
             for _ in range(doublings):
                 if noisy:
                     _congruence(P, R, half, spare)
@@ -121,6 +116,22 @@ def _follow(Phi, S, size, mode, tau, noisy, M, Q):
             for i in range(N):
                 for j in range(N):
                     M[e, i, j] = spare[i, j]
+
+
+@kernel(eager=True, nogil=True)
+def _horner_into(terms, a, s, scale, result):
+    """result = scale Σ terms[a, k] sᵏ: entries inside, so that they are summed side by side."""
+    value, given = result.reshape(-1), terms.reshape(-1)
+    size, last = value.size, terms.shape[1] - 1
+    at = (a * (last + 1) + last) * size
+    for i in range(size):
+        value[i] = given[at + i]
+    for _ in range(last):
+        at -= size
+        for i in range(size):
+            value[i] = value[i] * s + given[at + i]
+    for i in range(size):
+        value[i] *= scale
 
 
 @kernel(eager=True, nogil=True)

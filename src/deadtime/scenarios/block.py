@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection, Relaying, TimingImperfection
+from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
-from deadtime.scenarios.forces import forces_of
+from deadtime.scenarios.forces import ForceMaps, forces_of
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
@@ -67,7 +68,8 @@ class Block:
         heard = force = None
         if laid is not None and self.loop.forced:
             records = laid[0].records
-            force = forces_of(self.loop, self.imperfections, signals, records, self.seed, first)
+            maps = self._force_maps
+            force = forces_of(maps, self.imperfections, signals, records, self.seed, first)
         if laid is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
@@ -92,6 +94,11 @@ class Block:
             return 0
         self.results.done[first : first + count] = True
         return int((signals.end < self.loop.horizon).sum())
+
+    @cached_property
+    def _force_maps(self) -> ForceMaps:
+        kinds = [one for one in self.imperfections if isinstance(one, Disturbance)]
+        return ForceMaps(self.loop, kinds)
 
     def _at_once(
         self,
