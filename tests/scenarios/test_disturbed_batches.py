@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import deadtime as dt
 import plants
+from batches import require_single_runs
 from deadtime.imperfections import (
     ColouredDisturbance,
     Disturbance,
@@ -17,12 +17,8 @@ from deadtime.imperfections import (
     StepDisturbance,
     WhiteDisturbance,
 )
-from deadtime.scenarios import draw_signals, scenario_seed
 from shares import mostly_long
 
-H, HORIZON, COUNT, SEED = 0.1, 6.03, 11, 5
-X0 = [0.3, -0.6, 0.9]
-MODEL = dt.Markov(2.0 * (1.0 - np.eye(3)))
 BELIEVED = plants.generic(0.3, seed=5)
 LAWS = {name: plants.LAWS[name](BELIEVED) for name in ("averaged", "exact")}
 W = np.array([[0.5, 0.2, 0.0], [0.2, 0.3, 0.1], [0.0, 0.1, 0.1]])
@@ -55,28 +51,6 @@ CASES = {
     ],
     "measured within periods": [WHITE, Jitter(0.08), MeasurementDelay(0.133), COLOURED],
 }  # fmt: skip
-
-
-def require_single_runs(plant, laws, given, x0=X0, horizon=HORIZON, rows=(0, 8, 10)):
-    """Every law's scenarios are those of `simulate`, to 1e-12 of the largest."""
-    model = MODEL if plant.modes == 3 else dt.Markov(2.0 * (1.0 - np.eye(plant.modes)))
-    data = dt.monte_carlo(
-        plant, laws, model, x0, horizon, H, COUNT, SEED, imperfections=given, trajectories=True
-    )
-    assert data.attrs["one_by_one"] == []
-    signals = draw_signals(model, horizon + 1.0, SEED, count=COUNT)
-    for name, law in laws.items():
-        for i in rows:
-            run = dt.simulate(
-                plant, law, signals[i], x0, horizon, H, imperfections=given,
-                seed=scenario_seed(SEED, i),
-            )  # fmt: skip
-            found = data.sel(law=name).isel(scenario=i)
-            samples = found.time.size
-            plants.close(found.x.values, run.states[:, :samples], 1e-12)
-            plants.close(found.u.values, run.inputs[:, :samples], 1e-12)
-            for metric, value in run.metrics().items():
-                assert found[metric].item() == pytest.approx(value, rel=1e-10), (name, i, metric)
 
 
 @pytest.mark.parametrize("case", mostly_long(CASES, "white", "beside other imperfections"))

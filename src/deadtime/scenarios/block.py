@@ -73,10 +73,13 @@ class Block:
         if laid is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
-            by_mode = any(_by_mode(table) for table in tables.values())
-            heard = HeardBlock(
-                self.loop, self.imperfections, signals, laid[0], self.seed, first, by_mode
-            )
+            by_mode, given = any(map(_by_mode, tables.values())), (signals, laid[0])
+            heard = {
+                size: HeardBlock(
+                    self.loop, self.imperfections, *given, self.seed, first, by_mode, size
+                )
+                for size in {table.measured for table in tables.values()}
+            }
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
             if laid is not None and name in tables:
@@ -105,7 +108,7 @@ class Block:
         row: int,
         table: Table,
         laid: Sequence[Laid],
-        heard: HeardBlock | None,
+        heard: Mapping[int, HeardBlock] | None,
         force: np.ndarray | None,
         first: int,
         stopped: Stopped,
@@ -120,7 +123,9 @@ class Block:
             these = slice(first + start, first + min(start + size, count))
             hearing = Hearing()
             if heard is not None:
-                hearing = heard.hearing(table.feedback, start, these.stop - these.start)
+                hearing = heard[table.measured].hearing(
+                    table.feedback, start, these.stop - these.start, table.memory is not None
+                )
             felt = None if force is None else from_scenario(force, start, count)
             figures = self._figures(row, table, laid, hearing, felt, start, these)
             for metric, values in metrics_of(self.loop, *figures).items():
@@ -177,5 +182,6 @@ class Block:
 
 
 def _by_mode(table: Table) -> bool:
-    """Whether a law's rows depend on the mode."""
-    return table.feedback is not None and table.feedback.context != "none"
+    """Whether a law goes by the mode."""
+    by_rows = table.feedback is not None and table.feedback.context != "none"
+    return by_rows or table.memory is not None

@@ -48,10 +48,20 @@ from deadtime.scenarios.hearing import (
     command,
     go_on,
     hear,
+    hear_modes,
     hear_rows,
     recent_of,
     see,
     told_rows,
+)
+from deadtime.scenarios.remembering import (
+    correct,
+    follow_modes,
+    follow_outputs,
+    kept_of,
+    predict,
+    remembered,
+    sum_up_errors,
 )
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
@@ -241,8 +251,8 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def _run_eight(
-    shape, factored, dense, model, plant, run, clip, relayed, sight, force, start, count, out, path,
-    keep, first, taps,
+    shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force, start, count,
+    out, path, keep, first, taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
@@ -260,7 +270,9 @@ def _run_eight(
     ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
     # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
     P, Q, EP, EQ = one, one, none, none
-    felt = same(0.0, shape.force)
+    felt, y, z = same(0.0, shape.force), same(0.0, shape.output), same(0.0, shape.kept)
+    if memory is not None:
+        kept = kept_of(shape, memory, run.samples, period)
     # A plain 0 is a type of its own, for which what is called would be compiled once more.
     soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     older = period - min(taps, run.samples)
@@ -292,31 +304,55 @@ def _run_eight(
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
         before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-        seen = x
+        if memory is not None:
+            if k > 0:
+                predict(shape, kept, ring)
+                _turn_around(kept.acting, m, ring.size)
+            follow_outputs(memory, kept, work.mode)
+            y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
+        seen = first_of(y, x, x, shape.seen)
         if relayed is not None:
             at = first * run.samples + k * LANES
             if sight is not None:
-                seen = see(shape, relayed, sight, recent, x, at)
+                there = see(shape, relayed, sight, recent, x, at)
+                if memory is not None:
+                    y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
+                seen = first_of(y, there, there, shape.seen)
             elif late:
-                seen = hear(shape, relayed, recent, x, at)
+                seen = hear(shape, relayed, recent, seen, at)
             if noisy:
                 seen = add_noise(shape, relayed, seen, at)
             if by_told:
                 hear_rows(relayed, recent, at)
+        if memory is not None:
+            lost, told = none, work.mode
+            if relayed is not None:
+                lost = load(recent.lost, 0, _ONE)
+                if relayed.told.size > 0:
+                    hear_modes(relayed, kept.told, at)
+                    told = kept.told
+            follow_modes(memory, kept, told)
+            heard = first_of(seen, seen, seen, shape.output)
+            heard = correct(shape, memory, kept, heard, lost)
+            if clip is not None:
+                store(kept.before, 0, before)
+            sum_up_errors(shape, memory, kept, heard, k, clip is not None)
+            z = remembered(shape, memory, kept, k)
+        known = first_of(z, seen, seen, shape.known)
         if model is not None:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
             if r == model.length:
                 sum_up(shape, model.length, ahead)
                 r = np.int64(0)
-            u = foresee(shape, model.length, ahead, r, seen, before)
+            u = foresee(shape, model.length, ahead, r, known, before)
         if factored is not None:
             if r == factored.length:
                 _refill(shape, factored, ring, period, now, carry)
                 b, r = same(0.0, shape.b), np.int64(0)
             sums = load(carry, r * sizes * LANES, shape.rows)
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
-            sums = product(factored.out, 0, b, product(factored.state, 0, seen, sums))
+            sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
             number = load(work.number, 0, _ONE)
             if relayed is not None:  # noqa: SIM102
                 if by_told:
@@ -330,8 +366,10 @@ def _run_eight(
             _sum_dense(shape, dense, window, place)
             heads = gather(dense.head, window.head, shape.head)
             sums = gather(window.sums, places, shape.u)
-            u = matrix_product(heads, first_of(seen, before, before, shape.both), sums)
-        if relayed is not None:
+            u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
+        if memory is not None:
+            store(kept.asked, 0, u)
+        elif relayed is not None:
             u = command(shape, recent, u, asked)
             asked = u
         if clip is not None:
@@ -359,9 +397,9 @@ def _run_eight(
             felt = load(force, at, shape.force)
         if sight is not None:
             go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
-        z = first_of(x, acting, felt, shape.z)
-        ise = own_form(own, n * wide * LANES, z, ise)
-        x = own_product(own, 0, z, same(0.0, shape.x))
+        moved = first_of(x, acting, felt, shape.z)
+        ise = own_form(own, n * wide * LANES, moved, ise)
+        x = own_product(own, 0, moved, same(0.0, shape.x))
         weight = run.rest if k == run.samples - 1 else 1.0
         weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
         energy = times(same(weight, _ONE), squares(weighed, none), energy)
@@ -379,12 +417,13 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, taps, plant, run, clip, relayed, sight, force, start, count,
-    path, keep,
+    shape, factored, dense, model, memory, taps, plant, run, clip, relayed, sight, force, start,
+    count, path, keep,
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip`, and
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
+    it remembers. That may be None, and so may `clip`, and
     `relayed` and `sight`, what the law hears (`layout.Hearing`), and `force`, what the plant feels
     (`forces`), may be None. `path`, empty or for at most eight scenarios, gets x and u of every
     sample from `keep` on.
@@ -394,8 +433,8 @@ def run_scenarios(
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, plant, run, clip, relayed, sight, force, start + at, few,
-            out, path, keep, at, taps,
+            shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force,
+            start + at, few, out, path, keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):
             for lane in range(few):

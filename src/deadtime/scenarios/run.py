@@ -14,6 +14,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.memory import WithMemory, tables_of
 from deadtime.imperfections import (
     Disturbance,
     Imperfection,
@@ -239,17 +240,22 @@ def _tables(
         return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}
-    tables = {name: _table(engine, loop, law) for name, law in laws.items()}
+    timed = any(isinstance(one, TimingImperfection) for one in imperfections)
+    tables = {name: _table(engine, loop, law, timed) for name, law in laws.items()}
     return {name: table for name, table in tables.items() if table is not None}
 
 
-def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Table] | None:
+def _table(
+    engine: Engine, loop: Loop, law: Law, timed: bool
+) -> Callable[[SignalBatch], Table] | None:
     """What makes a table of a law along signals; None for one that the engine cannot run."""
     from deadtime.scenarios.model_ahead import ModelAhead
 
+    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
+    if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
+        return _with_memory(engine, loop, law, timed)
     if not isinstance(law, TableLaw):
         return None
-    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if law.foresight(step, anything, samples) is not None:
         ahead = ModelAhead(law, law.sampled_plant(step), samples)
         if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:
@@ -259,6 +265,23 @@ def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Tabl
     if feedback.context == "step":
         return None
     table = engine.table(feedback)
+    return lambda signals: table
+
+
+def _with_memory(
+    engine: Engine, loop: Loop, law: Law, timed: bool
+) -> Callable[[SignalBatch], Table] | None:
+    """The same of a law that remembers; with measurements within periods, of one C for all modes.
+
+    Its memory is filled for one run, but for what the modes of a run do to it.
+    """
+    tables, C = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1), law.outputs
+    if tables is None or tables.memory is None or tables.feedback is None or C is None:
+        return None
+    wide = max(part.shape[-1] for part in (tables.memory.Phi, tables.memory.Gamma))
+    if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:
+        return None
+    table = engine.remember(tables.feedback, tables.memory, C)
     return lambda signals: table
 
 
