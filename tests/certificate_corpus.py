@@ -127,6 +127,22 @@ CASES: dict[str, Case] = {
         lambda: slow([[0.34, 0.1], [0.05, 0.26]]),
         *(0.23, 0.1, {"maximum_dwell": 0.6}),
     ),
+    "ranges-inputs": (
+        lambda: several([0.34, 0.17]),
+        *(0.3, 0.1, {"delays": ([0.335, 0.165], [0.345, 0.175])}),
+    ),
+    "ranges-one": (
+        lambda: several([0.34, 0.34]),
+        *(0.3, 0.1, {"delays": ([0.33, 0.34], [0.36, 0.34])}),
+    ),
+    "ranges-modes": (
+        lambda: designed(with_delay(PAIR, [[0.3], [0.27]])),
+        *(0.23, 0.1, {"delays": ([[0.299], [0.268]], [[0.3], [0.272]])}),
+    ),
+    "ranges-polytope": (
+        lambda: (corners((1, 1), (1.05, 1)), DELAYED),
+        *(0.2, 0.1, {"delays": ([[0.29], [0.25]], [[0.3], [0.3]])}),
+    ),
     "rate": (lambda: designed(PAIR), 0.2, 0.1, {"decay_rate": 0.3}),
 }
 
@@ -144,6 +160,7 @@ STRETCHES = {
     "stretches-range": ("range", (0, 1, 2)),
     "stretches-polytope": ("polytope-mode", (0, 1)),
     "stretches-delays": ("delays-both", (1, 2)),
+    "stretches-ranges": ("ranges-modes", (0, 1, 2)),
     "stretches-one-mode": ("one-mode", (0,)),
 }
 

@@ -31,15 +31,14 @@ def integrate(A, forcing, x, begin, end, breaks):
 def rough(run, delays, lead=0.0, deep=3):
     """Where u may jump or bend: 0, switches, jumps of u₀, and shifts by delays anyone reads.
 
-    A law that foresees switches `lead` seconds ahead jumps there, too.
+    A law that foresees switches so many seconds ahead (a number, or several) jumps there, too.
     """
     end = run.record.inputs.edges[-1]
     shifts = np.unique(np.concatenate([np.ravel(d) for d in delays]))
     apart = [np.abs(row[:, None] - row).ravel() for d in delays for row in np.atleast_2d(d)]
     shifts = np.unique(np.concatenate((shifts, *apart)))[1:]
-    front = np.array(
-        [0.0, run.record.inputs.edges[0], *run.signal.times, *(run.signal.times - lead)]
-    )
+    foreseen = np.subtract.outer(run.signal.times, lead).ravel()
+    front = np.array([0.0, run.record.inputs.edges[0], *run.signal.times, *foreseen])
     found = [front]
     for _ in range(deep):
         front = np.unique(np.add.outer(front, shifts).round(13))
@@ -94,18 +93,30 @@ def feedback(run, t, A, B, delays, K, bends):
     return answer
 
 
-def foreseen(run, t, model, K, bends):
-    """u(t) of the law that knows the signal, its model having one delay."""
-    delay, signal = model.delays[0, 0], run.signal
-    x, switches = state(run, t), [s for s in signal.times if t < s < t + delay]
-    for a, b in itertools.pairwise([t, *switches, t + delay]):
-        i = int(signal(np.array([0.5 * (a + b)]))[0])
+def foreseen(run, t, believed, system, K, bends):
+    """u(t) of the exact law along a signal that it believes in.
+
+    `believed` are (start, system) pairs, `system` the A, B and delays of all, K (systems, m, n).
+    """
+    A, B, delays = system
+    breaks = np.concatenate([bends + d for d in np.unique(delays)])
+    x, s, answer = state(run, t), t, np.full(delays.shape[1], np.nan)
+    while True:
+        i = [system for start, system in believed if start <= s + 1e-13][-1]
+        read = np.isnan(answer) & (t + delays[i] <= s + 1e-13)
+        answer[read] = (K[i] @ x)[read]
+        if not np.isnan(answer).any():
+            return answer
+        marks = np.array([start for start, _ in believed] + (t + delays[i]).tolist())
+        stop = marks[marks > s + 1e-13].min()
+        flying = np.flatnonzero(0.5 * (s + stop) - delays[i] < t)
+        landed = np.setdiff1d(np.arange(answer.size), flying)
         x = integrate(
-            model.A[i],
-            lambda s, i=i: arriving(run, s, model.delays[0], range(K.shape[1])) @ model.B[i].T,
+            A[i] + B[i][:, landed] @ K[i][landed],
+            lambda s, i=i, f=flying: arriving(run, s, delays[i], f) @ B[i][:, f].T,
             x,
-            a,
-            b,
-            bends + delay,
+            s,
+            stop,
+            breaks,
         )
-    return K[int(signal(np.array([t + delay]))[0])] @ x
+        s = stop

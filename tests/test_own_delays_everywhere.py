@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import expm
 
 import deadtime as dt
-import plants
 from c_code import Library, needs_compiler
 from deadtime.cli.entry import main
 from deadtime.problems import load_problem
@@ -127,22 +126,6 @@ def test_the_controller_in_python_and_in_c_gives_the_inputs_of_the_loop(tmp_path
     np.testing.assert_allclose(found.T, run.inputs, rtol=0.0, atol=1e-12 * size)
 
 
-@needs_compiler
-@pytest.mark.parametrize(
-    "count", [5_000, pytest.param(1_000_000, marks=pytest.mark.long)], ids=["few", "million"]
-)
-def test_the_c_gives_what_the_table_says_of_any_inputs_that_were_applied(tmp_path, count):
-    law = LAWS["expected"]
-    dt.Controller(law, STEP).export_c(tmp_path)
-    library, rng = Library(tmp_path, PLANT), np.random.default_rng(0)
-    assert library.reset() == 0
-    x, applied = rng.normal(size=(count, 3)), rng.normal(size=(count, 2))
-    modes = np.repeat(rng.integers(0, 3, size=count), 7)[:count]
-    found = library.run(x, modes, [None, *applied[:-1]])[0]
-    u, scale = plants.expected_inputs(law.digital(STEP), x, modes, applied)
-    assert (np.abs(found - u) <= 1e-13 * scale).all()
-
-
 def test_an_observer_of_the_right_plant_forgets_its_first_error():
     C = np.eye(3)[:2]
     observer = dt.kalman(PLANT, C, np.eye(3), np.eye(2), step=STEP)
@@ -193,5 +176,10 @@ def test_sweeps_move_all_of_them_or_one():
     assert draft["plant"]["delay"] == [[0.8, 0.2], [0.5, 0.2]]
     draft = {"plant": {"delay": [0.4, 0.1]}}
     axis_of("delay.1").write(draft, 0.3)
+    table, one = {"plant": {"delay": [[0.4, 0.1], [0.2, 0.1]]}}, {"plant": {"delay": 0.4, "B": B}}
+    axis_of("delay.1").write(table, 0.3)
+    assert table["plant"]["delay"] == [[0.4, 0.3], [0.2, 0.3]]
+    axis_of("delay.1").write(one, 0.3)
+    assert one["plant"]["delay"] == [0.4, 0.3]
     axis_of("delay_error").write(draft, 0.5)
     assert draft["truth"]["delay"] == pytest.approx([0.6, 0.45])

@@ -57,6 +57,7 @@ from types import SimpleNamespace
 from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
 BITS, TERMS, EXACT_ORDER, CELLS, DEEPEST = 160, 24, 16, 20000, 60  # cells kept; their bisections
+NEAR = Fraction(1, 10**9)  # of a period: a time so near a multiple of it is that multiple
 LARGEST_FILE, LARGEST_ORDER, LARGEST_NORM = 1 << 30, 1500, 1024  # bytes; of ξ; of A h and B h
 
 
@@ -127,8 +128,12 @@ def certificate(content):
     c.A = nested(A, "A", c.vertices, c.modes, c.n, c.n)
     c.B = nested(B, "B", c.vertices, c.modes, c.n, c.m)
     each = type(c.delays[0]) is list  # delays of every mode and input; else low and high of one
-    D = nested(c.delays, "delays", *(c.modes, c.m) if each else (2,))
-    c.D = [[(x, x) for x in row] for row in D] if each else [[tuple(D)] * c.m] * c.modes
+    c.box = each and type(c.delays[0][0]) is list  # low and high of every mode and input
+    D = nested(c.delays, "delays", *(2,) * (c.box or not each), *(c.modes, c.m) * each)
+    low, high = D if c.box or not each else (D, D)
+    every = [(i, j) for i in range(c.modes) for j in range(c.m)]
+    pairs = [(low[i][j], high[i][j]) if each else (low, high) for i, j in every]
+    c.D = [pairs[i * c.m : i * c.m + c.m] for i in range(c.modes)]
     c.context, ages, step, F, G = take(law, "law", "context ages step F G")
     c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
     rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
@@ -221,10 +226,15 @@ class Loop:
         self.c, self.n, self.modes, self.deadline = c, c.n, range(c.modes), deadline
         gains = itertools.chain(*c.F, *itertools.chain(*c.G))
         self.acts, self.h = any(map(any, gains)), ball(c.step)  # else no input travels
-        self.marks, self.lags = self.clock(c.D if self.acts else [[]] * c.modes)
-        self.reads = sorted({(N, j) for i in self.lags for q in i for j, N in enumerate(q)})
+        self.boxed = c.box and self.acts
+        if self.boxed:
+            self.places, self.reads = self.box_clock()
+        else:
+            self.marks, self.lags = self.clock(c.D if self.acts else [[]] * c.modes)
+            self.reads = sorted({(N, j) for i in self.lags for q in i for j, N in enumerate(q)})
         self.q0, self.q1, self.last = self.ages()
-        self.ranged, N = self.acts and c.D[0][0][0] < c.D[0][0][1], max([0, *dict(self.reads)])
+        self.ranged = self.acts and any(low < high for row in c.D for low, high in row)
+        N = max([0, *dict(self.reads)])
         self.held, self.k = max(N, len(c.G[0])) * self.acts, c.n + len(self.reads)
         self.d = c.n + c.m * self.held
         need(self.d <= LARGEST_ORDER, f"its order is above this verifier's {LARGEST_ORDER}")
@@ -234,24 +244,37 @@ class Loop:
         self.table, self.V = lru_cache(room)(self.new_table), lru_cache(room)(self.new_V)
         self.full = lru_cache(room)(self.new_full)
         self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
+        self.X_of = lru_cache(self.generator_of)
 
     def clock(self, each):
         """0, each φ below h, and h, and how the range moves them; lags by mode, part and input."""
-        h, near, at, marks, here = self.h, Fraction(1, 10**9), {}, [(arb(0), arb(0))], -1
+        h, at, marks, here = self.h, {}, [(arb(0), arb(0))], -1
         for D in {D for row in each for D in row}:
-            ratios = [Fraction(repr(x)) / Fraction(repr(self.c.step)) for x in D]
-            ratios = [round(r) if abs(r - round(r)) <= near else r for r in ratios]
-            late = math.ceil(ratios[1]) - 1  # N − 1
-            first, last = (r - late for r in ratios)  # φ/h
-            need(late >= 0 and first >= 0, "the delays are not within one period")
-            low = ball(D[0]) - late * h if first else arb(0)
-            at[D] = last, first == 1, late, (low, (ball(D[1]) - late * h if last < 1 else h) - low)
+            late, first, last, low, high = self.phases(D)
+            at[D] = last, first == 1, late, (low, high - low)
         for D, (last, whole, late, mark) in sorted(at.items(), key=lambda item: item[1][0]):
-            if not whole and last - here > near:
+            if not whole and last - here > NEAR:
                 here, marks = last, [*marks, mark]
             at[D] = [late + 1] * (len(marks) - 1 + whole) + [late] * (1 + len(at))  # by part
         lags = [[[at[D][q] for D in row] for q in range(len(marks))] for row in each]
         return [*marks, (h, arb(0))], lags
+
+    def phases(self, D):
+        """N − 1, both ends of φ/h, and of φ in balls, of a range of delays."""
+        h, ratios = self.h, [Fraction(repr(x)) / Fraction(repr(self.c.step)) for x in D]
+        ratios = [round(r) if abs(r - round(r)) <= NEAR else r for r in ratios]
+        late = math.ceil(ratios[1]) - 1
+        first, last = (r - late for r in ratios)
+        need(late >= 0 and first >= 0, "the delays are not within one period")
+        low = h if first == 1 else ball(D[0]) - late * h if first else arb(0)
+        return late, first, last, low, ball(D[1]) - late * h if last < 1 else h
+
+    def box_clock(self):
+        """The phases of every mode and input, and what is read: each at N, and N − 1 if φ < h."""
+        places = [[self.phases(D) for D in row] for row in self.c.D]
+        every = [(j, at) for row in places for j, at in enumerate(row)]
+        reads = {(late + 1, j) for j, (late, *_) in every}
+        return places, sorted(reads | {(at[0], j) for j, at in every if at[1] < 1})
 
     def ages(self):
         """q₀, q₁ (None: no bound) and `last`."""
@@ -336,6 +359,74 @@ class Loop:
             E, before = P * E, X
         return [part(Q, 0, self.n, 0, k) for Q in (E, *D)]
 
+    def generator_of(self, vertex, mode, read):
+        """X of a piece in which one input alone acts, the others' columns zero."""
+        c, rows = self.c, []
+        for a, b in zip(c.A[vertex][mode], c.B[vertex][mode], strict=True):
+            rows.append([*map(ball, a), *(ball(b[read[1]]) * (read == r) for r in self.reads)])
+        return arb_mat(rows + [[0] * self.k] * (self.k - self.n))
+
+    def arrivals(self, i, j, q, at, u, f, g):
+        """What input `at` goes through: (mode, lag), its end, how u, f and g move that, f and g the
+        places of its delays in modes i and j. The last piece ends with the period."""
+        (late, first, last, low, high), to = self.places[i][at], self.places[j][at]
+        phase, zero = low + f * (high - low), arb(0)
+        if i == j:
+            found = [(i, late + 1, phase, (zero, high - low, zero)), (i, late, self.h, ())]
+            return found if first < 1 else [(i, late + 1, self.h, ())]
+        (a, b), room = q, lambda x: arb(0).union(x.upper()) if x.upper() > 0 else arb(0)
+        start, width = self.h * fraction(a), self.h * fraction(b - a)
+        s, by_s = start + u * width, (width, zero, zero)
+        # τ = min(s, φ): s where φ is later, φ where it is earlier, else anywhere between
+        if b <= first + NEAR:
+            tau, by = s - room(start + width - low), by_s
+        elif a >= last - NEAR:
+            tau, by = phase - room(high - start), (zero, high - low, zero)
+        else:
+            tau, by = low + f * (s - low), (f * width, s - low, zero)
+        found = [(i, late + 1, s, by_s)]
+        if first < 1:
+            found = [(i, late + 1, tau, by), (i, late, s, by_s)]
+        late, first, last, low, high = to
+        # τ = max(s, φ)
+        if a >= last - NEAR:
+            tau, by = s + room(high - start), by_s
+        elif b <= first + NEAR:
+            tau, by = low + g * (high - low) + room(start + width - low), (zero, zero, high - low)
+        else:
+            tau, by = s + g * (high - s), ((1 - g) * width, zero, high - s)
+        if first < 1:
+            return [*found, (j, late + 1, tau, by), (j, late, self.h, ())]
+        return [*found, (j, late + 1, self.h, ())]
+
+    def box_period(self, i, j, q, p, slopes):
+        """The same as `period` for delays that each have a range, by u, by the place in each."""
+        c, k, n, m = self.c, self.k, self.n, self.c.m
+        u, f, g, weights = p[0], p[1 : m + 1], p[m + 1 : 2 * m + 1], p[2 * m + 1 :]
+        zero, totals = arb_mat(k, k), None
+        for at in range(m):
+            E, D, before, now = eye(k), [zero] * len(p), zero, arb(0)
+            moved, places = (arb(0),) * 3, (0, 1 + at, 1 + m + at)
+            for mode, lag, end, by in self.arrivals(i, j, q, at, u, f[at], g[at]):
+                first, *others = [self.X_of(v, mode, (lag, at)) for v in range(c.vertices)]
+                steps = [X - first for X in others]
+                X = sum((w * dX for w, dX in zip(weights, steps, strict=True)), first)
+                P = exponential(X * (end - now))
+                if slopes:
+                    for place, rate in zip(places, moved, strict=True):
+                        D[place] += (before - X) * E * rate
+                    D = [P * slope for slope in D]
+                    for v, dX in enumerate(steps, 2 * m + 1):
+                        doubled = exponential(block([[X, dX], [zero, X]]) * (end - now))
+                        D[v] += part(doubled, 0, k, k, 2 * k) * E
+                E, before, now, moved = P * E, X, end, by
+            # The columns of x are the same for all inputs, those of the others' reads are zero.
+            found = [part(Q, 0, n, 0, k) for Q in (E, *D)]
+            if totals is not None:
+                found = [block([[arb_mat(n, n), part(Q, 0, n, n, k)]]) for Q in found]
+            totals = [a + b for a, b in zip(totals, found, strict=True)] if totals else found
+        return totals
+
     def new_enclosure(self, i, j, q, simplices):
         """(E, R) at the centre and at the corners of a cell; how much each simplex moves E."""
         corners = [[x for v in vs for x in v] for vs in itertools.product(*simplices)]
@@ -343,8 +434,9 @@ class Loop:
         middle = [sum(x, fmpq(0)) / len(x) for x in places]
         widths = [max(abs(x - y) for x in xs) for xs, y in zip(places, middle, strict=True)]
         box = [y + arb(0, 1) * arb(w) for y, w in zip(middle, widths, strict=True)]
-        E = self.period(i, j, q, [arb(y) for y in middle], False)[0]
-        D = self.period(i, j, q, box, True)[1:] if any(widths) else []
+        period = self.box_period if self.boxed else self.period
+        E = period(i, j, q, [arb(y) for y in middle], False)[0]
+        D = period(i, j, q, box, True)[1:] if any(widths) else []
         spread = ((S - S.mid()) * arb(w) for S, w in zip(D, widths, strict=False))
         spread = sum(spread, arb_mat(self.n, self.k))
         found = [(E.mid(), E - E.mid())]
@@ -352,8 +444,8 @@ class Loop:
             moves = (S.mid() * arb(x - y) for S, x, y in zip(D, corner, middle, strict=False))
             X = sum(moves, E)
             found.append((X.mid(), X - X.mid() + spread))
-        u, f, *v = [float(norm(S) * w) for S, w in zip(D, widths, strict=False)] or (0.0, 0.0)
-        return found, [u, f, sum(v)]
+        moves = iter([float(norm(S) * w) for S, w in zip(D, widths, strict=False)])
+        return found, [sum(next(moves, 0.0) for _ in vs[0]) for vs in simplices]
 
     def new_full(self, mode, start, end):
         """The product of the periods without a switch; by halves, so that the balls grow less."""
@@ -374,6 +466,8 @@ class Loop:
         high = 0 if i == j else min(1, self.longest - age) if self.c.maximum else 1
         low, high = (self.h * x.numerator / x.denominator for x in (low, high))  # s of a switch
         weights = tuple(tuple(fmpq(p == q) for p in count[1:]) for q in count)
+        if self.boxed:
+            return self.box_roots(i, j, low, high, weights)
         for q, ((a, ra), (b, rb)) in enumerate(itertools.pairwise(self.marks)):
             first, last = (low - a - ra) / (b + rb - a - ra), (high - a) / (b - a)  # u, for all φ
             u0 = float(first.lower()) - 2**-50 if first.is_finite() and i != j else 0.0
@@ -382,6 +476,33 @@ class Loop:
             if u0 <= 1 and u1 >= 0 and (i != j or q == 0):
                 found.append((q, (tuple((x,) for x in ends), f, weights)))
         return found
+
+    def box_roots(self, i, j, low, high, weights):
+        """The same where each delay has its range: s is cut at both ends of all of them."""
+        marks, found, switches = [Fraction(0)], [], i != j
+        ends = {x for mode in (i, j) for at in self.places[mode] for x in at[1:3] if switches}
+        for x in sorted(ends):
+            marks += [x] * (x - marks[-1] > NEAR and 1 - x > NEAR)
+        for a, b in itertools.pairwise([*marks, Fraction(1)]):
+            start, width = self.h * fraction(a), self.h * fraction(b - a)
+            u0 = float(((low - start) / width).lower()) - 2**-50
+            u1 = float(((high - start) / width).upper()) + 2**-50
+            u = sorted({fmpq(*min(1.0, max(0.0, x)).as_integer_ratio()) for x in (u0, u1)})
+            # A delay in mode i plays no part if s is before all of its φ, one in j if after them.
+            heard = [not switches or b > at[1] + NEAR for at in self.places[i]]
+            heard += [switches and a < at[2] - NEAR for at in self.places[j]]
+            spans = [
+                ((fmpq(0),), (fmpq(1),))[: 1 + (counts and at[1] < at[2])]
+                for counts, at in zip(heard, self.places[i] + self.places[j], strict=True)
+            ]
+            if not switches or (u0 <= 1 and u1 >= 0):
+                us = tuple((x,) for x in (u if switches else [fmpq(0)]))
+                found.append(((a, b), (us, *spans, weights)))
+        return found
+
+
+def fraction(x):
+    return arb(fmpq(x.numerator, x.denominator))
 
 
 def linear(loop):
@@ -465,6 +586,7 @@ def summary(c):
     if c.chatter > 1:
         signals = f"{c.chatter} + T/({c.dwell!r} s) switches or fewer in any T, one in a period"
     (low, high), D = c.D[0][0], c.delays if type(c.delays[0]) is list else c.delays[0]
+    low, high = c.delays if c.box else (low, high)
     D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")

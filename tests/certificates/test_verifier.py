@@ -6,7 +6,9 @@ import itertools
 import json
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import mpmath
 import numpy as np
@@ -16,6 +18,7 @@ import certificate_corpus as corpus
 import certificate_forgeries as forgeries
 import certificate_reference as reference
 import deadtime as dt
+import delayed_loops
 from deadtime.base.errors import CertificateFileError
 
 VERIFY = Path(__file__).parents[2] / "verifier/verify.py"
@@ -39,7 +42,7 @@ def by_the_package(path):
 
 def test_the_verifier_is_one_short_file_that_imports_python_and_flint_alone():
     text = VERIFY.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 500
+    assert len(text.splitlines()) <= 640
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -104,6 +107,14 @@ def test_whatever_is_no_certificate_gets_a_line_and_no_traceback(tmp_path):
         (("rate", forgeries.put("signals.dwell_time", 0.09)), "dwell time is below one period"),
         (("rate", forgeries.put("decay_rate", 1.0)), "decay_rate is above −ln ρ/h"),
         (("range", forgeries.put("plant.delays", [0.2, 0.31])), "not within one period"),
+        (
+            ("ranges-modes", forgeries.put("plant.delays", [[[0.299], [0.268]], [[0.3], [0.301]]])),
+            "not within one period",
+        ),
+        (
+            ("ranges-modes", forgeries.put("plant.delays", [[[0.299], [0.21]], [[0.3], [0.3]]])),
+            "V does not decrease",
+        ),
         (("rate", forgeries.put("plant.delays", [200.0, 200.0])), "order is above"),
         (("rate", forgeries.put("plant.delays", [0.35, 0.35])), "P has not the order 6"),
         (("rate", forgeries.put("plant.delays", [1e-12, 1e-12])), "not within one period"),
@@ -151,6 +162,8 @@ def test_the_line_tells_the_loop_and_the_signals():
     assert "3 + T/(0.2 s) switches or fewer in any T" in lines[2]
     (line,) = run(corpus.CORPUS / "delays-both.json")[1]
     assert "D = [[0.34, 0.17], [0.22, 0.26]] s" in line
+    (line,) = run(corpus.CORPUS / "ranges-modes.json")[1]
+    assert "every constant D of [[0.299], [0.268]] to [[0.3], [0.272]] s" in line
 
 
 # -- its enclosures, against fifty digits --------------------------------------------------
@@ -199,6 +212,48 @@ def test_exponentials_and_periods_are_enclosed():
                 ball[i][j].contains(float(E[i, j])) or abs(ball[i][j] - float(E[i, j])) < 1e-12
                 for i, j in np.ndindex(*E.shape)
             )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_periods_at_delays_in_their_ranges_are_those_of_the_definition(seed):
+    verify, rng = module(), np.random.default_rng(seed)
+    verify.ctx.prec = verify.BITS
+    content, _ = verify.parsed(str(corpus.CORPUS / "ranges-inputs.json"))
+    low, high = np.array([[0.32, 0.11], [0.34, 0.2]]), np.array([[0.37, 0.19], [0.34, 0.3]])
+    loop = object.__new__(verify.Loop)
+    loop.c = c = SimpleNamespace(
+        **{name: np.array(content["plant"][name]).tolist() for name in "AB"},
+        **{"vertices": 1, "modes": 2, "n": 2, "m": 2, "step": 0.1, "maximum": None},
+        D=np.stack([low, high], axis=2).tolist(),
+    )
+    loop.n, loop.h, loop.bucket, loop.shortest = 2, verify.ball(0.1), False, Fraction(1)
+    loop.places, loop.reads = loop.box_clock()
+    loop.k, loop.X_of, loop.ranged, loop.boxed = 2 + len(loop.reads), loop.generator_of, True, True
+    delays = low + rng.choice([0.0, 1.0, rng.uniform()], size=low.shape) * (high - low)
+    plant = delayed_loops.Plant(np.array(c.A)[0], np.array(c.B)[0], delays, 0.1)
+    s = float(rng.uniform())  # of a period
+    phases = delays / 0.1 - np.ceil(low / 0.1 + 1e-6) + 1
+    for i, j in ((0, 0), (0, 1), (1, 0)):
+        cells = loop.roots(i, j, 9)
+        (a, b), _ = next(cell for cell in cells if cell[0][0] <= s <= cell[0][1])
+        places = [(s - float(a)) / float(b - a)]
+        for mode in (i, j):
+            for (_, first, last, *_), phase in zip(loop.places[mode], phases[mode], strict=True):
+                first, last = float(first), float(last)
+                f = (phase - first) / (last - first or 1.0)
+                around = first + 1e-9 < b and a < last - 1e-9
+                if i != j and mode == i and around:
+                    inside = first - 1e-9 <= float(a) and float(b) <= last + 1e-9
+                    f = (min(s, phase) - first) / (s - first) if inside else f
+                if i != j and mode == j and around:
+                    inside = first - 1e-9 <= float(a) and float(b) <= last + 1e-9
+                    f = (max(s, phase) - s) / (last - s) if inside else f
+                places.append(f)
+        E = loop.box_period(i, j, (a, b), [verify.arb(x) for x in places], False)[0]
+        columns = [*range(2), *(2 + 2 * lag + at for lag, at in loop.reads)]
+        exact = plant.rows(i, None if i == j else j, Fraction(s))[:, columns]
+        found = np.array([float(x.mid()) for x in E.entries()]).reshape(2, -1)
+        assert found == pytest.approx(exact, rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.long

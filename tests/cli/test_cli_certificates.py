@@ -45,7 +45,7 @@ def made_up(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     asked = []
 
-    def certify(plant, law, dwell_time, step, decay_rate):
+    def certify(plant, law, dwell_time, step, decay_rate, delays=None):
         asked.append((law.label, dwell_time, step, decay_rate))
         if law.label not in ANSWERS:
             raise dt.ArgumentError("this law cannot be asked about.")
@@ -60,7 +60,8 @@ def made_up(monkeypatch, tmp_path):
             save=lambda path: path.write_text(law.label) and path,
         )
 
-    margin = SimpleNamespace(lower=0.99, upper=1.012, message="between 0.99 s and 1.012 s")
+    text = "between 0.99 s and 1.012 s"
+    margin = SimpleNamespace(lower=0.99, upper=1.012, differ=False, message=text)
     for place, function in {
         "certificates.certify": certify,
         "certificates.falsify": lambda plant, law, dwell_time, step: CALM,
@@ -320,3 +321,23 @@ def test_a_law_with_no_certificate_is_reported_not_raised(capsys, law):
     assert (code, err) == (1, "")
     assert "no answer" in out
     assert "is not above one period" in " ".join(out.split())
+
+
+def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, monkeypatch):
+    asked = []
+
+    def judge(problem, dwell_time, step, laws, decay_rate, progress, delays):
+        asked.append(delays)
+        return []
+
+    monkeypatch.setattr(import_module("deadtime.reports.tables.certificates"), "judge", judge)
+    ranges = ("--delays", "[0.25,0.12]", "[[0.28,0.15],[0.3,0.15]]")
+    code, out, _ = run(capsys, "certify", "paper", *ranges, "--json")
+    assert code == 0
+    assert asked == [([0.25, 0.12], [[0.28, 0.15], [0.3, 0.15]])]
+    assert json.loads(out)["delays"] == [[0.25, 0.12], [[0.28, 0.15], [0.3, 0.15]]]
+    code, _, err = run(capsys, "certify", "paper", "--delays", "[0.3", "0.1]")
+    assert code == 2
+    assert "--delays must be two numbers, or two lists such as [0.3,0.1], got '[0.3'" in err
+    run(capsys, "certify", "paper", "--delays", "0.9", "1")
+    assert asked[-1] == (0.9, 1)

@@ -1,5 +1,6 @@
 """Laws in python-control: its simulator gives the loop that ours gives."""
 
+import itertools
 import sys
 
 import numpy as np
@@ -10,7 +11,6 @@ import plants
 from deadtime.controller import law_to_control, loop_to_control, plant_to_control
 
 control = pytest.importorskip("control")
-pytest.importorskip("control")
 
 GENERIC = plants.generic()
 STEP = 0.05
@@ -30,6 +30,64 @@ def test_python_control_closes_the_loop_as_simulate_does(name):
     run = dt.simulate(plant, law, signal, initial[:3], TIMES[-1], STEP)
     plants.close(found.outputs[:3], run.states, 1e-12)
     plants.close(found.outputs[3:, :-1], run.inputs[:, :-1], 1e-12)
+
+
+OWN = np.array([[0.312, 0.07], [0.2, 0.161], [0.05, 0.243]])
+
+
+def of_definition(plant, table, signal, x0, periods):
+    """States and inputs at the samples: what arrives when by the delays alone, SciPy's exponential.
+
+    Switches lie on the grid. Before 0 all inputs are 0.
+    """
+    from scipy.linalg import expm
+
+    n, m = plant.states, plant.inputs
+    u, x, states = [], np.array(x0, float), []
+    modes = np.array([signal(k * STEP + 1e-9) for k in range(periods)])
+    rows = table.rows(modes)
+    for k in range(periods):
+        states.append(x)
+        past = [u[k - j] if k >= j else np.zeros(m) for j in range(1, table.taps + 1)]
+        given = sum(G @ one for G, one in zip(table.input_gain[rows[k]], past, strict=True))
+        u.append(table.state_gain[rows[k]] @ x + given)
+        A, B, delays = plant.A[modes[k]], plant.B[modes[k]], plant.delays[modes[k]]
+        cuts = sorted({0.0, STEP, *(delays % STEP).tolist()})
+        for a, b in itertools.pairwise(cuts):
+            sent = np.floor(k + (0.5 * (a + b) - delays) / STEP).astype(int)
+            acting = [u[i][j] if i >= 0 else 0.0 for j, i in enumerate(sent)]
+            Z = np.zeros((n + m, n + m))
+            Z[:n] = np.hstack((A, B))
+            x = (expm(Z * (b - a)) @ np.concatenate((x, acting)))[:n]
+    return np.array(states).T, np.array(u).T
+
+
+@pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware", "expected", "delayed"])
+def test_with_several_delays_the_loop_is_that_of_their_definition(name):
+    """Another plant than the model's, its own delays per mode and input."""
+    model = dt.SwitchedSystem(GENERIC.A, GENERIC.B, OWN)
+    plant = dt.SwitchedSystem(1.03 * GENERIC.A, 0.98 * GENERIC.B, OWN + 0.021)
+    law = plants.LAWS[name](model)
+    signal = dt.SwitchingSignal([0.0, 0.45, 0.6, 1.1, 1.9], [0, 2, 1, 0, 2])
+    loop, initial = loop_to_control(plant, law, STEP)
+    initial[:3] = 1.0, -1.0, 0.5
+    modes = np.array([signal(t + 1e-9) for t in TIMES], float)
+    found = control.input_output_response(loop, TIMES, modes, initial)
+    states, inputs = of_definition(plant, law.digital(STEP), signal, initial[:3], TIMES.size)
+    plants.close(found.outputs[:3], states, 1e-12)
+    plants.close(found.outputs[3:], inputs, 1e-12)
+
+
+def test_the_loop_of_several_delays_grows_as_it_is_said_to():
+    """With a mode held the loop is linear: the spectral radius of its matrix is e^(rate h)."""
+    plant = dt.SwitchedSystem(GENERIC.A, GENERIC.B, OWN)
+    law = plants.LAWS["averaged"](plant)
+    loop, initial = loop_to_control(plant, law, STEP)
+    for mode in range(3):
+        starts = np.eye(initial.size)[:-2] + initial
+        matrix = [loop.dynamics(0.0, start, [float(mode)])[:-2] for start in starts]
+        rate = np.log(np.abs(np.linalg.eigvals(matrix)).max()) / STEP
+        assert rate == pytest.approx(dt.growth_rate(plant, law, mode, STEP), abs=1e-8)
 
 
 def test_the_age_of_the_first_mode_is_the_one_given():

@@ -96,11 +96,7 @@ def test_a_period_is_cut_at_every_arrival_and_fractions_that_are_one_are_one():
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda plant, law: dt.delay_limit(plant, 0),
         lambda plant, law: dt.theorem_bound(plant, law.gains, 0.5),
-        lambda plant, law: dt.simulate(plant, law, dt.HalfSpace([1.0]), [1.0], 1.0),
-        lambda plant, law: dt.StateDependentPredictor(plant, law.gains, dt.HalfSpace([1.0])),
-        lambda plant, law: dt.design(plant, delay_margin=0.1),
     ],
 )
 def test_what_knows_one_delay_only_refuses_several_by_name(ask):
@@ -137,11 +133,15 @@ def test_rows_of_different_lengths_are_refused():
         dt.SwitchedSystem(A, B, [[0.3], [0.2, 0.1]])
 
 
-def test_robustness_leaves_out_the_margins_that_it_does_not_know():
+def test_robustness_says_what_all_delays_and_each_inputs_delay_may_be():
     plant = dt.SwitchedSystem([[[0.1]], [[0.2]]], [[[1.0, 0.5]], [[1.0, 0.6]]], [0.3, 0.1])
     law, signal = dt.AveragedPredictor(plant, dt.place(plant, [-1.0])), dt.SwitchingSignal([0], [0])
     found = dt.robustness(plant, law, signal, [1.0], 3.0, 0.1, scenarios=2)
-    assert found.left_out == ("delay margin", "gain margin")
-    assert (
-        "The delay margin was left out: it is not known for several delays yet." in found.sentences
-    )
+    assert found.left_out == ()
+    assert [one.input for one in found.of_inputs] == [0, 1]
+    said = [found.delay, *found.of_inputs, found.gain]
+    assert [text[:-1].lower() for text in found.sentences[:4]] == [
+        one.message.lower() for one in said
+    ]
+    for j, sentence in enumerate(found.sentences[1:3]):
+        assert f"the true delay of input {j} is" in sentence

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 import deadtime as dt
 import ideal_residual
 from deadtime.simulation.ideal.breakpoints import Shift, pass_on
+from shares import mostly_long
 
 SEEDS = range(8)
 
@@ -40,7 +41,11 @@ def expected(law, run, t, bends):
     if isinstance(law, dt.DelayedStateFeedback):
         return law.gains[i] @ run.record.states_at(np.array([t]))[0]
     if isinstance(law, dt.ExactPredictor):
-        return ideal_residual.foreseen(run, t, law.plant, law.gains, bends)
+        believed = list(zip(run.signal.times, run.signal.modes, strict=True))
+        parts = model.A, model.B, model.delays
+        return ideal_residual.foreseen(run, t, believed, parts, law.gains, bends)
+    if getattr(law, "dwell_time", None):
+        return dwelling(law, run, t, bends)
     one = ideal_residual.feedback
     if isinstance(law, dt.MeanPredictor):
         return one(run, t, *law.mean, model.delays.mean(axis=0), law.gain, bends)
@@ -52,12 +57,39 @@ def expected(law, run, t, bends):
     )
 
 
+def dwelling(law, run, t, bends):
+    """u(t) of a law that trusts the mode for its dwell time."""
+    model, mode = law.plant, int(run.signal(np.array([t]))[0])
+    until = max(s for s in run.signal.times if s <= t) + law.dwell_time
+    mean = isinstance(law, dt.MeanPredictor)
+    after = model.mean() if mean else model
+    parts = [
+        np.concatenate((getattr(model, name), getattr(after, name)))
+        for name in ("A", "B", "delays")
+    ]
+    answer = np.zeros(model.inputs)
+    for b in range(after.modes):
+        K = law.gain if mean else law.gains[b]
+        believed = (
+            [(-1.0, mode), (until, model.modes + b)] if until > t else [(-1.0, model.modes + b)]
+        )
+        answer += (1.0 if mean else law.weights[b]) * ideal_residual.foreseen(
+            run, t, believed, parts, np.tile(K, (len(parts[0]), 1, 1)), bends
+        )
+    return answer
+
+
 def check(run, plant, law):
     """Put a run back into the plant's equation and the law's."""
     assert not run.diverged
     model = law.plant
     delays = [plant.delays, model.delays, model.delays.mean(axis=0)]
-    lead = model.delays[0, 0] if isinstance(law, dt.ExactPredictor) else 0.0
+    lead = 0.0
+    if isinstance(law, dt.ExactPredictor):
+        lead = np.unique(model.delays)
+    if getattr(law, "dwell_time", None):
+        reaches = np.append(0.0, np.unique(np.concatenate((model.delays, model.mean().delays))))
+        lead = reaches - law.dwell_time
     bends, size = ideal_residual.rough(run, delays, lead), np.abs(run.states).max()
     for begin, end in ((0.0, 0.4), (0.4, 1.1), (1.1, 1.6)):
         assert ideal_residual.plant_defect(run, plant, begin, end, bends) < 1e-10 * size
@@ -151,22 +183,116 @@ def test_the_digital_loop_tends_to_the_ideal_one_with_order_one():
     assert np.log2(wrong[:-1]) - np.log2(wrong[1:]) == pytest.approx([1.0, 1.0], abs=0.05)
 
 
+FORESEEING = {
+    "oracle": LAWS_OF_ONE["oracle"],
+    "averaged": lambda model, K: dt.AveragedPredictor(
+        model, K, dwell_time=0.25, allow_unstable=True
+    ),
+    "mean": lambda model, K: dt.MeanPredictor(
+        model, K.mean(axis=0), dwell_time=0.25, allow_unstable=True
+    ),
+}
+
+
+def plant_of_a_kind(rng, kind):
+    """Two modes: one input, with a delay per mode, or two inputs, each with its own."""
+    n, m = rng.integers(1, 4), 1 if kind == "per mode" else 2
+    A, B = rng.normal(size=(2, n, n)), rng.normal(size=(2, n, m))
+    delays = rng.uniform(0.15, 0.5, (2, 1) if kind == "per mode" else (m,))
+    return dt.SwitchedSystem(A, B, delays)
+
+
 @pytest.mark.parametrize(
-    "law",
-    [
-        lambda plant, K: dt.AveragedPredictor(plant, K, dwell_time=0.3, allow_unstable=True),
-        lambda plant, K: dt.ExactPredictor(plant, K, allow_unstable=True),
-        lambda plant, K: dt.ExpectedPredictor(
-            plant, K, dt.Markov([[0, 1], [1, 0]]), allow_unstable=True
-        ),
-    ],
+    ("name", "kind", "seed"),
+    mostly_long(
+        [
+            (name, kind, s)
+            for name in FORESEEING
+            for kind in ("per mode", "per input")
+            for s in SEEDS
+        ],
+        *[(name, kind, 3) for name in FORESEEING for kind in ("per mode", "per input")],
+    ),
 )
-def test_laws_without_such_a_form_refuse_several_delays_by_name(law):
+def test_laws_that_believe_in_a_switch_ahead_solve_their_equation(name, kind, seed):
+    rng = np.random.default_rng(200 + seed)
+    plant = plant_of_a_kind(rng, kind)
+    model = plant if seed % 2 == 0 else other_delays_of_a_kind(plant, rng)
+    law, signal = FORESEEING[name](model, random_gains(rng, plant)), random_signal(rng, plant)
+    x0, u0 = rng.normal(size=plant.states), rng.normal(size=plant.inputs)
+    check(dt.simulate(plant, law, signal, x0, 1.6, step=None, u0=u0), plant, law)
+
+
+def other_delays_of_a_kind(plant, rng):
+    """Other delays and matrices, with delays that differ between what they differed between."""
+    scale = rng.uniform(0.8, 1.2, plant.inputs)
+    return dt.SwitchedSystem(0.9 * plant.A, 1.1 * plant.B, plant.delays * scale)
+
+
+@pytest.mark.long
+def test_the_oracle_does_so_where_every_mode_and_input_has_its_own():
+    rng = np.random.default_rng(9)
+    A, B = rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3, 2))
+    plant = dt.SwitchedSystem(A, B, [[0.3, 0.4], [0.2, 0.35]])
+    law = FORESEEING["oracle"](plant, random_gains(rng, plant))
+    signal = dt.SwitchingSignal([0.0, 0.9], [0, 1])
+    check(dt.simulate(plant, law, signal, rng.normal(size=3), 1.6, step=None), plant, law)
+
+
+@pytest.mark.parametrize("kind", ["per mode", "per input"])
+def test_the_oracle_with_the_right_model_leaves_no_mismatch(kind):
+    rng = np.random.default_rng(5)
+    plant = plant_of_a_kind(rng, kind)
+    law, signal = LAWS_OF_ONE["oracle"](plant, random_gains(rng, plant)), random_signal(rng, plant)
+    x0, u0 = rng.normal(size=plant.states), rng.normal(size=plant.inputs)
+    run = dt.simulate(plant, law, signal, x0, 1.6, step=None, u0=u0)
+    assert run.mismatch is not None
+    assert np.nanmax(np.abs(run.mismatch)) < 1e-12 * np.abs(run.inputs).max()
+
+
+def test_x_is_known_until_the_plant_reads_what_was_not_sent():
+    # Mode 1 reads 0.1 s back, but is over by then: mode 0 reads its inputs of before 1 up to 1.4.
+    plant = dt.SwitchedSystem(np.zeros((2, 1, 1)), np.ones((2, 1, 1)), [[0.4], [0.1]])
+    law = dt.SingleModePredictor(plant, np.full((2, 1, 1), -0.5), 0)
+    signal = dt.SwitchingSignal([0.0, 0.3, 1.05], [0, 1, 0])
+    run = dt.simulate(plant, law, signal, [1.0], 1.0, step=None)
+    assert run.record.last == pytest.approx(1.4, abs=1e-12)
+    assert run.mismatch is not None
+    assert np.isfinite(run.mismatch).all()
+    early = dt.simulate(plant, law, signal, [1.0], 0.9, step=None)
+    assert early.record.last == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_dwell_aware_law_whose_mode_is_always_sure_is_the_single_mode_law():
+    rng = np.random.default_rng(6)
+    plant = plant_of_a_kind(rng, "per input")
+    K, constant = random_gains(rng, plant), dt.SwitchingSignal.constant(0)
+    laws = (
+        dt.AveragedPredictor(plant, np.array([K[0], K[0]]), dwell_time=9.0, allow_unstable=True),
+        dt.SingleModePredictor(plant, K, 0, allow_unstable=True),
+    )
+    x0 = rng.normal(size=plant.states)
+    one, other = (dt.simulate(plant, law, constant, x0, 2.0, step=None).states for law in laws)
+    assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
+
+
+def test_what_would_be_read_a_second_time_is_refused_by_name():
+    plant = dt.SwitchedSystem(np.zeros((2, 1, 1)), np.ones((2, 1, 2)), [[0.1, 0.5], [0.3, 0.5]])
+    law = dt.ExactPredictor(plant, np.full((2, 2, 1), -0.5))
+    signal = dt.SwitchingSignal([0.0, 0.7], [0, 1])
+    with pytest.raises(dt.ArgumentError, match=r"step must be given: .* read a second time"):
+        dt.simulate(plant, law, signal, [1.0], 1.0, step=None)
+    dt.simulate(plant, law, dt.SwitchingSignal.constant(0), [1.0], 1.0, step=None)
+
+
+def test_the_expected_law_refuses_several_delays_by_name():
     rng = np.random.default_rng(0)
     plant = random_plant(rng, modes=2)
-    K, signal = random_gains(rng, plant), dt.SwitchingSignal.constant(0)
+    K, model = random_gains(rng, plant), dt.Markov([[0, 1], [1, 0]])
+    law = dt.ExpectedPredictor(plant, K, model, allow_unstable=True)
+    constant = dt.SwitchingSignal.constant(0)
     with pytest.raises(dt.ArgumentError, match=r"must have one delay for the ideal loop"):
-        dt.simulate(plant, law(plant, K), signal, np.zeros(plant.states), 1.0, step=None)
+        dt.simulate(plant, law, constant, np.zeros(plant.states), 1.0, step=None)
 
 
 def test_jumps_are_passed_on_by_the_mode_that_reads_them_until_they_are_faint():
@@ -174,12 +300,3 @@ def test_jumps_are_passed_on_by_the_mode_that_reads_them_until_they_are_faint():
     shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01), Shift(0.3, None, 1e-14)]
     times = pass_on(np.array([0.0]), shifts, signal, 0.95)
     assert times == pytest.approx([0.0, 0.3, 0.5, 0.7, 0.9])
-
-
-def test_characteristic_roots_refuse_a_law_with_several_delays():
-    rng = np.random.default_rng(0)
-    model = random_plant(rng, modes=2)
-    law = dt.AveragedPredictor(model, random_gains(rng, model), allow_unstable=True)
-    plant = dt.SwitchedSystem(model.A, model.B, 0.3)
-    with pytest.raises(dt.ArgumentError, match="law must have a model with one delay"):
-        dt.growth_rate(plant, law, 0, step=None)

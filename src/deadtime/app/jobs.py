@@ -67,9 +67,9 @@ def worst_signal(
 
 def lifted_order(problem: Problem) -> int:
     """States and inputs in flight of a digital loop; 0 for an ideal one."""
-    plant = problem.plant
-    taps = 0.0 if problem.step is None else plant.longest_delay / problem.step
-    return plant.states + math.ceil(taps) * plant.inputs
+    plant, step = problem.plant, problem.step
+    longest = plant.delays.max(axis=0).tolist()
+    return plant.states + sum(0 if step is None else math.ceil(delay / step) for delay in longest)
 
 
 def growth_rates(problem: Problem, law: str) -> list[float]:

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from deadtime.app.delays import longest_delay, shortest_delay
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
@@ -86,19 +87,14 @@ class Outcome:
 def require_size(draft: Mapping[str, Any]) -> None:
     """Refuse a problem that a page could not keep up with, before anything of it is built."""
     plant, run = draft["plant"], draft["run"]
-    if not isinstance(plant["delay"], (int, float)):
-        raise ArgumentError(
-            "plant.delay must be one number for the explorer, got one per input or mode: "
-            "`deadtime simulate`, `monte-carlo` and `export` take the file as it is."
-        )
     step, sizes = run.get("step", 0.01), []
     if isinstance(step, (int, float)) and step > 0.0:
         sizes = [
             ("run.horizon", run["horizon"] / step, MOST_SAMPLES, "periods"),
-            ("plant.delay", plant["delay"] / step, MOST_TAPS, "periods"),
+            ("plant.delay", longest_delay(draft) / step, MOST_TAPS, "periods"),
         ]
-    elif step == "ideal" and plant["delay"] > 0.0:
-        sizes = [("run.horizon", run["horizon"] / plant["delay"], MOST_TAPS, "delays")]
+    elif step == "ideal" and (shortest := shortest_delay(draft)) > 0.0:
+        sizes = [("run.horizon", run["horizon"] / shortest, MOST_TAPS, "delays")]
     sizes += [
         ("plant.A", len(plant["A"]), MOST_MODES, "modes"),
         ("plant.A", len(plant["A"][0]) if plant["A"] else 0, MOST_STATES, "states"),
@@ -145,8 +141,8 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
 
 def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, str]]:
     """The problem without the laws that would keep a page waiting, and why they do not run."""
-    step, delay = draft["run"].get("step", 0.01), draft["plant"]["delay"]
-    taps = delay / step if isinstance(step, (int, float)) and step > 0.0 else 0.0
+    step = draft["run"].get("step", 0.01)
+    taps = longest_delay(draft) / step if isinstance(step, (int, float)) and step > 0.0 else 0.0
     dear = [law for law in draft.get("law", []) if taps > QUICK.get(law["kind"], taps)]
     if not dear:
         return draft, {}

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from deadtime.app.delays import delay_error, longest_delay, moved_delays
 from deadtime.app.documents import Document
 from deadtime.app.outcome import MOST_SAMPLES, MOST_TAPS
 from deadtime.app.switching import dwell_time_of
@@ -49,13 +50,11 @@ class Range:
 def ranges_of(document: Document) -> list[Range]:
     """The numbers of a problem that can be moved, in the order of the page."""
     draft = document.draft
-    run, delay = draft["run"], float(draft["plant"]["delay"])
+    run = draft["run"]
     many = len(draft["plant"]["A"]) > 1
     dwell_time = dwell_time_of(draft)
     horizon = float(run["horizon"])
-    true_delay = draft.get("truth", {}).get("delay") or delay
-    error = 100.0 * (float(true_delay) / delay - 1.0)
-    ranges = [_wide("delay", "Delay D (s)", "Plant", delay)]
+    ranges = [_wide(name, label, "Plant", value) for name, label, value in moved_delays(draft)]
     if many:
         ranges.append(Range("distance", "Mode distance α", "Plant", 1.0, 0.0, 2.0, 0.01))
         ranges.append(_wide("dwell_time", "Dwell time τ_d (s)", "Switching", dwell_time, 5.0))
@@ -70,7 +69,16 @@ def ranges_of(document: Document) -> list[Range]:
     return [
         *ranges,
         _wide("horizon", "Horizon T (s)", "Run", horizon),
-        Range("delay_error", "True delay off by (%)", group, error, -20.0, 20.0, 0.1, 0.01),
+        Range(
+            "delay_error",
+            "True delay off by (%)",
+            group,
+            100.0 * delay_error(draft),
+            -20.0,
+            20.0,
+            0.1,
+            0.01,
+        ),
         *(
             _imperfect(name, group, slider, _imperfection(draft, kind, slider.key), size)
             for name, (kind, _, slider) in SWEPT.items()
@@ -81,7 +89,7 @@ def ranges_of(document: Document) -> list[Range]:
 
 def steps_of(document: Document) -> list[float | str]:
     """Sampling periods that a page offers: those that it can keep up with, and the file's."""
-    run, delay = document.draft["run"], float(document.draft["plant"]["delay"])
+    run, delay = document.draft["run"], longest_delay(document.draft)
     own = run.get("step", 0.01)
     usual: list[float] = [
         step

@@ -13,6 +13,7 @@ import deadtime
 from deadtime import imperfections
 from deadtime.base.version import __version__
 from deadtime.base.wording import file_name, one_line
+from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.switching.models.sojourns import Fixed
 
@@ -162,9 +163,9 @@ class _Writer:
         kind = type(value)
         call = self._callable(kind)
         arguments = [
-            f"{name}={self.code(getattr(value, name))}"
+            f"{name}={self.code(given)}"
             for name, one in signature(kind).parameters.items()
-            if not _is_default(getattr(value, name, one.default), one.default)
+            if not _is_default(given := _given(value, name, one.default), one.default)
         ]
         code = f"{call}({', '.join(arguments)})"
         if len(code) <= _LINE - 10:
@@ -185,6 +186,13 @@ def _indent(lines: list[str], columns: int) -> str:
     """Lines moved to the right, those inside them too."""
     space = " " * columns
     return "\n".join(space + line.replace("\n", "\n" + space) for line in lines)
+
+
+def _given(value: Any, name: str, default: Any) -> Any:
+    """What an object was given for an argument."""
+    if name == "delay" and isinstance(value, SwitchedSystem):
+        return value.delay_data
+    return getattr(value, name, default)
 
 
 def _is_default(value: Any, default: Any) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from deadtime.app.delays import longest_delay
 from deadtime.scenarios.sweeps.axes import Draft
 from deadtime.scenarios.sweeps.sojourns import sojourn_section
 
@@ -32,7 +33,7 @@ def dwell_time_of(draft: Mapping[str, Any]) -> float:
         return float(np.diff(signal["times"]).min())
     if signal["kind"] == "periodic":
         return float(min(signal["sojourns"]))
-    return _SHARE * float(draft["plant"]["delay"])
+    return _SHARE * longest_delay(draft)
 
 
 def with_model(draft: Mapping[str, Any]) -> Draft:

@@ -62,7 +62,7 @@ def index(name: str, value: object, count: int) -> int:
         raise ArgumentError(f"{name} must be an integer in 0..{count - 1}, got {brief(value)}.")
     if not 0 <= value < count:
         raise ArgumentError(
-            f"{name} must be in 0..{count - 1}, got {brief(value)}: modes count from 0."
+            f"{name} must be in 0..{count - 1}, got {brief(value)}: {name}s count from 0."
         )
     return int(value)
 

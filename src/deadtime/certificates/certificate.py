@@ -12,6 +12,7 @@ from jaxtyping import Float
 from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import Evidence, StretchEvidence, save_evidence
+from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.statement import decay_rate, round_down, statement
 
 
@@ -118,7 +119,9 @@ class Certificate:
 def _also(evidence: Evidence | StretchEvidence) -> str:
     """For what else than every signal a certificate holds."""
     delays = ""
-    if evidence.setting.family.ranges:
+    if isinstance(evidence.setting.family, Box):
+        delays = " and all constant delays in the given ranges"
+    elif evidence.setting.family.ranges:
         low, high = evidence.setting.delays
         delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
     return delays + " and every plant in the polytope" * (len(evidence.setting.A) > 1)

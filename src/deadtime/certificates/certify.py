@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
@@ -22,13 +23,14 @@ from deadtime.certificates.dwell.frame import WHOLE
 from deadtime.certificates.dwell.search import Level, Search
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
+from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import shortest
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import GROWS, growth_rate
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
@@ -48,7 +50,7 @@ def certify(
     *,
     maximum_dwell: float | None = None,
     chatter: int = 1,
-    delays: tuple[float, float] | None = None,
+    delays: tuple[ArrayLike, ArrayLike] | None = None,
     decay_rate: float | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
     search_signals: bool = True,
@@ -76,7 +78,9 @@ def certify(
         N₀ + T/τ_a switches, at most one per period.
     delays : (low, high), optional
         A range of the plant's true delay, in seconds, within which it is constant; by default the
-        plant's delay, or delays. The law's table stays what it is.
+        plant's delay, or delays. The law's table stays what it is. low and high may be all that
+        `SwitchedSystem` takes as delays: then every input's delay in every mode is any value
+        between its own two, whatever the others are. Each range lies in one period.
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.
@@ -155,9 +159,7 @@ def _decide(
     search_signals: bool,
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
-    given = setting.delays
-    ends = sorted(set(given)) if isinstance(given, tuple) else [given]
-    corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in ends]
+    corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in _ends(setting.delays)]
     rates = [
         (growth_rate(corner, law, mode, setting.step), mode, corner)
         for corner in corners
@@ -201,6 +203,13 @@ def _decide(
         f"{searched[0].message}",
         witness=searched[0].witness,
     )
+
+
+def _ends(delays: tuple[float, float] | np.ndarray) -> list[float] | list[np.ndarray]:
+    """Delays at which constant modes are looked at: all of them at the ends of their ranges."""
+    if isinstance(delays, tuple):
+        return sorted(set(delays))
+    return list(delays) if delays.ndim == 3 else [delays]
 
 
 def _evidence(
@@ -283,22 +292,35 @@ def _plants(plant: SwitchedSystem | Sequence[SwitchedSystem]) -> list[SwitchedSy
 
 
 def _delays(
-    delays: tuple[float, float] | None, plant: SwitchedSystem, step: float
+    delays: tuple[ArrayLike, ArrayLike] | None, plant: SwitchedSystem, step: float
 ) -> tuple[float, float] | np.ndarray:
+    """What `Setting.delays` holds."""
     if delays is None:
         return (plant.delay, plant.delay) if plant.has_one_delay else plant.delays
-    plant.one_delay("certify(delays=...)")
-    low, high = (positive("delays", value) for value in delays)
-    if low > high:
-        raise ArgumentError(f"delays must ascend, got ({low:g}, {high:g}).")
+    if plant.has_one_delay and not any(np.iterable(end) for end in delays):
+        low, high = (positive("delays", value) for value in delays)
+        if low > high:
+            raise ArgumentError(f"delays must ascend, got ({low:g}, {high:g}).")
+        _require_one_period(low, high, step, "delays")
+        return low, high
+    shape = plant.delays.shape
+    ends = np.stack([check_delays(end, shape, "delays") for end in delays])
+    for i, j in np.ndindex(shape):
+        name, (low, high) = f"delays of input {j} in mode {i}", ends[:, i, j].tolist()
+        if low > high:
+            raise ArgumentError(f"{name} must ascend, got ({low:g}, {high:g}).")
+        _require_one_period(low, high, step, name)
+    return ends if np.any(ends[0] < ends[1]) else ends[0]
+
+
+def _require_one_period(low: float, high: float, step: float, name: str) -> None:
     try:
-        Family.of(np.zeros((1, 1, 1, 1)), np.zeros((1, 1, 1, 1)), (low, high), step)
+        Interval.of(low, high, step)
     except ValueError:
         raise ArgumentError(
-            f"delays must lie within one period, between two multiples of step = {step:g} s, got "
+            f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
             f"({low:g}, {high:g}): certify the parts one by one, as delay_margin does."
         ) from None
-    return low, high
 
 
 def _out_of_reach(

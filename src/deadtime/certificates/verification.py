@@ -246,6 +246,9 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
 
 def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:
     """Which delays a certificate is about, if they are not the plant's."""
+    if isinstance(delays, np.ndarray) and delays.ndim == 3:
+        within = np.all((delays[0] <= plant.delays) & (plant.delays <= delays[1]))
+        return "" if within else _in_figures(delays)
     if isinstance(delays, np.ndarray):
         same = np.array_equal(delays, plant.delays)
         return "" if same else f"the delays {delays.tolist()} s"
@@ -256,6 +259,9 @@ def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:
 
 
 def _in_figures(delays: Delays) -> str:
+    if isinstance(delays, np.ndarray) and delays.ndim == 3:
+        low, high = delays.tolist()
+        return f"delays from {low} to {high} s"
     if isinstance(delays, np.ndarray):
         return f"delays {delays.tolist()} s"
     low, high = delays

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         "deadtime certify paper --law averaged",
         "deadtime certify problem.toml --dwell-time 0.5 --out cert.json",
         "deadtime certify problem.toml --law averaged --least-dwell-time",
+        "deadtime certify problem.toml --law mean --delays [0.3,0.1] [0.32,0.12]",
     ),
 )
 def certify(
@@ -34,6 +35,7 @@ def certify(
     dwell_time: float | None = None,
     step: float | None = None,
     decay_rate: float | None = None,
+    delays: tuple[str, str] | None = None,
     least_dwell_time: bool = False,
     out: File = None,
     json_output: AsJson = False,
@@ -54,6 +56,10 @@ def certify(
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
         The decay rate to certify, in 1/s; by default one close to that of the slowest mode.
+    delays
+        Lowest and highest true delays in seconds: two numbers, or two lists in brackets, without
+        spaces, with a number for each input (or a list for each mode), as in [0.3,0.1] [0.32,0.12].
+        What is proved then holds for every delay in its range; each range lies in one period.
     least_dwell_time
         Look for the least dwell time instead: the shortest proved, and the longest refuted.
     out
@@ -67,10 +73,10 @@ def certify(
 
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
-        if not (dwell_time is None and decay_rate is None and out is None):
+        if not (dwell_time is None and decay_rate is None and delays is None and out is None):
             raise ArgumentError(
                 "--least-dwell-time looks for the dwell time itself: leave out --dwell-time, "
-                "--decay-rate and --out."
+                "--decay-rate, --delays and --out."
             )
         return _least_dwell_times(chosen, law, json_output)
     asked, period = _dwell_time_and_step(chosen, dwell_time)
@@ -78,10 +84,11 @@ def certify(
     if out is not None:
         require_json("--out", out)  # before the search, which may take minutes
     with progress_bar(len(names or chosen.laws), quiet=json_output) as advance:
-        judged = judge(chosen, dwell, period, names, decay_rate, advance)
+        ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
+        judged = judge(chosen, dwell, period, names, decay_rate, advance, ranges)
     saved = [] if out is None else _save(judged, out)
     if json_output:
-        record = _asked(chosen, period) | {"dwell_time": dwell}
+        record = _asked(chosen, period) | {"dwell_time": dwell, "delays": ranges}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
         _print_judged(chosen, judged, asked, period, law is not None)
@@ -221,6 +228,22 @@ def _with_step(problem: Problem, step: float | None) -> Problem:
     from deadtime.base.checks import positive
 
     return problem if step is None else replace(problem, step=positive("step", step))
+
+
+def _delays(text: str) -> float | list[float] | list[list[float]]:
+    """Delays as a problem file writes them: a number, or lists in brackets."""
+    import json
+
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = None
+    if isinstance(value, bool) or not isinstance(value, (int, float, list)):
+        raise ArgumentError(
+            f"--delays must be two numbers, or two lists such as [0.3,0.1], got {text!r}: leave "
+            "out spaces, or quote each list."
+        )
+    return value
 
 
 def _dwell_time_and_step(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:

@@ -50,7 +50,8 @@ def design(
     problem
         A problem file, or paper, three-mode, follower.
     delay_margin
-        The error of the delay to be tolerated, relative to it: 0.05 for ±5 %.
+        The error of the delay to be tolerated, relative to it: 0.05 for ±5 %. Of several delays
+        all err alike, by so much of the shortest.
     law
         The family of laws: averaged, or mean with the mean of the gains.
     mode

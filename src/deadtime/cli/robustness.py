@@ -98,6 +98,7 @@ def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
     delay, gain = result.delay, result.gain
     return {
         "delay_margin": delay and [delay.lower, delay.upper],
+        "delay_margin_of_inputs": [[one.lower, one.upper] for one in result.of_inputs],
         "gain_margin": gain and [gain.lower, gain.upper],
         "lost_samples": _tolerance(result.drops),
         "late_samples": _tolerance(result.late),

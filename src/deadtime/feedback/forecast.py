@@ -98,7 +98,7 @@ class Forecast:
         return cls(
             np.concatenate((plant.A, A)),
             np.concatenate((plant.B, B)),
-            plant.one_delay("the ideal loop (step=None)"),
+            plant.delay,
             plant.modes + np.arange(A.shape[0]),
             signal.last_switch(signal.times) + dwell_time,
             lambda times: np.broadcast_to(K, (times.size, *K.shape)),

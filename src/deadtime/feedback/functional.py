@@ -1,7 +1,7 @@
 """Functional: a law whose belief does not change, as windows on the past inputs.
 
-It is the twin of `Forecast` for a law whose model has several delays; it is filled by
-`deadtime.laws.tables.windows`.
+It is the twin of `Forecast` for a law whose model has several delays, as `Outlook` is for beliefs
+that change with the mode; it is filled by `deadtime.laws.tables.windows`.
 """
 
 from __future__ import annotations

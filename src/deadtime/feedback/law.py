@@ -17,6 +17,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
 from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.functional import Functional
+from deadtime.feedback.outlook import Outlook
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
 from deadtime.switching import SwitchingSignal
@@ -93,7 +94,7 @@ class Law(Frozen, ABC):
         """
 
     @abstractmethod
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
         """The law in continuous time, for a run on [0, horizon] along a signal.
 
         Raises `ArgumentError` for a law that has no such form.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback import Feedback, Forecast, Functional, Outlook
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
@@ -170,11 +170,15 @@ class AveragedPredictor(TableLaw):
 
         return constant_table(plant, *parts, step)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
+        plant, several = self.plant, not self.plant.has_one_delay
+        if self.dwell_time is not None and several:
+            parts = self.gains, self.weights, self.dwell_time
+            return Outlook.dwelling(plant, plant, *parts, signal)
         if self.dwell_time is not None:
-            return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        if not self.plant.has_one_delay:
+            return Forecast.dwelling(plant, self._after, self.dwell_time, signal)
+        if several:
             from deadtime.laws.tables.windows import constant_functional
 
-            return constant_functional(self.plant, self.gains, self.weights)
-        return Forecast.constant(*self._after, self.plant.delay)
+            return constant_functional(plant, self.gains, self.weights)
+        return Forecast.constant(*self._after, plant.delay)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Foresight
+from deadtime.feedback import Feedback, Forecast, Foresight, Outlook
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.table import require_finite_gains
 from deadtime.gains.checked import check_gains
@@ -149,9 +149,11 @@ class ExactPredictor(TableLaw):
             F, G = foresight.rows(samples)
         return Feedback(F, G, "step", sampled.step)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
-        plant, delay = self.plant, self.plant.one_delay("the ideal loop (step=None)")
-        known = self._require_signal(signal, horizon)
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Outlook:
+        plant, known = self.plant, self._require_signal(signal, horizon)
+        if not plant.has_one_delay:
+            return Outlook.foreseeing(plant, self.gains, known)
+        delay = plant.delay
         return Forecast(
             plant.A,
             plant.B,

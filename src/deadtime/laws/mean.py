@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback import Feedback, Forecast, Functional, Outlook
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
 from deadtime.gains.checked import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
@@ -123,10 +123,13 @@ class MeanPredictor(TableLaw):
 
         return constant_table(mean, K, np.ones(1), step)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
+        mean = self._mean_plant
+        if self.dwell_time is not None and not self.plant.has_one_delay:
+            parts = self.gain[None], np.ones(1), self.dwell_time
+            return Outlook.dwelling(self.plant, mean, *parts, signal)
         if self.dwell_time is not None:
             return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        mean = self._mean_plant
         if not mean.has_one_delay:
             from deadtime.laws.tables.windows import constant_functional
 

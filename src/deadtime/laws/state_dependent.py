@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.errors import ArgumentError, ChatteringError
+from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Update
 from deadtime.gains.checked import check_gains
-from deadtime.plant import SwitchedSystem
+from deadtime.laws.first_reads import Prediction, chattering_ahead
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.motion import Beside, Motion
@@ -31,8 +32,11 @@ class StateDependentPredictor(Law):
     is exact, as the oracle is, and knows no signal. Between crossings the model moves by its
     matrix exponentials; where both modes point at their boundary it slides along it, and there
     takes the gain of the mode beyond if that leads on, otherwise of the one it came from. A
-    crossing at exactly t + D counts. It is the one law that is no table: not linear in the state,
-    it runs its model once a period. The sampled mode tells it on which side of a boundary x is.
+    crossing at exactly t + D counts. Where inputs or modes have delays of their own, t + D is,
+    input by input, when the plant first reads what is sent at t.
+
+    It is the one law that is no table: not linear in the state, it runs its model once a period.
+    The sampled mode tells it on which side of a boundary x is.
     Updated continuously (`step=None`) it has a closed form where model and plant are the same:
     from D on, x follows (A_σ + B_σ K_σ) x under the rule.
 
@@ -87,7 +91,6 @@ class StateDependentPredictor(Law):
     ) -> None:
         gains = check_gains(plant, gains, allow_unstable)
         rule = as_rule("rule", rule).require(plant)
-        plant.one_delay("StateDependentPredictor")
         vars(self).update(plant=plant, gains=gains, rule=rule, allow_unstable=allow_unstable)
 
     @property
@@ -111,28 +114,40 @@ class StateDependentPredictor(Law):
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Update:
-        ahead = self.sampled_plant(step).ahead
-        # A switch within 1e-9 h after an instant counts as at it: the last length looks ahead.
-        lengths = *ahead.length.tolist(), TOLERANCE * step
-        motion = self.rule.motion(self.plant, lengths)
-        inputs = np.arange(self.plant.inputs)
+        sampled = self.sampled_plant(step)
+        if self.plant.has_one_delay:
+            predict = self._to_the_delay(sampled)
+        else:
+            predict = Prediction.of(sampled.cut_alike(), self.gains, self.rule)
 
         def control(x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
             if not np.isfinite(x).all():
                 return np.full(past.shape[1], np.nan)
+            return predict(x, past, mode)
+
+        return control
+
+    def _to_the_delay(
+        self, sampled: SampledPlant
+    ) -> Callable[[np.ndarray, np.ndarray, int], np.ndarray]:
+        """u_k of x_k, the past inputs and the mode, of a model with one delay."""
+        ahead = sampled.ahead
+        # A switch within 1e-9 h after an instant counts as at it: the last length looks ahead.
+        lengths = *ahead.length.tolist(), TOLERANCE * sampled.step
+        motion = self.rule.motion(self.plant, lengths)
+        inputs = np.arange(self.plant.inputs)
+
+        def predict(x: np.ndarray, past: np.ndarray, mode: int) -> np.ndarray:
             arrival = motion.follow(ahead.kind, past[-ahead.lag, inputs], x, mode)
             if arrival.chatter is not None:
-                raise ChatteringError(
-                    "chattering in the prediction of StateDependentPredictor, "
-                    f"{arrival.chatter.time:.6g} s ahead: {arrival.chatter.reason}."
-                )
+                raise chattering_ahead(arrival.chatter.time, arrival.chatter.reason)
             final = arrival
             if final.beside is None:
                 final = motion.advance(ahead.length.size, arrival.x, arrival.place, past[-1])
             place = final_place(motion, self.gains, arrival.x, final.place, final.beside)
             return self.gains[motion.mode_of(place)] @ arrival.x
 
-        return control
+        return predict
 
 
 def final_place(

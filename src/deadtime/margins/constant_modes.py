@@ -4,6 +4,9 @@ The law keeps the table that it was given, made for its own model's delay; only 
 plant changes. Where the loop of a constant mode is stable at the plant's nominal delay, it stays so
 until, on the way to another delay, a root first lies on the limit of stability
 (`deadtime.margins.crossing`).
+
+Of several delays those of one input move, or all of them, every one by as many seconds. The delay
+that is searched for is the shortest of those that move.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import positive
+from deadtime.base.checks import index, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import error_percent, inwards
@@ -27,10 +30,10 @@ from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.growth import not_decaying
-from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.observed_response import digital_response
-from deadtime.spectrum.response import Response
+from deadtime.spectrum.one_input import OneInput
+from deadtime.spectrum.response import LoopResponse, Response
 
 FARTHEST = 10.0  # times the nominal delay: as far as longer delays are tried
 
@@ -52,7 +55,7 @@ class DelayMargin(Frozen):
     lower, upper : float or None
         The open interval of true delays around the nominal one with every constant mode stable,
         seconds. 0: stable down to no delay. ∞: whatever the delay. None: a mode is unstable at
-        the nominal delay.
+        the nominal delay. Of several delays that move together, the interval of the shortest.
     lower_mode, upper_mode : int or None
         The mode that is lost there; None where none is. Without an interval, the mode that grows
         fastest.
@@ -61,11 +64,15 @@ class DelayMargin(Frozen):
     growth : (modes,)
         The growth rate in each mode at the nominal delay, 1/s.
     nominal : float
-        The plant's delay, seconds.
+        The plant's delay, seconds; of several that move, the shortest.
     message : str
         The same in a sentence. It says where an `upper` without a mode is the end of the search.
     certified : bool
         Whether this is proved for all admissible switching; False for constant modes.
+    input : int or None
+        The input whose delay moves, in all modes; None where those of all inputs do.
+    differ : bool
+        Whether several delays move that differ: then `message` says `shorter` and `longer`.
     """
 
     lower: float | None
@@ -78,12 +85,25 @@ class DelayMargin(Frozen):
     nominal: float
     message: str
     certified: bool = False
+    input: int | None = None
+    differ: bool = False
+
+    @property
+    def shorter(self) -> float | None:
+        """By how much less every delay that moves may be, seconds; None without a margin."""
+        return None if self.lower is None else self.nominal - self.lower
+
+    @property
+    def longer(self) -> float | None:
+        """By how much more every delay that moves may be, seconds; None without a margin."""
+        return None if self.upper is None else self.upper - self.nominal
 
     @property
     def relative(self) -> float | None:
         """The smallest error of the delay, relative to it, that loses a mode; None without one.
 
-        Where none does, as far as longer delays were tried.
+        Where none does, as far as longer delays were tried. Of several delays that move, relative
+        to the shortest.
         """
         if self.lower is None or self.upper is None:
             return None
@@ -92,7 +112,11 @@ class DelayMargin(Frozen):
 
 
 def constant_delay_margin(
-    plant: SwitchedSystem, law: Law, step: float | None = 0.01, upto: float | None = None
+    plant: SwitchedSystem,
+    law: Law,
+    step: float | None = 0.01,
+    upto: float | None = None,
+    input: int | None = None,
 ) -> DelayMargin:
     """How wrong the delay may be under constant switching signals.
 
@@ -108,7 +132,11 @@ def constant_delay_margin(
     upto : float, optional
         The longest true delay that is tried, in seconds, above the nominal one. By default ten
         times the nominal one; or ten times 1/ω, ω the highest frequency at which the loop's gain
-        may be 1, where that is longer.
+        may be 1, where that is longer. Of several delays, that of the shortest that moves, by
+        default ten times the longest.
+    input : int, optional
+        The input whose delay moves, in every mode by as many seconds, counted from 0; the other
+        inputs keep theirs. By default those of all inputs move, by as many seconds.
 
     Returns
     -------
@@ -118,8 +146,8 @@ def constant_delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate`; if `upto` is no longer than the nominal delay, or the delay holds so
-        many periods that the answer would take long.
+        As by `growth_rate`; if there is no such input; if `upto` is no longer than the nominal
+        delay, or the delay holds so many periods that the answer would take long.
 
     Notes
     -----
@@ -143,7 +171,11 @@ def constant_delay_margin(
     (0.98644, 1.01351)
     """
     require_constant(plant, law)
-    nominal = plant.one_delay("delay_margin")
+    if input is not None:
+        input = index("input", input, plant.inputs)
+    moving = moving_delays(plant, input)
+    nominal = float(moving.min())
+    differ = nominal != float(moving.max())
     step = None if step is None else positive("step", step)
     if upto is not None and positive("upto", upto) <= nominal:
         raise ArgumentError(
@@ -155,8 +187,10 @@ def constant_delay_margin(
     if growth.max() >= 0.0:
         worst = int(growth.argmax())
         text = _unstable(worst, float(growth[worst]))
-        return DelayMargin(None, None, worst, worst, None, None, growth, nominal, text)
-    lower, upper = _limits(plant, law, step, upto)
+        return DelayMargin(
+            None, None, worst, worst, None, None, growth, nominal, text, False, input, differ
+        )
+    lower, upper = _limits(plant, law, step, upto, input)
     return DelayMargin(
         lower.delay,
         upper.delay,
@@ -166,21 +200,30 @@ def constant_delay_margin(
         upper.frequency,
         growth,
         nominal,
-        _stable(lower, upper, nominal),
+        _stable(lower, upper, nominal, input, differ),
+        False,
+        input,
+        differ,
     )
 
 
+def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:
+    """The delays of an input, or of all."""
+    return plant.delays if input is None else plant.delays[:, input : input + 1]
+
+
 def _limits(
-    plant: SwitchedSystem, law: Law, step: float | None, upto: float | None
+    plant: SwitchedSystem, law: Law, step: float | None, upto: float | None, input: int | None
 ) -> tuple[_Limit, _Limit]:
     """The nearest limits of any mode, below and above."""
-    nominal = plant.delay
-    responses = [_response(plant, law, mode, step) for mode in range(plant.modes)]
+    moving = moving_delays(plant, input)
+    nominal = float(moving.min())
+    responses = [_response(plant, law, mode, step, input) for mode in range(plant.modes)]
     parts = [_bands(response, nominal) for response in responses]
     if upto is None:
         # In a delay shorter than one radian of every motion that matters, ten times is nothing.
         radians = [1.0 / part[-1].samples.omega[-1] for part in parts if part]
-        upto = FARTHEST * float(max([nominal, *radians]))
+        upto = FARTHEST * float(max([moving.max(), *radians]))
     lower, upper = _Limit(0.0, None, None), _Limit(upto, None, None)
     for mode, (response, part) in enumerate(zip(responses, parts, strict=True)):
         found = first_crossing(response, part, nominal, lower.delay)
@@ -197,12 +240,18 @@ def _bands(response: Response, delay: float) -> list[Band]:
     return unit_bands(response, found, delay) if response.period is None else found
 
 
-def _response(plant: SwitchedSystem, law: Law, mode: int, step: float | None) -> Response:
-    """The loop in one mode, as a function of frequency and true delay."""
-
+def _response(
+    plant: SwitchedSystem, law: Law, mode: int, step: float | None, input: int | None
+) -> Response:
+    """The loop in one mode, as a function of frequency and the shortest delay that moves."""
     if step is None:
-        return IdealResponse.of(IdealLoop.of(plant, law, mode))
-    return digital_response(plant, law, mode, step)
+        whole: LoopResponse = IdealResponse.of(plant, law, mode)
+    else:
+        whole = digital_response(plant, law, mode, step)
+    if input is None or plant.inputs == 1:
+        return whole
+    own = plant.delays[:, input]
+    return OneInput(whole, plant.shortest_delay, input, float(own[mode] - own.min()))
 
 
 def _unstable(mode: int, growth: float) -> str:
@@ -210,15 +259,36 @@ def _unstable(mode: int, growth: float) -> str:
     return f"there is no delay margin, since held in mode {mode} the loop {not_decaying(growth)}"
 
 
-def _stable(lower: _Limit, upper: _Limit, nominal: float) -> str:
+def _stable(lower: _Limit, upper: _Limit, nominal: float, input: int | None, differ: bool) -> str:
     """The interval in a sentence, rounded inwards."""
-    text = "the loop stays stable in every constant mode"
+    text, of_one = "the loop stays stable in every constant mode", of_input(input)
+    if differ:
+        return f"{text} {_shifts(lower, upper, nominal, of_one)}"
     if math.isinf(upper.delay):
-        return f"{text} whatever the true delay"
+        return f"{text} whatever the true delay{of_one}"
     low, high = inwards(lower.delay, nominal), inwards(upper.delay, nominal)
     longer = error_percent(upper.delay, nominal)
     longer = "longer ones were not tried" if upper.mode is None else longer
+    text = f"{text} while the true delay{of_one} is"
     if lower.mode is None:
-        return f"{text} while the true delay is below {high} s ({longer})"
+        return f"{text} below {high} s ({longer})"
     shorter = error_percent(lower.delay, nominal)
-    return f"{text} while the true delay is between {low} s and {high} s ({shorter}, {longer})"
+    return f"{text} between {low} s and {high} s ({shorter}, {longer})"
+
+
+def of_input(input: int | None) -> str:
+    """Whose delay, in a sentence; nothing where it is that of all inputs."""
+    return "" if input is None else f" of input {input}"
+
+
+def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:
+    """The same for delays that differ, each as wrong as the others."""
+    shorter = f"up to {inwards(nominal - lower.delay, 0.0)} s shorter"
+    longer = f"up to {inwards(upper.delay - nominal, 0.0)} s longer"
+    if lower.mode is None:
+        shorter = "shorter by any time"
+    if upper.mode is None:
+        longer = f"{longer} (more was not tried)"
+    if math.isinf(upper.delay):
+        longer = "longer by any time"
+    return f"while the true delays{of_one} are all {shorter} or all {longer}, by as much each"

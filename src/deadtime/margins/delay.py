@@ -12,12 +12,20 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import error_percent, inwards
 from deadtime.certificates import Certificate, certify
 from deadtime.feedback import Law
-from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
+from deadtime.margins.constant_modes import (
+    DelayMargin,
+    constant_delay_margin,
+    moving_delays,
+    of_input,
+)
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
 
@@ -32,6 +40,8 @@ def delay_margin(
     step: float | None = 0.01,
     dwell_time: float | None = None,
     upto: float | None = None,
+    *,
+    input: int | None = None,
 ) -> DelayMargin:
     """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
 
@@ -46,23 +56,30 @@ def delay_margin(
     dwell_time : float, optional
         Without it, the mode is constant: exact, from the spectrum. With it, proved for every
         switching signal with this dwell time and every constant delay between `lower` and
-        `upper`, in seconds.
+        `upper`, in seconds; of several that move, for each within its range whatever the others
+        are, which is more than that all are as wrong.
     upto : float, optional
         The longest true delay that is tried, in seconds. By default ten times the nominal one; or
         ten times 1/ω, ω the highest frequency at which the loop's gain may be 1, where that is
-        longer.
+        longer. Of several delays, that of the shortest that moves, by default ten times the
+        longest.
+    input : int, optional
+        The input whose delay moves, in every mode by as many seconds, counted from 0; the other
+        inputs keep theirs. By default those of all inputs move, by as many seconds. Inputs that
+        share one delay have a margin each, too.
 
     Returns
     -------
     DelayMargin
-        `lower` and `upper` in seconds; None where there is no margin, and `message` says which
-        mode grows, or what could not be certified.
+        `lower` and `upper` in seconds, of the one delay or of the shortest that moves; `shorter`
+        and `longer` say by how much every delay that moves may be wrong. None where there is no
+        margin, and `message` says which mode grows, or what could not be certified.
 
     Raises
     ------
     ArgumentError
-        As by `growth_rate` and `certify`; if `upto` is no longer than the nominal delay, or the
-        delay holds so many periods that the answer would take long.
+        As by `growth_rate` and `certify`; if there is no such input; if `upto` is no longer than
+        the nominal delay, or the delay holds so many periods that the answer would take long.
 
     Examples
     --------
@@ -74,7 +91,7 @@ def delay_margin(
     >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
     True
     """
-    constant = constant_delay_margin(plant, law, step, upto)
+    constant = constant_delay_margin(plant, law, step, upto, input)
     if dwell_time is None:
         return constant
     if step is None:
@@ -93,22 +110,53 @@ def delay_margin(
             message=f"There is no certified margin: {nominal.message}",
         )
 
-    def holds(low: float, high: float) -> bool:
-        return _is_certified(plant, law, dwell_time, step, (low, high))
+    moving, nominal = moving_delays(plant, input), constant.nominal
 
-    lower = _reach(plant.delay, constant.lower, step, holds)
-    upper = _reach(plant.delay, constant.upper, step, holds)
+    def holds(low: float, high: float) -> bool:
+        ends: tuple[ArrayLike, ArrayLike] = low, high
+        if input is not None or constant.differ:
+            ends = _moved(plant, input, low - nominal), _moved(plant, input, high - nominal)
+        return _is_certified(plant, law, dwell_time, step, ends)
+
+    offsets = np.unique(moving - nominal).tolist()
+    lower = _reach(nominal, constant.lower, step, offsets, holds)
+    upper = _reach(nominal, constant.upper, step, offsets, holds)
     message = (
-        f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for every constant "
-        f"true delay between {inwards(lower, plant.delay)} s and {inwards(upper, plant.delay)} s "
-        f"({error_percent(lower, plant.delay)}, {error_percent(upper, plant.delay)}). Without "
-        f"switches: {constant.message}"
+        f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for "
+        f"{_range(lower, upper, constant)}. Without switches: {constant.message}"
     )
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
 
 
+def _moved(plant: SwitchedSystem, input: int | None, shift: float) -> np.ndarray:
+    """The plant's delays, those of an input or of all longer by a shift."""
+    delays = np.array(plant.delays)
+    delays[:, slice(None) if input is None else input] += shift
+    return delays
+
+
+def _range(lower: float, upper: float, constant: DelayMargin) -> str:
+    """The true delays between two ends of the shortest that moves, in words."""
+    nominal, of_one = constant.nominal, of_input(constant.input)
+    if constant.differ:
+        shorter, longer = inwards(nominal - lower, 0.0), inwards(upper - nominal, 0.0)
+        return (
+            f"all constant true delays{of_one} from {shorter} s shorter to {longer} s longer, "
+            "each whatever the others are"
+        )
+    return (
+        f"every constant true delay{of_one} between {inwards(lower, nominal)} s and "
+        f"{inwards(upper, nominal)} s "
+        f"({error_percent(lower, nominal)}, {error_percent(upper, nominal)})"
+    )
+
+
 def _is_certified(
-    plant: SwitchedSystem, law: Law, dwell_time: float, step: float, delays: tuple[float, float]
+    plant: SwitchedSystem,
+    law: Law,
+    dwell_time: float,
+    step: float,
+    delays: tuple[ArrayLike, ArrayLike],
 ) -> bool:
     certificate: Certificate = certify(
         plant, law, dwell_time, step, delays=delays, decay_rate=0.0, search_signals=False
@@ -116,15 +164,21 @@ def _is_certified(
     return bool(certificate.stable)
 
 
-def _reach(nominal: float, limit: float, step: float, holds: Callable[..., bool]) -> float:
-    """The delay up to which, from the nominal one towards a limit, all pieces hold, in seconds."""
+def _reach(
+    nominal: float, limit: float, step: float, offsets: list[float], holds: Callable[..., bool]
+) -> float:
+    """The delay up to which, from the nominal one towards a limit, all pieces hold, in seconds.
+
+    A piece ends where the delay plus one of the offsets is a multiple of the period.
+    """
     sign = 1.0 if limit > nominal else -1.0
     farthest = min(abs(limit - nominal), MOST_PIECES * step)
     end = max(nominal + sign * farthest, LEAST_DELAY * step)
     finest, length = FINEST * farthest, 0.25 * farthest
     here = nominal
     for _ in range(MOST_PIECES):
-        multiple = _next_multiple(here, step, sign)
+        multiples = [_next_multiple(here + offset, step, sign) - offset for offset in offsets]
+        multiple = min(multiples, key=lambda delay: abs(delay - here))
         nearest = min(end, multiple, key=lambda delay: abs(delay - here))
         piece = min(length, abs(nearest - here))
         if piece <= max(0.5 * finest, 1e-9 * step):

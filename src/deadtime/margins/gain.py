@@ -27,7 +27,6 @@ from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import require_affordable
 from deadtime.spectrum.arguments import require_constant
 from deadtime.spectrum.growth import not_decaying
-from deadtime.spectrum.ideal import IdealLoop
 from deadtime.spectrum.ideal_response import IdealResponse
 from deadtime.spectrum.observed_response import digital_response
 from deadtime.spectrum.response import Response
@@ -146,13 +145,11 @@ def _interval(
 
     def candidates(most: float) -> np.ndarray:
         if step is not None:
-            return _candidates(
-                digital_response(plant, law, mode, step), plant.one_delay("gain_margin")
-            )
+            return _candidates(digital_response(plant, law, mode, step), plant.shortest_delay)
         # Stronger inputs have roots at higher frequencies.
-        response = IdealResponse.of(IdealLoop.of(plant, law, mode))
-        highest = IdealResponse.of(IdealLoop.of(scale_inputs(most), law, mode)).highest
-        return _candidates(replace(response, radius=highest), plant.delay)
+        response = IdealResponse.of(plant, law, mode)
+        highest = IdealResponse.of(scale_inputs(most), law, mode).highest
+        return _candidates(replace(response, radius=highest), plant.shortest_delay)
 
     factors, high = candidates(1.0), None
     low = limit([*factors[factors < 1.0][::-1].tolist(), 1.0 / _LARGEST])

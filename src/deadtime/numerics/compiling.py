@@ -35,7 +35,8 @@ class _CacheFile(IndexDataCacheFile):
 def dispatcher_of(kernel: Any) -> Any:
     """A kernel's dispatcher, which keeps what it compiles on disk where it can."""
     _introduce(type(kernel))
-    dispatcher: Any = njit(**kernel.options)(kernel.function)
+    # A wrapper for callers in C, which a kernel has none of, is a tenth of what compiling costs.
+    dispatcher: Any = njit(no_cfunc_wrapper=True, **kernel.options)(kernel.function)
     try:
         dispatcher.enable_caching()
     except RuntimeError:  # no folder can be written: it is compiled anew in each process

@@ -43,6 +43,9 @@ class SampledPlant(Frozen):
     plant : SwitchedSystem
     step : float
         Sampling period h, seconds.
+    alike : bool
+        Whether periods of every mode are cut where those of any mode are, so that stretch number p
+        is the same time in all modes: see `cut_alike`.
     windows : tuple of Window
         The windows of its delays, each once, those of shorter delays first.
 
@@ -64,6 +67,7 @@ class SampledPlant(Frozen):
 
     plant: SwitchedSystem
     step: float
+    alike: bool = field(default=False, repr=False)
     windows: Sequence[Window] = field(init=False, repr=False)
     _by_mode: list[list[Window]] = field(init=False, repr=False)
 
@@ -81,7 +85,21 @@ class SampledPlant(Frozen):
 
         So runs of one plant share what it works out.
         """
-        return _made_before(plant, positive("step", step))
+        return _made_before(plant, positive("step", step), alike=False)
+
+    def cut_alike(self) -> SampledPlant:
+        """The same with the periods of all modes cut at the same instants, if they are not yet.
+
+        So a stretch can be moved over whatever the mode becomes within it.
+
+        Examples
+        --------
+        >>> plant = SwitchedSystem([[[0.0]], [[0.0]]], [[[1.0]], [[1.0]]], delay=[[0.27], [0.15]])
+        >>> [part.stop for part in SampledPlant.of(plant, 0.1).cut_alike().stretches(0)]
+        [0.04999999999999999, 0.07, 0.1]
+        """
+        same = (self.plant.delays == self.plant.delays[0]).all()
+        return self if same or self.alike else _made_before(self.plant, self.step, alike=True)
 
     @property
     def window(self) -> Window:
@@ -98,7 +116,8 @@ class SampledPlant(Frozen):
     def stretches(self, mode: int) -> tuple[Stretch, ...]:
         """The stretches of a period in which a mode is held, in order."""
         windows = self._by_mode[mode]
-        ends = sorted({self.step, *(window.phase for window in windows)})
+        cutting = self.windows if self.alike else windows
+        ends = sorted({self.step, *(window.phase for window in cutting)})
         starts = [0.0, *ends[:-1]]
         lags = [
             read_only(np.array([w.count - (start >= w.phase) for w in windows], np.int64))
@@ -166,8 +185,8 @@ class SampledPlant(Frozen):
 
 
 @lru_cache(maxsize=16)
-def _made_before(plant: SwitchedSystem, step: float) -> SampledPlant:
-    return SampledPlant(plant, step)
+def _made_before(plant: SwitchedSystem, step: float, *, alike: bool) -> SampledPlant:
+    return SampledPlant(plant, step, alike)
 
 
 def _by_lag(piece: Piece) -> dict[int, Float[np.ndarray, "n m"]]:

@@ -156,6 +156,11 @@ class SwitchedSystem(Frozen):
         """The longest delay of an input in a mode, seconds."""
         return float(self.delays.max())
 
+    @cached_property
+    def shortest_delay(self) -> float:
+        """The shortest delay of an input in a mode, seconds."""
+        return float(self.delays.min())
+
     @property
     def has_one_delay(self) -> bool:
         """Whether all inputs have the same delay in all modes."""
@@ -245,21 +250,21 @@ class SwitchedSystem(Frozen):
         )
 
 
-def check_delays(delay: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
+def check_delays(delay: ArrayLike, shape: tuple[int, int], name: str = "delay") -> np.ndarray:
     """The delays of all modes and inputs, (modes, m), from a number or an array of them."""
     modes, m = shape
     if isinstance(delay, str) or not np.iterable(delay):
-        return read_only(np.full(shape, positive("delay", delay)))
+        return read_only(np.full(shape, positive(name, delay)))
     form = f"(m,) = ({m},), (modes, 1) = ({modes}, 1) or (modes, m) = ({modes}, {m})"
     rows = any(np.iterable(row) for row in delay)
-    delays = real_array("delay", delay, form, 2 if rows else 1)
+    delays = real_array(name, delay, form, 2 if rows else 1)
     if delays.shape not in ((m,), (modes, 1), (modes, m)):
         per_mode = delays.shape == (modes,)
         hint = (
             f"; for one per mode give {[[value] for value in delays.tolist()]}" if per_mode else ""
         )
         raise ArgumentError(
-            f"delay must be a number or have shape {form}, got {delays.shape}: a list is one per "
+            f"{name} must be a number or have shape {form}, got {delays.shape}: a list is one per "
             f"input{hint}."
         )
     delays = _without_round_off(np.broadcast_to(delays, shape))
@@ -267,7 +272,7 @@ def check_delays(delay: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
     if wrong.size:
         i, j = wrong[0]
         raise ArgumentError(
-            f"delay of input {j} in mode {i} must be positive, in s, got {delays[i, j]:g}: for an "
+            f"{name} of input {j} in mode {i} must be positive, in s, got {delays[i, j]:g}: for an "
             "input that acts at once give a small share of the sampling period."
         )
     return read_only(delays)

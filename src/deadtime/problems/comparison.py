@@ -1,9 +1,12 @@
-"""One problem under every law of its list, and under its first law when switching stops."""
+"""One problem under every law of its list, and under its first law when switching stops.
+
+A law that has no ideal loop is left out where the problem has no step, and the others are run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
@@ -25,6 +28,7 @@ class Comparison:
     Attributes
     ----------
     problem : Problem
+        The setting, with the laws that were run.
     runs : mapping
         One run per law, on the problem's signal.
     metrics : mapping
@@ -38,6 +42,8 @@ class Comparison:
         The slope of log|x| over the second half of each of these runs, 1/s.
     outcomes : mapping
         How each run ends.
+    refused : mapping
+        Why each law that was left out has no run.
     """
 
     problem: Problem
@@ -47,6 +53,7 @@ class Comparison:
     growth: tuple[float, ...]
     measured: tuple[float, ...]
     outcomes: Mapping[str, Outcome]
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def signal(self) -> SwitchingSignal:
@@ -77,10 +84,9 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
     >>> [round(rate, 2) for rate in result.growth]      # unstable if it stops switching
     [0.13, 0.28]
     """
-    runs = {}
-    for name in problem.laws:
-        progress(f"simulating: {name}")
-        runs[name] = problem.simulate(name)
+    runs, refused = _run(problem, progress)
+    if refused:
+        problem = replace(problem, laws={name: problem.laws[name] for name in runs})
     # Long enough for the slowest root to stand out.
     horizon = max(4.0 * problem.horizon, 30.0 * problem.plant.longest_delay)
     if problem.step is not None:
@@ -95,7 +101,24 @@ def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison
     measured = tuple(-run.metrics()["decay_rate"] for run in held)
     outcomes = {name: ending(problem, name, run) for name, run in runs.items()}
     growth = _growth(problem) or measured
-    return Comparison(problem, runs, metrics, tuple(held), growth, measured, outcomes)
+    return Comparison(problem, runs, metrics, tuple(held), growth, measured, outcomes, refused)
+
+
+def _run(problem: Problem, progress: Progress) -> tuple[dict[str, Trajectory], dict[str, str]]:
+    """The runs of all laws that have one, and why the others have none."""
+    runs: dict[str, Trajectory] = {}
+    refused: dict[str, ArgumentError] = {}
+    for name in problem.laws:
+        progress(f"simulating: {name}")
+        try:
+            runs[name] = problem.simulate(name)
+        except ArgumentError as error:
+            if problem.step is not None:
+                raise
+            refused[name] = error
+    if not runs:
+        raise next(iter(refused.values()))
+    return runs, {name: str(error) for name, error in refused.items()}
 
 
 def ending(problem: Problem, name: str, run: Trajectory) -> Outcome:

@@ -39,6 +39,7 @@ def verdict(result: Comparison) -> list[str]:
     """
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
+    sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
     sentences += _imperfections(result) + _cost(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:

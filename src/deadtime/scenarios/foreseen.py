@@ -195,7 +195,7 @@ def fill_tails(tails, gains, latest, records, modes, rest, step, acting, pieces,
     cell = step / pieces.shape[1]
     scratch, move = np.empty(pieces.shape[3]), np.empty(_flat_size(acting.wide, n))
     for c in range(records.sojourn.size):
-        i = last = records.sojourn[c]
+        i = last = np.int64(records.sojourn[c])
         while last + 1 < records.until[c] and records.at[last + 1] <= rest:
             last += 1
         compose_period(

@@ -39,7 +39,6 @@ from deadtime.numerics.lanes import (
     squares,
     store,
     times,
-    total,
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
@@ -54,6 +53,7 @@ from deadtime.scenarios.hearing import (
     see,
     told_rows,
 )
+from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
 from deadtime.scenarios.remembering import (
     correct,
     follow_modes,
@@ -69,42 +69,7 @@ OUTSIDE = 0.02**2
 _LOG_2 = math.log(2.0)
 _NEVER = np.int64(2**62)
 _ONE = (0.0,)
-_FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
-
-
-@kernel(eager=True, nogil=True)
-def _dot(a, i, b, j, length):
-    """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
-    sums = same(0.0, _FOUR)
-    k = 0
-    while k + 4 * LANES <= length:
-        sums = times(load(a, i + k, _FOUR), load(b, j + k, _FOUR), sums)
-        k += 4 * LANES
-    rest = same(0.0, _ONE)
-    while k < length:
-        rest = times(load(a, i + k, _ONE), load(b, j + k, _ONE), rest)
-        k += LANES
-    return total(first_of(sums, rest, rest, _FIVE))
-
-
-@kernel(eager=True, nogil=True, inline="always")
-def _refill(shape, factored, ring, period, now, carry):
-    """What the previous block of inputs adds to each sum of the coming one.
-
-    With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
-    subtracted, so nothing cancels.
-    """
-    m, asked = len(shape.u), len(shape.rows)
-    q = len(shape.b)
-    s = same(0.0, shape.b)
-    place = now
-    for r in range(factored.length - 1, -1, -1):
-        place = period - 1 if place == 0 else place - 1
-        u = load(ring, place * m * LANES, shape.u)
-        s = product(factored.ahead, r * q * m, u, s)
-        sums = product(factored.behind, r * asked * q, s, same(0.0, shape.rows))
-        store(carry, r * asked * LANES, sums)
 
 
 class Work(NamedTuple):
@@ -180,56 +145,6 @@ def _switch(plant, work, k, soon):
     return soon
 
 
-class Window(NamedTuple):
-    """Memory of dense rows.
-
-    line : scenario by scenario, inputs twice over, so that N of them lie side by side wherever the
-    ring begins;  sums : of all inputs but the latest;  row : each scenario's, and where its head is
-    """
-
-    line: np.ndarray
-    sums: np.ndarray
-    row: np.ndarray
-    head: np.ndarray
-
-
-@kernel(eager=True, nogil=True)
-def _window(shape, dense):
-    """The memory of dense rows at time 0."""
-    m, row = len(shape.u), np.zeros(LANES, np.int64)
-    line = np.zeros((2 * dense.taps * m + LANES) * LANES)
-    return Window(line, np.empty(m * LANES), row, row.copy())
-
-
-@kernel(eager=True, nogil=True, inline="always")
-def _choose_rows(dense, work, window, k):
-    """The row of every scenario by its mode and age."""
-    for lane in range(LANES):
-        row = 0
-        if dense.kind == 1:
-            row = work.mode[lane]
-        elif dense.kind == 2:
-            row = work.mode[lane] * dense.ages + min(k - work.began[lane], dense.ages - 1)
-        window.row[lane] = row
-
-
-@kernel(eager=True, nogil=True, inline="always")
-def _sum_dense(shape, dense, window, place):
-    """Sums of all inputs but the latest, scenario by scenario.
-
-    They do not wait for what the last period gave: a processor works on both at once.
-    """
-    m, head = len(shape.u), len(shape.head)
-    width = window.line.size // LANES
-    for lane in range(LANES):
-        row = window.row[lane]
-        window.head[lane] = row * head
-        start = lane * width + (place + 1) * m
-        for i in range(m):
-            begin = (row * m + i) * dense.width
-            window.sums[lane * m + i] = _dot(dense.rest, begin, window.line, start, dense.width)
-
-
 @kernel(eager=True, nogil=True, inline="always")
 def _clip(shape, clip, u, before):
     """The input after the actuators, the one before given."""
@@ -280,7 +195,7 @@ def _run_eight(
         sizes, b = len(shape.rows), same(0.0, shape.b)
         carry = np.zeros(max(1, min(factored.length, run.samples)) * sizes * LANES)
     if dense is not None:
-        window, places = _window(shape, dense), m * np.arange(LANES)
+        window, places = window_of(shape, dense), m * np.arange(LANES)
         width = window.line.size // LANES
     if model is not None:
         ahead, enters = look_ahead(shape, model, start, count, period)
@@ -348,7 +263,7 @@ def _run_eight(
             u = foresee(shape, model.length, ahead, r, known, before)
         if factored is not None:
             if r == factored.length:
-                _refill(shape, factored, ring, period, now, carry)
+                refill(shape, factored, ring, period, now, carry)
                 b, r = same(0.0, shape.b), np.int64(0)
             sums = load(carry, r * sizes * LANES, shape.rows)
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
@@ -359,11 +274,11 @@ def _run_eight(
                     number = load(recent.number, 0, _ONE)
             u = choose(sums, number, shape.u)
         if dense is not None:
-            _choose_rows(dense, work, window, k)
+            choose_rows(dense, work, window, k)
             if relayed is not None:  # noqa: SIM102
                 if by_told:
                     told_rows(recent, window.row)
-            _sum_dense(shape, dense, window, place)
+            sum_dense(shape, dense, window, place)
             heads = gather(dense.head, window.head, shape.head)
             sums = gather(window.sums, places, shape.u)
             u = matrix_product(heads, first_of(known, before, before, shape.both), sums)

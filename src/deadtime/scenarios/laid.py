@@ -215,8 +215,8 @@ def fill_maps(
         else:
             end = rest if last[c] else step
             compose_period(
-                i,
-                until[c],
+                np.int64(i),  # as other callers have it: each type is compiled anew
+                np.int64(until[c]),
                 modes,
                 at,
                 end,

@@ -102,8 +102,11 @@ class Grid:
         return self.samples + self.sampled.longest_lag
 
     def acting(self, k: int, lag: np.ndarray) -> np.ndarray:
-        """The inputs (m,) that act in period k, as many samples old as their lags say."""
-        return self.inputs[self.past + k - lag, np.arange(lag.size)]
+        """The inputs that act in period k, as many samples old as their lags say.
+
+        Lags (m,), or those of several modes side by side (`deadtime.plant.every_reading`).
+        """
+        return self.inputs[self.past + k - lag, np.arange(lag.size) % self.inputs.shape[1]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,12 @@ _SINGULAR = 1e-8  # of a piece
 
 
 class Forcing:
-    """What the disturbances of a run draw, and how to read it along the plant's modes."""
+    """What the disturbances of a run draw, and how to read it along the plant's modes.
+
+    They are drawn for the stretches of a period, which are the same time in all modes (the plant is
+    `SampledPlant.cut_alike`). A switch to a mode that reads its inputs with other delays cuts a
+    stretch into pieces: the force that adds as much as was drawn is held over all of them.
+    """
 
     def __init__(
         self,
@@ -33,9 +38,8 @@ class Forcing:
         disturbances: Sequence[tuple[Disturbance, np.random.Generator]],
     ) -> None:
         plant = self._plant = sampled.plant
-        if not (plant.delays == plant.delays[0]).all():
-            plant.one_delay("disturbances, or one per input that is the same in all modes")
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
+        self._starts = np.array([part.start for part in sampled.stretches(0)])
         lengths = lengths_of(sampled)
         self._kinds = [force for force, _ in disturbances]
         self._draws = [force.draws(self._sizes, lengths, steps, rng) for force, rng in disturbances]
@@ -52,16 +56,30 @@ class Forcing:
         """ξ and d over the pieces of a known signal."""
         shift = np.zeros((table.entry.size, self._plant.states))
         period, entry = table.period, table.entry
-        place = np.arange(period.size) - table.first[period]
+        place = np.searchsorted(self._starts, table.start[entry], "right") - 1
         # The entries of modes held come first.
         cut = [table.parts(e, cuts) for e in range(len(self._held), table.mode.size)]
-        spreads, inverse = self._maps(self._held + [[(i, b - a) for i, a, b in e] for e in cut])
+        own = [[(i, b - a) for i, a, b in e] for e in cut]
+        # A piece that goes on in a stretch has the force of the one that begins it.
+        goes_on = np.append(False, (np.diff(period) == 0) & (np.diff(place) == 0))
+        head = np.maximum.accumulate(np.where(goes_on, 0, np.arange(entry.size)))
+        whole, first = [list(parts) for parts in own], len(self._held)
+        for q in np.flatnonzero(goes_on):
+            whole[entry[head[q]] - first] += own[entry[q] - first]
+        spreads, inverse = self._maps(self._held + whole)
         for spread, draws in zip(spreads, self._draws, strict=True):
-            shift += np.einsum("qnr,qr->qn", spread[entry], draws[period, place])
-        return shift, np.einsum("qij,qj->qi", inverse[entry], shift)
+            shift += np.einsum("qnr,qr->qn", spread[entry[head]], draws[period, place])
+        force = np.einsum("qij,qj->qi", inverse[entry[head]], shift)
+        shared = np.unique(head[goes_on])
+        parts = np.flatnonzero(np.isin(head, shared))
+        if parts.size:
+            given = _stacked([own[entry[q] - first] for q in parts])
+            Gamma = pushed_over(self._plant.A, *given)
+            shift[parts] = np.einsum("qij,qj->qi", Gamma, force[parts])
+        return shift, force
 
     def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " n"]:
-        """d over a piece that starts in a mode; a switch within it leaves d as it is."""
+        """d over a stretch that starts in a mode; a switch within it leaves d as it is."""
         (spreads, inverse), entry = self._of_held, self._first[mode] + piece
         pairs = zip(spreads, self._draws, strict=True)
         shift = np.sum([spread[entry] @ draws[k, piece] for spread, draws in pairs], axis=0)
@@ -69,11 +87,7 @@ class Forcing:
 
     def _maps(self, entries: list[list[tuple[int, float]]]) -> tuple[list[np.ndarray], np.ndarray]:
         """How each disturbance's numbers become ξ over every entry, and Γ_I⁻¹."""
-        shape = len(entries), max(map(len, entries))
-        mode, tau = np.zeros(shape, np.int64), np.zeros(shape)
-        for entry, pieces in enumerate(entries):
-            for i, (of, seconds) in enumerate(pieces):
-                mode[entry, i], tau[entry, i] = of, seconds
+        mode, tau = _stacked(entries)
         A = self._plant.A
         spreads = [spread_over(force, self._sizes, A, mode, tau) for force in self._kinds]
         return spreads, force_over(A, mode, tau, self._step)
@@ -106,14 +120,19 @@ def spread_over(
     return np.stack([force.spread(sizes, each) for each in pieces])
 
 
+def pushed_over(A: np.ndarray, mode: np.ndarray, tau: np.ndarray) -> Float[np.ndarray, "count n n"]:
+    """Γ_I over many stretches, given as above."""
+    modes, n, _ = A.shape
+    joint = np.zeros((modes, 2 * n, 2 * n))
+    joint[:, :n, :n], joint[:, :n, n:] = A, np.eye(n)
+    return accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:]
+
+
 def force_over(
     A: np.ndarray, mode: np.ndarray, tau: np.ndarray, step: float
 ) -> Float[np.ndarray, "count n n"]:
     """Γ_I⁻¹ over many stretches, from ξ to d, 0 where one takes no time; the others as above."""
-    modes, n, _ = A.shape
-    joint = np.zeros((modes, 2 * n, 2 * n))
-    joint[:, :n, :n], joint[:, :n, n:] = A, np.eye(n)
-    Gamma, total = accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:], tau.sum(axis=1)
+    Gamma, total = pushed_over(A, mode, tau), tau.sum(axis=1)
     # In units of one matrix |Γ_I/τ − I| ≤ (e^s − 1)/s − 1 < 1 for s = |A|τ ≤ 1.
     if rates(np.abs(A).sum(axis=0)[None])[0] * total.max() > 1.0:
         size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
@@ -125,3 +144,13 @@ def force_over(
     inverse = np.zeros(Gamma.shape)
     inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
     return inverse
+
+
+def _stacked(entries: list[list[tuple[int, float]]]) -> tuple[np.ndarray, np.ndarray]:
+    """Modes and seconds (entries, pieces) of entries, 0 s for fewer pieces."""
+    shape = len(entries), max(map(len, entries))
+    mode, tau = np.zeros(shape, np.int64), np.zeros(shape)
+    for entry, pieces in enumerate(entries):
+        for i, (of, seconds) in enumerate(pieces):
+            mode[entry, i], tau[entry, i] = of, seconds
+    return mode, tau

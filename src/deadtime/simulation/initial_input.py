@@ -34,10 +34,10 @@ class InputHistory(Frozen):
         inside = gauss(nodes.support.size).points
         times = edges[:-1, None] + np.diff(edges)[:, None] * inside
         values = self.function(times.ravel()).reshape(*times.shape, -1)
-        return np.einsum("ij,sjm->sim", _refit(inside, nodes.support), values)
+        return np.einsum("ij,sjm->sim", refit(inside, nodes.support), values)
 
 
-def _refit(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+def refit(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Matrix from values at points of [0, 1] to those of their polynomial at others."""
     degree = points.size - 1
     from_points = np.polynomial.legendre.legvander(2.0 * points - 1.0, degree)
@@ -124,7 +124,7 @@ def _check_values(u0: Callable[[float], ArrayLike], m: int) -> Callable[[np.ndar
 def _rough_places(function: Callable[[np.ndarray], np.ndarray], delay: float) -> np.ndarray:
     """Ends of intervals on each of which a polynomial represents the function."""
     points, check = gauss(10).points, (np.arange(7) + 0.5) / 7.0
-    to_check = _refit(points, check)
+    to_check = refit(points, check)
     places: list[float] = []
     work = [(-delay, 0.0)]
     for _ in range(_MOST_PIECES):

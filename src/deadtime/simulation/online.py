@@ -58,19 +58,22 @@ def run_online(
     with np.errstate(over="ignore", invalid="ignore"):
         kept, path, stop = _run(truth, update, lags, age, x0, horizon, grid)
     total = kept + sampled.longest_lag - 1
-    known = total * step + sampled.windows[-1].phase
+    # Up to where no input is missing, in any mode.
+    known = (kept + sampled.windows[0].count - 1) * step + sampled.windows[0].phase
     if truth.chatter is not None:
         known = truth.chatter.time
     signal, cuts = truth.signal(known), truth.cuts()
+    table = sampled.along(cuts, total + 1)
+    states, forces = truth.along(table, np.array(path))
     record = DigitalRecord(
         sampled,
         cuts,
-        sampled.along(cuts, total + 1),
-        read_only(np.array(path)),
+        table,
+        read_only(states),
         read_only(grid.inputs[: grid.past + kept]),
         grid.past,
         kept,
-        truth.forces,
+        forces,
         truth.slides if truth.slides and truth.slides.steps else None,
     )
     end, diverged, note = (None, False, "") if stop is None else stop

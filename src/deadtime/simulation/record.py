@@ -149,8 +149,7 @@ class DigitalRecord(Frozen):
         )
         if self.slides is not None:
             for i in np.flatnonzero(np.isin(step, list(self.slides.steps))):
-                k = int(step[i])
-                result[i] = self.slides.state_at(k, float(offset[i]), acting[self._pieces(k)])
+                result[i] = self.slides.state_at(int(step[i]), float(offset[i]))
         return result
 
     def inputs_at(self, times: np.ndarray) -> Float[np.ndarray, "time m"]:
@@ -199,7 +198,7 @@ class DigitalRecord(Frozen):
         """`_within_step`, of a step that slides."""
         assert self.slides is not None
         rate = float(np.abs(self.plant.A).sum(axis=2).max())
-        return self.slides.form_integral(k, end, self.driving_inputs[1][self._pieces(k)], rate, Q)
+        return self.slides.form_integral(k, end, rate, Q)
 
     def _within_step(self, k: int, end: float, Q: np.ndarray) -> float:
         """∫xᵀQx over [t_k, t_k + end], end < h."""

@@ -222,6 +222,8 @@ def _digital(
     measured = plant.states if law.outputs is None else law.outputs.shape[1]
     sizes = Sizes(plant.modes, measured, plant.inputs, step)
     known = switching if isinstance(switching, SwitchingSignal) else None
+    if disturbances or known is None:
+        grid = replace(grid, sampled=grid.sampled.cut_alike())
     tables = None
     if known is not None and takes(others):
         tables = tables_of(law, step, known, grid.samples)

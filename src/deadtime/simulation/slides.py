@@ -21,12 +21,12 @@ _JOINED = 1e-6  # of a step: slides that close are one
 
 
 class Part(NamedTuple):
-    """A part of a step in one motion: seconds from the step's start, the piece, and the motion."""
+    """A part of a step in one motion: seconds from the step's start, the motion, what acts."""
 
     begin: float
     end: float
-    piece: int
     leg: Leg
+    u: np.ndarray
 
 
 class Slide(NamedTuple):
@@ -39,22 +39,17 @@ class Slide(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """The steps that slide, by number; filled by the run.
-
-    In what follows `acting` (pieces, q) are the inputs, and forces, of the pieces of the step.
-    """
+    """The steps that slide, by number; filled by the run."""
 
     motion: Motion
     steps: dict[int, list[Part]]
 
-    def state_at(self, k: int, offset: float, acting: np.ndarray) -> Float[np.ndarray, " n"]:
+    def state_at(self, k: int, offset: float) -> Float[np.ndarray, " n"]:
         """x at t_k + offset."""
         part = [part for part in self.steps[k] if part.begin <= offset][-1]
-        return self.motion.along(part.leg, acting[part.piece], offset - part.begin)
+        return self.motion.along(part.leg, part.u, offset - part.begin)
 
-    def form_integral(
-        self, k: int, end: float, acting: np.ndarray, rate: float, Q: np.ndarray
-    ) -> float:
+    def form_integral(self, k: int, end: float, rate: float, Q: np.ndarray) -> float:
         """∫xᵀQx over [t_k, t_k + end] by Gauss quadrature; `rate` (1/s) is the modes' fastest."""
         nodes, total = gauss(_NODES), 0.0
         for part in self.steps[k]:
@@ -65,7 +60,7 @@ class Slides:
             short = length / count
             for i in range(count):
                 for point, weight in zip(nodes.points, nodes.weights, strict=True):
-                    x = self.motion.along(part.leg, acting[part.piece], short * (i + point))
+                    x = self.motion.along(part.leg, part.u, short * (i + point))
                     total += short * weight * float(x @ Q @ x)
         return total
 
@@ -75,7 +70,7 @@ class Slides:
 
     def _each(self, step: float, end: float) -> Iterator[Slide]:
         for k in sorted(self.steps):
-            for begin, until, _, leg in self.steps[k]:
+            for begin, until, leg, _ in self.steps[k]:
                 if leg.beside is not None and k * step + begin < end:
                     modes = (
                         self.motion.mode_of(leg.place),

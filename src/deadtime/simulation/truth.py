@@ -6,10 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant import SampledPlant
+from deadtime.plant.every_reading import EveryReading
+from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import TOLERANCE, Cuts, snap
 from deadtime.simulation.digital import Drawn
 from deadtime.simulation.forcing import Forcing
@@ -34,20 +37,19 @@ class Truth(ABC):
         σ(t_k), once the first piece of period k is run.
     chatter : Chatter or None
         When the plant began to chatter; from there on its mode is held.
-    forces : (pieces, n) or None
-        The force that disturbances hold over each piece.
     slides : Slides or None
         The periods in which the plant slid along a boundary.
     """
 
     mode: int
     chatter: Chatter | None = None
-    forces: np.ndarray | None = None
     slides: Slides | None = None
 
     @abstractmethod
     def lags(self, k: int) -> list[np.ndarray]:
-        """The lags (m,) of the inputs that act in the pieces of period k, in order."""
+        """The lags of the inputs that act in the pieces of period k, in order: (m,), or those of
+        all modes side by side where the mode is not known beforehand.
+        """
 
     @abstractmethod
     def move(self, k: int, piece: int, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -56,6 +58,14 @@ class Truth(ABC):
     @abstractmethod
     def within(self, k: int, offset: float, path: list[np.ndarray], acting: Acting) -> np.ndarray:
         """x at t_k + offset, 0 < offset < h; `path` is x at the start of every piece so far."""
+
+    @abstractmethod
+    def along(
+        self, table: PieceTable, path: np.ndarray
+    ) -> tuple[Float[np.ndarray, "start n"], Float[np.ndarray, "piece n"] | None]:
+        """x at the start of every piece of a table, from x at the start of those moved over, and
+        the force that disturbances hold over each.
+        """
 
     @abstractmethod
     def signal(self, end: float) -> SwitchingSignal:
@@ -77,9 +87,10 @@ class KnownTruth(Truth):
         self._table = sampled.along(self._cuts, steps)
         self._modes = modes_at(signal, np.arange(steps) * sampled.step, sampled.step)
         self._shift = np.zeros((self._table.entry.size, sampled.plant.states))
+        self._forces: np.ndarray | None = None
         if disturbances:
             forcing = Forcing(sampled, steps, disturbances)
-            self._shift, self.forces = forcing.along(self._table, self._cuts)
+            self._shift, self._forces = forcing.along(self._table, self._cuts)
 
     def lags(self, k: int) -> list[np.ndarray]:
         first, stop = self._table.first[k : k + 2]
@@ -99,12 +110,15 @@ class KnownTruth(Truth):
         piece = int(np.searchsorted(table.start[entries], offset, "right")) - 1
         q, entry = table.first[k] + piece, entries[piece]
         u = acting(k, table.lag[entry])
-        if self.forces is not None:
-            u = np.concatenate((u, self.forces[q]))
+        if self._forces is not None:
+            u = np.concatenate((u, self._forces[q]))
             unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
             B = read_only(np.concatenate((B, unit), axis=2))
         Phi, Gamma = up_to(A, B, table, cuts.offset, cuts.mode, entry, offset)
         return Phi @ path[q] + Gamma @ u
+
+    def along(self, table: PieceTable, path: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        return path, self._forces
 
     def signal(self, end: float) -> SwitchingSignal:
         return self._signal
@@ -114,7 +128,11 @@ class KnownTruth(Truth):
 
 
 class RuleTruth(Truth):
-    """A plant that switches by a rule."""
+    """A plant that switches by a rule.
+
+    It is moved over the stretches of a period, which are the same time in all modes, under what
+    every mode reads: a switch to a mode of other delays cuts a stretch into pieces afterwards.
+    """
 
     def __init__(
         self,
@@ -124,14 +142,15 @@ class RuleTruth(Truth):
         steps: int,
         disturbances: Drawn,
     ) -> None:
-        plant, self._forcing = sampled.plant, None
-        delay = plant.one_delay("a plant that a rule switches")
-        self._step, self._stretches = sampled.step, sampled.stretches(0)
+        every, self._forcing = EveryReading.of(sampled), None
+        plant, self._step, self._stretches = every.plant, sampled.step, every.stretches
+        self._forces: np.ndarray | None = None
         if disturbances:
             self._forcing = Forcing(sampled, steps, disturbances)
-            self.forces = np.zeros((steps * len(self._stretches), plant.states))
+            self._forces = np.zeros((steps * len(self._stretches), plant.states))
             unit = np.broadcast_to(np.eye(plant.states), plant.A.shape)
-            plant = SwitchedSystem(plant.A, np.concatenate((plant.B, unit), axis=2), delay)
+            pushed = np.concatenate((plant.B, unit), axis=2)
+            plant = plant.like(plant.A, pushed, np.full(pushed.shape[::2], plant.longest_delay))
         lengths = tuple(part.stop - part.start for part in self._stretches)
         self._motion = rule.motion(plant, lengths)
         self._place = self._motion.place_of(x0)
@@ -139,6 +158,7 @@ class RuleTruth(Truth):
         self._offsets: list[float] = []
         self._modes = [self._motion.mode_of(self._place)]
         self._beside: Beside | None = None
+        self._crossings: dict[tuple[int, float], np.ndarray] = {}
         self._parts: list[Part] = []
         self.slides = Slides(self._motion, {})
 
@@ -149,14 +169,14 @@ class RuleTruth(Truth):
         h, begin = self._step, self._stretches[piece].start
         if piece == 0:
             self.mode, self._parts = self._modes[-1], []
-        if self._forcing is not None and self.forces is not None:
+        if self._forcing is not None and self._forces is not None:
             force = self._forcing.of_mode(k, piece, self._modes[-1])
-            self.forces[k * len(self._stretches) + piece] = force
+            self._forces[k * len(self._stretches) + piece] = force
             u = np.concatenate((u, force))
         if self.chatter is not None or not np.abs(x).max() <= _FAR:
             return self._motion.hold(piece, x, self._place, u)
         move = self._motion.advance(piece, x, self._place, u, self._beside)
-        self._keep(k, piece, move.legs)
+        self._keep(k, piece, move.legs, u)
         self._place, self._beside = move.place, move.beside
         for leg in move.legs:
             mode, offset = self._motion.mode_of(leg.place), begin + leg.time
@@ -165,6 +185,7 @@ class RuleTruth(Truth):
             self._steps.append(k if offset < h else k + 1)
             self._offsets.append(offset if offset < h else 0.0)
             self._modes.append(mode)
+            self._crossings[k, offset] = leg.x
             # A switch within 1e-9 h after a sample counts as at it.
             if piece == 0 and offset <= TOLERANCE * h:
                 self.mode = mode
@@ -176,13 +197,12 @@ class RuleTruth(Truth):
             self.chatter = move.chatter._replace(time=time)
         return move.x
 
-    def _keep(self, k: int, piece: int, legs: list[Leg]) -> None:
+    def _keep(self, k: int, piece: int, legs: list[Leg], u: np.ndarray) -> None:
         """Keep the parts of a period if it slides in one of them."""
         begin, stop, _ = self._stretches[piece]
         ends = [leg.time for leg in legs[1:]] + [stop - begin]
         self._parts += [
-            Part(begin + leg.time, begin + end, piece, leg)
-            for leg, end in zip(legs, ends, strict=True)
+            Part(begin + leg.time, begin + end, leg, u) for leg, end in zip(legs, ends, strict=True)
         ]
         if self.slides is not None and any(leg.beside for leg in legs):
             self.slides.steps[k] = self._parts
@@ -192,6 +212,17 @@ class RuleTruth(Truth):
             "imperfections must measure at samples where a rule switches the plant: make the "
             f"measurement delay a multiple of the step, {self._step:g} s, without jitter."
         )
+
+    def along(self, table: PieceTable, path: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        starts, begin = np.array([part.start for part in self._stretches]), table.start[table.entry]
+        place = np.searchsorted(starts, begin, "right") - 1
+        stretch = table.period * starts.size + place
+        forces = None if self._forces is None else self._forces[stretch]
+        pieces = int(np.searchsorted(stretch, len(path) - 1))
+        states = path[np.append(stretch[:pieces], len(path) - 1)]
+        for q in np.flatnonzero(begin[:pieces] != starts[place[:pieces]]):
+            states[q] = self._crossings[int(table.period[q]), float(begin[q])]
+        return states, forces
 
     def signal(self, end: float) -> SwitchingSignal:
         h = self._step

@@ -50,10 +50,7 @@ def why_left_out(asked: Asked, plant: SwitchedSystem, law: Law, step: float | No
     the delay margin was left out: the delay of 250 s holds D/h = 25,000 periods of 0.01 s, with \
 which it takes about 2 min; check their units, or give a longer step, 0.04 s
     """
-    if asked.endswith("margin") and not plant.has_one_delay:
-        why = "it is not known for several delays yet"
-    else:
-        why = _too_long(asked, plant, law, step)
+    why = _too_long(asked, plant, law, step)
     return why and f"the {asked} was left out: {why}"
 
 

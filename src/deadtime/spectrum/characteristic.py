@@ -1,25 +1,30 @@
 """The spectrum of the ideal loop with one mode held: its characteristic roots.
 
-    dx/dt = A x(t) + B u(t − D),    u(t) = F x(t) + ∫₀^D̂ w(τ) u(t − τ) dτ,    det Δ(s) = 0
+    dx/dt = A x(t) + Σ_j b_j u_j(t − D_j),    u(t) = F x(t) + ∫ w(τ) u(t − τ) dτ,    det Δ(s) = 0
 
 (`deadtime.spectrum.ideal` has w and Δ). What kind of spectrum this is:
 
-- The loop is retarded, never neutral, also where D ≠ D̂. The input obeys a Volterra equation of
-  the second kind whose kernel w is smooth and has no atoms: u(t) itself is not fed back, nor is
-  u(t − D̂). Differentiated, it gives du/dt in terms of x(t), u(t), u(t − D), u(t − D̂) and an
-  integral of u, with no derivative of the past (and m roots at 0 that the loop does not have).
+- The loop is retarded, never neutral, whatever delays plant and law have. The input obeys a
+  Volterra equation of the second kind whose kernel w is smooth on each of the law's windows
+  [α, β] and has no atoms: u itself is not fed back at any time. Differentiated, it gives du/dt in
+  terms of x(t), u(t − D_j), u(t − α), u(t − β) and an integral of u, with no derivative of the
+  past (and m roots at 0 that the loop does not have).
 - So W(s) = O(1/|s|) to the right of any line, det Δ(s) = sⁿ (1 + O(1/|s|)), and only finitely
-  many roots lie there; the others form chains that go left like −ln|s|/D. A small error of the
+  many roots lie there; the others form chains that go left like −ln|s|/D. A small error of a
   delay does not shift infinitely many roots across the axis, but it may shift many: where the
-  loop's gain K e^{SD̂} R is large, those with |s| up to twice its size.
+  loop's gain at the end of a window, C e^{S(β−α)} R, is large, those with |s| up to twice its size.
 - At least one root exists: det Δ is entire, of exponential type, and ~ sⁿ to the right. Without
   any root it would be e^{a + bs}; with finitely many it is a polynomial of degree n. The growth
   rate of the ideal loop is therefore never −∞, as that of a digital loop can be.
-- With the exact law of a plant's own mode and delay, e^{−sD} cancels: with S = A, R = B, L = I,
+- Under the exact law of a plant's own mode and delays the spectrum is the n eigenvalues of A + BK,
+  no more. Along a motion of the loop the prediction is true, x̂(t + θ) = x(t + θ): up to the
+  shortest delay all inputs are in flight, and between two delays those that are not are K_j x̂,
+  which is what the law, true so far, will send. So U_j = K_j e^{sD_j} X, of which K_j X arrives,
+  and (sI − A − BK) X = 0; and every such X is a motion. With finitely many roots det Δ is a
+  polynomial of degree n, so det Δ(s) = det(sI − A − BK), multiple roots by continuity in K. For
+  one delay, one window [0, D] of S = A, R = B and C = K, e^{−sD} cancels:
 
-      W(s) = K (sI − A)⁻¹ B − e^{−sD} F (sI − A)⁻¹ B,    det Δ(s) = det(sI − A − BK),
-
-  and the spectrum is the n eigenvalues of A + B K, no more.
+      W(s) = K (sI − A)⁻¹ B − e^{−sD} F (sI − A)⁻¹ B.
 
 How roots are found: eigenvalues of the generator on polynomials start Newton's method on
 det Δ, s ← s − 1/tr(Δ⁻¹Δ'), down to round-off. The argument principle then counts the roots to the
@@ -91,7 +96,7 @@ def characteristic_roots(
     Parameters
     ----------
     plant : SwitchedSystem
-        The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
+        The truth. The law has a model of its own, `law.plant`; delays and matrices may differ.
     law : Law
         A law with a closed form in continuous time. One that tells ages apart is taken at a mode
         that has been held throughout; an oracle knows that nothing will switch.
@@ -178,7 +183,7 @@ def _polish(
 def _round_off(loop: IdealLoop) -> float:
     """To the left of this line e^{−sD} enlarges round-off so much that it has roots of its own."""
     gain = np.linalg.norm(loop.F) * np.linalg.norm(loop.B)
-    gain += np.linalg.norm(loop.KE) * np.linalg.norm(loop.R)
+    gain += sum(np.linalg.norm(w.ending) * np.linalg.norm(w.R) for w in loop.windows)
     allowed = 1e-4 / (np.finfo(float).eps * (1.0 + loop.longest * gain))
     return -math.log(max(float(allowed), 1e2)) / loop.longest
 

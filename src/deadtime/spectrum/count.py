@@ -7,8 +7,8 @@ the turn of f's argument along the upper half of the line, in half turns:
     count = (arg f(c) − arg f(c + i∞))/π.
 
 The argument is followed over points so close that |f'/f| times their distance is below 1, up to
-the radius beyond which det(I − Y), Y(s) = W(s) + F (sI − A)⁻¹ B e^{−sD}, |Y| < 1, has none but
-eigenvalues of positive real part; what is left to infinity is the sum of their arguments.
+the radius beyond which I − Y(s), Y(s) = W(s) + F (sI − A)⁻¹ B diag(e^{−sD_j}), |Y| < 1, has none
+but eigenvalues of positive real part; what is left to infinity is the sum of their arguments.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CHUNK = 20_000
 def count_right_of(loop: IdealLoop, line: float) -> int | None:
     """Roots with Re s > `line`; None on a line too close to a root or too long to be followed."""
     radius = loop.radius(line)
-    spacing = 1.0 / (loop.delay + loop.lead + 1.0 / radius)
+    spacing = 1.0 / (float(loop.delays.max()) + loop.lead + 1.0 / radius)
     if not radius / spacing < MOST_POINTS:
         return None
     pole = line - loop.unit
@@ -74,7 +74,7 @@ def _rest(loop: IdealLoop, end: complex, pole: float) -> float:
     """arg f at the end of the line, followed back from its limit 0 at infinity."""
     n = loop.A.shape[0]
     W = loop.memory(np.array([end]))[0][0]
-    free = np.linalg.solve(end * np.eye(n) - loop.A, loop.B * np.exp(-end * loop.delay))
+    free = np.linalg.solve(end * np.eye(n) - loop.A, loop.B * np.exp(-end * loop.delays))
     fed = np.linalg.eigvals(np.eye(W.shape[0]) - W - loop.F @ free)
     open_loop = (end - np.linalg.eigvals(loop.A)) / (end - pole)
     return float(np.angle(fed).sum() + np.angle(open_loop).sum())

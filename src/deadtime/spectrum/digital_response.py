@@ -16,14 +16,14 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
 from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
-from deadtime.spectrum.response import Response
+from deadtime.spectrum.response import LoopResponse, offsets_of
 
 _CUTS = 5  # delays within a period at which the delay line is tried
 _SHORT = 2.0  # |A| h up to which one series will do: larger terms would cancel
 
 
 @dataclass(frozen=True, eq=False)
-class DigitalResponse(Response):
+class DigitalResponse(LoopResponse):
     """A plant in one mode under a row (F, G) of a table, at the table's period (immutable).
 
     Inputs are in `units_of` B.
@@ -35,6 +35,7 @@ class DigitalResponse(Response):
     G: Float[np.ndarray, "tap m m"]
     step: float
     Phi: Float[np.ndarray, "size size"]
+    offsets: Float[np.ndarray, " m"]
 
     @classmethod
     def of(cls, plant: SwitchedSystem, feedback: Feedback, mode: int) -> DigitalResponse:
@@ -43,10 +44,10 @@ class DigitalResponse(Response):
         A, B, h = plant.A[mode], plant.B[mode], feedback.step
         F, G = feedback.state_gain[row], feedback.input_gain[row]
         B, F, G = in_units(units_of(B), B, F, G)
-        return cls(A, B, F, G, h, finite_discretisation(A, B, h)[0])
+        return cls(A, B, F, G, h, finite_discretisation(A, B, h)[0], offsets_of(plant, mode))
 
     @property
-    def memory(self) -> float:
+    def taps(self) -> float:
         return self.G.shape[0] * self.step
 
     @property
@@ -73,12 +74,11 @@ class DigitalResponse(Response):
         g, slope = np.fft.fft(turned, axis=1)[:, :count]
         return np.eye(m) - g, 1j * slope
 
-    def delay_line(
-        self, omega: np.ndarray, delay: np.ndarray
+    def arriving(
+        self, inputs: slice | np.ndarray, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        count, early, late, last = cut_inputs(
-            self.A, np.ascontiguousarray(self.B), self.step, delay
-        )
+        B = np.ascontiguousarray(self.B[:, inputs])
+        count, early, late, last = cut_inputs(self.A, B, self.step, delay)
         z = np.exp(1j * omega * self.step)
         old, new = ((z**-c)[:, None, None] for c in (count, count - 1.0))
         rate = -1j * self.step * count[:, None, None]

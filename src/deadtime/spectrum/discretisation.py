@@ -1,15 +1,15 @@
 """Approximate characteristic roots: the ideal loop's generator on a Chebyshev grid.
 
-The state of the loop is x(t) and u on [t − T, t], T the longer of the two delays. Shifting it in
-time is a semigroup with the generator
+The state of the loop is x(t) and u on [t − T, t], T the longest delay of plant and law. Shifting
+it in time is a semigroup with the generator
 
-    (x, u) ↦ (A x + B u(−D), du/dθ)    where    u(0) = F x + ∫₀^D̂ w(τ) u(−τ) dτ.
+    (x, u) ↦ (A x + Σ_j b_j u_j(−D_j), du/dθ)    where    u(0) = F x + ∫ w(τ) u(−τ) dτ.
 
 A polynomial through u at Chebyshev points turns it into a matrix whose eigenvalues tend to the
 roots, faster than any power of the degree since eigenfunctions are exponentials: for a degree of
 a few more than |s| T/2. The others are of no meaning, so all are polished and counted
 (`deadtime.spectrum.characteristic`). One polynomial serves unequal delays, too: the smooth
-functions that matter do not break at −D or −D̂.
+functions that matter do not break at any −D_j, nor where a window of the law ends.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.spectrum.ideal import IdealLoop, weights
+from deadtime.spectrum.ideal import IdealLoop
+from deadtime.spectrum.memory import weights
 
 _CENTRE = 1.618  # of the plant's rate: no root is there but by accident
 
@@ -42,17 +43,18 @@ def generator(
     n, m = loop.B.shape
     longest = loop.longest
     nodes, derivative, barycentric = _chebyshev(degree)
-    tau, taps = weights(loop.K, loop.S, loop.R, loop.lead, loop.near + 2.0 * degree / longest)
-    at = _interpolation(nodes, barycentric, 1.0 - 2.0 * np.append(tau, loop.delay) / longest)
-    window = np.tensordot(taps, at[:-1], ([0], [0])).transpose(2, 0, 1)  # node by node (m, m)
+    tau, taps = weights(loop.windows, loop.near + 2.0 * degree / longest)
+    delays, effects = zip(*loop.pipes, strict=True)
+    at = _interpolation(nodes, barycentric, 1.0 - 2.0 * np.append(tau, delays) / longest)
+    window = np.tensordot(taps, at[: tau.size], ([0], [0])).transpose(2, 0, 1)  # by node (m, m)
     now = np.zeros((m, n + m * degree))
     now[:, :n] = loop.F
     now[:, n:] = window[1:].transpose(1, 0, 2).reshape(m, m * degree)
     now = np.linalg.solve(np.eye(m) - window[0], now)
-    later = np.zeros((n, n + m * degree))
-    later[:, n:] = np.kron(at[-1, 1:], loop.B)
     G = np.zeros((n + m * degree, n + m * degree))
-    G[:n] = at[-1, 0] * (loop.B @ now) + later
+    for row, B in zip(at[tau.size :], effects, strict=True):
+        G[:n] += row[0] * (B @ now)
+        G[:n, n:] += np.kron(row[1:], B)
     G[:n, :n] += loop.A
     slope = derivative[1:]
     G[n:] = np.kron(slope[:, :1], now)

@@ -1,36 +1,29 @@
 """The ideal loop with one mode held, as a characteristic matrix.
 
-A law updated continuously is a sum over branches (`feedback.forecast`). While one mode lasts for
-ever each branch stays in one system, and all together are one frozen system (S, R), the
-branches' A and B stacked, that starts from L x(t) and is read by K, the branches' gains side by
-side:
+    dx/dt = A x(t) + Σ_j b_j u_j(t − D_j),    u(t) = F x(t) + ∫ w(τ) u(t − τ) dτ,
 
-    u(t) = F x(t) + ∫₀^D̂ w(τ) u(t − τ) dτ,    w(τ) = K e^{Sτ} R,    F = K e^{S D̂} L,
-    dx/dt = A x(t) + B u(t − D),
+the D_j of the plant, F and w of the law: the windows of `deadtime.spectrum.memory`. A motion
+(x, u) = (X, U) e^{st} solves Δ(s) (X, U) = 0,
 
-D the plant's delay and D̂ the law's. A motion (x, u) = (X, U) e^{st} solves Δ(s) (X, U) = 0,
+    Δ(s) = [[sI − A, −B diag(e^{−sD_j})], [−F, I − W(s)]],    W(s) = ∫ e^{−sτ} w(τ) dτ,
 
-    Δ(s) = [[sI − A, −e^{−sD} B], [−F, I − W(s)]],    W(s) = ∫₀^D̂ e^{−sτ} w(τ) dτ,
-
-an entire function of s: where sI − S is singular the integral is not.
+an entire function of s.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Forecast, Law
+from deadtime.feedback import Law
 from deadtime.feedback.table import require_finite_gains
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum.memory import Window, weights, windows_of
 from deadtime.switching import SwitchingSignal
 
-# A Gauss panel of so many nodes integrates e^{at} to round-off for |a| · length ≤ _RATE.
-_NODES, _RATE = 16, 8.0
-_MOST_PANELS = 100_000
 _TERMS = 60
 
 
@@ -40,31 +33,24 @@ class IdealLoop:
 
     Attributes
     ----------
-    A : (n, n), B : (n, m), delay : float
-        The plant's mode and D, seconds.
-    K : (m, q), S : (q, q), R : (q, m), lead : float
-        The law and D̂, seconds; 0 for a law that predicts nothing.
-    F : (m, n)
-        K e^{S D̂} L.
-    KE : (m, q)
-        K e^{S D̂}.
+    A : (n, n), B : (n, m), delays : (m,)
+        The plant's mode and D_j, seconds.
+    F : (m, n), windows : tuple of Window
+        The law; of length 0 if it predicts nothing.
     tau : (nodes,), taps : (nodes, m, m)
-        ∫₀^D̂ e^{−sτ} w(τ) dτ = Σ_j e^{−sτ_j} taps_j to round-off for |s| ≤ `near`.
+        W(s) = Σ_j e^{−sτ_j} taps_j to round-off for |s| ≤ `near`.
     near : float
-        Twice the largest of the norms of A and S and one over the longer delay, 1/s.
+        Twice the largest of the norms of A and all S and one over the longest delay, 1/s.
     rate : float
-        The largest of the norms of A, S, F B and K R, 1/s: how fast the loop is but for its delay.
+        The largest of the norms of A, F B and all S and C R, 1/s: how fast the loop is but for
+        its delays.
     """
 
     A: Float[np.ndarray, "n n"]
     B: Float[np.ndarray, "n m"]
-    delay: float
-    K: Float[np.ndarray, "m q"]
-    S: Float[np.ndarray, "q q"]
-    R: Float[np.ndarray, "q m"]
-    lead: float
+    delays: Float[np.ndarray, " m"]
     F: Float[np.ndarray, "m n"]
-    KE: Float[np.ndarray, "m q"]
+    windows: tuple[Window, ...]
     tau: Float[np.ndarray, " node"]
     taps: Float[np.ndarray, "node m m"]
     near: float
@@ -76,29 +62,20 @@ class IdealLoop:
 
         Raises `ArgumentError` if the law has no closed form in continuous time.
         """
-        from deadtime.numerics.exponential import balance, discretise
+        from deadtime.numerics.exponential import balance
 
-        delay = plant.one_delay("characteristic roots")
-        A, B = plant.A[mode], plant.B[mode]
-        forecast = law.ideal(SwitchingSignal.constant(mode), 0.0)
-        if not isinstance(forecast, Forecast):
-            raise ArgumentError(
-                "law must have a model with one delay for characteristic roots, got "
-                f"delay={law.plant.delay_text}: give a step for the growth of the digital loop."
-            )
-        K, S, R, L = _terms_in_aged_mode(forecast)
-        t, r = balance(A), balance(S)
-        A, B, L = A * t / t[:, None], B / t[:, None], L * t / r[:, None]
-        K, S, R, lead = K * r, S * r / r[:, None], R / r[:, None], forecast.lead
-        KE = K @ discretise(S, R, lead)[0]
-        require_finite_gains(KE, KE @ L @ B)
-        norms = np.linalg.norm(A, 2), np.linalg.norm(S, 2), 1.0 / max(delay, lead)
-        near = 2.0 * float(max(norms))
-        tau, taps = weights(K, S, R, lead, 1.5 * near)
-        F = KE @ L
-        rate = float(max(*norms[:2], np.linalg.norm(F @ B, 2), np.linalg.norm(K @ R, 2)))
-        rate = rate or 1.0 / max(delay, lead)
-        return cls(A, B, delay, K, S, R, lead, F, KE, tau, taps, near, rate)
+        A, B, delays = plant.A[mode], plant.B[mode], plant.delays[mode]
+        t = balance(A)
+        A, B = A * t / t[:, None], B / t[:, None]
+        F, windows = windows_of(law.ideal(SwitchingSignal.constant(mode), 0.0), t)
+        require_finite_gains(F @ B, *(window.ending for window in windows))
+        longest = max(float(delays.max()), *(window.far for window in windows))
+        own = [np.linalg.norm(X, 2) for X in (A, *(window.S for window in windows))]
+        near = 2.0 * float(max(*own, 1.0 / longest))
+        tau, taps = weights(windows, 1.5 * near)
+        gains = [np.linalg.norm(X, 2) for X in (F @ B, *(w.C @ w.R for w in windows))]
+        rate = float(max(*own, *gains)) or 1.0 / longest
+        return cls(A, B, delays, F, windows, tau, taps, near, rate)
 
     def memory(
         self, s: Complex[np.ndarray, " point"]
@@ -112,15 +89,24 @@ class IdealLoop:
         decay = np.exp(-s[inside, None] * self.tau)
         W[inside] = np.tensordot(decay, self.taps, 1)
         slope[inside] = -np.tensordot(decay * self.tau, self.taps, 1)
-        # W = K (sI − S)⁻¹ (R − e^{−sD̂} e^{SD̂} R), where the inverse is far from singular.
-        far = s[~inside, None, None]
-        shifted = far * np.eye(self.S.shape[0]) - self.S
-        once = np.linalg.solve(shifted, np.broadcast_to(self.R + 0j, (far.size, *self.R.shape)))
-        twice = np.linalg.solve(shifted, once)
-        late = np.exp(-far * self.lead)
-        W[~inside] = self.K @ once - late * (self.KE @ once)
-        slope[~inside] = late * (self.KE @ (self.lead * once + twice)) - self.K @ twice
+        for window in self.windows:
+            part, change = window.transform(s[~inside])
+            W[~inside] += part
+            slope[~inside] += change
         return W, slope
+
+    @property
+    def lead(self) -> float:
+        """How far back the law looks, seconds; 0 for one that predicts nothing."""
+        return max(window.far for window in self.windows)
+
+    @property
+    def pipes(self) -> list[tuple[float, Float[np.ndarray, "n m"]]]:
+        """The distinct delays of the plant, seconds, each with the inputs that have it."""
+        return [
+            (delay, np.where(self.delays == delay, self.B, 0.0))
+            for delay in np.unique(self.delays).tolist()
+        ]
 
     def matrix(
         self, s: Complex[np.ndarray, " point"]
@@ -129,13 +115,13 @@ class IdealLoop:
         n, m = self.B.shape
         W, slope = self.memory(s)
         Delta, prime = np.zeros((2, s.size, n + m, n + m), complex)
-        late = np.exp(-s * self.delay)[:, None, None] * self.B
+        late = np.exp(-s[:, None] * self.delays)[:, None, :] * self.B
         Delta[:, :n, :n] = s[:, None, None] * np.eye(n) - self.A
         Delta[:, :n, n:] = -late
         Delta[:, n:, :n] = -self.F
         Delta[:, n:, n:] = np.eye(m) - W
         prime[:, :n, :n] = np.eye(n)
-        prime[:, :n, n:] = self.delay * late
+        prime[:, :n, n:] = self.delays * late
         prime[:, n:, n:] = -slope
         return Delta, prime
 
@@ -144,19 +130,19 @@ class IdealLoop:
         n, m = self.B.shape
         size = np.zeros((s.size, n + m, n + m))
         absolute = np.abs(s)[:, None, None]
-        late = np.exp(-np.real(s) * self.delay)[:, None, None]
-        ahead = 1.0 + np.linalg.norm(self.S) * self.lead  # of e^{SD̂}
+        late = np.exp(-np.real(s)[:, None] * self.delays)[:, None, :]
+        ahead = 1.0 + max(np.linalg.norm(w.S) for w in self.windows) * self.lead  # of e^{Sτ}
         window = np.tensordot(np.exp(-np.real(s)[:, None] * self.tau), np.abs(self.taps), 1)
         size[:, :n, :n] = absolute + np.linalg.norm(self.A)
-        size[:, :n, n:] = late * (1.0 + absolute * self.delay) * np.abs(self.B)
+        size[:, :n, n:] = late * (1.0 + absolute * self.delays) * np.abs(self.B)
         size[:, n:, :n] = ahead * np.abs(self.F)
         size[:, n:, n:] = 1.0 + ahead * window
         return size
 
     @property
     def longest(self) -> float:
-        """T, the longer delay, seconds."""
-        return max(self.delay, self.lead)
+        """T, the longest delay of the plant or the law, seconds."""
+        return max(float(self.delays.max()), self.lead)
 
     @property
     def unit(self) -> float:
@@ -164,80 +150,51 @@ class IdealLoop:
         return min(1.0 / self.longest, self.rate)
 
     def radius(self, right: float, any_delay: bool = False) -> float:
-        """R: every root with Re s ≥ `right` has |s| < R; if asked for, whatever the delay.
+        """R: every root with Re s ≥ `right` has |s| < R; if asked for, whatever the delays.
 
-        With Y(s) = W(s) + F (sI − A)⁻¹ B e^{−sD} a root beyond |A| makes I − Y(s) singular. For
-        |s| > max(|A|, |S|) both inverses are geometric series,
+        With Y(s) = W(s) + F (sI − A)⁻¹ B diag(e^{−sD_j}) a root beyond |A| makes I − Y(s)
+        singular. Both ends of a window and every delay of the plant are edges θ of the past,
 
-            Y(s) = Σ_k s^{−k−1} (K S^k R + K e^{SD̂} (L A^k B e^{−sD} − S^k R e^{−sD̂})),
+            Y(s) = Σ_e e^{−sθ_e} H_e (sI − S_e)⁻¹ R_e,
 
-        whose terms are bounded one by one. Where model and plant agree the last two cancel,
-        however large the gains.
+        (H, S, R) = (C, S, R) at θ = α, (−C e^{S(β − α)}, S, R) at β and (F, A, b_j e_jᵀ) at D_j.
+        For |s| above all |S_e| the inverses are geometric series,
+
+            Y(s) = Σ_k s^{−k−1} Σ_θ e^{−sθ} Σ_{e: θ_e = θ} H_e S_e^k R_e,
+
+        whose terms are bounded one by one, those of one θ added first. Where model and plant agree
+        what arrives cancels what the windows end with, however large the gains. Where delays may
+        be any, for Re s ≥ 0, all of B is one edge: |F A^k B diag(e^{−sD_j})| ≤ |F A^k B|.
         """
         unit, shift = 2.0 * self.rate, 0.0 if any_delay else right
-        own, ahead = np.exp(-shift * self.delay), np.exp(-shift * self.lead)
-        alike = self.delay == self.lead and not any_delay
-        A, S, FA, KS, KES = self.A / unit, self.S / unit, self.F, self.K, self.KE
+        pipes = [(None, self.B)] if any_delay else self.pipes
+        edges = chain(
+            ((w.near, w.C, w.S, w.R) for w in self.windows),
+            ((delay, self.F, self.A, B) for delay, B in pipes),
+            ((w.far, -w.ending, w.S, w.R) for w in self.windows),
+        )
+        together: dict[float | None, list[list[np.ndarray]]] = {}
+        for theta, H, S, R in edges:
+            together.setdefault(theta, []).append([H, S / unit, R])
         terms = []
         for _ in range(_TERMS):
-            law, arriving, window = KS @ self.R, own * (FA @ self.B), ahead * (KES @ self.R)
-            if self.lead == 0.0:
-                parts = [arriving]
-            else:
-                parts = [law, arriving - window] if alike else [law, arriving, window]
-            terms.append(sum(np.linalg.norm(part, 2) for part in parts) / unit)
-            FA, KS, KES = FA @ A, KS @ S, KES @ S
-        powers = -1.0 - np.arange(_TERMS)
-        low = high = 1.0
-        while terms @ high**powers > 0.99:
-            low, high = high, 2.0 * high
-        while high > 1.001 * low:
-            middle = np.sqrt(low * high)
-            low, high = (middle, high) if terms @ middle**powers > 0.99 else (low, middle)
-        return float(high * unit)
+            size = 0.0
+            for theta, group in together.items():
+                decay = np.exp(-shift * (theta or 0.0))
+                size += np.linalg.norm(sum(decay * (H @ R) for H, _, R in group), 2)
+                for edge in group:
+                    edge[0] = edge[0] @ edge[1]
+            terms.append(size / unit)
+        return unit * _least_power(np.array(terms))
 
 
-def weights(
-    K: np.ndarray, S: np.ndarray, R: np.ndarray, lead: float, rate: float
-) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node m m"]]:
-    """τ_j and the taps that integrate w(τ) = K e^{Sτ} R against functions of a rate in 1/s."""
-    from deadtime.numerics.exponential import discretise
-
-    if lead == 0.0:
-        return np.empty(0), np.empty((0, R.shape[1], R.shape[1]))
-    if not rate * lead <= _RATE * _MOST_PANELS:
-        raise ArgumentError(
-            f"delay must be shorter for characteristic roots: the loop's fastest rate times the "
-            f"delay is {rate * lead:.3g}, and at most {_RATE * _MOST_PANELS:.0g} is possible."
-        )
-    panels = int(np.ceil(rate * lead / _RATE)) + 1
-    length = lead / panels
-    z, weight = np.polynomial.legendre.leggauss(_NODES)
-    first = (z + 1.0) / 2.0 * length
-    inside = (
-        np.stack([discretise(S, R, t)[0] @ R for t in first])
-        * (weight / 2.0 * length)[:, None, None]
-    )
-    whole, row, taps = discretise(S, R, length)[0], K, []
-    for _ in range(panels):
-        taps.append(row @ inside)
-        row = row @ whole
-    return (np.arange(panels)[:, None] * length + first).ravel(), np.concatenate(taps)
-
-
-def _terms_in_aged_mode(
-    forecast: Forecast,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """K, S, R, L of a forecast in a mode that has been held throughout."""
-    from scipy.linalg import block_diag
-
-    start = forecast.until(np.zeros(1))
-    late = np.maximum(start, 0.0) + 1.0 if np.isfinite(start[0]) else np.zeros(1)
-    stays = forecast.until(late)[0] > late[0]
-    ends = forecast.path(late).repeat(forecast.branches.size) if stays else forecast.branches
-    gains = forecast.gains(late)[0]
-    n = forecast.A.shape[1]
-    lift = np.eye(n) if forecast.lift is None else forecast.lift
-    S = np.asarray(block_diag(*forecast.A[ends]))
-    R = np.concatenate([forecast.B[e] for e in ends])
-    return np.concatenate(list(gains), axis=1), S, R, np.tile(lift, (ends.size, 1))
+def _least_power(terms: np.ndarray) -> float:
+    """About the least r ≥ 1 with Σ_k terms_k r^{−k−1} ≤ 0.99."""
+    powers = -1.0 - np.arange(terms.size)
+    low = high = 1.0
+    while terms @ high**powers > 0.99:
+        low, high = high, 2.0 * high
+    while high > 1.001 * low:
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if terms @ middle**powers > 0.99 else (low, middle)
+    return float(high)

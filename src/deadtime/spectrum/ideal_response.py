@@ -7,25 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.feedback import Law
+from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.ideal import IdealLoop
-from deadtime.spectrum.response import Response
+from deadtime.spectrum.response import LoopResponse, offsets_of
 
 
 @dataclass(frozen=True, eq=False)
-class IdealResponse(Response):
+class IdealResponse(LoopResponse):
     """A plant in one mode under a law updated continuously (immutable)."""
 
     loop: IdealLoop
     F: Float[np.ndarray, "m n"]
     radius: float
+    offsets: Float[np.ndarray, " m"]
 
     @classmethod
-    def of(cls, loop: IdealLoop) -> IdealResponse:
-        """The response of a loop; its own true delay plays no part."""
-        return cls(loop, loop.F, loop.radius(0.0, any_delay=True))
+    def of(cls, plant: SwitchedSystem, law: Law, mode: int) -> IdealResponse:
+        """The loop with one mode held."""
+        loop = IdealLoop.of(plant, law, mode)
+        return cls(loop, loop.F, loop.radius(0.0, any_delay=True), offsets_of(plant, mode))
 
     @property
-    def memory(self) -> float:
+    def taps(self) -> float:
         return self.loop.lead
 
     @property
@@ -44,11 +48,11 @@ class IdealResponse(Response):
     def even_law(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         return self.law((np.arange(count) + 0.5) / count * self.highest)
 
-    def delay_line(
-        self, omega: np.ndarray, delay: np.ndarray
+    def arriving(
+        self, inputs: slice | np.ndarray, omega: np.ndarray, delay: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rate, after = (-1j * part[:, None, None] for part in (omega, delay))
-        p = np.exp(rate * delay[:, None, None]) * self.loop.B
+        p = np.exp(rate * delay[:, None, None]) * self.loop.B[:, inputs]
         return p, after * p, rate * p
 
     @property

@@ -14,7 +14,7 @@ from deadtime.spectrum.digital_response import DigitalResponse
 from deadtime.spectrum.input_units import in_units, units_of
 from deadtime.spectrum.lifted import aged_row
 from deadtime.spectrum.observed import Joined, periods_of
-from deadtime.spectrum.response import Samples
+from deadtime.spectrum.response import Samples, offsets_of
 from deadtime.switching import SwitchingSignal
 
 
@@ -48,7 +48,8 @@ class ObservedResponse(DigitalResponse):
         effect, gain, G = in_units(units_of(B), np.vstack((B, *x_bar.Gamma)), X.gain, G)
         B, Gamma = effect[: len(B)], effect[len(B) :].reshape(count, -1, B.shape[1])
         model = x_bar._replace(Gamma=Gamma)
-        return cls(A, B, gain, G, feedback.step, X.Phi, model, X.true)
+        offsets = offsets_of(plant, mode)
+        return cls(A, B, gain, G, feedback.step, X.Phi, offsets, model, X.true)
 
     def free(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         z = np.exp(1j * omega * self.step)[:, None, None] * np.eye(len(self.Phi))

@@ -56,10 +56,11 @@ def design(
     Parameters
     ----------
     plant : SwitchedSystem
-        The plant at its nominal delay, the model of the law.
+        The plant at its nominal delays, the model of the law.
     delay_margin : float
         The relative error of the true delay, above 0 and below 1, that every constant mode must
-        tolerate both ways: 0.05 for ±5 %.
+        tolerate both ways: 0.05 for ±5 %. Of several delays all err by as many seconds, so much
+        of the shortest.
     step : float
         Sampling period h, seconds.
     law : callable, optional
@@ -72,7 +73,7 @@ def design(
     longest_step : float, optional
         Allow periods up to this, seconds: 2, 5, 10, … times `step`.
     decay_rate : float
-        How fast every constant mode must decay at least at the nominal delay, 1/s. A wide margin
+        How fast every constant mode must decay at least at the nominal delays, 1/s. A wide margin
         at a low cost is easily had by a loop that hardly moves.
     cost : "mean" or "worst"
         The cost ∫ xᵀQx + uᵀRu of the mean or of the worst mode, each held.
@@ -112,7 +113,6 @@ def design(
     (True, True, True)
     """
     asked = check_request(plant, delay_margin, step, filtered, longest_step, cost, dearest)
-    plant.one_delay("design")
     floors = Floors(asked, decay_asked(decay_rate))
     given = None if gains is None else check_gains(plant, gains, True)
     weight = weight_of(weight, plant)
@@ -210,5 +210,8 @@ def _averaged_law(plant: SwitchedSystem, gains: np.ndarray) -> AveragedPredictor
 
 def _ends(plant: SwitchedSystem, law: Law, step: float, asked: float) -> np.ndarray:
     """The growth rates at both ends of the margin asked for, from spectra of their own."""
-    ends = [plant.like(plant.A, plant.B, plant.delays * (1.0 + s * asked)) for s in (-1.0, 1.0)]
+    shortest = plant.shortest_delay
+    offsets = plant.delays - shortest
+    delays = [shortest * (1.0 + sign * asked) + offsets for sign in (-1.0, 1.0)]
+    ends = [plant.like(plant.A, plant.B, one) for one in delays]
     return np.array([[growth_rate(end, law, i, step) for i in range(plant.modes)] for end in ends])

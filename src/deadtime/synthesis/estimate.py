@@ -26,10 +26,13 @@ _HIGH = -0.2  # of log|λ|: a peak that may reach 1 at another delay
 
 
 def estimated_margin(plant: SwitchedSystem, feedback: Feedback, mode: int) -> float:
-    """The smallest error of the delay, relative to it, that loses a mode stable without one."""
+    """The smallest error of the delay, relative to it, that loses a mode stable without one.
+
+    Of several delays, which all err by as many seconds, relative to the shortest.
+    """
     response = DigitalResponse.of(plant, feedback, mode)
-    delay = plant.delay
-    omega = frequencies(delay, response.highest)
+    delay = plant.shortest_delay
+    omega = frequencies(plant.longest_delay, response.highest)
     z, _ = response.free(omega)
     M, _ = response.law(omega)
     p, _, _ = response.delay_line(omega, np.full(omega.size, delay))

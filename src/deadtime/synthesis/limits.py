@@ -13,6 +13,10 @@ inequality with C = O(A₊)⁻¹ tan(½ asin(A₊Δ)) e^{A₊(D−Δ)} B₊, or 
 for several inputs, for an eigenvalue p: |tan(½ asin(pΔ)) e^{p(D−Δ)}| ≤ |O(p)|. Here O is outer with
 |O(jω)| = tan(π/4 + ¼ atan(ωΔ)).
 
+Inputs with delays of their own: a controller may hold early inputs back, so that what is reached
+with the longest delay for all is reached; and with the shortest for all it could hold them back to
+what they are, so that what is not reached there is not reached.
+
 C = f(A₊) B₊ in each case, so X₂ = f(A₊) X₁ f(A₊)ᵀ: in coordinates in which X₁ = I the inequality is
 ‖f(A₊)‖ ≤ 1. Those of `_balance` need no X₁, which is singular to machine precision where poles
 nearly coincide.
@@ -44,13 +48,17 @@ _LOST = 1e-9  # of a direction
 class DelayLimit(Frozen):
     """What the delay margin of one mode can be at all (immutable).
 
+    Relative to the delay; of several, to the plant's shortest, as `DelayMargin.relative`.
+
     Attributes
     ----------
     reached : float
         Some linear controller keeps the mode stable for all true delays that err by less than
-        this, relative to the delay (small gain: sufficient). ∞: every delay error below 100 %.
+        this, also each input's by another error (small gain: sufficient). ∞: every delay error
+        below 100 %.
     most : float
-        No linear time-invariant controller does for an error larger than this (necessary).
+        No linear time-invariant controller does for an error larger than this, common to all
+        inputs (necessary).
     poles : (unstable poles,) complex
         The poles that set the limits, 1/s.
     """
@@ -85,8 +93,11 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
 
     Notes
     -----
-    Between the two, nothing is claimed. They are about continuous controllers; a digital loop tends
-    to one as its period shortens. Controllers that vary in time are not covered by `most`.
+    Between the two, nothing is claimed; they lie farther apart where the delays of the mode's
+    inputs differ: `reached` is that of its longest delay for all inputs, `most` that of its
+    shortest, which differ by the growth of the plant in between. They are about continuous
+    controllers; a digital loop tends to one as its period shortens. Controllers that vary in time
+    are not covered by `most`.
 
     References
     ----------
@@ -103,17 +114,18 @@ def delay_limit(plant: SwitchedSystem, mode: int = 0) -> DelayLimit:
     """
     instance("plant", plant, SwitchedSystem)
     mode = index("mode", mode, plant.modes)
-    D = plant.one_delay("delay_limit")
-    slow = SLOW / D
+    delays, unit = plant.delays[mode], plant.shortest_delay
+    shortest, longest = float(delays.min()), float(delays.max())
+    slow = SLOW / longest
     _require_stabilisable(plant.A[mode], plant.B[mode], slow, mode)
     A, B = _unstable(plant.A[mode], plant.B[mode], slow)
-    on_axis = _on_axis(plant.A[mode], D)
+    on_axis = _on_axis(plant.A[mode], longest, unit)
     if A.size == 0:
         return DelayLimit(on_axis, math.inf, np.empty(0, complex))
     A = _balance(A, B, mode)
     possible = _apart if B.shape[1] > 1 else _together
-    reached = min(on_axis, _largest(lambda error: _small_gain(A, D, error * D), 0.0))
-    most = _largest(lambda error: possible(A, D, error * D), math.exp(_LEAST))
+    reached = min(on_axis, _largest(lambda error: _small_gain(A, longest, error * unit), 0.0))
+    most = _largest(lambda error: possible(A, shortest, error * unit), math.exp(_LEAST))
     return DelayLimit(reached, most, np.sort_complex(np.diag(A)))
 
 
@@ -146,11 +158,11 @@ def _largest(excess: Callable[[float], float], below: float) -> float:
     return math.exp(found)
 
 
-def _on_axis(A: np.ndarray, D: float) -> float:
-    """Where poles ±iω on the axis break the small gain: 2 sin(ωΔ/2) = 1."""
+def _on_axis(A: np.ndarray, D: float, unit: float) -> float:
+    """Where poles ±iω on the axis break the small gain: 2 sin(ωΔ/2) = 1, Δ relative to `unit`."""
     poles = np.linalg.eigvals(A)
     near = np.abs(np.real(poles)) * D <= SLOW
-    fastest = float(np.abs(np.imag(poles[near])).max(initial=0.0)) * D
+    fastest = float(np.abs(np.imag(poles[near])).max(initial=0.0)) * unit
     limit = math.pi / (3.0 * fastest) if fastest > SLOW else math.inf
     return limit if limit < 1.0 else math.inf
 

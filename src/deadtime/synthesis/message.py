@@ -61,7 +61,7 @@ def _answer(floors: Floors, reached: bool, found: TradeOff, evaluated: int) -> s
     filtered = "" if found.time_constant is None else ", with a low-pass filter"
     where = f"({percent(floors.margin)} asked){filtered}, at a step of {found.step:g} s."
     if reached:
-        return f"Every constant mode stays stable {_while(found.margin)} {where}"
+        return f"Every constant mode stays stable {_while(found)} {where}"
     return (
         f"Not reached: of {evaluated} designs that were tried, the one that comes nearest has a "
         f"delay margin of {percent(found.margin)} {where} {_shortfall(floors, found)}"
@@ -82,10 +82,14 @@ def _shortfall(floors: Floors, found: TradeOff) -> str:
     return f"{text}, not the {kept}." if floors.decay_rate and len(missed) == 1 else f"{text}."
 
 
-def _while(margin: float) -> str:
-    if math.isinf(margin):
-        return "whatever the true delay"
-    return f"while the true delay errs by less than {percent(margin)}"
+def _while(found: TradeOff) -> str:
+    one = found.law.plant.has_one_delay
+    if math.isinf(found.margin):
+        return "whatever the true delay" if one else "however late all inputs are together"
+    if one:
+        return f"while the true delay errs by less than {percent(found.margin)}"
+    less = f"less than {percent(found.margin)} of the shortest"
+    return f"while all true delays err alike, by {less}"
 
 
 def _price(found: TradeOff, plain: TradeOff) -> str:

@@ -27,8 +27,8 @@ class TradeOff:
     step : float
         Its sampling period, seconds.
     margin : float
-        The smallest error of the delay that loses a constant mode, relative to the delay; 0 where
-        one is unstable.
+        The smallest error of the delay that loses a constant mode, relative to the delay, or to
+        the shortest of several; 0 where one is unstable.
     cost : float
         ∫ xᵀQx + uᵀRu with one mode held, mean over |x₀| = 1, mean or worst over the modes; ∞
         where one is unstable.
@@ -66,7 +66,7 @@ class Design(Frozen):
     margin : DelayMargin
         The exact margin of constant modes, as by `delay_margin(plant, law, step)`.
     asked : float
-        The margin asked for, relative to the delay.
+        The margin asked for, relative to the delay, or to the shortest of several.
     decay_asked : float
         The decay rate asked for, 1/s; 0 where none was.
     reached : bool

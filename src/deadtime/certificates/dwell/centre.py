@@ -49,10 +49,8 @@ class Model:
     @classmethod
     def of(cls, setting: Setting, eigenvectors: tuple[int, ...], rank: int) -> Model:
         """The model with so many left eigenvectors per mode and directions of the rows."""
-        full = [
-            setting.family.sample(setting.family.orders(i, i)[0], 0.0, 0.5)
-            for i in range(setting.A.shape[1])
-        ]
+        family: Any = setting.family
+        full = [family.sample(family.orders(i, i)[0], 0.0, 0.5) for i in range(setting.A.shape[1])]
         E, rows = np.mean(full, axis=0), setting.rows
         row = rows.mean(axis=0) if setting.rows_differ else rows[0].copy()
         R, T, rest = _directions(setting, rows - row, rank)

@@ -7,6 +7,7 @@ periods, taken at a few instants of the switch; the proof covers the others.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -78,9 +79,10 @@ class Leaps:
 def plant_rows(setting: Setting, step: Transition, instants: tuple[float, ...]) -> np.ndarray:
     """E (samples, n, k) of a step that switches at these fractions of the period.
 
-    At all corners of the polytope, and at both ends of a range of delays.
+    At all corners of the polytope, and at the ends of ranges of delays.
     """
-    family, rows = setting.family, []
+    family: Any = setting.family
+    rows = []
     for instant in sorted(set(instants)):
         for order in family.orders(step.mode, step.after):
             share = family.shares(order, (instant, instant))

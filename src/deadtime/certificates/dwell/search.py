@@ -13,8 +13,9 @@ from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
 from deadtime.certificates.dwell.response import Response, fine_frequencies, frequencies, response
 from deadtime.certificates.dwell.riccati import solve_riccati
 from deadtime.certificates.proof import Check, Evidence, check
+from deadtime.certificates.proof.box import Box
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.family import Family, Segment
+from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
 
 LEAST_MARGIN = 1e-9
@@ -59,7 +60,7 @@ class Search:
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
         self.knots = tuple(sorted({int(mark) for mark in marks})) if level.eigenvectors else (0,)
-        self.looked_at: set[tuple[Transition, tuple[Segment, ...], float]] = set()
+        self.looked_at: set[tuple[Transition, Any, float]] = set()
         self.samples = self._samples()
         delay = setting.longest_delay
         self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
@@ -124,7 +125,7 @@ class Search:
 
     def _add(self, failed: Transition, u: float) -> bool:
         """Look at a step at the instant u of the period, too; False if that is done already."""
-        family = self.setting.family
+        family: Any = self.setting.family
         order, inner = family.place(failed.mode, failed.after, u)
         key = failed, order, inner if failed.switches else 0.0
         if key in self.looked_at:
@@ -135,9 +136,10 @@ class Search:
         return True
 
 
-def sampled_rows(family: Family, step: Transition) -> np.ndarray:
+def sampled_rows(family: Family | Box, step: Transition) -> np.ndarray:
     """The plant's rows E (samples, n, k) of a step at some instants of its switch."""
-    orders, rows = family.orders(step.mode, step.after), []
+    orders: list[Any] = list(family.orders(step.mode, step.after))
+    rows = []
     instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
     for order in orders:
         shares = family.shares(order, step.instants)

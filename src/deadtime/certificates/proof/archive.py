@@ -227,7 +227,7 @@ def _float(value: Any) -> float:
 
 
 def _delays(value: Any) -> Delays:
-    """Low and high of one delay, or lists with those of every mode."""
+    """Low and high of one delay, lists with those of every mode, or low and high of these."""
     if isinstance(value, list) and value and isinstance(value[0], list):
         return _array_of(value)
     low, high = value

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.box import POLYTOPE, Box
 from deadtime.certificates.proof.definite import congruent
-from deadtime.certificates.proof.enclosure import Cell, Enclosure, Enclosures, cells_of
+from deadtime.certificates.proof.enclosure import Cell, Enclosure, cells_of, enclosures_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
 
@@ -65,9 +66,9 @@ class Form:
 class Covering:
     """Checks forms over all steps of a family; what one form needed to enclose serves the next."""
 
-    def __init__(self, family: Family) -> None:
+    def __init__(self, family: Family | Box) -> None:
         self.family = family
-        self.enclosures = Enclosures(family)
+        self.enclosures = enclosures_of(family)
         self.known: dict[Any, Enclosure] = {}
 
     def holds(self, form: Form, step: Transition, lower: list[Any]) -> tuple[int, float | None]:
@@ -149,7 +150,7 @@ def _corners(enclosure: Enclosure, concave: bool) -> tuple[list[Any], dict[int, 
     for k, slope in enclosure.slopes:
         middle = balls.exact(balls.middle(slope))
         left = _symmetric(slope - middle if concave else slope)
-        moves.setdefault(k, []).extend([middle] if k == 2 else [middle, middle * -1])
+        moves.setdefault(k, []).extend([middle] if k == POLYTOPE else [middle, middle * -1])
         rest[k] = left if k not in rest else _union(rest[k], left)
     if not concave or not moves:
         return [enclosure.centre], rest

@@ -14,32 +14,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, U
 from deadtime.certificates.proof.family import Family, Lags, Segment
+
+if TYPE_CHECKING:
+    from deadtime.certificates.proof.box_enclosure import BoxEnclosures
 
 SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """A part of the parameters: `corners` (k, vertices) are the simplex in λ."""
+    """A part of the parameters: `f` of every delay, `corners` (k, vertices) the simplex in λ."""
 
-    order: tuple[Segment, ...]
+    order: Any
     u: tuple[float, float]
-    f: tuple[float, float]
+    f: tuple[tuple[float, float], ...]
     corners: np.ndarray
 
     def halves(self, direction: int) -> tuple[Cell, Cell]:
-        """Bisect along u (0), f (1), or the longest edge of the simplex (2)."""
-        if direction < 2:
-            low, high = (self.u, self.f)[direction]
-            middle = 0.5 * (low + high)
-            name = ("u", "f")[direction]
-            return replace(self, **{name: (low, middle)}), replace(self, **{name: (middle, high)})
+        """Bisect along u, an f, or the longest edge of the simplex (`POLYTOPE`)."""
+        if direction == U:
+            (low, high), middle = self.u, 0.5 * sum(self.u)
+            return replace(self, u=(low, middle)), replace(self, u=(middle, high))
+        if direction >= FIRST:
+            k = direction - FIRST
+            (low, high), middle = self.f[k], 0.5 * sum(self.f[k])
+            before, after = self.f[:k], self.f[k + 1 :]
+            return (
+                replace(self, f=(*before, (low, middle), *after)),
+                replace(self, f=(*before, (middle, high), *after)),
+            )
         distance = np.linalg.norm(self.corners[:, None] - self.corners, axis=2)
         a, b = np.unravel_index(np.argmax(distance), distance.shape)
         between = 0.5 * (self.corners[a] + self.corners[b])
@@ -52,7 +62,7 @@ class Cell:
 class Enclosure:
     """E (n, k) at the centre of a cell, and (direction, D) with E over the cell within
 
-    E + Σ [−1, 1] D over directions 0 and 1, plus the convex hull of the D of direction 2.
+    E + Σ [−1, 1] D over all directions but `POLYTOPE`, plus the convex hull of the D of that.
     """
 
     centre: Any
@@ -60,15 +70,26 @@ class Enclosure:
 
 
 def cells_of(
-    family: Family, mode: int, after: int, instants: tuple[float, float] = (0.0, 1.0)
+    family: Family | Box, mode: int, after: int, instants: tuple[float, float] = (0.0, 1.0)
 ) -> list[Cell]:
     """The cells that cover every step from `mode` to `after` with a switch at these instants."""
     corners, cells = np.eye(len(family.A)), []
-    for order in family.orders(mode, after):
+    orders: list[Any] = list(family.orders(mode, after))
+    for order in orders:
         shares = family.shares(order, instants)
         if shares is not None:
-            cells.append(Cell(order, shares, (0.0, 1.0), corners))
+            whole = ((0.0, 1.0),) * len(family.moving(order))
+            cells.append(Cell(order, shares, whole, corners))
     return cells
+
+
+def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
+    """What encloses the cells of a family."""
+    if isinstance(family, Box):
+        from deadtime.certificates.proof.box_enclosure import BoxEnclosures
+
+        return BoxEnclosures(family)
+    return Enclosures(family)
 
 
 class Enclosures:
@@ -93,15 +114,16 @@ class Enclosures:
 
         family = self.family
         n = family.A.shape[2]
-        u, f = balls.interval(*cell.u), balls.interval(*cell.f)
-        middle_u, middle_f = (arb(0.5) * (arb(a) + arb(b)) for a, b in (cell.u, cell.f))
+        ends = (cell.u, *cell.f)
+        u, f = (balls.interval(*pair) for pair in ends)
+        middle_u, middle_f = (arb(0.5) * (arb(a) + arb(b)) for a, b in ends)
         weights = cell.corners.mean(axis=0)
-        centre = _product(self._factors(cell, middle_u, middle_f, weights, None))
+        centre = product_of(self._factors(cell, middle_u, middle_f, weights, None))
         slopes: list[tuple[int, Any]] = []
         hull = None if len(cell.corners) == 1 else cell.corners
         halves = (
-            (0, cell.u, any(part.share != "all" for part in cell.order)),
-            (1, cell.f, family.ranges),
+            (U, cell.u, any(part.share != "all" for part in cell.order)),
+            (FIRST, cell.f[0], family.ranges),
         )
         moving = [
             (k, math.nextafter(0.5 * (b - a), math.inf))
@@ -119,7 +141,7 @@ class Enclosures:
                 slopes.append((k, balls.top(_sum(factors, inner), n) * arb(half)))
             for corner in cell.corners if hull is not None else ():
                 inner = [self._frechet(part, u, f, weights, hull, corner) for part in cell.order]
-                slopes.append((2, balls.top(_sum(factors, inner), n)))
+                slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
         return Enclosure(balls.top(centre, n), slopes)
 
     def _duration(self, part: Segment, u: Any, f: Any) -> Any:
@@ -138,25 +160,13 @@ class Enclosures:
     def _rate(self, part: Segment, direction: int, u: Any, f: Any) -> Any:
         """∂τ/∂u or ∂τ/∂f."""
         a, b = SHARES[part.share]
-        if direction == 0:
+        if direction == U:
             return (self._mark(part.stop, f) - self._mark(part.start, f)) * b
         return (u * b + a) * (self._rise(part.stop) - self._rise(part.start))
 
     def _generator(self, part: Segment, weights: np.ndarray, hull: np.ndarray | None) -> Any:
         """𝒜 at the weights, or over the simplex."""
-        corners = self._corners(part)
-        if len(corners) == 1:
-            return corners[0]
-        if hull is None:
-            return _combine(corners, weights)
-        from flint import arb_mat
-
-        points = [_combine(corners, point).entries() for point in (weights, *hull)]
-        size = corners[0].nrows()
-        union = points[0]
-        for point in points[1:]:
-            union = [x.union(y) for x, y in zip(union, point, strict=True)]
-        return arb_mat(size, size, union)
+        return hull_of(self._corners(part), weights, hull)
 
     def _corners(self, part: Segment) -> list[Any]:
         """𝒜 of every corner of the polytope."""
@@ -184,15 +194,9 @@ class Enclosures:
         corner: np.ndarray,
     ) -> Any:
         """The derivative of a segment's exponential from the weights towards a corner."""
-        from flint import arb_mat
-
-        corners = self._corners(part)
-        tau = self._duration(part, u, f)
-        X = self._generator(part, weights, hull) * tau
-        Y = (_combine(corners, corner) - _combine(corners, weights)) * tau
-        size = X.nrows()
-        whole = balls.blocks([[X, Y], [balls.zeros(size, size), X]]).exp().tolist()
-        return arb_mat([row[size:] for row in whole[:size]])
+        corners, tau = self._corners(part), self._duration(part, u, f)
+        away = combine(corners, corner) - combine(corners, weights)
+        return frechet(self._generator(part, weights, hull) * tau, away * tau)
 
 
 def _slack(family: Family) -> Any:
@@ -203,7 +207,7 @@ def _slack(family: Family) -> Any:
     return arb(0.0, 4.0 * float(np.spacing(scale)))
 
 
-def _combine(corners: list[Any], weights: np.ndarray) -> Any:
+def combine(corners: list[Any], weights: np.ndarray) -> Any:
     """Σ λ_k 𝒜^k."""
     from flint import arb
 
@@ -213,7 +217,32 @@ def _combine(corners: list[Any], weights: np.ndarray) -> Any:
     return total
 
 
-def _product(factors: list[Any]) -> Any:
+def hull_of(corners: list[Any], weights: np.ndarray, hull: np.ndarray | None) -> Any:
+    """𝒜 at the weights, or over the simplex of which they are the centre."""
+    if len(corners) == 1:
+        return corners[0]
+    if hull is None:
+        return combine(corners, weights)
+    from flint import arb_mat
+
+    points = [combine(corners, point).entries() for point in (weights, *hull)]
+    size = corners[0].nrows()
+    union = points[0]
+    for point in points[1:]:
+        union = [x.union(y) for x, y in zip(union, point, strict=True)]
+    return arb_mat(size, size, union)
+
+
+def frechet(X: Any, Y: Any) -> Any:
+    """The derivative of the exponential at X in the direction Y."""
+    from flint import arb_mat
+
+    size = X.nrows()
+    whole = balls.blocks([[X, Y], [balls.zeros(size, size), X]]).exp().tolist()
+    return arb_mat([row[size:] for row in whole[:size]])
+
+
+def product_of(factors: list[Any]) -> Any:
     """factors[-1] … factors[0]."""
     result = factors[0]
     for factor in factors[1:]:
@@ -225,6 +254,6 @@ def _sum(factors: list[Any], inner: list[Any]) -> Any:
     """Σ_k factors[-1] … inner[k] … factors[0]."""
     total = None
     for k, derivative in enumerate(inner):
-        term = _product([*factors[:k], derivative, *factors[k + 1 :]])
+        term = product_of([*factors[:k], derivative, *factors[k + 1 :]])
         total = term if total is None else total + term
     return total

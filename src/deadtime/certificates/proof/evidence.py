@@ -32,6 +32,7 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.certificates.clock import CLOCK_TOLERANCE
+from deadtime.certificates.proof.box import Box, family_of
 from deadtime.certificates.proof.family import Delays, Family
 from deadtime.certificates.proof.transitions import Transitions, interpolation
 
@@ -47,8 +48,9 @@ class Setting(Frozen):
     ----------
     A : (vertices, modes, n, n), B : (vertices, modes, n, m)
         The corners of the polytope of plants; one for a plant.
-    delays : (low, high), or (modes, m)
-        The plant's delay, seconds, equal for a known one; or those of every mode and input.
+    delays : (low, high), (modes, m), or (2, modes, m)
+        The plant's delay, seconds, equal for a known one; or those of every mode and input; or
+        the lower and the upper end of each.
     F : (rows, m, n), G : (rows, taps, m, m)
         The law's table.
     context, ages, step
@@ -76,10 +78,10 @@ class Setting(Frozen):
     clock_tolerance: float = CLOCK_TOLERANCE
 
     @cached_property
-    def family(self) -> Family:
+    def family(self) -> Family | Box:
         """The steps of the plant."""
         delays = self.delays if self.inputs else (self.step, self.step)
-        return Family.of(self.A, self.B[..., : self.inputs], delays, self.step)
+        return family_of(self.A, self.B[..., : self.inputs], delays, self.step)
 
     @cached_property
     def transitions(self) -> Transitions:

@@ -33,7 +33,8 @@ from deadtime.plant.steps import windows_of
 ROUND_OFF = 1e-12  # of a share of a part of the period, far more than its arithmetic rounds
 
 Lags = tuple[int, ...]  # of every input, how many samples ago the one read was computed
-Delays = tuple[float, float] | Float[np.ndarray, "mode m"]  # a range of one, or each of several
+# A range of the one delay; each of several; or the lower and the upper end of each.
+Delays = tuple[float, float] | Float[np.ndarray, "mode m"] | Float[np.ndarray, "2 mode m"]
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,16 @@ class Family(Frozen):
     def ranges(self) -> bool:
         """Whether the delay is a range."""
         return any(low != high for low, high in self.marks)
+
+    @property
+    def sound(self) -> bool:
+        """Whether the marks ascend within a period."""
+        marks = [mark for pair in self.marks for mark in pair]
+        return marks == sorted(marks) and marks[0] >= 0.0 and marks[-1] <= self.step
+
+    def moving(self, order: tuple[Segment, ...]) -> list[str]:
+        """The delays that a step depends on: the one, whether it has a range or not."""
+        return ["delay"]
 
     def orders(self, mode: int, after: int) -> list[tuple[Segment, ...]]:
         """The orders of events in a period from `mode` to `after`; one for a full step."""

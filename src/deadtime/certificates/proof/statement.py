@@ -41,8 +41,19 @@ def signals_in_words(setting: Setting) -> str:
     return f"for every switching signal with a dwell time of {dwell}"
 
 
+def is_box(setting: Setting) -> bool:
+    """Whether every delay has a range of its own."""
+    return isinstance(setting.delays, np.ndarray) and setting.delays.ndim == 3
+
+
 def delays_in_words(setting: Setting) -> str:
     """The plant's delay, or delays."""
+    if is_box(setting):
+        low, high = np.array(setting.delays).tolist()
+        return (
+            f"s any constant values from {low} s to {high} s (a list per mode, "
+            "with a value per input), each in its range whatever the others are"
+        )
     if isinstance(setting.delays, np.ndarray):
         return f"s {setting.delays.tolist()} s (a list per mode, with a value per input)"
     low, high = setting.delays
@@ -58,11 +69,9 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         if len(setting.A) > 1
         else "the plant"
     )
-    alike = (
-        ", and parts of a period beyond one that differ by less count as the least of them"
-        if isinstance(setting.delays, np.ndarray)
-        else ""
-    )
+    alike = ""
+    if isinstance(setting.delays, np.ndarray) and not is_box(setting):
+        alike = ", and parts of a period beyond one that differ by less count as the least of them"
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
     when = "over a period"

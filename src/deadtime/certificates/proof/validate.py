@@ -74,7 +74,8 @@ def _plants_and_table(setting: Setting) -> str:
         "G": (G, (rows, taps, m, m)),
     }
     if isinstance(setting.delays, np.ndarray):
-        expected["delays"] = setting.delays, (modes, m)
+        ends = (2,) if setting.delays.ndim == 3 else ()
+        expected["delays"] = setting.delays, (*ends, modes, m)
     return _misshapen(expected) or ("G has no taps" if taps < 1 else "")
 
 
@@ -91,7 +92,8 @@ def _context(setting: Setting) -> str:
 
 def _times(setting: Setting) -> str:
     """Delays within one period; a class of signals that the graph describes."""
-    if isinstance(setting.delays, tuple) and setting.delays[0] > setting.delays[1]:
+    ends = np.array(setting.delays)
+    if (isinstance(setting.delays, tuple) or ends.ndim == 3) and np.any(ends[0] > ends[1]):
         return "delays do not ascend"
     longest = max(setting.longest_delay, setting.dwell_time)
     if longest / setting.step > MOST_AGES:
@@ -112,8 +114,7 @@ def _times(setting: Setting) -> str:
         family = setting.family
     except ValueError as error:
         return str(error)
-    marks = [mark for pair in family.marks for mark in pair]
-    if marks != sorted(marks) or marks[0] < 0.0 or marks[-1] > setting.step:
+    if not family.sound:
         return "the delays lie in no period"
     if setting.transitions.first < 0:
         return "the dwell time is below one period"

@@ -107,7 +107,7 @@ def theorem_bound(
     Parameters
     ----------
     plant : SwitchedSystem
-        The plant, its delay included.
+        The plant, its delay included: one for all modes and inputs, as the theorem has it.
     gains : array_like, shape (modes, m, n)
         K_i of u = +K_i x, every A_i + B_i K_i Hurwitz.
     dwell_time : float
@@ -128,8 +128,9 @@ def theorem_bound(
     Raises
     ------
     ArgumentError
-        If the gains do not stabilise each mode, the dwell time is not positive, the form is
-        unknown, no input acts, or the given P and Q are not definite or violate (4).
+        If the plant has several delays, for which the theorem is not stated; the gains do not
+        stabilise each mode, the dwell time is not positive, the form is unknown, no input acts,
+        or the given P and Q are not definite or violate (4).
     InfeasibleError
         If no common P exists.
 
@@ -147,6 +148,11 @@ def theorem_bound(
     '0.7895 1.74e-14 1.73e+15 False'
     """
     K = hurwitz_gains(plant, gains)
+    if not plant.has_one_delay:
+        raise ArgumentError(
+            f"plant must have one delay for theorem_bound, got delay={plant.delay_text}: the "
+            "theorem is stated and proved for one only; certify proves a decay with several."
+        )
     dwell_time = positive("dwell_time", dwell_time)
     if form not in FORMS:
         raise ArgumentError(f"form must be one of {', '.join(map(repr, FORMS))}, got {form!r}.")

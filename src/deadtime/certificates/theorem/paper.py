@@ -99,7 +99,7 @@ def paper_constants(
     corrected: bool,
 ) -> PaperConstants:
     """The constants, printed or corrected."""
-    D = plant.one_delay("theorem_bound")
+    D = plant.delay
     mismatch = Mismatch(
         largest_norm(plant.A), largest_norm(plant.B), largest_norm(gains), D, dwell_time
     )

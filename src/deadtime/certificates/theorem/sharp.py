@@ -166,7 +166,7 @@ def _pairs(plant: SwitchedSystem, gains: Gains) -> list[CommonLyapunov]:
 def _constants(
     plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov, norm: Norm
 ) -> SharpConstants:
-    D = plant.one_delay("theorem_bound")
+    D = plant.delay
     M_B, M_K = largest_norm(plant.B), largest_norm(gains)
     share, a = others_share(plant), logarithmic_norm(plant.A)
     weight, log_inverse_square = _best_weight(plant, gains, norm)
@@ -203,7 +203,7 @@ def closed_loop_mismatch(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tup
 
     Returns log c₁, and k(r) = Σ e^{coefficient + exponent·r} as (coefficient, exponent) pairs.
     """
-    D, h, a = plant.one_delay("theorem_bound"), norm.growth, logarithmic_norm(plant.A)
+    D, h, a = plant.delay, norm.growth, logarithmic_norm(plant.A)
     share, log_M_K, top = others_share(plant), log(largest_norm(gains)), max(a, h)
     # ∫₀^r e^{a(r−τ) + hτ} dτ ≤ e^{top r} min(r, 1/|a − h|)
     spread = min(D, 1.0 / abs(a - h)) if a != h else D
@@ -226,7 +226,7 @@ def _best_weight(plant: SwitchedSystem, gains: Gains, norm: Norm) -> tuple[float
     """(c, log 1/ε*²), c by search: every c > 0 gives a valid bound, so a near optimum will do."""
     if plant.modes == 1:  # W = 0 and every weight will do
         return norm.omega, -math.inf
-    D = plant.one_delay("theorem_bound")
+    D = plant.delay
     log_c1, kernel = closed_loop_mismatch(plant, gains, norm)
 
     def objective(c: float) -> float:

@@ -1,7 +1,9 @@
 """The forms in which a table goes into ROM: as it is, of low rank, or factorised.
 
 A dense table is one matrix, rows (context, output), columns (tap, input), G = L R of rank r where
-its rows resemble each other. The error of a form is
+its rows resemble each other. Where rows read further back in some inputs than in others, as they do
+where delays differ, every input has columns of its own, (input, tap), as many as its window W_j: so
+room and work are those of Σ W_j past values. The error of a form is
 
     max over rows of Σ|G − L R| / Σ|G|,
 
@@ -37,6 +39,7 @@ class Form:
     state: int  # numbers that the past inputs take in RAM
     error: float = 0.0
     sizes: dict[str, int] = field(default_factory=dict)
+    windows: tuple[int, ...] = ()  # of every input, where they differ
 
     @property
     def numbers(self) -> int:
@@ -44,21 +47,44 @@ class Form:
         return sum(array.size for array, _ in self.arrays.values())
 
 
-def matrix_of(table: Feedback) -> Float[np.ndarray, "row past"]:
-    """The taps of all rows as one matrix, the oldest input first."""
-    return table.oldest_first.reshape(-1, table.taps * table.input_gain.shape[-1])
+def windows_of(table: Feedback) -> tuple[int, ...]:
+    """W_j of every input: how many of its past values some row reads; none where all are the same.
+
+    Examples
+    --------
+    >>> G = np.zeros((1, 4, 2, 2))
+    >>> G[0, :, 0, 0], G[0, :2, 0, 1] = 1.0, 1.0
+    >>> windows_of(Feedback(np.zeros((1, 2, 1)), G, "none", 0.1))
+    (4, 2)
+    """
+    read = table.input_gain.any(axis=(0, 2))
+    windows = [int(np.flatnonzero(column).max(initial=0)) + 1 for column in read.T]
+    return tuple(windows) if len(set(windows)) > 1 else ()
+
+
+def past_of(
+    table: Feedback, windows: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "context m past"], str]:
+    """The taps side by side as a controller remembers inputs, and how that is."""
+    if not windows:
+        return table.oldest_first, "the oldest input first"
+    own = [table.input_gain[:, :count, :, j][:, ::-1] for j, count in enumerate(windows)]
+    return np.concatenate(own, axis=1).transpose(0, 2, 1), "input by input, the oldest value first"
 
 
 def dense(table: Feedback) -> Form:
     """The taps as they are."""
-    G = table.oldest_first
-    return Form("dense", {"G": (G, "taps, the oldest input first")}, 2 * G.shape[-1])
+    windows = windows_of(table)
+    G, order = past_of(table, windows)
+    return Form("dense", {"G": (G, f"taps, {order}")}, 2 * G.shape[-1], windows=windows)
 
 
 def low_ranks(table: Feedback) -> Iterator[Form]:
     """The taps as a product of rank 1, 2, …, while that takes less room than `dense`."""
-    contexts, taps, m, _ = table.input_gain.shape
-    G = matrix_of(table)
+    windows = windows_of(table)
+    G, order = past_of(table, windows)
+    contexts, m, past = G.shape
+    G = G.reshape(-1, past)
     rows, columns = G.shape
     sums = np.abs(G).sum(axis=1)
     scale = np.where(sums > 0.0, sums, 1.0)
@@ -73,10 +99,10 @@ def low_ranks(table: Feedback) -> Iterator[Form]:
         L, R = scale[:, None] * left[:, :rank] * root, root[:, None] * right[:rank]
         arrays = {
             "LEFT": (L.reshape(contexts, m, rank), "the taps of a row are LEFT RIGHT"),
-            "RIGHT": (R, "the oldest input first"),
+            "RIGHT": (R, order),
         }
         error = float(np.abs(missing).sum(axis=1).max())
-        yield Form("low rank", arrays, 2 * taps * m, error, {"rank": rank})
+        yield Form("low rank", arrays, 2 * past, error, {"rank": rank}, windows)
 
 
 def factor_form(table: Feedback) -> Form:
@@ -168,11 +194,11 @@ def _round_up(error: float) -> float:
 def _fewer_taps(table: Feedback, precision: Precision, budget: int) -> int:
     """The most past inputs whose dense table fits; ages of a mode shrink with the window."""
     contexts, taps, m, _ = table.input_gain.shape
-    n = table.state_gain.shape[2]
+    n, past = table.state_gain.shape[2], sum(windows_of(table)) or taps * m
     for fewer in range(taps - 1, 0, -1):
         ages = min(table.ages, table.ages * fewer // taps + 2)
         rows = contexts // table.ages * ages
-        if BYTES[precision] * (rows * m * (fewer * m + n) + 2 * m) <= budget:
+        if BYTES[precision] * (rows * m * (past * fewer // taps + n) + 2 * m) <= budget:
             return fewer
     return 0
 

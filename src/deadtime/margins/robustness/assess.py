@@ -63,6 +63,8 @@ class Robustness:
         All of it, in words.
     weight : Weight or None
         Of the cost; None for the identity.
+    of_inputs : tuple of DelayMargin
+        With several delays, what the delay of each input alone may be.
     left_out : tuple of str
         Which of "delay margin" and "gain margin" would have taken long; `sentences` say why.
     """
@@ -79,6 +81,7 @@ class Robustness:
     sentences: tuple[str, ...]
     weight: Weight | None = None
     left_out: tuple[str, ...] = ()
+    of_inputs: tuple[DelayMargin, ...] = ()
 
 
 def robustness(
@@ -99,11 +102,12 @@ def robustness(
     """What a loop tolerates: errors of delay and gain, lost and late samples, late modes, noise.
 
     Errors of delay and gain are those that leave every constant mode stable, exact from the
-    spectrum; where a delay of very many periods would make them take long they are left out, and a
-    sentence says so. The rest is simulated on the given signal: a run counts as lost when it
-    diverges, its loop grows, or |x| ends above where it started. Where that says nothing, because
-    x is pushed, starts at 0, or inputs are limited, a run must come to rest where the perfect loop
-    does, which is pushed alike and has no other imperfection; `docs/robustness.md` has the details.
+    spectrum; of several delays, those of all at once and of each input alone. Where a delay of very
+    many periods would make them take long they are left out, and a sentence says so. The rest is
+    simulated on the given signal: a run counts as lost when it diverges, its loop grows, or |x|
+    ends above where it started. Where that says nothing, because x is pushed, starts at 0, or
+    inputs are limited, a run must come to rest where the perfect loop does, which is pushed alike
+    and has no other imperfection; `docs/robustness.md` has the details.
 
     Parameters
     ----------
@@ -165,6 +169,9 @@ def robustness(
     dear = {asked: why_left_out(asked, plant, law, step) for asked in _MARGINS if table}
     left_out = tuple(asked for asked, why in dear.items() if why)
     delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
+    alone: tuple[DelayMargin, ...] = ()
+    if delay is not None and plant.inputs > 1 and not plant.has_one_delay:
+        alone = tuple(constant_delay_margin(plant, law, step, input=j) for j in range(plant.inputs))
     progress("gain margin")
     gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None
     progress("lost samples")
@@ -184,7 +191,7 @@ def robustness(
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     margins = "but for the imperfections of every run, " if setting.imperfections else ""
-    sentences = [sentence_of(margins + part.message) for part in (delay, gain) if part is not None]
+    sentences = [sentence_of(margins + part.message) for part in (delay, *alone, gain) if part]
     sentences += [sentence_of(dear[asked]) for asked in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
@@ -192,7 +199,7 @@ def robustness(
     sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))
     return Robustness(
-        plant, law, step, delay, gain, drops, late, lag, noise, once, weight, left_out
+        plant, law, step, delay, gain, drops, late, lag, noise, once, weight, left_out, alone
     )
 
 

@@ -92,9 +92,15 @@ def _delay_panel(panel: Axes, result: Robustness) -> None:
         _nothing(panel, _no_margin(result))
         return
     plant, margin = result.plant, result.delay
-    D, relative = plant.delay, margin.relative
+    D, relative = margin.nominal, margin.relative
     reach = min(0.9, 0.1 if relative is None else 2.0 * min(relative, 0.4))
     errors = np.linspace(-reach, reach, _points(result))
+    if margin.differ:
+        panel.set_xlabel("error of all delays (s)")
+        plants = [plant.like(plant.A, plant.B, plant.delays + e * D) for e in errors]
+        ends = [None if end is None else end - D for end in (margin.lower, margin.upper)]
+        _growth_curves(panel, result, errors * D, plants, ends)
+        return
     plants = [plant.like(plant.A, plant.B, (1.0 + e) * plant.delays) for e in errors]
     ends = [
         None if end is None else 100.0 * (end / D - 1.0) for end in (margin.lower, margin.upper)

@@ -118,7 +118,7 @@ def mismatch_floor(runs: Sequence[Trajectory]) -> float:
 def frame(rows: Sequence[np.ndarray], floor: float = 0.0) -> tuple[float, float]:
     """Limits that show every row, but for rows that go far beyond all others.
 
-    What is smaller than the floor counts as that large.
+    What is smaller than the floor counts as that large; values that are NaN are not drawn.
 
     Examples
     --------
@@ -126,7 +126,7 @@ def frame(rows: Sequence[np.ndarray], floor: float = 0.0) -> tuple[float, float]
     >>> 2.0 <= high < 11.0
     True
     """
-    sizes = sorted(float(np.abs(row).max(initial=0.0)) for row in rows)
+    sizes = sorted(map(_size, rows))
     finite = [size for size in sizes if np.isfinite(size)]
     seen = [size for size in finite if size >= floor] or [floor or 1.0]
     most = seen[0]
@@ -134,9 +134,14 @@ def frame(rows: Sequence[np.ndarray], floor: float = 0.0) -> tuple[float, float]
         if size > _FAR * most > 0.0:
             break
         most = size
-    shown = [row for row in rows if np.abs(row).max(initial=0.0) <= most]
-    low = min((float(row.min(initial=0.0)) for row in shown), default=0.0)
-    high = max((float(row.max(initial=0.0)) for row in shown), default=1.0)
+    shown = [row for row in rows if _size(row) <= most]
+    low = min((float(np.fmin.reduce(row, initial=0.0)) for row in shown), default=0.0)
+    high = max((float(np.fmax.reduce(row, initial=0.0)) for row in shown), default=1.0)
     low, high = min(low, -0.05 * floor), max(high, floor)
     margin = 0.06 * (high - low) or 1.0
     return low - margin, high + margin
+
+
+def _size(row: np.ndarray) -> float:
+    """The largest of the values, 0 of none."""
+    return float(np.fmax.reduce(np.abs(row), initial=0.0))

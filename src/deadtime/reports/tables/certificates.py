@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
@@ -63,6 +66,7 @@ def judge(
     laws: Sequence[str] | None = None,
     decay_rate: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    delays: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -77,7 +81,9 @@ def judge(
     decay_rate : float, optional
         The rate to certify, 1/s; as `certify` chooses by default.
     progress : callable
-        Called with a few words after each law.
+        Called with a few words after each law's certificate.
+    delays : (low, high), optional
+        Ranges of the true delays, as `certify` takes them.
 
     Raises
     ------
@@ -85,26 +91,54 @@ def judge(
         If a law is not there, or a time is not positive. A law that cannot be certified is a
         result with a reason.
     """
+    from deadtime.certificates import certify
+
     dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
+    certified: list[Future[Certificate]] = [Future() for _ in names]
+
+    def answer(question: int) -> Judged | None:
+        """The certificates of all laws, then what else is asked of each.
+
+        A solver leaves Python to the other threads, a search for signals does not: the solver of
+        the law that takes longest works beside the searches of the others.
+        """
+        later, k = divmod(question, len(names))
+        law = problem.laws[names[k]]
+        if later:
+            return _judge(problem, names[k], certified[k], (dwell_time, step))
+        try:
+            found = certify(
+                problem.plant, law, dwell_time, step, decay_rate=decay_rate, delays=delays
+            )
+            certified[k].set_result(found)
+        except BaseException as error:
+            certified[k].set_exception(error)
+        return None
+
     judged: list[Judged] = []
-    for one in in_order(lambda name: _judge(problem, name, (dwell_time, step, decay_rate)), names):
-        progress(f"certified: {one.law}")
-        judged.append(one)
+    for question, one in enumerate(in_order(answer, range(2 * len(names)))):
+        if one is None:
+            progress(f"certified: {names[question]}")
+        else:
+            judged.append(one)
     return judged
 
 
-def _judge(problem: Problem, name: str, asked: tuple[float, float, float | None]) -> Judged:
-    from deadtime.certificates import certify, falsify
+def _judge(
+    problem: Problem, name: str, certified: Future[Certificate], asked: tuple[float, float]
+) -> Judged:
+    """The worst signal and the delay margin beside a certificate, which is waited for."""
+    from deadtime.certificates import falsify
     from deadtime.margins.constant_modes import constant_delay_margin
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
-    dwell_time, step, rate = asked
+    dwell_time, step = asked
     try:
-        certificate = certify(plant, law, dwell_time, step, decay_rate=rate)
+        certificate = certified.result()
     except ArgumentError as error:
         return Judged(name, None, None, None, str(error))
     worst, margin, reason = certificate.witness, None, ""
@@ -178,20 +212,26 @@ def certificate_record(judged: Sequence[Judged]) -> dict[str, dict[str, Any]]:
 
 
 def margin_text(margin: DelayMargin | None) -> str:
-    """The true delays that are allowed, for a table.
+    """The true delays that are allowed, for a table; of several, their common error.
 
     Examples
     --------
     >>> from types import SimpleNamespace
-    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349))
+    >>> margin_text(SimpleNamespace(lower=0.98651, upper=1.01349, differ=False))
     '0.9866 to 1.013'
-    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf")))
+    >>> margin_text(SimpleNamespace(lower=0.0, upper=float("inf"), differ=False))
     'any'
+    >>> margin_text(SimpleNamespace(lower=0.25, upper=0.75, nominal=0.5, differ=True))
+    '−0.25 to +0.25'
     """
     if margin is None:
         return "–"
     if margin.lower is None or margin.upper is None:
         return "none"
+    if margin.differ:
+        ends = margin.nominal - margin.lower, margin.upper - margin.nominal
+        shorter, longer = (_shorten(x, ROUND_FLOOR) for x in ends)
+        return f"−{shorter} to +{longer}"
     low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
     if margin.lower == 0.0:
         return f"up to {high}" if math.isfinite(margin.upper) else "any"

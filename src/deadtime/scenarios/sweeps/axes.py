@@ -108,6 +108,20 @@ def _delay(draft: Draft, value: float) -> None:
     draft["plant"]["delay"] = (delays * (value / delays.max())).tolist() if delays.ndim else value
 
 
+def _delay_of(number: str) -> Write:
+    """The delay of an input, in all modes, whichever form the file gives delays in."""
+
+    def write(draft: Draft, value: float) -> None:
+        plant = draft["plant"]
+        if not isinstance(plant["delay"], list):
+            plant["delay"] = [plant["delay"]] * len(plant["B"][0][0])
+        rows = [f"{i}." for i, row in enumerate(plant["delay"]) if isinstance(row, list)]
+        for row in rows or [""]:
+            write_path(draft, f"plant.delay.{row}{number}", value)
+
+    return write
+
+
 def _delay_error(draft: Draft, error: float) -> None:
     """The true delays are (1 + e) times those which laws believe."""
     delays = (1.0 + error) * np.asarray(draft["plant"]["delay"])
@@ -205,7 +219,7 @@ OVERWRITES: Mapping[str, tuple[str, ...]] = {
 
 
 def axis_of(name: str) -> Axis:
-    """A named parameter, or the one at a dotted path; `delay.1` is that of input 1.
+    """A named parameter, or the one at a dotted path; `delay.1` is that of input 1 in all modes.
 
     Examples
     --------
@@ -213,5 +227,5 @@ def axis_of(name: str) -> Axis:
     ('measurement noise', 'run.x0.1', 's')
     """
     if name.startswith("delay."):
-        return Axis(name, f"delay of input {name[6:]}", "s", at(f"plant.{name}"))
+        return Axis(name, f"delay of input {name[6:]}", "s", _delay_of(name[6:]))
     return AXES[name] if name in AXES else Axis(name, name, "", at(name))

@@ -16,7 +16,7 @@ from deadtime.switching import SwitchingSignal
 
 _DEPTH = 10
 _SAME = 1e-12
-_FAINT = 1e-15
+FAINT = 1e-15  # no weight in double precision
 
 
 class Shift(NamedTuple):
@@ -65,9 +65,13 @@ def add_shifts(times: np.ndarray, delays: tuple[float, ...], high: float) -> np.
 
 
 def pass_on(
-    times: np.ndarray, shifts: list[Shift], signal: SwitchingSignal, high: float
+    times: np.ndarray,
+    shifts: list[Shift],
+    signal: SwitchingSignal,
+    high: float,
+    faint: float = FAINT,
 ) -> np.ndarray:
-    """The times and their shifts up to `high`, as long as what is passed on has any weight.
+    """The times and their shifts up to `high`, as long as what is passed on weighs over `faint`.
 
     A plant with delays of its own in every mode passes an input on by those of the mode that reads
     it. Gauss sums of p nodes on segments of length h see a jump of the k-th derivative, of what
@@ -87,7 +91,7 @@ def pass_on(
         found, weights = [], []
         for shift in shifts:
             t, w = times + shift.seconds, weight * (shift.weight / order)
-            kept = (t <= high) & (w > _FAINT)
+            kept = (t <= high) & (w > faint)
             if shift.mode is not None:
                 inside = np.maximum(t, 0.0)
                 kept &= (

@@ -84,12 +84,13 @@ def add_product(M, x, result):
 
 
 @kernel(eager=True)
-def flows(A, length, points, result):
+def flows(A, length, points, forward, backward):
     """e^{A c length} at the points c of a segment, in units of it, and at 1: (points + 1, n, n).
 
-    On a short segment one Taylor series serves all points.
+    `backward` (points, n, n) takes e^{−A c length}; none is wanted where it is empty. On a short
+    segment one Taylor series serves all points and both signs.
     """
-    n, p = A.shape[0], points.size
+    n, p, back = A.shape[0], points.size, backward.shape[0]
     size = 0.0
     for i in range(n):
         row = 0.0
@@ -99,16 +100,21 @@ def flows(A, length, points, result):
     if size > 3.0:
         none = np.zeros((n, 1))
         for k in range(p + 1):
-            result[k], _ = discretise(A, none, (points[k] if k < p else 1.0) * length)
+            forward[k], _ = discretise(A, none, (points[k] if k < p else 1.0) * length)
+        for k in range(back):
+            backward[k], _ = discretise(A, none, -points[k] * length)
         return
     term, following, power = np.eye(n), np.empty((n, n)), np.ones(p + 1)
     for k in range(p + 1):
         for i in range(n):
             for j in range(n):
-                result[k, i, j] = term[i, j]
-    bound, order = 1.0, 0
+                forward[k, i, j] = term[i, j]
+                if k < back:
+                    backward[k, i, j] = term[i, j]
+    bound, order, sign = 1.0, 0, 1.0
     while bound > 1e-18:
         order += 1
+        sign = -sign
         product(A, term, following)
         bound *= size / order
         for i in range(n):
@@ -118,23 +124,10 @@ def flows(A, length, points, result):
             power[k] *= points[k] if k < p else 1.0
             for i in range(n):
                 for j in range(n):
-                    result[k, i, j] += power[k] * term[i, j]
-
-
-@kernel(eager=True)
-def undo(A, length, forward, backward):
-    """e^{−A c length} at the nodes, (points, n, n), from `flows`.
-
-    It is e^{−A length} e^{A (1 − c) length}, and the nodes are symmetric.
-    """
-    p, n = backward.shape[0], A.shape[0]
-    whole, reversed_A = np.empty((1, n, n)), np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            reversed_A[i, j] = -A[i, j]
-    flows(reversed_A, length, np.empty(0), whole)
-    for k in range(p):
-        product(whole[0], forward[p - 1 - k], backward[k])
+                    added = power[k] * term[i, j]
+                    forward[k, i, j] += added
+                    if k < back:
+                        backward[k, i, j] += sign * added
 
 
 @kernel(eager=True)
@@ -170,8 +163,7 @@ def solve_alone(A, B, x, u, length, nodes):
     """The same of a segment whose flows nobody else needs: (p + 2, n), u at the nodes (p, m)."""
     p, n = u.shape[0], x.size
     forward, backward = np.empty((p + 1, n, n)), np.empty((p, n, n))
-    flows(A, length, nodes.points, forward)
-    undo(A, length, forward, backward)
+    flows(A, length, nodes.points, forward, backward)
     states = np.empty((p + 2, n))
     solve_state(forward, backward, B, x, u, length, nodes, states)
     return states

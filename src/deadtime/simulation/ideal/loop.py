@@ -18,7 +18,6 @@ from deadtime.simulation.ideal.kernel import (
     locate,
     sample,
     solve_state,
-    undo,
 )
 from deadtime.simulation.kernel import LIMIT
 
@@ -48,31 +47,40 @@ def _flows_of(systems, p, n):
 def _renew(flow, s, A, length, points, horizon):
     """The flows of a system over a segment, where it is not as long as the one before."""
     if abs(length - flow.length[s]) > _SAME * horizon:
-        flows(A, length, points, flow.forward[s])
-        undo(A, length, flow.forward[s], flow.backward[s])
+        flows(A, length, points, flow.forward[s], flow.backward[s])
         flow.length[s] = length
 
 
 @kernel(eager=True)
-def _prediction(y, g, end_system, whole, moved, line, ahead, nodes, P):
-    """P_b at the start of segment g, into P, and its transition M_b, over the inputs in flight.
-
-    It starts from y = L x. Up to `until` the system is the one in force, or the one that `path`
-    foresees.
+def _oldest(g, line, lead, nodes, u):
+    """The inputs in flight at the start of segment g that are part of a segment: its index, and
+    they at the nodes of that part, into u (p, m).
     """
-    edges, lead, until, n, p = line.edges, ahead.lead, ahead.until[g], y.size, nodes.points.size
+    edges = line.edges
     start = edges[g] - lead
-    now = -1 if ahead.foresees else ahead.here[g]
     q = locate(edges, start, g - 1)
     last, length = edges[q + 1], edges[q + 1] - edges[q]
-    middle = (start + last) / 2.0 + lead
-    s = (now if now >= 0 else ahead.path[q]) if middle < until else end_system
-    flow, u = np.empty((p + 1, n, n)), np.empty((p, line.inputs.shape[2]))
-    flows(ahead.A[s], last - start, nodes.points, flow)
-    for k in range(p):
+    for k in range(nodes.points.size):
         c = (start + nodes.points[k] * (last - start) - edges[q]) / length
         c = min(max(c, 0.0), 1.0)
         interpolate(line.inputs, q, nodes.support, nodes.barycentric, c, u, k)
+    return q
+
+
+@kernel(eager=True)
+def _prediction(y, g, q, u, end_system, whole, moved, line, ahead, nodes, P):
+    """P_b at the start of segment g, into P, and its transition M_b, over the inputs in flight.
+
+    It starts from y = L x; q and u are those of `_oldest`. Up to `until` the system is the one in
+    force, or the one that `path` foresees.
+    """
+    edges, lead, until, n, p = line.edges, ahead.lead, ahead.until[g], y.size, nodes.points.size
+    start, last = edges[g] - lead, edges[q + 1]
+    now = -1 if ahead.foresees else ahead.here[g]
+    middle = (start + last) / 2.0 + lead
+    s = (now if now >= 0 else ahead.path[q]) if middle < until else end_system
+    flow = np.empty((p + 1, n, n))
+    flows(ahead.A[s], last - start, nodes.points, flow, np.empty((0, n, n)))
     for i in range(n):
         P[i] = 0.0
     convolve(flow, ahead.B[s], last - start, nodes.weights, u, P)
@@ -198,7 +206,7 @@ def march(plant, line, ahead, x0, nodes):
     whole, moved = np.zeros((segments, systems, q, q)), np.zeros((segments, systems, q))
     own, flow = _flows_of(plant.A.shape[0], p, n), _flows_of(systems, p, q)
     starts, shifts = np.empty((count, q)), np.empty((count, p, q))
-    ends, lifted = np.empty(count, np.int64), np.empty(q)
+    ends, lifted, oldest = np.empty(count, np.int64), np.empty(q), np.empty((p, inputs.shape[2]))
     x, end, owed = x0.copy(), edges[segments], _owed(plant, ahead)
     for g in range(segments):
         start, length = edges[g], edges[g + 1] - edges[g]
@@ -210,10 +218,14 @@ def march(plant, line, ahead, x0, nodes):
         if g >= line.begin:
             times, i = start + length * points, line.mode[g]
             delayed = arrivals(line, plant.delays[i], times, nodes, g - 1)
-            _renew(own, i, plant.A[i], length, points, end)
+            place, twin = flow, ahead.twin[i]
+            if twin < 0 or not predicts:
+                place, twin = own, i
+                _renew(own, i, plant.A[i], length, points, end)
             solve_state(
-                own.forward[i], own.backward[i], plant.B[i], x, delayed, length, nodes, states[g]
-            )
+                place.forward[twin], place.backward[twin], plant.B[i], x, delayed, length, nodes,
+                states[g],
+            )  # fmt: skip
             if predicts:
                 known = inputs, nodes.support, nodes.barycentric
                 recent = sample(edges, *known, times - ahead.lead, g - 1)
@@ -221,12 +233,14 @@ def march(plant, line, ahead, x0, nodes):
                 last = ahead.path[g] if ahead.foresees else here
                 lifted[:] = 0.0
                 add_product(ahead.lift, x, lifted)
+                cut = _oldest(g, line, ahead.lead, nodes, oldest)
                 for b in range(count):
                     first = here if middle < until else branches[b]
                     ends[b] = last if middle + ahead.lead < until else branches[b]
                     M = _prediction(
-                        lifted, g, branches[b], whole, moved, line, ahead, nodes, starts[b]
-                    )
+                        lifted, g, cut, oldest, branches[b], whole, moved, line, ahead, nodes,
+                        starts[b],
+                    )  # fmt: skip
                     _shift(
                         owed, i, first, states[g], delayed, recent, ahead, M, flow.backward[first],
                         shifts[b],

@@ -76,9 +76,9 @@ def run_ideal_rule(
     u0: InitialInput,
 ) -> Outcome:
     """Solve the loop on [0, horizon]."""
+    delay = plant.one_delay("a rule that switches the ideal loop")
     gains = _exact_gains(plant, law, rule)
     loops = plant.A + plant.B @ gains
-    delay = plant.one_delay("a rule that switches the ideal loop")
     rate = max(_rate(plant.A), _rate(loops))
     if (horizon + delay) * rate > _PIECE * _MOST_PIECES:
         raise ArgumentError(
@@ -110,7 +110,7 @@ def _exact_gains(plant: SwitchedSystem, law: Law, rule: Rule) -> np.ndarray:
     for name, mine, its in (
         ("A", plant.A, model.A),
         ("B", plant.B, model.B),
-        ("delay", plant.delay, model.delay),
+        ("delay", plant.delays, model.delays),
     ):
         if not np.array_equal(mine, its):
             raise ArgumentError(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Forecast, Functional
+from deadtime.feedback import Forecast, Functional, Outlook
 from deadtime.feedback.table import require_finite_gains
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem, Weight
@@ -28,7 +28,7 @@ class IdealRecord:
     Attributes
     ----------
     states : Piecewise
-        x on [0, end of the run + delay].
+        x from 0 until the plant reads what is sent after the run's end.
     inputs : Piecewise
         u from the longest delay before 0 to the end of the run.
     """
@@ -100,7 +100,7 @@ class Line(NamedTuple):
 
 class Believed(NamedTuple):
     """A `Forecast` on the segments, for the compiled march: `here` and `path` are its systems at
-    the middle of a segment and a lead after it.
+    the middle of a segment and a lead after it; `twin` the one that is a mode of the plant, or −1.
     """
 
     A: np.ndarray
@@ -113,11 +113,12 @@ class Believed(NamedTuple):
     until: np.ndarray
     foresees: bool
     lift: np.ndarray
+    twin: np.ndarray
 
 
 def run_ideal(
     plant: SwitchedSystem,
-    law: Forecast | Functional,
+    law: Forecast | Functional | Outlook,
     signal: SwitchingSignal,
     x0: Float[np.ndarray, " n"],
     horizon: float,
@@ -129,7 +130,7 @@ def run_ideal(
 
         ahead, _ = discretise_modes(*_contiguous(law), law.lead)
         require_finite_gains(ahead)
-    else:
+    elif isinstance(law, Functional):
         require_finite_gains(law.F)
     nodes = gauss(NODES)
     edges, begin = segments_of(plant, law, signal, horizon, history)
@@ -144,7 +145,11 @@ def run_ideal(
     if isinstance(law, Forecast):
         from deadtime.simulation.ideal.loop import march
 
-        states, done = march(moving, line, _believed(law, middles, plant.states), x0, nodes)
+        states, done = march(moving, line, _believed(law, middles, plant), x0, nodes)
+    elif isinstance(law, Outlook):
+        from deadtime.simulation.ideal.outlooks import march_outlook
+
+        states, done = march_outlook(moving, line, law, x0, nodes)
     else:
         from deadtime.simulation.ideal.windows import march_windows, windows_of
 
@@ -162,9 +167,10 @@ def run_ideal(
     )
 
 
-def _believed(forecast: Forecast, middles: np.ndarray, states: int) -> Believed:
+def _believed(forecast: Forecast, middles: np.ndarray, plant: SwitchedSystem) -> Believed:
     """A forecast on the segments around these times."""
     run = np.maximum(middles, 0.0)
+    twins = [[i for i, A in enumerate(forecast.A) if np.array_equal(A, own)] for own in plant.A]
     return Believed(
         *_contiguous(forecast),
         forecast.lead,
@@ -174,7 +180,8 @@ def _believed(forecast: Forecast, middles: np.ndarray, states: int) -> Believed:
         forecast.path(np.maximum(middles + forecast.lead, 0.0)),
         forecast.until(run),
         forecast.foresees,
-        np.eye(states) if forecast.lift is None else forecast.lift,
+        np.eye(plant.states) if forecast.lift is None else forecast.lift,
+        np.array([twin[0] if twin else -1 for twin in twins]),
     )
 
 

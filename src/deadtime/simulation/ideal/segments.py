@@ -8,14 +8,23 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Forecast, Functional
+from deadtime.feedback import Forecast, Functional, Outlook
 from deadtime.plant import SwitchedSystem
-from deadtime.simulation.ideal.breakpoints import Shift, add_shifts, merge, pass_on, subdivide
+from deadtime.simulation.ideal.breakpoints import (
+    FAINT,
+    Shift,
+    add_shifts,
+    merge,
+    pass_on,
+    subdivide,
+)
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import first_reads
 
 NODES = 10
 _MOST_SEGMENTS = 1e6
+_OUTLOOK_FAINT = 1e-7  # the weights are bounds: no digit is lost, and minutes are won
 _RESOLUTION = 1.5  # longest segment times the fastest rate
 
 
@@ -55,10 +64,23 @@ class _Speeds(NamedTuple):
     windows: dict[float, float]
 
 
-def _speeds(plant: SwitchedSystem, law: Forecast | Functional, seeds: np.ndarray) -> _Speeds:
+def _speeds(
+    plant: SwitchedSystem, law: Forecast | Functional | Outlook, seeds: np.ndarray
+) -> _Speeds:
     if isinstance(law, Forecast):
         rate = _fastest_rate(plant, law, law.gains(seeds[seeds >= 0.0]))
         return _Speeds(rate, rate, {law.lead: rate} if law.lead > 0.0 else {})
+    if isinstance(law, Outlook):
+        A, B = np.concatenate((plant.A, law.A)), np.concatenate((plant.B, law.B))
+        rate = _rate(A, B, np.abs(law.gains).sum(axis=0))
+        jumps = {float(end): rate for end in np.unique(law.delays)}
+        # In a system an input is in flight on when another one has arrived, which it then moves.
+        K = np.abs(law.gains).sum(axis=0).max(axis=0)
+        for own, B_i in zip(law.delays, np.abs(law.B), strict=True):
+            for j, k in zip(*np.nonzero(own[:, None] < own), strict=True):
+                end = float(own[k] - own[j])
+                jumps[end] = max(jumps.get(end, 0.0), float(K[j] @ B_i[:, k]))
+        return _Speeds(rate, rate, jumps)
     from deadtime.numerics.exponential import discretise
 
     enter, ends = 0.0, {}
@@ -75,20 +97,27 @@ def _speeds(plant: SwitchedSystem, law: Forecast | Functional, seeds: np.ndarray
     return _Speeds(free + max(enter, arriving), arriving, ends)
 
 
+def _reaches(law: Forecast | Functional | Outlook) -> np.ndarray:
+    """How far ago what a law hears of was sent, where that begins and ends, seconds, increasing."""
+    if isinstance(law, Forecast):
+        return np.array([law.lead])
+    return np.unique(law.delays if isinstance(law, Outlook) else np.append(law.near, law.far))
+
+
 def segments_of(
     plant: SwitchedSystem,
-    law: Forecast | Functional,
+    law: Forecast | Functional | Outlook,
     signal: SwitchingSignal,
     horizon: float,
     history: InputHistory,
 ) -> tuple[Float[np.ndarray, " edge"], int]:
     """The edges of all segments, and the index of the first after time 0."""
-    delays, lead, breaks = np.unique(plant.delays), 0.0, np.empty(0)
-    if isinstance(law, Forecast):
-        lead = law.lead
-        breaks = np.concatenate((law.breaks, law.breaks - lead))
-    reaches = np.unique((lead,) if isinstance(law, Forecast) else (*law.near, *law.far))
-    low, high = -max(reaches[-1], delays[-1]), horizon + delays[0]
+    delays, reaches, breaks = np.unique(plant.delays), _reaches(law), np.empty(0)
+    if not isinstance(law, Functional):
+        breaks = np.concatenate([law.breaks, *(law.breaks - reach for reach in reaches)])
+    # x is known until the plant reads what is not sent any more.
+    high = float(first_reads(signal, plant.delays, np.array([horizon]), 0.0).min())
+    low = -max(reaches[-1], delays[-1])
     before = np.concatenate((history.jumps, breaks, -reaches, -delays))
     seeds = np.concatenate(([0.0], signal.times, breaks, history.jumps))
     # Short enough for the polynomials, and for delayed inputs to lie in segments already done.
@@ -101,7 +130,7 @@ def segments_of(
             f"segments of {longest:.1e} s; shorten it, or give a step."
         )
     if plant.has_one_delay and isinstance(law, Forecast):
-        one = float(delays[0])
+        one, lead = float(delays[0]), law.lead
         reached = add_shifts(seeds, (one, lead) if lead > 0.0 else (one,), high)
     else:
         size = longest / (2 * NODES)
@@ -111,7 +140,8 @@ def segments_of(
             for delay in np.unique(plant.delays[i])
         ]
         through += [Shift(end, None, jump * size) for end, jump in speeds.windows.items()]
-        reached = pass_on(seeds, through, signal, high)
+        faint = _OUTLOOK_FAINT if isinstance(law, Outlook) else FAINT
+        reached = pass_on(seeds, through, signal, high, faint)
     after = np.concatenate((reached, [horizon]))
     past = subdivide(merge(before, low, 0.0), longest)
     future = subdivide(merge(after, 0.0, high), longest)

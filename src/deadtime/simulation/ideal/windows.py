@@ -29,7 +29,6 @@ from deadtime.simulation.ideal.kernel import (
     locate,
     sample,
     solve_state,
-    undo,
 )
 from deadtime.simulation.ideal.loop import arrivals
 from deadtime.simulation.kernel import LIMIT
@@ -69,7 +68,7 @@ def _window_sum(line, law, p, g, whole, moved, nodes, y):
                 following[i] = moved[q, p, i]
             add_product(whole[q, p], y, following)
         else:
-            flows(law.S[p], end - start, nodes.points, flow)
+            flows(law.S[p], end - start, nodes.points, flow, np.empty((0, n, n)))
             for k in range(nodes.points.size):
                 c = (start + nodes.points[k] * (end - start) - edges[q]) / length
                 interpolate(
@@ -146,14 +145,12 @@ def march_windows(plant, line, law, x0, nodes):
         length = edges[g + 1] - edges[g]
         if g < line.stop:
             for w in range(windows):
-                flows(law.S[w], length, points, forward[w])
-                undo(law.S[w], length, forward[w], backward[w])
+                flows(law.S[w], length, points, forward[w], backward[w])
                 whole[g, w] = forward[w, p]
         if g >= line.begin:
             times, i = edges[g] + length * points, line.mode[g]
             delayed = arrivals(line, plant.delays[i], times, nodes, g - 1)
-            flows(plant.A[i], length, points, ahead)
-            undo(plant.A[i], length, ahead, behind)
+            flows(plant.A[i], length, points, ahead, behind)
             solve_state(ahead, behind, plant.B[i], x, delayed, length, nodes, states[g])
             if g < line.stop:
                 for w in range(windows):

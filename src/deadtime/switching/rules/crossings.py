@@ -42,7 +42,8 @@ _LAST_TERM = 1e-18
 _MOST_TERMS = 16
 MOST_PARTS = 2**17
 NONE, PILED_UP, STRAYED = 0, 1, 2  # why a plant cannot go on
-_INSIDE = (-1, -1)  # beside no boundary
+# Beside no boundary. Of Python's −1 Numba makes a type of its own, to compile everything for again.
+_INSIDE = (np.int64(-1), np.int64(-1))
 
 
 @kernel(eager=True)

@@ -161,13 +161,14 @@ class RegionMotion(Motion):
             Phi, Gamma = discretise(self.plant[0][mode], self.plant[1][mode], tau)
             return self.unit * (Phi @ z + Gamma @ u)
         between = leg.place, *leg.beside
-        return self.unit * slide(self.plant, self._regions, between, z, u, tau)[0]
+        # A copy can be written to, as what moves has it: for one that cannot all is compiled anew.
+        return self.unit * slide(self.plant, self._regions, between, z, u.copy(), tau)[0]
 
     def leads_on(self, x: np.ndarray, beside: Beside, u: np.ndarray) -> bool:
         from deadtime.switching.rules.boundaries import slope
 
         boundaries, mode = self._regions[:3], self.mode_of(beside.place)
-        ahead, doubt = slope(self.plant, mode, boundaries, beside.boundary, x / self.unit, u)
+        ahead, doubt = slope(self.plant, mode, boundaries, beside.boundary, x / self.unit, u.copy())
         return ahead > doubt
 
 

@@ -1,0 +1,318 @@
+"""The steps of a plant whose delays each range in an interval of their own.
+
+Over a period input c of mode i acts by its sample of lag N until φ and by that of lag N − 1 from
+then on, φ in [φ_low, φ_high] whatever the others are. As the plant is linear, the columns of E that
+input c reads depend on its own delays only, so E is put together input by input and the order of
+different inputs' arrivals does not matter. With a switch from i to j at s, input c goes through
+
+    i, lag N_i  until  τ₁ = min(s, φ_i);    i, lag N_i − 1  until  s;
+    j, lag N_j  until  τ₂ = max(s, φ_j);    j, lag N_j − 1  until  h,
+
+and E is smooth in s, τ₁ and τ₂. The ends of all intervals cut the period in parts, in which the
+switch falls at s = a + u (b − a). Over one part every τ has one of three forms, f in [0, 1]:
+
+    the interval before it:    τ₁ = φ,    τ₂ = s,
+    the interval after it:     τ₁ = s,    τ₂ = φ,    φ = φ_low + f (φ_high − φ_low),
+    or around it:              τ₁ = φ_low + f (s − φ_low),    τ₂ = s + f (φ_high − s),
+
+and the last two reach every min(s, φ) and max(s, φ) that there is, for s on any side of φ. Which of
+the three is taken is a matter of floats; by how much the first two may then be wrong is a ball,
+`Clock.room`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise, product
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.frozen import Frozen
+from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family
+from deadtime.plant import Window
+
+TOLERANCE = 1e-9  # of a period: marks nearer than that are one
+# Directions of a cell: the instant of the switch, the polytope, and from here on the delays.
+U, POLYTOPE, FIRST = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A delay's: N, φ_low and φ_high in seconds, and both ends of the delay as they were given."""
+
+    count: int
+    low: float
+    high: float
+    delays: tuple[float, float]
+
+    @classmethod
+    def of(cls, low: float, high: float, step: float) -> Interval:
+        """The interval between two delays of one N; low may be the φ = 0 of it."""
+        first, last = Window.of(low, step), Window.of(high, step)
+        phase = first.phase
+        if first.count == last.count - 1 and first.phase == step:
+            phase = 0.0
+        elif first.count != last.count:
+            raise ValueError("a range of delays must lie in one period")
+        return cls(last.count, phase, last.phase, (low, high))
+
+    @property
+    def ranges(self) -> bool:
+        """Whether the delay is not known."""
+        return self.low < self.high
+
+
+class Order(NamedTuple):
+    """A step from a mode to another, its switch in one part of the period; (0, h) for a full one.
+
+    The ends of the part are seconds.
+    """
+
+    mode: int
+    after: int
+    start: float
+    stop: float
+
+
+class Piece(NamedTuple):
+    """A stretch of an input: the mode, its lag, when it ends (None: with the period), and how that
+    moves with u and the delays, by direction."""
+
+    mode: int
+    lag: int
+    end: Any
+    moves: dict[int, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """The numbers that times are made of: floats for a search, balls for a proof.
+
+    Attributes
+    ----------
+    number : callable
+        A float, exactly.
+    phases : callable
+        φ_low and φ_high of an interval.
+    step : number
+        h.
+    room : callable
+        (a, sign): from 0 to max(0, a) in the direction of the sign; 0 in floats.
+    """
+
+    number: Callable[[float], Any]
+    phases: Callable[[Interval], tuple[Any, Any]]
+    step: Any
+    room: Callable[[Any, int], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Box(Frozen):
+    """A plant, or a polytope of plants, at a period, each of its delays in an interval.
+
+    Attributes
+    ----------
+    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
+        The corners of the polytope; one for a plant.
+    step : float
+        h.
+    intervals : tuple by mode and input of Interval
+    """
+
+    A: Float[np.ndarray, "vertex mode n n"]
+    B: Float[np.ndarray, "vertex mode n m"]
+    step: float
+    intervals: tuple[tuple[Interval, ...], ...]
+
+    @classmethod
+    def of(cls, A: np.ndarray, B: np.ndarray, delays: np.ndarray, step: float) -> Box:
+        """The box between the lower and the upper delays, (2, modes, m)."""
+        pairs = delays.transpose(1, 2, 0).tolist()
+        intervals = tuple(tuple(Interval.of(low, high, step) for low, high in row) for row in pairs)
+        return cls(A, B, step, intervals)
+
+    @property
+    def ranges(self) -> bool:
+        """Whether a delay is not known."""
+        return any(one.ranges for row in self.intervals for one in row)
+
+    @property
+    def count(self) -> int:
+        """N of the longest delay."""
+        return max(one.count for row in self.intervals for one in row)
+
+    @cached_property
+    def reads(self) -> tuple[tuple[int, int], ...]:
+        """The past inputs that the plant reads, (lag, input), the oldest first."""
+        every = {
+            (lag, c)
+            for row in self.intervals
+            for c, one in enumerate(row)
+            for lag in ((one.count,) if one.low == self.step else (one.count, one.count - 1))
+        }
+        return tuple(sorted(every, key=lambda read: (-read[0], read[1])))
+
+    @property
+    def sound(self) -> bool:
+        """Whether all φ lie in a period."""
+        return all(0.0 <= one.low <= one.high <= self.step for row in self.intervals for one in row)
+
+    def orders(self, mode: int, after: int) -> list[Order]:
+        """The parts of the period that the switch may fall in; all of it for a full step."""
+        if mode == after:
+            return [Order(mode, after, 0.0, self.step)]
+        marks, near = [0.0], TOLERANCE * self.step
+        ends = {x for i in (mode, after) for one in self.intervals[i] for x in (one.low, one.high)}
+        for x in sorted(ends):
+            if x - marks[-1] > near and self.step - x > near:
+                marks.append(x)
+        return [Order(mode, after, a, b) for a, b in pairwise([*marks, self.step])]
+
+    def moving(self, order: Order) -> list[tuple[int, int]]:
+        """The delays that a step depends on, (mode, input); directions count on from `FIRST`."""
+        i, j, a, b = order
+        near = TOLERANCE * self.step
+        found = []
+        for mode in dict.fromkeys((i, j)):
+            for c, one in enumerate(self.intervals[mode]):
+                unheard = i != j and (b <= one.low + near if mode == i else a >= one.high - near)
+                if one.ranges and not unheard:
+                    found.append((mode, c))
+        return found
+
+    def shares(
+        self, order: Order, instants: tuple[float, float] = (0.0, 1.0)
+    ) -> tuple[float, float] | None:
+        """The range of u that holds all switches between two fractions of the period, if any."""
+        if order.mode == order.after:
+            return 0.0, 1.0
+        width = order.stop - order.start
+        least, most = ((part * self.step - order.start) / width for part in instants)
+        wrong = ROUND_OFF + 8.0 * float(np.spacing(self.step)) / width
+        least, most = least - wrong, most + wrong
+        return (max(0.0, least), min(1.0, most)) if least <= 1.0 and most >= 0.0 else None
+
+    def instant(self, order: Order, u: float) -> float:
+        """The fraction of the period at which a switch at u falls."""
+        return (order.start + u * (order.stop - order.start)) / self.step
+
+    def place(self, mode: int, after: int, instant: float) -> tuple[Order, float]:
+        """The part of the period, and u, of a switch at a fraction of it."""
+        orders, s = self.orders(mode, after), instant * self.step
+        order = next((one for one in orders if s <= one.stop), orders[-1])
+        return order, (s - order.start) / (order.stop - order.start)
+
+    def pieces(self, order: Order, c: int, clock: Clock, u: Any, f: list[Any]) -> list[Piece]:
+        """What input c goes through over a step, at u and at f of the `moving` delays."""
+        directions = {at: k for k, at in enumerate(self.moving(order), FIRST)}
+        i, j, a, b = order
+        first, last = self.intervals[i][c], self.intervals[j][c]
+        if i == j:
+            return self._own(first, i, *_phase(first, clock, directions.get((i, c)), f))
+        near, start = TOLERANCE * self.step, clock.number(a)
+        width = (clock.step if b == self.step else clock.number(b)) - start
+        s, by_u = start + u * width, {U: width}
+        low, high = clock.phases(first)
+        if b <= first.low + near:  # τ₁ = min(s, φ) = s but for what b is above φ_low
+            before = s + clock.room(start + width - low, -1), by_u
+        elif a >= first.high - near:
+            phase, moves = _phase(first, clock, directions.get((i, c)), f)
+            before = phase + clock.room(high - start, -1), moves
+        else:
+            k = directions[i, c]
+            part = f[k - FIRST]
+            before = low + part * (s - low), {U: part * width, k: s - low}
+        low, high = clock.phases(last)
+        if a >= last.high - near:
+            later = s + clock.room(high - start, 1), by_u
+        elif b <= last.low + near:
+            phase, moves = _phase(last, clock, directions.get((j, c)), f)
+            later = phase + clock.room(start + width - low, 1), moves
+        else:
+            k = directions[j, c]
+            part = f[k - FIRST]
+            later = s + part * (high - s), {U: (1 - part) * width, k: high - s}
+        head = self._own(first, i, *before)
+        return [*head[:-1], Piece(i, head[-1].lag, s, by_u), *self._own(last, j, *later)]
+
+    def _own(self, one: Interval, mode: int, end: Any, moves: dict[int, Any]) -> list[Piece]:
+        """Lag N until an instant, then N − 1; N alone where the delay fills the period."""
+        if one.low == self.step:
+            return [Piece(mode, one.count, None, {})]
+        return [Piece(mode, one.count, end, moves), Piece(mode, one.count - 1, None, {})]
+
+    def generator(self, mode: int, c: int, lag: int) -> Float[np.ndarray, "vertex k k"]:
+        """[[A, b_c where input c is read], [0, 0]] of every corner, over x and its two reads."""
+        n, own = self.A.shape[2], self.own_reads(c)
+        result = np.zeros((len(self.A), n + len(own), n + len(own)))
+        result[:, :n, :n] = self.A[:, mode]
+        result[:, :n, n + own.index(lag)] = self.B[:, mode, :, c]
+        return result
+
+    def own_reads(self, c: int) -> list[int]:
+        """The lags at which input c is read."""
+        return [lag for lag, j in self.reads if j == c]
+
+    def columns(self, c: int) -> list[int]:
+        """Where the reads of input c are among the columns of E."""
+        return [self.A.shape[2] + at for at, (_, j) in enumerate(self.reads) if j == c]
+
+    def sample(
+        self,
+        order: Order,
+        u: float = 0.0,
+        f: float | tuple[float, ...] = 0.0,
+        weights: np.ndarray | None = None,
+    ) -> Float[np.ndarray, "n k"]:
+        """The plant's rows E of x⁺ = E y at one point of the parameters, in floating point."""
+        from deadtime.numerics.exponential import discretise
+
+        weights = np.full(len(self.A), 1.0 / len(self.A)) if weights is None else weights
+        A, B = (np.tensordot(weights, M, 1) for M in (self.A, self.B))
+        places = list(f) if isinstance(f, tuple) else [f] * len(self.moving(order))
+        n = self.A.shape[2]
+        result = np.zeros((n, n + len(self.reads)))
+        for c in range(self.B.shape[3]):
+            now, E = 0.0, np.eye(n, n + len(self.reads))
+            for piece in self.pieces(order, c, self._floats, u, places):
+                end = self.step if piece.end is None else piece.end
+                Phi, Gamma = discretise(A[piece.mode], B[piece.mode][:, c : c + 1], end - now)
+                now, E = end, Phi @ E
+                E[:, n + self.reads.index((piece.lag, c))] += Gamma[:, 0]
+            result[:, :n], result[:, self.columns(c)] = E[:, :n], E[:, self.columns(c)]
+        return result
+
+    @property
+    def _floats(self) -> Clock:
+        return Clock(float, lambda one: (one.low, one.high), self.step, lambda a, sign: 0.0)
+
+    def corners(self, order: Order, instants: np.ndarray) -> np.ndarray:
+        """Samples at the given u, at the ends of all intervals, and the corners of the polytope.
+
+        Returns (samples, n, k): what a search for a certificate looks at before the proof.
+        """
+        us = np.zeros(1) if order.mode == order.after else instants
+        ends = list(product((0.0, 1.0), repeat=len(self.moving(order))))
+        points = np.eye(len(self.A))
+        return np.stack([self.sample(order, u, f, w) for u in us for f in ends for w in points])
+
+
+def _phase(
+    one: Interval, clock: Clock, direction: int | None, f: list[Any]
+) -> tuple[Any, dict[int, Any]]:
+    """φ of a delay, and how it moves."""
+    low, high = clock.phases(one)
+    if direction is None:
+        return low, {}
+    return low + f[direction - FIRST] * (high - low), {direction: high - low}
+
+
+def family_of(A: np.ndarray, B: np.ndarray, delays: Delays, step: float) -> Family | Box:
+    """The steps of a plant with known delays, with a range of its one, or with a range of each."""
+    if isinstance(delays, np.ndarray) and delays.ndim == 3:
+        return Box.of(A, B, delays, step)
+    return Family.of(A, B, delays, step)

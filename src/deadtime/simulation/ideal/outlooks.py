@@ -1,0 +1,237 @@
+"""The march under a law that is an `Outlook`: several delays, along signals that are believed in.
+
+On a segment x is solved first, as in `ideal.kernel`. At each of its Gauss nodes t the prediction of
+every branch is a functional of x(t) and of the inputs in flight, carried backwards from where an
+input is first read: over an interval in which the branch stays in a system, and every input is
+either in flight or under its own feedback,
+
+    R(s) = R e^{S (s₁ − s)},   S = A + Σ b_l K_l over the inputs l under their own feedback,
+
+adds ∫ R(s) b_l u_l(s − D_l) ds for every input l in flight: Gauss sums over the segments that were
+sent. What lies within the segment itself is not known yet, and u at its nodes solves a linear
+system.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError
+from deadtime.feedback.outlook import Outlook
+from deadtime.numerics.collocation import Nodes, gauss
+from deadtime.numerics.kernels import kernel
+from deadtime.simulation.ideal.kernel import flows, interpolate, locate, solve_alone
+from deadtime.simulation.ideal.loop import arrivals
+from deadtime.simulation.initial_input import refit
+from deadtime.simulation.kernel import LIMIT
+
+_AGAIN = -1
+_FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the longest segment
+
+
+class Branch(NamedTuple):
+    """What one branch believes on a segment: the `Outlook`'s systems, and when each begins."""
+
+    A: np.ndarray
+    B: np.ndarray
+    delays: np.ndarray
+    K: np.ndarray
+    weight: float
+    starts: np.ndarray
+    systems: np.ndarray
+
+
+class Intervals(NamedTuple):
+    """The intervals of a prediction, see `_divide`.
+
+    edges : (intervals + 1,);  system : (intervals,)
+    flying : (intervals, m), 1 for inputs in flight, 0 for those under their own feedback
+    read : (m,), the interval at whose start each input is first read;  reader : (m,), by whom
+    """
+
+    edges: np.ndarray
+    system: np.ndarray
+    flying: np.ndarray
+    read: np.ndarray
+    reader: np.ndarray
+
+
+@kernel(eager=True)
+def _divide(t, branch, into):
+    """Cut a prediction from t into intervals, until all inputs are read; how many there are.
+
+    −1 where an input that is still to be sent would be read a second time.
+    """
+    m, starts, near = into.read.size, branch.starts, 1e-13 * (1.0 + abs(t))
+    newest = np.full(m, t)
+    e, s, count = 0, t, 0
+    for j in range(m):
+        into.read[j] = -1
+    while e + 1 < starts.size and starts[e + 1] <= t:
+        e += 1
+    into.edges[0] = t
+    while True:
+        i, missing = branch.systems[e], 0
+        stop = starts[e + 1] if e + 1 < starts.size else np.inf
+        switches = stop
+        for j in range(m):
+            arrival = t + branch.delays[i, j]
+            if into.read[j] < 0:
+                if arrival <= s + near:
+                    into.read[j], into.reader[j] = count, i
+                else:
+                    missing += 1
+            if arrival > s + near:
+                stop = min(stop, arrival)
+        if missing == 0:
+            return count
+        for j in range(m):
+            first, last = s - branch.delays[i, j], stop - branch.delays[i, j]
+            into.flying[count, j] = 1 if 0.5 * (first + last) < t else 0
+            if into.flying[count, j] == 0 and first < newest[j] - near:
+                return _AGAIN
+            newest[j] = max(newest[j], last)
+        into.system[count] = i
+        count += 1
+        into.edges[count] = s = stop
+        if stop == switches:
+            e += 1
+
+
+@kernel(eager=True)
+def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, matrix, right):
+    """Add R e^{S (end − s)} b u_j over what was sent in a part of segment q, for R's rows."""
+    edges, p, count, (m, n) = line.edges, nodes.points.size, panel.points.size, R.shape
+    for k in range(count):
+        c = (begin + panel.points[k] * length - edges[q]) / (edges[q + 1] - edges[q])
+        c = min(max(c, 0.0), 1.0)
+        if q < g:
+            interpolate(line.inputs, q, nodes.support, nodes.barycentric, c, u, 0)
+        for i in range(m):
+            weight = 0.0
+            for a in range(n):
+                # The nodes are symmetric: the end is the node p − 1 − k after node k.
+                for o in range(n):
+                    weight += R[i, o] * flow[count - 1 - k, o, a] * b[a, j]
+            weight *= panel.weights[k] * length
+            if q < g:
+                right[row + i] += weight * u[0, j]
+                continue
+            for z in range(p):
+                share = 1.0
+                for y in range(p):
+                    if y != z:
+                        share *= (c - nodes.points[y]) / (nodes.points[z] - nodes.points[y])
+                matrix[row + i, z * m + j] -= weight * share
+
+
+@kernel(eager=True)
+def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
+    """Add a branch at node t of segment g, rows `row` on, to matrix u = right; whether it can."""
+    edges, p, (m, n) = line.edges, nodes.points.size, branch.K.shape[1:]
+    count = _divide(t, branch, into)
+    if count == _AGAIN:
+        return False
+    R, carried, moved = np.zeros((m, n)), np.zeros((m, n)), np.empty(n)
+    S, flow, u = np.empty((n, n)), np.empty((p + 1, n, n)), np.empty((1, m))
+    none = np.empty((0, n, n))
+    for r in range(count - 1, -1, -1):
+        i, known = into.system[r], -1.0
+        for j in range(m):
+            if into.read[j] == r + 1:
+                for a in range(n):
+                    R[j, a] = branch.weight * branch.K[into.reader[j], j, a]
+        for a in range(n):
+            for o in range(n):
+                S[a, o] = branch.A[i, a, o]
+                for j in range(m):
+                    if into.flying[r, j] == 0:
+                        S[a, o] += branch.B[i, a, j] * branch.K[i, j, o]
+        for j in range(m):
+            if into.flying[r, j] == 0:
+                continue
+            low, high = into.edges[r] - branch.delays[i, j], into.edges[r + 1] - branch.delays[i, j]
+            for k in range(m):
+                for a in range(n):
+                    carried[k, a] = R[k, a]
+            q = locate(edges, high, g)
+            while q >= 0 and edges[q + 1] > low:
+                begin, length = max(edges[q], low), min(edges[q + 1], high) - max(edges[q], low)
+                if length > 0.0:
+                    panel = few if length < short else nodes
+                    if abs(length - known) > 1e-15:
+                        flows(S, length, panel.points, flow, none)
+                        known = length
+                    _hear(
+                        line, g, q, begin, length, j, carried, flow, row, nodes, panel, branch.B[i],
+                        u, matrix, right,
+                    )  # fmt: skip
+                    for k in range(m):
+                        for a in range(n):
+                            moved[a] = 0.0
+                            for o in range(n):
+                                moved[a] += carried[k, o] * flow[panel.points.size, o, a]
+                        for a in range(n):
+                            carried[k, a] = moved[a]
+                q -= 1
+        # An input that is not read yet is in flight: R was carried over the interval with it.
+        for k in range(m):
+            for a in range(n):
+                R[k, a] = carried[k, a]
+    for j in range(m):
+        for a in range(n):
+            right[row + j] += R[j, a] * x[a]
+    return True
+
+
+def march_outlook(
+    plant, line, law: Outlook, x0: np.ndarray, nodes: Nodes
+) -> tuple[np.ndarray, int]:
+    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`."""
+    edges, (branches, _, m, n) = line.edges, law.gains.shape
+    segments, p = edges.size - 1, nodes.points.size
+    states, x = np.zeros((segments, p + 2, n)), x0.copy()
+    few, short = gauss(_FEW), _SHORT * float(np.diff(edges).max())
+    ends = refit(nodes.points, np.array([0.0, 1.0]))
+    for g in range(line.begin, segments):
+        length, i = edges[g + 1] - edges[g], line.mode[g]
+        times = edges[g] + length * nodes.points
+        delayed = arrivals(line, plant.delays[i], times, nodes, g - 1)
+        states[g] = solve_alone(plant.A[i], plant.B[i], x, delayed, length, nodes)
+        if g < line.stop:
+            matrix, right = np.eye(p * m), np.zeros(p * m)
+            starts, systems = law.signals(edges[g] + length / 2.0)
+            into = _room(starts.shape[1], m)
+            for b in range(branches):
+                own = law.gains[b], float(law.weights[b]), starts[b], systems[b]
+                branch = Branch(law.A, law.B, law.delays, *own)
+                for k, t in enumerate(times.tolist()):
+                    here = states[g, k + 1]
+                    if not _add(
+                        line, g, t, branch, k * m, here, nodes, few, short, into, matrix, right
+                    ):
+                        raise _reads_again(t)
+            u = np.linalg.solve(matrix, right).reshape(p, m)
+            line.inputs[g, 1:-1] = u
+            line.inputs[g, [0, -1]] = ends @ u
+        x = states[g, -1].copy()
+        if not np.abs(x).max() <= LIMIT:
+            return states, g
+    return states, segments
+
+
+def _room(parts: int, m: int) -> Intervals:
+    """Room for the intervals of a prediction along a signal of so many parts."""
+    most = parts * (m + 1) + 1
+    whole = np.empty(most, np.int64), np.empty((most, m), np.int64)
+    return Intervals(np.empty(most + 1), *whole, np.empty(m, np.int64), np.empty(m, np.int64))
+
+
+def _reads_again(t: float) -> ArgumentError:
+    return ArgumentError(
+        f"step must be given: what is sent at {t:.6g} s would be predicted through a switch after "
+        "which an input that is still to be sent is read a second time, with a longer delay; the "
+        "ideal loop has no closed form there."
+    )
