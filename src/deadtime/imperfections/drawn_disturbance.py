@@ -55,7 +55,7 @@ class DrawnDisturbance(Stacked, Disturbance):
         self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
     ) -> np.ndarray:
         before, each = self.counts(sizes)
-        (there,) = np.nonzero(lengths)
+        (there,) = np.nonzero(np.array(lengths))
         # All spawn, so that who is missing changes nobody's numbers.
         streams = [rng, *rng.spawn(len(lengths) - 1)]
         numbers = [streams[i].standard_normal((1, before + each * steps)) for i in there]
