@@ -38,7 +38,7 @@ def is_known(each: Imperfection) -> bool:
 
 def is_batched(each: Imperfection) -> bool:
     """Whether the engine of many scenarios can take all that it does."""
-    drawing = (Relaying, TimingImperfection, Disturbance)
+    drawing = (Relaying, TimingImperfection, Disturbance)  # each takes some of the numbers
     one_stream = (
         sum(isinstance(each, part) for part in drawing) > 1
     )  # of which each part takes some
