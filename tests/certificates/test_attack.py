@@ -137,9 +137,13 @@ def attacked(seeds, quick=False, several=False):
     return count, violated
 
 
-def test_no_certificate_is_violated_by_signals_searched_by_other_code():
-    count, violated = attacked(range(1, 25))
-    assert count >= 12
+@pytest.mark.parametrize(
+    ("seeds", "least"),
+    [(range(15, 25), 8), pytest.param(range(1, 25), 12, marks=pytest.mark.long)],
+)
+def test_no_certificate_is_violated_by_signals_searched_by_other_code(seeds, least):
+    count, violated = attacked(seeds)
+    assert count >= least
     assert violated == []
 
 

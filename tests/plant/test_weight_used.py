@@ -235,7 +235,8 @@ def test_labels_say_which_cost_they_show_where_it_is_not_the_usual_one(tmp_path)
         (None, "cost, ∫|x|² + |u|²  (x² s + u² s)"),
         (dt.Weight([4, 1, 1], 0.1), "cost, ∫xᵀQx + uᵀRu, Q = diag(4, 1, 1), R = 0.1 I"),
     ):
-        data = dt.monte_carlo(TRUTH, LAWS, [SIGNAL], X0, 3.0, 0.1, weight=weight)
+        laws = {"averaged": LAWS["averaged"]}
+        data = dt.monte_carlo(TRUTH, laws, [SIGNAL], X0, 3.0, 0.1, weight=weight)
         assert plot_monte_carlo(data).axes[0].get_xlabel() == label
     data.drop_attrs(deep=False).to_netcdf(tmp_path / "data.nc", engine="scipy")
     with xr.open_dataset(tmp_path / "data.nc", engine="scipy") as again:

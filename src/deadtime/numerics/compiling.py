@@ -36,7 +36,8 @@ def dispatcher_of(kernel: Any) -> Any:
     """A kernel's dispatcher, which keeps what it compiles on disk where it can."""
     _introduce(type(kernel))
     # A wrapper for callers in C, which a kernel has none of, is a tenth of what compiling costs.
-    dispatcher: Any = njit(no_cfunc_wrapper=True, **kernel.options)(kernel.function)
+    options: dict[str, Any] = {"no_cfunc_wrapper": True, **kernel.options}
+    dispatcher: Any = njit(**options)(kernel.function)
     try:
         dispatcher.enable_caching()
     except RuntimeError:  # no folder can be written: it is compiled anew in each process

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, real_array, require_shape
 from deadtime.controller.export.c_code import c_sources
-from deadtime.controller.export.fmi_description import Variable, Version
+from deadtime.controller.export.fmi_description import Version
 from deadtime.controller.export.fmu_file import ExportedFmu, render, write_fmu
+from deadtime.controller.export.fmu_variables import controller_variables, plant_variables
 from deadtime.controller.export.forms import Precision
 from deadtime.controller.export.literals import brackets, initializer, literal
 from deadtime.controller.export.names import Names
@@ -38,54 +39,6 @@ def export_fmu(
     past, names = _finite(u0, plant.inputs), names or Names()
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
-    n, m = plant.states, plant.inputs
-    variables = [
-        Variable("time", "Real", "independent", "time, s"),
-        *(
-            Variable(
-                f"x[{i}]",
-                "Real",
-                "input",
-                _with_name("state at the sample", names.state(i - 1)),
-                0.0,
-            )
-            for i in _from1(n)
-        ),
-        *(
-            Variable(
-                f"applied[{i}]",
-                "Real",
-                "input",
-                _with_name("what the actuator had", names.input(i - 1)),
-                0.0,
-            )
-            for i in _from1(m)
-        ),
-        *(
-            Variable(
-                f"u[{i}]",
-                "Real",
-                "output",
-                _with_name("input, held", names.input(i - 1)),
-                follows=f"u0[{i}]",
-            )
-            for i in _from1(m)
-        ),
-        *(
-            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", float(past[i - 1]))
-            for i in _from1(m)
-        ),
-        Variable(
-            "mode",
-            "Integer",
-            "input",
-            _with_name("mode at the sample, from 0", names.all_modes()),
-            0,
-        ),
-        Variable("status", "Integer", "output", "what became of the last sample, 0: all is well"),
-        Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
-        Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
-    ]
     values = {
         "p": name,
         "begun": initializer(past, "double"),
@@ -98,6 +51,7 @@ def export_fmu(
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
+    variables = controller_variables(plant, names, past)
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
     )
@@ -152,41 +106,6 @@ def export_plant_fmu(
         if x0 is None
         else require_shape("x0", real_array("x0", x0, "(n,)", 1), (n,), "(n,)")
     )
-    variables = [
-        Variable("time", "Real", "independent", "time, s"),
-        *(
-            Variable(
-                f"u[{i}]",
-                "Real",
-                "input",
-                _with_name("input, held over a step", names.input(i - 1)),
-                0.0,
-            )
-            for i in _from1(m)
-        ),
-        *(
-            Variable(
-                f"x[{i}]",
-                "Real",
-                "output",
-                _with_name("state", names.state(i - 1)),
-                None,
-                f"x0[{i}]",
-            )
-            for i in _from1(n)
-        ),
-        *(
-            Variable(f"x0[{i}]", "Real", "parameter", "state at the start", float(start[i - 1]))
-            for i in _from1(n)
-        ),
-        *(
-            Variable(f"u0[{i}]", "Real", "parameter", "input before the start", float(past[i - 1]))
-            for i in _from1(m)
-        ),
-        Variable(
-            "mode", "Integer", "input", _with_name("mode over a step, from 0", names.all_modes()), 0
-        ),
-    ]
     size = count("changes", changes, 2)
     values = {
         "delay": literal(plant.longest_delay, "double"),
@@ -209,15 +128,8 @@ def export_plant_fmu(
     }
     sources = {"model.c": render("plant_model.c.j2", values)}
     title = names.title or f"Plant with a delay of {plant.delay_text} s"
+    variables = plant_variables(names, start, past)
     return write_fmu(Path(path), version, name, title, None, variables, sources, values, staging)
-
-
-def _from1(size: int) -> range:
-    return range(1, size + 1)
-
-
-def _with_name(what: str, name: str) -> str:
-    return f"{what}: {name}" if name else what
 
 
 def _finite(u0: ArrayLike, m: int) -> np.ndarray:

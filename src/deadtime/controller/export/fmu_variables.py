@@ -1,0 +1,73 @@
+"""The variables of the two kinds of FMU, in the order of their value references."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from deadtime.controller.export.fmi_description import Variable
+from deadtime.controller.export.names import Names
+from deadtime.plant import SwitchedSystem
+
+_TIME = Variable("time", "Real", "independent", "time, s")
+
+
+def controller_variables(plant: SwitchedSystem, names: Names, past: np.ndarray) -> list[Variable]:
+    """What a controller of a plant reads and writes; `past` (m,) is the input before the start."""
+    n, m = plant.states, plant.inputs
+    return [
+        _TIME,
+        *_read("x", _each("state at the sample", names.state, n)),
+        *_read("applied", _each("what the actuator had", names.input, m)),
+        *_written("u", _each("input, held", names.input, m)),
+        *_at_start("u", "input before the start", past),
+        _mode("mode at the sample, from 0", names),
+        Variable("status", "Integer", "output", "what became of the last sample, 0: all is well"),
+        Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
+        Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
+    ]
+
+
+def plant_variables(names: Names, start: np.ndarray, past: np.ndarray) -> list[Variable]:
+    """What a plant reads and writes; `start` (n,) is its state, `past` (m,) the input before it."""
+    return [
+        _TIME,
+        *_read("u", _each("input, held over a step", names.input, past.size)),
+        *_written("x", _each("state", names.state, start.size)),
+        *_at_start("x", "state at the start", start),
+        *_at_start("u", "input before the start", past),
+        _mode("mode over a step, from 0", names),
+    ]
+
+
+def _read(symbol: str, texts: Iterable[str]) -> list[Variable]:
+    return [
+        Variable(f"{symbol}[{i}]", "Real", "input", text, 0.0) for i, text in enumerate(texts, 1)
+    ]
+
+
+def _written(symbol: str, texts: Iterable[str]) -> list[Variable]:
+    return [
+        Variable(f"{symbol}[{i}]", "Real", "output", text, follows=f"{symbol}0[{i}]")
+        for i, text in enumerate(texts, 1)
+    ]
+
+
+def _at_start(symbol: str, text: str, values: np.ndarray) -> list[Variable]:
+    return [
+        Variable(f"{symbol}0[{i}]", "Real", "parameter", text, float(value))
+        for i, value in enumerate(values, 1)
+    ]
+
+
+def _mode(what: str, names: Names) -> Variable:
+    return Variable("mode", "Integer", "input", _with_name(what, names.all_modes()), 0)
+
+
+def _each(what: str, name_of: Callable[[int], str], size: int) -> list[str]:
+    return [_with_name(what, name_of(i)) for i in range(size)]
+
+
+def _with_name(what: str, name: str) -> str:
+    return f"{what}: {name}" if name else what
