@@ -12,6 +12,7 @@ from c_code import Library, needs_compiler
 from deadtime.cli.entry import main
 from deadtime.problems import load_problem
 from deadtime.scenarios.sweeps.axes import axis_of
+from deadtime.scenarios.sweeps.load import load_study
 
 STEP, HORIZON = 0.05, 4.0
 DELAYS = np.array([[0.31, 0.12], [0.2, 0.05], [0.26, 0.17]])
@@ -166,6 +167,37 @@ def test_a_file_says_them_and_commands_take_it(tmp_path, capsys, monkeypatch):
         main(("simulate", str(path), "--json"))
     assert not done.value.code
     assert json.loads(capsys.readouterr().out)
+
+
+STUDY = """
+problem = "own.toml"
+laws = ["averaged"]
+scenarios = 2
+[grid]
+"delay.1" = [0.05, 0.15]
+delay_error = [0.0, 0.1]
+"""
+
+
+def test_a_study_s_grid_moves_the_delay_of_an_input(tmp_path):
+    text = FILE.replace("[truth]\ndelay = [0.3, 0.1]\n", "")
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    study = load_study(path)
+    for cell in study.cells():
+        loop, own = study.loop(cell), cell.values["delay.1"]
+        model = loop.laws["averaged"].plant.delays
+        assert model.tolist() == [[0.31, own], [0.2, own]]
+        true = (1.0 + cell.values["delay_error"]) * model
+        np.testing.assert_allclose(loop.plant.delays, true, rtol=1e-14)
+    for grid, said in (
+        ('"delay.7" = [0.1]', r"'7' is not there: it must be one of 0, 1"),
+        ('delay = [0.1]\n"delay.1" = [0.1]', "delay.1 is overwritten by delay"),
+    ):
+        path.write_text(STUDY.split('"delay.1"')[0] + grid, encoding="utf-8")
+        with pytest.raises(dt.DeadtimeError, match=said):
+            load_study(path)
 
 
 def test_sweeps_move_all_of_them_or_one():

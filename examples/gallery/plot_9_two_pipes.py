@@ -71,20 +71,23 @@ figure.savefig("two-pipes.png", dpi=120)
 #
 # Of the averaged law, which needs no model of the flow: the decay that is proved for every signal
 # whose regimes last 0.25 min or more, with the four delays and with the single one that costs it
-# the least.
+# the least; and how wrong the delays may be in a regime held.
 
 for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
     law = dt.AveragedPredictor(dt.SwitchedSystem(A, B, believed), gains)
     proof = dt.certify(plant, law, 0.25, STEP)
     print(f"{name}: {proof.message}")
+    print(f"  Held in a regime, {dt.delay_margin(plant, law, STEP).message}.")
 
 # %%
 # A car whose brake is faster than its throttle
 # ---------------------------------------------
 #
 # The follower of this gallery, its throttle late by 0.4 s and its brake by 0.1 s: one input, whose
-# delay changes with the mode. Cost is the mean over 400 signals; the dwell time is the shortest
-# with which the loop is proved stable. 0.05 s, a period, is the shortest that can be asked about.
+# delay changes with the mode. Cost is the mean over 400 signals; the margin is by how much both
+# true delays may be longer, in every mode held; the dwell time is the shortest with which the loop
+# is proved stable. 0.05 s, a period, is the shortest that can be asked about. Believing in the
+# throttle's delay costs 2 % less than the truth does, and leaves a fourteenth of its margin.
 
 car = dt.problems.follower()
 late = dt.SwitchedSystem(car.plant.A, car.plant.B, [[0.4], [0.1]])
@@ -98,8 +101,10 @@ for name, believed in (
     law = dt.AveragedPredictor(dt.SwitchedSystem(late.A, late.B, believed), car.gains)
     data = dt.monte_carlo(late, {"averaged": law}, pedals, car.x0, car.horizon, STEP, scenarios=400)
     throttle, brake = (dt.growth_rate(late, law, mode, STEP) for mode in (0, 1))
+    margin = dt.delay_margin(late, law, STEP)
     dwell = dt.least_dwell_time(late, law, STEP, ratio=1.05).certified
     print(
         f"{name:10s} cost {data.cost.mean().item():.2f}, throttle {throttle:+.2f}, "
-        f"brake {brake:+.2f} 1/s, certified from {dwell:.2f} s on"
+        f"brake {brake:+.2f} 1/s, margin {margin.upper - margin.nominal:.3f} s, "
+        f"certified from {dwell:.2f} s on"
     )

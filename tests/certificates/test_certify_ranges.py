@@ -16,7 +16,8 @@ from certified_loops import assert_runs_decrease, proved
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.proof import check
 from deadtime.certificates.proof.box import FIRST, Box
-from deadtime.certificates.proof.enclosure import cells_of, enclosures_of
+from deadtime.certificates.proof.covering import enclosures_of
+from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.numerics.precision import precision
 from shares import mostly_long
 

@@ -65,7 +65,7 @@ def made_up(monkeypatch):
     def constant_delay_margin(plant, law, step):
         if isinstance(law, dt.ExactPredictor):
             raise dt.ArgumentError("the oracle has no constant table.")
-        return SimpleNamespace(lower=None, upper=None, message="none, mode 1 grows")
+        return SimpleNamespace(lower=None, upper=None, differ=False, message="none, mode 1 grows")
 
     def growth_rate(plant, law, mode, step):
         return 0.28 if distance_of(plant) > LIMIT else -0.4

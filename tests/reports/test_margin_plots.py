@@ -66,6 +66,20 @@ def test_reaches_are_drawn_where_they_are_with_what_each_gains(tmp_path, count):
     assert (tmp_path / "reach.png").stat().st_size > 10_000
 
 
+def test_a_plant_nearer_than_all_that_is_drawn_is_on_the_axis(tmp_path):
+    """As where the theorem has no answer: no label runs out of the figure, which warns of that."""
+    reaches = (
+        Reach("lifted loop, proved", 0.559, 3.62),
+        Reach("a signal that grows", 0.560, 3.63, stable=False),
+    )
+    figure = plot_tightness(Tightness(reaches, 1.33, None, ""))
+    figure.savefig(tmp_path / "reach.png")
+    (axes,) = figure.axes
+    (label,) = [text for text in axes.texts if "this plant" in text.get_text()]
+    box, room = label.get_window_extent(), axes.get_window_extent()
+    assert room.x0 <= box.x0 < box.x1 <= room.x1
+
+
 @pytest.mark.parametrize("form", ["printed", "sharp"])
 @pytest.mark.parametrize("name", ["paper", "three-mode", "follower"])
 def test_the_theorem_reaches_where_the_distance_meets_what_it_allows(name, form):

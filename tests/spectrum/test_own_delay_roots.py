@@ -105,7 +105,7 @@ def matrix_by_motions(plant, law, mode, s):
     return np.block([[s * np.eye(n) - A, -B], [-row[:, :n], np.eye(m) - row[:, n:]]])
 
 
-def roots_by_chebyshev(plant, law, mode, degree=30):
+def roots_by_chebyshev(plant, law, mode, degree=50):
     """All eigenvalues of the generator on (x, u at Chebyshev points of [−T, 0]), u(0) algebraic."""
     n, m = plant.B.shape[1:]
     longest = max(plant.delays.max(), law.plant.delays.max())
@@ -302,6 +302,35 @@ def test_inputs_in_another_order_have_the_same_roots(name):
         np.sort_complex(own),
         1e-10,
     )
+
+
+@pytest.mark.parametrize("kind", ["averaged", "mean"])
+def test_a_dwell_time_long_past_changes_nothing(kind):
+    plant, plain, mode = random_loop(kind, 2)
+    if isinstance(plain, dt.MeanPredictor):
+        aware = dt.MeanPredictor(plain.plant, plain.gain, None, 0.3, allow_unstable=True)
+    else:
+        aware = dt.AveragedPredictor(
+            plain.plant, plain.gains, plain.weights, 0.3, allow_unstable=True
+        )
+    known, found = (dt.characteristic_roots(plant, law, mode).roots for law in (plain, aware))
+    assert np.array_equal(found, known)
+    limit = dt.growth_rate(plant, aware, mode, None)
+    coarse, fine = (abs(dt.growth_rate(plant, aware, mode, h) - limit) for h in (0.004, 0.002))
+    assert 0.85 < np.log2(coarse / fine) < 1.15
+
+
+def test_an_oracle_of_a_mode_that_lasts_is_the_law_of_that_mode():
+    plant, single, _ = random_loop("single", 2)
+    oracle = dt.ExactPredictor(plant, single.gains, allow_unstable=True)
+    placed = np.linalg.eigvals(plant.A[1] + plant.B[1] @ single.gains[1]).astype(complex)
+    found = dt.characteristic_roots(plant, oracle, 1, count=8)
+    plants.close(np.sort_complex(found.roots), np.sort_complex(placed), 1e-12)
+    other = dt.ExactPredictor(
+        plant, single.gains, dt.SwitchingSignal.constant(1), allow_unstable=True
+    )
+    known = dt.characteristic_roots(plant, single, 0).roots
+    assert np.array_equal(dt.characteristic_roots(plant, other, 0).roots, known)
 
 
 def test_a_delay_that_is_hardly_another_hardly_moves_the_roots():

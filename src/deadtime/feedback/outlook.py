@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.feedback.functional import Functional
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
@@ -39,6 +40,8 @@ class Outlook:
         From a time t to what the branches believe at it: start times, increasing, and the system
         from there on, both (branches, parts); the first part has begun at t, and the last has no
         end.
+    settled : Functional
+        The same law once the last mode of the signal has lasted.
     """
 
     A: Float[np.ndarray, "system n n"]
@@ -48,10 +51,15 @@ class Outlook:
     weights: Float[np.ndarray, " branch"]
     breaks: Float[np.ndarray, " break"]
     signals: Callable[[float], tuple[np.ndarray, np.ndarray]]
+    settled: Functional
 
     @classmethod
     def foreseeing(
-        cls, plant: SwitchedSystem, K: Float[np.ndarray, "mode m n"], signal: SwitchingSignal
+        cls,
+        plant: SwitchedSystem,
+        K: Float[np.ndarray, "mode m n"],
+        signal: SwitchingSignal,
+        settled: Functional,
     ) -> Outlook:
         """The belief in a signal that is known."""
         starts, modes, longest = signal.times, signal.modes, plant.longest_delay
@@ -62,7 +70,8 @@ class Outlook:
             part = slice(max(first, 0), max(last, 1))
             return starts[None, part].copy(), modes[None, part].astype(np.int64)
 
-        return cls(plant.A, plant.B, plant.delays, K[None], np.ones(1), starts[1:], signals)
+        systems = plant.A, plant.B, plant.delays
+        return cls(*systems, K[None], np.ones(1), starts[1:], signals, settled)
 
     @classmethod
     def dwelling(
@@ -73,6 +82,7 @@ class Outlook:
         weights: Float[np.ndarray, " system"],
         dwell_time: float,
         signal: SwitchingSignal,
+        settled: Functional,
     ) -> Outlook:
         """The belief that the mode is held for its dwell time, then each system of `after`.
 
@@ -96,4 +106,5 @@ class Outlook:
             weights,
             np.append(signal.times[1:], signal.last_switch(signal.times) + dwell_time),
             signals,
+            settled,
         )

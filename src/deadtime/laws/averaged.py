@@ -171,14 +171,14 @@ class AveragedPredictor(TableLaw):
         return constant_table(plant, *parts, step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
-        plant, several = self.plant, not self.plant.has_one_delay
-        if self.dwell_time is not None and several:
-            parts = self.gains, self.weights, self.dwell_time
-            return Outlook.dwelling(plant, plant, *parts, signal)
-        if self.dwell_time is not None:
-            return Forecast.dwelling(plant, self._after, self.dwell_time, signal)
-        if several:
-            from deadtime.laws.tables.windows import constant_functional
+        plant, rest = self.plant, self.dwell_time
+        if plant.has_one_delay:
+            if rest is not None:
+                return Forecast.dwelling(plant, self._after, rest, signal)
+            return Forecast.constant(*self._after, plant.delay)
+        from deadtime.laws.tables.windows import constant_functional
 
-            return constant_functional(plant, self.gains, self.weights)
-        return Forecast.constant(*self._after, plant.delay)
+        settled = constant_functional(plant, self.gains, self.weights)
+        if rest is None:
+            return settled
+        return Outlook.dwelling(plant, plant, self.gains, self.weights, rest, signal, settled)

@@ -152,7 +152,12 @@ class ExactPredictor(TableLaw):
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Outlook:
         plant, known = self.plant, self._require_signal(signal, horizon)
         if not plant.has_one_delay:
-            return Outlook.foreseeing(plant, self.gains, known)
+            from deadtime.laws.tables.windows import constant_functional
+
+            last = [int(known.modes[-1])]
+            own = plant.like(plant.A[last], plant.B[last], plant.delays[last])
+            settled = constant_functional(own, self.gains[last], np.ones(1))
+            return Outlook.foreseeing(plant, self.gains, known, settled)
         delay = plant.delay
         return Forecast(
             plant.A,

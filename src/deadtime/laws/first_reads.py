@@ -8,7 +8,8 @@ that one, the same feedback of x as it is predicted then, held for as long as it
 
 A mode that is entered within a stretch may be the first to read a sample. What it reads depends on
 x where it is entered, and whether it leads on there depends on what it reads. So the stretch is
-moved over again with that known: how x came to the boundary has not changed by it.
+moved over again with that known: how x came to the boundary has not changed by it. Along a boundary
+that x slides along both modes read, for the plant then switches between them without end.
 """
 
 from __future__ import annotations

@@ -124,14 +124,15 @@ class MeanPredictor(TableLaw):
         return constant_table(mean, K, np.ones(1), step)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
-        mean = self._mean_plant
-        if self.dwell_time is not None and not self.plant.has_one_delay:
-            parts = self.gain[None], np.ones(1), self.dwell_time
-            return Outlook.dwelling(self.plant, mean, *parts, signal)
-        if self.dwell_time is not None:
-            return Forecast.dwelling(self.plant, self._after, self.dwell_time, signal)
-        if not mean.has_one_delay:
-            from deadtime.laws.tables.windows import constant_functional
+        plant, mean, rest = self.plant, self._mean_plant, self.dwell_time
+        if rest is not None and plant.has_one_delay:
+            return Forecast.dwelling(plant, self._after, rest, signal)
+        if rest is None and mean.has_one_delay:
+            return Forecast.constant(*self._after, mean.delay)
+        from deadtime.laws.tables.windows import constant_functional
 
-            return constant_functional(mean, self.gain[None], np.ones(1))
-        return Forecast.constant(*self._after, mean.delay)
+        K, weights = self.gain[None], np.ones(1)
+        settled = constant_functional(mean, K, weights)
+        if rest is None:
+            return settled
+        return Outlook.dwelling(plant, mean, K, weights, rest, signal, settled)

@@ -4,10 +4,10 @@ With one mode held, a law updated continuously is
 
     u(t) = F x(t) + Σ_p C_p ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ,    τ from α_p to β_p.
 
-A `Functional` says so itself. A `Forecast` is one window from 0 to its lead D̂: each of its
-branches stays in one system, and all together are one frozen system (S, R), the branches' A and B
-stacked, that starts from L x(t) and is read by K, the branches' gains side by side: C = K and
-F = K e^{S D̂} L.
+A `Functional` says so itself, and an `Outlook` what it has settled to. A `Forecast` is one window
+from 0 to its lead D̂: each of its branches stays in one system, and all together are one frozen
+system (S, R), the branches' A and B stacked, that starts from L x(t) and is read by K, the
+branches' gains side by side: C = K and F = K e^{S D̂} L.
 
     W(s) = Σ_p W_p(s),    W_p(s) = C_p ∫ e^{S_p (τ − α_p)} e^{−sτ} dτ R_p
          = C_p (sI − S_p)⁻¹ (e^{−sα_p} − e^{−sβ_p} e^{S_p (β_p − α_p)}) R_p,
@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Forecast, Functional
+from deadtime.feedback import Forecast, Functional, Outlook
 
 # A Gauss panel of so many nodes integrates e^{at} to round-off for |a| · length ≤ _RATE.
 _NODES, _RATE = 16, 8.0
@@ -71,9 +71,10 @@ class Window(NamedTuple):
 
 
 def windows_of(
-    law: Forecast | Functional, units: Float[np.ndarray, " n"]
+    law: Forecast | Functional | Outlook, units: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "m n"], tuple[Window, ...]]:
     """F, of a state x in units of its own, and the windows of a law with its mode held."""
+    law = law.settled if isinstance(law, Outlook) else law
     if isinstance(law, Functional):
         pieces = zip(law.C, law.S, law.R, law.near.tolist(), law.far.tolist(), strict=True)
         return law.F * units, tuple(Window.balanced(*piece) for piece in pieces)

@@ -21,13 +21,19 @@ import numpy as np
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.box import POLYTOPE, Box
+from deadtime.certificates.proof.box_enclosure import BoxEnclosures
 from deadtime.certificates.proof.definite import congruent
-from deadtime.certificates.proof.enclosure import Cell, Enclosure, cells_of, enclosures_of
+from deadtime.certificates.proof.enclosure import Cell, Enclosure, Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
 
 DEEPEST = 20  # bisections of a cell
 MOST_CELLS = 1500  # of one inequality
+
+
+def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
+    """What encloses the cells of a family."""
+    return BoxEnclosures(family) if isinstance(family, Box) else Enclosures(family)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,16 +14,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, U
 from deadtime.certificates.proof.family import Family, Lags, Segment
-
-if TYPE_CHECKING:
-    from deadtime.certificates.proof.box_enclosure import BoxEnclosures
 
 SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
 
@@ -81,15 +78,6 @@ def cells_of(
             whole = ((0.0, 1.0),) * len(family.moving(order))
             cells.append(Cell(order, shares, whole, corners))
     return cells
-
-
-def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
-    """What encloses the cells of a family."""
-    if isinstance(family, Box):
-        from deadtime.certificates.proof.box_enclosure import BoxEnclosures
-
-        return BoxEnclosures(family)
-    return Enclosures(family)
 
 
 class Enclosures:

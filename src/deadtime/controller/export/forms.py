@@ -57,7 +57,7 @@ def windows_of(table: Feedback) -> tuple[int, ...]:
     >>> windows_of(Feedback(np.zeros((1, 2, 1)), G, "none", 0.1))
     (4, 2)
     """
-    read = table.input_gain.any(axis=(0, 2))
+    read = np.any(table.input_gain, axis=(0, 2))
     windows = [int(np.flatnonzero(column).max(initial=0)) + 1 for column in read.T]
     return tuple(windows) if len(set(windows)) > 1 else ()
 

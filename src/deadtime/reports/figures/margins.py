@@ -102,11 +102,12 @@ def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 1.15 + 0.38 * count))
         axes = figure.subplots()
-        logs = [reach.log10_distance for reach in rows]
-        left, right = min(logs), max(*logs, np.log10(found.own))
+        own = np.log10(found.own)
+        logs = [own, *(reach.log10_distance for reach in rows)]
+        left, right = min(logs), max(logs)
         room = max(right - left, 0.5)
         left, right = left - 0.06 * room, right + 0.3 * room
-        axes.axvline(np.log10(found.own), color="#888888", linewidth=0.9, linestyle="--")
+        axes.axvline(own, color="#888888", linewidth=0.9, linestyle="--")
         for row, reach in enumerate(rows):
             _reach_bar(axes, row, reach, left)
         for row, (before, after) in enumerate(pairwise(rows)):
@@ -126,8 +127,8 @@ def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
         axes.set_xlabel("distance ε between modes and gains")
         axes.grid(False, axis="y")
         axes.text(
-            np.log10(found.own), -0.62, "this plant ", ha="right", va="center", fontsize=8.0,
-            color="#555555",
+            own, -0.62, " this plant ", ha="left" if own < 0.5 * (left + right) else "right",
+            va="center", fontsize=8.0, color="#555555",
         )  # fmt: skip
         if title:
             axes.set_title(plain(title))

@@ -218,6 +218,17 @@ OVERWRITES: Mapping[str, tuple[str, ...]] = {
 }
 
 
+def path_of(name: str) -> str:
+    """Where in a problem file the path of an axis leads.
+
+    Examples
+    --------
+    >>> path_of("run.x0.1"), path_of("delay.1")
+    ('run.x0.1', 'plant.delay.1')
+    """
+    return f"plant.{name}" if name.startswith("delay.") else name
+
+
 def axis_of(name: str) -> Axis:
     """A named parameter, or the one at a dotted path; `delay.1` is that of input 1 in all modes.
 

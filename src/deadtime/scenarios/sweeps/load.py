@@ -20,7 +20,7 @@ from deadtime.problems.file import schema
 from deadtime.problems.file.build import as_numbers, build_problem
 from deadtime.problems.file.named import template
 from deadtime.problems.toml import SectionError, read_toml, require_valid, section
-from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, write_path
+from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, axis_of, path_of
 from deadtime.scenarios.sweeps.file_study import FileStudy, without_signal
 from deadtime.scenarios.sweeps.laws import DEFAULT, ORACLE, kinds_of
 from deadtime.scenarios.sweeps.schema import StudyFile, distinct, require_known
@@ -232,7 +232,7 @@ def _grid(raw: Draft, file: StudyFile, draft: Draft) -> dict[str, tuple]:
 def _require_no_overlap(grid: Mapping[str, tuple], draft: Draft) -> None:
     """Refuse axes that overwrite what another one writes, and paths that change nothing."""
     for path in (name for name in grid if name not in AXES):
-        parts, where = path.split("."), ("grid", *path.split("."))
+        parts, where = path_of(path).split("."), ("grid", *path.split("."))
         vain = parts[0] in ("title", "source") or path == "run.seed"
         vain |= parts[0] == "law" and parts[-1] in ("kind", "name")
         vain |= parts[0] == "signal" and ("switching" in draft or "dwell_time" in grid)
@@ -270,7 +270,7 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
     for value in values:
         trial = {**draft, **_copy_section(draft, path)}
         try:
-            write_path(trial, path, value)
+            axis_of(path).write(trial, value)
             require_valid(schema.ProblemFile, trial)
         except ArgumentError as error:
             raise SectionError(str(error), where) from None
@@ -279,7 +279,7 @@ def _values(path: str, given: Any, draft: Draft) -> tuple:
 
 def _copy_section(draft: Draft, path: str) -> Draft:
     """A copy of the section that a path leads into."""
-    head = path.split(".")[0]
+    head = path_of(path).split(".")[0]
     return {head: deepcopy(draft[head])} if head in draft else {}
 
 

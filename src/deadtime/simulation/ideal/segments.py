@@ -24,7 +24,9 @@ from deadtime.switching.grid import first_reads
 
 NODES = 10
 _MOST_SEGMENTS = 1e6
-_OUTLOOK_FAINT = 1e-7  # the weights are bounds: no digit is lost, and minutes are won
+_OUTLOOK_FAINT = (
+    1e-7  # weights are bounds: 1e-10 moves a run by 2e-12 and takes several times as long
+)
 _RESOLUTION = 1.5  # longest segment times the fastest rate
 
 
