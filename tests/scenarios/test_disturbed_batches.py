@@ -56,3 +56,9 @@ CASES = {
 @pytest.mark.parametrize("case", mostly_long(CASES, "white", "beside other imperfections"))
 def test_disturbed_scenarios_are_those_of_single_runs(case):
     require_single_runs(plants.generic(0.234), LAWS, CASES[case])
+
+
+def test_so_are_they_with_a_delay_per_input():
+    plant, own = plants.generic([0.234, 0.11]), plants.generic([0.3, 0.07], seed=5)
+    law = plants.LAWS["averaged"](own)
+    require_single_runs(plant, {"averaged": law}, CASES["beside other imperfections"])

@@ -67,3 +67,11 @@ CASES = {
 def test_remembering_scenarios_are_those_of_single_runs(case):
     laws, given = CASES[case]
     require_single_runs(TRUTH, laws, given)
+
+
+def test_so_are_they_with_delays_of_every_mode_and_input():
+    own = [[0.3, 0.07], [0.21, 0.1], [0.3, 0.26]]
+    believed = plants.generic(own, seed=5)
+    truth = dt.SwitchedSystem(TRUTH.A, TRUTH.B, [[0.28, 0.07], [0.21, 0.14], [0.31, 0.2]])
+    laws = {"observed": observed(plant=believed), "tracking": tracking(believed)}
+    require_single_runs(truth, laws, [Noise(0.02), Dropout(0.1), Saturation(-1.0, 1.2)])
