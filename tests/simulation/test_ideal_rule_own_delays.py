@@ -15,6 +15,7 @@ import plants
 import rule_reference as second
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.switching import FunctionRule, HalfSpace
+from sectors import EDGES, PLANE, SECTORS, sector
 from swinging import BOUNDARIES, RULES, X0, soft, swinging, wedge
 
 RULE_OF = {"wedge": wedge, "wedge as a function": wedge, "ball": RULES["ball"]}
@@ -167,3 +168,26 @@ def test_a_run_that_cannot_go_on_ends_the_longest_delay_earlier():
     with pytest.raises(dt.ArgumentError, match=message) as refused:
         dt.simulate(plant, law, rule, [-0.3, 1.0], 3.0, None)
     assert "before all inputs of the law have arrived, at 0.5 s: give a step" in str(refused.value)
+
+
+@pytest.mark.parametrize(("seed", "since"), [(3, 0.317), (9, 1.021)])
+def test_a_plane_of_three_modes_slides_as_an_integration_does_also_past_an_arrival(seed, since):
+    delays, history, rng = np.array([0.37, 0.2]), [0.7, -0.4], np.random.default_rng(seed)
+    B = np.concatenate((PLANE.B, rng.normal(size=(3, 2, 1))), axis=2)
+    plant = dt.SwitchedSystem(PLANE.A, B, delays)
+    gains, x = 0.8 * rng.normal(size=(3, 2, 2)), rng.normal(size=2)
+    law = dt.StateDependentPredictor(plant, gains, SECTORS, allow_unstable=True)
+    times = np.array([0.0, 0.1, 0.2, 0.3, 0.37, 0.5, 0.8, 1.2, 1.6, 2.0])
+    one = dt.simulate(plant, law, SECTORS, x, 2.0, None, u0=history, times=times)
+    assert f"first at t = {since}" in one.message
+    boundaries = [lambda x, row=row: float(row @ x) for row in EDGES]
+    states, mode = [x], None
+    for a, b in itertools.pairwise(times.tolist()):
+        arrived = delays <= a
+        A = plant.A + plant.B @ (gains * arrived[:, None])
+        free = second.Plant(A, plant.B, 0.37, sector, boundaries)
+        x, _ = free.flow(x, np.where(arrived, 0.0, history), b - a, mode)
+        mode = free.last
+        states.append(x)
+    plants.close(one.states, np.array(states).T, 1e-10)
+    assert np.abs(mismatch(one)).max() <= 1e-12
