@@ -100,7 +100,7 @@ def over_the_instant(law, run, t, bends):
     answer = np.exp(-RATE * last) * ideal_residual.foreseen(
         run, t, [(-1.0, 0)], system, law.gains, bends
     )
-    # u that jumps, or bends, where an input is that the switch changes bends the integrand, less.
+    # The integrand is not smooth where what acts first after the switch is a jump or bend of u.
     jumps = ideal_residual.rough(run, [model.delays], deep=1)
     bent = np.concatenate([jumps + d - t for d in model.delays[0]])
     edges = np.unique(
