@@ -134,13 +134,14 @@ def test_shifts_of_delays_that_differ_are_said_as_shifts_and_never_too_large():
     assert 0.99 * margin.longer <= said <= margin.longer
 
 
-def test_the_gain_margin_of_several_delays_ends_where_growth_rates_say():
+@pytest.mark.parametrize("step", [STEP, None])
+def test_the_gain_margin_of_several_delays_ends_where_growth_rates_say(step):
     plant, law = drawn(26)
-    margin = dt.gain_margin(plant, law, STEP)
+    margin = dt.gain_margin(plant, law, step)
 
     def growth_at(factor):
         louder = plant.like(plant.A, factor * plant.B)
-        return max(dt.growth_rate(louder, law, mode, STEP) for mode in range(plant.modes))
+        return max(dt.growth_rate(louder, law, mode, step) for mode in range(plant.modes))
 
     assert not plant.has_one_delay
     for end, outwards in ((margin.lower, 1.0 - 1e-6), (margin.upper, 1.0 + 1e-6)):
