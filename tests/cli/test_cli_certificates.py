@@ -323,6 +323,13 @@ def test_a_law_with_no_certificate_is_reported_not_raised(capsys, law):
     assert "is not above one period" in " ".join(out.split())
 
 
+def test_ranges_that_do_not_fit_the_plant_are_a_wrong_request(capsys):
+    code, out, err = run(capsys, "certify", "paper", "--delays", "[0.9,0.9]", "[1,1]")
+    assert code == 2
+    assert not out
+    assert "delays must be a number or have shape (m,) = (1,)" in err
+
+
 def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, monkeypatch):
     asked = []
 

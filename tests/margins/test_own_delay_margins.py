@@ -134,6 +134,20 @@ def test_shifts_of_delays_that_differ_are_said_as_shifts_and_never_too_large():
     assert 0.99 * margin.longer <= said <= margin.longer
 
 
+def test_delays_that_may_be_wrong_by_any_time_are_said_so():
+    A, B = [np.diag([-1.0, 0.5])], [np.eye(2)]
+    plant = dt.SwitchedSystem(A, B, [[0.3, 0.2]])
+    law = dt.AveragedPredictor(plant, [[[-0.1, 0.0], [0.0, -1.5]]])
+    tolerant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], [[[1.0]], [[1.0]]], [[0.3], [0.5]])
+    small = dt.AveragedPredictor(tolerant, [[[-0.1]], [[-0.1]]])
+    said = "whatever the true delays{}, all wrong by as much"
+    margin = dt.delay_margin(tolerant, small, STEP)
+    assert margin.message.endswith(said.format(""))
+    one = dt.delay_margin(plant, law, STEP, input=0)
+    assert "whatever the true delay of input 0" in one.message
+    assert "whatever" not in dt.delay_margin(plant, law, STEP, input=1).message
+
+
 @pytest.mark.parametrize("step", [STEP, None])
 def test_the_gain_margin_of_several_delays_ends_where_growth_rates_say(step):
     plant, law = drawn(26)

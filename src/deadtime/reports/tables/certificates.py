@@ -16,6 +16,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
 from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, sentence_of
+from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margi
 LEGEND = (
     "Stable: for every such signal. Decay: the rate at which every run falls at least. Proved: "
     "verified in ball arithmetic, also where a witness refutes. Growth: of the worst signal found. "
-    "Delay margin: true delays, between which the law as it is keeps every constant mode stable."
+    "Delay margin: true delays, of several what all may be off by, between which the law as it is "
+    "keeps every constant mode stable."
 )
 
 
@@ -88,12 +90,14 @@ def judge(
     Raises
     ------
     ArgumentError
-        If a law is not there, or a time is not positive. A law that cannot be certified is a
-        result with a reason.
+        If a law is not there, a time is not positive or delays do not fit the plant. A law that
+        cannot be certified is a result with a reason.
     """
     from deadtime.certificates import certify
 
     dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
+    for end in delays or ():
+        check_delays(end, problem.plant.delays.shape, "delays")
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
