@@ -140,21 +140,21 @@ def test_delays_that_may_be_wrong_by_any_time_are_said_so():
     law = dt.AveragedPredictor(plant, [[[-0.1, 0.0], [0.0, -1.5]]])
     tolerant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], [[[1.0]], [[1.0]]], [[0.3], [0.5]])
     small = dt.AveragedPredictor(tolerant, [[[-0.1]], [[-0.1]]])
-    said = "whatever the true delays{}, all wrong by as much"
     margin = dt.delay_margin(tolerant, small, STEP)
-    assert margin.message.endswith(said.format(""))
+    assert margin.message.endswith("whatever the true delays, all wrong by as much")
     one = dt.delay_margin(plant, law, STEP, input=0)
     assert "whatever the true delay of input 0" in one.message
     assert "whatever" not in dt.delay_margin(plant, law, STEP, input=1).message
 
 
-def test_the_gain_margin_of_several_delays_ends_where_growth_rates_say():
+@pytest.mark.parametrize("step", [STEP, None])
+def test_the_gain_margin_of_several_delays_ends_where_growth_rates_say(step):
     plant, law = drawn(26)
-    margin = dt.gain_margin(plant, law, STEP)
+    margin = dt.gain_margin(plant, law, step)
 
     def growth_at(factor):
         louder = plant.like(plant.A, factor * plant.B)
-        return max(dt.growth_rate(louder, law, mode, STEP) for mode in range(plant.modes))
+        return max(dt.growth_rate(louder, law, mode, step) for mode in range(plant.modes))
 
     assert not plant.has_one_delay
     for end, outwards in ((margin.lower, 1.0 - 1e-6), (margin.upper, 1.0 + 1e-6)):

@@ -116,7 +116,7 @@ class OwnLags(SampledPlant):
 def test_every_input_and_mode_may_have_lags_of_its_own(tabulated, monkeypatch):
     # Against a loop that reads who acts when between any two events, with SciPy's exponential.
     if not tabulated:
-        monkeypatch.setattr("deadtime.scenarios.cut_periods._MOST_NUMBERS", 0.0)
+        monkeypatch.setattr("deadtime.scenarios.cut_periods.MOST_NUMBERS", 0.0)
     plant, step, samples = plants.generic(0.234), 0.1, 30
     loop = Loop(OwnLags(plant, step), np.ones(3), samples * step + 0.03)
     rng = np.random.default_rng(1)

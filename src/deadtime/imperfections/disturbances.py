@@ -13,15 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, number, read_only, real_array, require_shape
+from deadtime.base.checks import as_floats, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Disturbance, Sizes, Stacked, per_signal
-from deadtime.numerics.covariance import noise_covariances, square_root, transitions
+from deadtime.imperfections.base import Sizes, per_signal
+from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
+from deadtime.numerics.accumulated import accumulate, rates
+from deadtime.numerics.covariance import lower_root
+from deadtime.numerics.kernels import kernel
 from deadtime.plant.steps import snap
 
 
 @dataclass(frozen=True)
-class WhiteDisturbance(Stacked, Disturbance):
+class WhiteDisturbance(DrawnDisturbance):
     """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s).
 
     The states at the samples and at the arrivals of inputs have exactly the distribution of the
@@ -37,14 +40,19 @@ class WhiteDisturbance(Stacked, Disturbance):
 
     intensity: ArrayLike
 
-    def draws(
-        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
-    ) -> np.ndarray:
+    def counts(self, sizes: Sizes) -> tuple[int, int]:
         self._check(sizes.states)
-        return rng.standard_normal((steps, len(lengths), sizes.states))
+        return 0, sizes.states
 
-    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        return square_root(_accumulate(A, self._check(sizes.states), tau)[1])
+    def draws_from(
+        self, numbers: np.ndarray, sizes: Sizes, lengths: tuple[float, ...], steps: int
+    ) -> np.ndarray:
+        return numbers.reshape(*numbers.shape[:2], steps, sizes.states)
+
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> np.ndarray:
+        return lower_root(accumulate(A, self._check(sizes.states), rates(A), mode, tau)[1])
 
     def _check(self, n: int) -> np.ndarray:
         name = "WhiteDisturbance.intensity"
@@ -61,7 +69,7 @@ class WhiteDisturbance(Stacked, Disturbance):
 
 
 @dataclass(frozen=True)
-class ColouredDisturbance(Stacked, Disturbance):
+class ColouredDisturbance(DrawnDisturbance):
     """Coloured noise w = E c with c' = −c/T + white noise (Ornstein–Uhlenbeck), stationary.
 
     Parameters
@@ -78,35 +86,37 @@ class ColouredDisturbance(Stacked, Disturbance):
     time_constant: ArrayLike
     force: ArrayLike
 
-    def draws(
-        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
+    def counts(self, sizes: Sizes) -> tuple[int, int]:
+        _, std, _ = self._check(sizes.states)
+        return std.size, std.size + sizes.states
+
+    def draws_from(
+        self, numbers: np.ndarray, sizes: Sizes, lengths: tuple[float, ...], steps: int
     ) -> np.ndarray:
         _, std, T = self._check(sizes.states)
-        q, n, pieces = std.size, sizes.states, len(lengths) * steps
-        normal = rng.standard_normal((pieces + 1, q))
-        c = np.empty((pieces + 1, q))
-        c[0] = std * normal[0]
-        tau = np.tile(lengths, steps)[:, None]
+        tau = np.array(lengths)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
-        fresh *= normal[1:]
-        for j in range(q):
-            c[1:, j] = _filter(kept[:, j].tolist(), fresh[:, j].tolist(), float(c[0, j]))
-        rest = rng.standard_normal((pieces, n))
-        return np.hstack((c[:-1], c[1:], rest)).reshape(steps, len(lengths), 2 * q + n)
+        follow = _follow_many if numbers.shape[1] > 1 else _follow_one
+        draws = np.empty((*numbers.shape[:2], steps, 2 * std.size + sizes.states))
+        follow(std, kept, fresh, numbers, draws)
+        return draws
 
-    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> np.ndarray:
         """From c at both ends and n normal numbers: the mean given c, and what is left."""
         E, std, T = self._check(sizes.states)
         n, q = E.shape
         total = tau.sum(axis=1)[:, None]
         W = np.zeros((n + q, n + q))
         W[n:, n:] = np.diag(2.0 * std**2 / T)
-        joint = np.zeros((*A.shape[:2], n + q, n + q))
-        joint[..., :n, :n], joint[..., :n, n:], joint[..., n:, n:] = A, E, np.diag(-1.0 / T)
-        M, Q = _accumulate(joint, W, tau)
+        joint = np.zeros((len(A), n + q, n + q))
+        joint[:, :n, :n], joint[:, :n, n:], joint[:, n:, n:] = A, E, np.diag(-1.0 / T)
+        rate = np.maximum(rates(A), (1.0 / T).max(initial=0.0))
+        M, Q = accumulate(joint, W, rate, mode, tau)
         kept, variance = np.exp(-total / T), std**2 * -np.expm1(-2.0 * total / T)
         slope = Q[:, :n, n:] / np.where(variance > 0.0, variance, 1.0)[:, None]
-        left = square_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
+        left = lower_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
         return np.concatenate((M[:, :n, n:] - slope * kept[:, None], slope, left), axis=2)
 
     def _check(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -125,7 +135,7 @@ class ColouredDisturbance(Stacked, Disturbance):
 
 
 @dataclass(frozen=True)
-class StepDisturbance(Stacked, Disturbance):
+class StepDisturbance(DrawnDisturbance):
     """A constant force on dx/dt from the first sample at or after `start` up to that of `end`.
 
     Parameters
@@ -140,8 +150,11 @@ class StepDisturbance(Stacked, Disturbance):
     start: float = 0.0
     end: float = math.inf
 
-    def draws(
-        self, sizes: Sizes, lengths: tuple[float, ...], steps: int, rng: np.random.Generator
+    def counts(self, sizes: Sizes) -> tuple[int, int]:
+        return 0, 0
+
+    def draws_from(
+        self, numbers: np.ndarray, sizes: Sizes, lengths: tuple[float, ...], steps: int
     ) -> np.ndarray:
         start = number("StepDisturbance.start", self.start)
         try:
@@ -153,39 +166,61 @@ class StepDisturbance(Stacked, Disturbance):
                 f"StepDisturbance must have 0 ≤ start < end, got {start:g} and {self.end}."
             )
         first, stop = (math.ceil(snap(min(t / sizes.step, steps))) for t in (start, end))
-        active = np.zeros((steps, len(lengths), 1))
-        active[first:stop] = 1.0
+        active = np.zeros((len(lengths), 1, steps, 1))
+        active[:, :, first:stop] = 1.0
         return active
 
-    def spreads(self, sizes: Sizes, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        from deadtime.numerics.exponential import discretise_each
-
+    def spreads_in(
+        self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+    ) -> np.ndarray:
         name = "StepDisturbance.force"
         force = real_array(name, self.force, "(n,)", 1)
         require_shape(name, force, (sizes.states,), "(n,)")
-        total = np.zeros((len(A), sizes.states, 1))
-        B = np.broadcast_to(force[:, None], total.shape)
-        for i in range(tau.shape[1]):
-            Phi, Gamma = discretise_each(*map(read_only, (A[:, i], B, tau[:, i])))
-            total = Phi @ total + Gamma
-        return total
+        n = sizes.states
+        joint = np.zeros((len(A), n + 1, n + 1))
+        joint[:, :n, :n], joint[:, :n, n] = A, force
+        return accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:]
 
 
-def _filter(kept: list[float], fresh: list[float], c: float) -> list[float]:
-    """c_{i+1} = kept_i c_i + fresh_i."""
-    path = []
-    for factor, more in zip(kept, fresh, strict=True):
-        c = factor * c + more
+@kernel(eager=True, nogil=True)
+def _follow_many(std, kept, fresh, numbers, draws):
+    """Fill `draws` with c before and after every stretch, c ← kept c + fresh·number, and the rest.
+
+    c starts at std times the first numbers of the first stretch.
+    """
+    stretches, runs, steps, width = draws.shape
+    q = std.size
+    c = np.empty(q)
+    for run in range(runs):
+        for j in range(q):
+            c[j] = std[j] * numbers[0, run, j]
+        at = q
+        for k in range(steps):
+            for s in range(stretches):
+                for j in range(q):
+                    draws[s, run, k, j] = c[j]
+                    c[j] = kept[s, j] * c[j] + fresh[s, j] * numbers[s, run, at + j]
+                    draws[s, run, k, q + j] = c[j]
+                for i in range(2 * q, width):
+                    draws[s, run, k, i] = numbers[s, run, at + i - q]
+            at += width - q
+
+
+def _follow_one(
+    std: np.ndarray, kept: np.ndarray, fresh: np.ndarray, numbers: np.ndarray, draws: np.ndarray
+) -> None:
+    """The same of one run, which needs no compiler."""
+    stretches, _, steps, width = draws.shape
+    q = std.size
+    own = numbers[:, 0, q:].reshape(stretches, steps, width - q)
+    more = (fresh[:, None] * own[:, :, :q]).transpose(1, 0, 2).reshape(-1, q)
+    for j in range(q):
+        c, path = float(std[j] * numbers[0, 0, j]), []
+        for factor, added in zip(kept[:, j].tolist() * steps, more[:, j].tolist(), strict=True):
+            path.append(c)
+            c = factor * c + added
         path.append(c)
-    return path
-
-
-def _accumulate(A: np.ndarray, W: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transition and covariance over pieces, W being the intensity in all of them."""
-    M = np.broadcast_to(np.eye(len(W)), (len(A), *W.shape))
-    Q = np.zeros(M.shape)
-    for i in range(tau.shape[1]):
-        Phi = transitions(A[:, i], tau[:, i])
-        M = Phi @ M
-        Q = Phi @ Q @ Phi.transpose(0, 2, 1) + noise_covariances(A[:, i], W, tau[:, i])
-    return M, Q
+        whole = np.array(path)
+        draws[:, 0, :, j] = whole[:-1].reshape(steps, stretches).T
+        draws[:, 0, :, q + j] = whole[1:].reshape(steps, stretches).T
+    draws[:, 0, :, 2 * q :] = own[:, :, q:]

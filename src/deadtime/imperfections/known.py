@@ -38,5 +38,8 @@ def is_known(each: Imperfection) -> bool:
 
 def is_batched(each: Imperfection) -> bool:
     """Whether the engine of many scenarios can take all that it does."""
-    both = isinstance(each, Relaying) and isinstance(each, TimingImperfection)  # of one stream
-    return is_known(each) and not both and not isinstance(each, Disturbance)
+    drawing = (Relaying, TimingImperfection, Disturbance)  # each takes some of the numbers
+    one_stream = (
+        sum(isinstance(each, part) for part in drawing) > 1
+    )  # of which each part takes some
+    return is_known(each) and not one_stream

@@ -7,6 +7,8 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 
+_ROUND_OFF = 1e-14  # of a variance
+
 
 def noise_covariance(
     A: Float[np.ndarray, "n n"], W: Float[np.ndarray, "n n"], tau: float
@@ -72,3 +74,28 @@ def square_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n
     scale = np.where(unit > 0.0, unit, 1.0)
     values, vectors = np.linalg.eigh(Q / (scale[..., :, None] * scale[..., None, :]))
     return unit[..., :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+
+
+def lower_root(Q: Float[np.ndarray, "*many n n"]) -> Float[np.ndarray, "*many n n"]:
+    """Cholesky's L, L Lᵀ = Q, which moves little where Q does; a Q that is singular has one, too.
+
+    Q is positive semidefinite up to round-off, whatever the units of its rows. Of a row that those
+    before it determine up to 1e-14 of itself, nothing else is left.
+
+    Examples
+    --------
+    >>> lower_root(np.array([[4.0, 2.0], [2.0, 2.0]])), lower_root(np.ones((2, 2)))
+    (array([[2., 0.],
+           [1., 1.]]), array([[1., 0.],
+           [1., 0.]]))
+    """
+    unit = np.sqrt(np.diagonal(Q, axis1=-2, axis2=-1))
+    scale = np.where(unit > 0.0, unit, 1.0)
+    C = Q / (scale[..., :, None] * scale[..., None, :])
+    L = np.zeros(Q.shape)
+    for j in range(Q.shape[-1]):
+        rest = C[..., j:, j] - (L[..., j:, :j] * L[..., j : j + 1, :j]).sum(axis=-1)
+        spent = rest[..., :1] <= _ROUND_OFF  # not where it is no number, for that is to be seen
+        root = np.sqrt(np.where(spent, 1.0, rest[..., :1]))
+        L[..., j:, j] = np.where(spent, 0.0, rest / root)
+    return unit[..., :, None] * L

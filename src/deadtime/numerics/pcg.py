@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -86,7 +86,7 @@ def layers() -> Layers:
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """The generators `stream(seed, name, index)` of many seeds.
+    """The generators `stream(seed, name, index, *spawned)` of many seeds.
 
     Examples
     --------
@@ -99,6 +99,11 @@ class Streams:
     seeds: UInt64[np.ndarray, " stream"]
     name: str
     index: int
+    spawned: tuple[int, ...] = ()
+
+    def spawn(self, count: int) -> list[Streams]:
+        """What `Generator.spawn` makes of each, stream by stream."""
+        return [replace(self, spawned=(*self.spawned, i)) for i in range(count)]
 
     def draw(self, first: int, normal: bool, room: Float[np.ndarray, "some count"]) -> None:
         """Fill `room` with the first numbers of generator number `first` and the next ones."""
@@ -121,11 +126,11 @@ class Streams:
     def generators(self, first: int, count: int) -> Iterator[np.random.Generator]:
         """Some of them, NumPy's."""
         for seed in self.seeds[first : first + count]:
-            yield stream(int(seed), self.name, self.index)
+            yield stream(int(seed), self.name, self.index, *self.spawned)
 
     @cached_property
     def _words(self) -> UInt64[np.ndarray, "stream 4"]:
-        return states(self.seeds, spawn_key(self.name, self.index), 4)
+        return states(self.seeds, [*spawn_key(self.name, self.index), *self.spawned], 4)
 
 
 @lru_cache(1)

@@ -19,8 +19,10 @@ WORDS = 4  # that Philox makes of a counter
 DROPPED = np.uint64(12)  # bits of a word, of which a double holds the others and a half
 
 
-def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
+def stream(seed: int, name: str, index: int = 0, *spawned: int) -> np.random.Generator:
     """The generator of number `index` of those called `name`; all are independent.
+
+    Or the one of number `spawned` that it spawns.
 
     Examples
     --------
@@ -29,7 +31,8 @@ def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     >>> stream(1, "Noise").random() == stream(1, "Dropout").random()
     False
     """
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key(name, index)))
+    key = *spawn_key(name, index), *spawned
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def spawn_key(name: str, index: int) -> tuple[int, int]:

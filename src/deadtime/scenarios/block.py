@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection, Relaying, TimingImperfection
+from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
 from deadtime.scenarios.dataset import Results
 from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.forces import ForceMaps, forces_of
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
+from deadtime.scenarios.side_by_side import from_scenario
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
 from deadtime.switching import SignalBatch, SwitchingSignal
@@ -62,18 +65,25 @@ class Block:
         if tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
-        heard = None
+        heard = force = None
+        if laid is not None and self.loop.forced:
+            records = laid[0].records
+            maps = self._force_maps
+            force = forces_of(maps, self.imperfections, signals, records, self.seed, first)
         if laid is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
-            by_mode = any(_by_mode(table) for table in tables.values())
-            heard = HeardBlock(
-                self.loop, self.imperfections, signals, laid[0], self.seed, first, by_mode
-            )
+            by_mode, given = any(map(_by_mode, tables.values())), (signals, laid[0])
+            heard = {
+                size: HeardBlock(
+                    self.loop, self.imperfections, *given, self.seed, first, by_mode, size
+                )
+                for size in {table.measured for table in tables.values()}
+            }
         for row, (name, law) in enumerate(self.laws.items()):
             left: Sequence[int] = range(count)
             if laid is not None and name in tables:
-                left = self._at_once(row, tables[name], laid, heard, first, stopped)
+                left = self._at_once(row, tables[name], laid, heard, force, first, stopped)
             for i in left:
                 if stopped():
                     return 0
@@ -88,12 +98,18 @@ class Block:
         self.results.done[first : first + count] = True
         return int((signals.end < self.loop.horizon).sum())
 
+    @cached_property
+    def _force_maps(self) -> ForceMaps:
+        kinds = [one for one in self.imperfections if isinstance(one, Disturbance)]
+        return ForceMaps(self.loop, kinds)
+
     def _at_once(
         self,
         row: int,
         table: Table,
         laid: Sequence[Laid],
-        heard: HeardBlock | None,
+        heard: Mapping[int, HeardBlock] | None,
+        force: np.ndarray | None,
         first: int,
         stopped: Stopped,
     ) -> Sequence[int]:
@@ -107,8 +123,11 @@ class Block:
             these = slice(first + start, first + min(start + size, count))
             hearing = Hearing()
             if heard is not None:
-                hearing = heard.hearing(table.feedback, start, these.stop - these.start)
-            figures = self._figures(row, table, laid, hearing, start, these)
+                hearing = heard[table.measured].hearing(
+                    table.feedback, start, these.stop - these.start, table.memory is not None
+                )
+            felt = None if force is None else from_scenario(force, start, count)
+            figures = self._figures(row, table, laid, hearing, felt, start, these)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
@@ -120,19 +139,23 @@ class Block:
         table: Table,
         laid: Sequence[Laid],
         hearing: Hearing,
+        force: np.ndarray | None,
         start: int,
         these: slice,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results = these.stop - these.start, self.results
         if results.x is None or results.u is None:
-            figures = self.engine.run(table, laid[0], start, count, hearing)
+            figures = self.engine.run(table, laid[0], start, count, hearing, force)
         else:
-            figures, path = self.engine.path(table, laid[0], start, count, hearing=hearing)
+            figures, path = self.engine.path(
+                table, laid[0], start, count, hearing=hearing, force=force
+            )
             results.x[row, these], results.u[row, these] = path
         if self.weighed is None:
             return [figures]
-        return [figures, self.weighed[1].run(table, laid[1], start, count, hearing)]
+        weighed = self.weighed[1].run(table, laid[1], start, count, hearing, force)
+        return [figures, weighed]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""
@@ -159,5 +182,6 @@ class Block:
 
 
 def _by_mode(table: Table) -> bool:
-    """Whether a law's rows depend on the mode."""
-    return table.feedback is not None and table.feedback.context != "none"
+    """Whether a law goes by the mode."""
+    by_rows = table.feedback is not None and table.feedback.context != "none"
+    return by_rows or table.memory is not None

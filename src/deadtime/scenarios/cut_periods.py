@@ -1,6 +1,6 @@
 """Transitions over a period, whole or cut by switches.
 
-Over a period the plant sees z, its state and the inputs that act (`scenarios.acting`), and moves by
+Over a period the plant sees z, its state and what acts on it (`scenarios.acting`), and moves by
 x_{k+1} = M z with ∫xᵀQx = zᵀ E z. Where one switch from mode i to mode j cuts the period, M and E
 are analytic in the instant of the switch, as long as no piece of either mode ends there: series in
 it replace two exponentials by one short polynomial.
@@ -21,8 +21,8 @@ from deadtime.plant import SampledPlant, SwitchedSystem, Weight
 from deadtime.scenarios.acting import Acting, acting_of
 
 WIDE = 8  # entries of a map come in vectors of so many
-_NODES, _ROUND_OFF = 20, 2e-15
-_MOST_NUMBERS = 4e6  # of the series for all pairs of modes
+NODES, _ROUND_OFF = 20, 2e-15
+MOST_NUMBERS = 4e6  # of the series for all pairs of modes
 
 
 class Maps(NamedTuple):
@@ -82,7 +82,7 @@ def parts_of(plant: SwitchedSystem, acting: Acting, i: int, low: float, high: fl
     for s in range(stretches.first[i], stretches.first[i + 1]):
         start, stop = max(low, stretches.start[s]), min(high, stretches.stop[s])
         if stop > start:
-            parts.append(Part(plant.A[i], plant.B[i], stop - start, acting.column[s]))
+            parts.append(Part(plant.A[i], acting.B[i], stop - start, acting.column[s]))
     return parts
 
 
@@ -114,16 +114,18 @@ def whole_periods(sampled: SampledPlant, acting: Acting, weight: Weight | None =
 
 
 @lru_cache(8)
-def tables_of(sampled: SampledPlant, cells: int, weight: Weight | None = None) -> Tables:
+def tables_of(
+    sampled: SampledPlant, cells: int, weight: Weight | None = None, forced: bool = False
+) -> Tables:
     """The series of a plant at a period."""
-    plant, step, acting = sampled.plant, sampled.step, acting_of(sampled)
+    plant, step, acting = sampled.plant, sampled.step, acting_of(sampled, forced)
     modes, n = plant.modes, plant.states
-    wide, edges, alone = acting.wide, acting.edges, np.arange(n, n + plant.inputs)
+    wide, edges, m = acting.wide, acting.edges, acting.B.shape[2]
 
     def piece(i: int) -> Callable[[float], np.ndarray]:
         def at(t: float) -> np.ndarray:
-            parts = [Part(plant.A[i], plant.B[i], t, alone)]
-            move, energy = compose(parts, n + plant.inputs, weight)
+            parts = [Part(plant.A[i], acting.B[i], t, np.arange(n, n + m))]
+            move, energy = compose(parts, n + m, weight)
             return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), pack(energy)))
 
         return at
@@ -137,15 +139,15 @@ def tables_of(sampled: SampledPlant, cells: int, weight: Weight | None = None) -
         return at
 
     width = -(-(n * wide + wide * (wide + 1) // 2) // WIDE) * WIDE
-    pieces = _stack([[_series(piece(i), 0.0, step, cells)] for i in range(modes)])[:, 0]
-    if modes * modes * (edges.size - 1) * cells * _NODES * width > _MOST_NUMBERS:
+    pieces = stack([[_series(piece(i), 0.0, step, cells)] for i in range(modes)])[:, 0]
+    if modes * modes * (edges.size - 1) * cells * NODES * width > MOST_NUMBERS:
         return Tables(np.zeros((1, 1, 0, 1, width)), pieces, width)
     pairs = [
         [_series(with_switch(i, j), low, high, cells) for low, high in itertools.pairwise(edges)]
         for i in range(modes)
         for j in range(modes)
     ]
-    return Tables(_stack(pairs), pieces, width)
+    return Tables(stack(pairs), pieces, width)
 
 
 def _series(
@@ -156,19 +158,29 @@ def _series(
     Interpolation at Chebyshev's nodes; cells are short enough for terms to fall so fast that
     powers of δ lose nothing against Chebyshev's polynomials.
     """
-    nodes = np.polynomial.chebyshev.chebpts1(_NODES)
-    values = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
-    weights = np.where(np.arange(_NODES) == 0, 1.0, 2.0) / _NODES
-    powers = _chebyshev(_NODES)
-    width, result = (high - low) / cells, []
-    for c in range(cells):
-        samples = np.array([function(low + width * (c + 0.5 + 0.5 * x)) for x in nodes])
+    values = np.array([[function(t) for t in of_cell] for of_cell in nodes(low, high, cells)])
+    return series_through(values)
+
+
+def nodes(low: float, high: float, cells: int) -> Float[np.ndarray, "cell node"]:
+    """The instants of [low, high] through which a series goes."""
+    places = np.arange(cells)[:, None] + 0.5 + 0.5 * np.polynomial.chebyshev.chebpts1(NODES)
+    return low + (high - low) / cells * places
+
+
+def series_through(values: Float[np.ndarray, "cell node size"]) -> np.ndarray:
+    """Powers of δ (cell, degree, size), the lowest first, through values at the nodes."""
+    places = np.polynomial.chebyshev.chebpts1(NODES)
+    polynomials = np.polynomial.chebyshev.chebvander(places, NODES - 1)
+    weights = np.where(np.arange(NODES) == 0, 1.0, 2.0) / NODES
+    powers, result = _chebyshev(NODES), []
+    for samples in values:
         scale = np.abs(samples).max(axis=0)
-        terms = weights[:, None] * (values.T @ samples)
+        terms = weights[:, None] * (polynomials.T @ samples)
         kept = np.flatnonzero((np.abs(terms) > _ROUND_OFF * np.maximum(scale, 1e-300)).any(axis=1))
         terms = terms[: 1 + int(kept.max(initial=0))]
         result.append(powers[: len(terms), : len(terms)] @ terms)
-    return _stack(result)
+    return stack(result)
 
 
 @lru_cache(1)
@@ -182,9 +194,9 @@ def _chebyshev(count: int) -> Float[np.ndarray, "power polynomial"]:
     )
 
 
-def _stack(parts: Sequence) -> np.ndarray:
+def stack(parts: Sequence) -> np.ndarray:
     """Nested lists of arrays (…, degree, size) as one, padded to one degree and whole vectors."""
-    flat = [part if isinstance(part, np.ndarray) else _stack(part) for part in parts]
+    flat = [part if isinstance(part, np.ndarray) else stack(part) for part in parts]
     shape = [max(sizes) for sizes in zip(*(part.shape for part in flat), strict=True)]
     shape[-1] = -(-shape[-1] // WIDE) * WIDE
     result = np.zeros([len(flat), *shape])

@@ -4,15 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes, TimingImperfection
+from deadtime.imperfections import (
+    Disturbance,
+    Heard,
+    Imperfection,
+    Relaying,
+    Sizes,
+    TimingImperfection,
+)
 from deadtime.imperfections.base import Drawing, DrawnTiming
+from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
 from deadtime.imperfections.heard import DrawnRelaying, relayed
 from deadtime.numerics.pcg import Streams
 from deadtime.scenarios.source import scenario_seeds
 from deadtime.simulation.compiled import lags_of
+
+_STRETCHES = 64  # of a period: more than engines take
+
+
+class Run(NamedTuple):
+    """How many periods are asked for, and for how many a single run moves its plant."""
+
+    periods: int
+    moved: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +72,32 @@ class InManyRuns:
         pairs = zip(heard.each(runs), self.streams.generators(first, runs), strict=True)
         each = [relayed(one, run, sizes, rng) for run, rng in pairs]
         return Heard(*map(np.stack, zip(*each, strict=True)))
+
+    def draws(
+        self, first: int, runs: int, sizes: Sizes, lengths: tuple[float, ...], run: Run
+    ) -> np.ndarray:
+        """What a disturbance draws in the scenarios from `first` on, (stretch, one, period, r).
+
+        The axis of scenarios has length 1 where one stands for all; stretches of no length have no
+        part in it.
+        """
+        one, there = self.one, [i for i, length in enumerate(lengths) if length > 0.0]
+        if isinstance(one, DrawnDisturbance) and type(one).__module__.startswith("deadtime."):
+            before, each = one.counts(sizes)
+            numbers = np.empty((len(there), runs, before + each * run.periods))
+            for i, room in zip(there, numbers, strict=True):
+                self._of_stretch[i].draw(first, True, room)
+            return one.draws_from(numbers, sizes, tuple(lengths[i] for i in there), run.periods)
+        assert isinstance(one, Disturbance)
+        each = [
+            one.draws(sizes, lengths, run.moved, rng)[: run.periods, there]
+            for rng in self.streams.generators(first, runs)
+        ]
+        return np.ascontiguousarray(np.stack(each).transpose(2, 0, 1, 3))
+
+    @cached_property
+    def _of_stretch(self) -> list[Streams]:
+        return [self.streams, *self.streams.spawn(_STRETCHES)]
 
     def lags(self, first: int, room: np.ndarray, sizes: Sizes, samples: int) -> np.ndarray:
         """How long before each sample x is measured, (scenario or 1, sample or 1), seconds."""

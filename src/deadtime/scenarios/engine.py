@@ -5,15 +5,27 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from deadtime.base.checks import read_only
-from deadtime.feedback import Feedback
+from deadtime.feedback import Feedback, memory as memories
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import Model
 from deadtime.scenarios.kernel import run_scenarios
-from deadtime.scenarios.layout import KINDS, Clip, Dense, Factored, Hearing, Plant, Run, Shape
+from deadtime.scenarios.layout import (
+    KINDS,
+    Clip,
+    Dense,
+    Factored,
+    Hearing,
+    Memory,
+    Plant,
+    Run,
+    Shape,
+)
 from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.memory_form import memory_form
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.window_form import WindowForm, window_form
@@ -24,7 +36,7 @@ PERFECT = Hearing()
 
 
 class Table(NamedTuple):
-    """A law as `scenarios.kernel` takes it: one of three, and how many past inputs it reads.
+    """A law as `scenarios.kernel` takes it: one of three, its memory, and how many inputs it reads.
 
     `feedback` is what its rows are, where it has some.
     """
@@ -33,8 +45,14 @@ class Table(NamedTuple):
     factored: Factored | None
     dense: Dense | None
     model: Model | None
+    memory: Memory | None
     taps: int
     feedback: Feedback | None
+
+    @property
+    def measured(self) -> int:
+        """How many numbers the law measures."""
+        return len(self.shape.seen)
 
 
 class Engine:
@@ -47,7 +65,9 @@ class Engine:
         rate, low, high = loop.limits
         self._clip = Clip(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
-        self._shape = Shape(*map(_size, (n, m, n + m, wide - n, wide, 2 * m)))
+        inputs = loop.acting.lags.size * m
+        sizes = n, m, n + m, inputs, wide - n, wide, 2 * m, wide - n - inputs, n, n
+        self._shape = Shape(*map(_size, sizes))
 
     def table(self, feedback: Feedback) -> Table:
         """A law's rows as the compiled loop reads them."""
@@ -55,11 +75,27 @@ class Engine:
         _, m, n = feedback.state_gain.shape
         if form is None:
             shape = self._shape._replace(head=_size(m * (n + m)))
-            return Table(shape, None, _dense(feedback), None, taps, feedback)
+            return Table(shape, None, _dense(feedback), None, None, taps, feedback)
         rows, _, q = form.out.shape
         block = _size(form.transition.shape[1])
         shape = self._shape._replace(b=_size(q), block=block, rows=_size(rows * m))
-        return Table(shape, _factored(feedback, form), None, None, taps, feedback)
+        return Table(shape, _factored(feedback, form), None, None, None, taps, feedback)
+
+    def remember(
+        self, feedback: Feedback, memory: memories.Memory, outputs: Float[np.ndarray, "mode p n"]
+    ) -> Table:
+        """The rows of a law on what it remembers of y = C_σ x, `outputs` being the plant's C."""
+        table, form = self.table(feedback), memory_form(memory, outputs)
+        m, (_, p, n), r = self._loop.plant.inputs, memory.C.shape, memory.tracked.shape[0]
+        z, q, reaching = memory.start.size, form.sums, form.lags.size * m
+        sizes = {
+            "both": z + m, "seen": p, "known": z, "kept": z, "estimate": n, "estimates": 2 * n,
+            "sums": q, "two_sums": 2 * q, "tracked": r, "output": p, "outputs": 2 * p,
+            "reaching": reaching, "watched": n + reaching,
+        }  # fmt: skip
+        shape = table.shape._replace(**{name: _size(size) for name, size in sizes.items()})
+        taps = max(table.taps, int(form.lags.max()))
+        return table._replace(shape=shape, memory=form, taps=taps)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
         """What a law that knows these signals does, of each of them."""
@@ -68,7 +104,7 @@ class Engine:
         shape = self._shape._replace(
             square=_size(n * n), entering=_size(entering), model=_size(n + entering)
         )
-        return Table(shape, None, None, model, ahead.loop.sampled.longest_lag, None)
+        return Table(shape, None, None, model, None, ahead.loop.sampled.longest_lag, None)
 
     def run(
         self,
@@ -77,10 +113,11 @@ class Engine:
         first: int = 0,
         count: int | None = None,
         hearing: Hearing = PERFECT,
+        force: np.ndarray | None = None,
     ) -> Figures:
-        """Run a table along the scenarios first, …, first + count − 1 which hear this."""
+        """Run a table along the scenarios first, …, first + count − 1 which hear and feel this."""
         count = laid.scenarios - first if count is None else count
-        return self._run_kernel(table, laid, first, count, hearing, _NOTHING, 0)
+        return self._run_kernel(table, laid, first, count, hearing, force, _NOTHING, 0)
 
     def path(
         self,
@@ -90,12 +127,13 @@ class Engine:
         count: int,
         keep: int = 0,
         hearing: Hearing = PERFECT,
+        force: np.ndarray | None = None,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
         n, m = len(table.shape.x), len(table.shape.u)
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
-        figures = self._run_kernel(table, laid, first, count, hearing, path, keep)
+        figures = self._run_kernel(table, laid, first, count, hearing, force, path, keep)
         both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
         return figures, Path(both[:, :n], both[:, n:])
 
@@ -106,13 +144,14 @@ class Engine:
         first: int,
         count: int,
         hearing: Hearing,
+        force: np.ndarray | None,
         path: np.ndarray,
         keep: int,
     ) -> Figures:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
-        loop = plant, self._run, self._clip, *hearing
-        return Figures(*run_scenarios(*table[:5], *loop, first, count, path, keep))
+        loop = plant, self._run, self._clip, *hearing, force
+        return Figures(*run_scenarios(*table[:6], *loop, first, count, path, keep))
 
 
 def _size(count: int) -> tuple[float, ...]:

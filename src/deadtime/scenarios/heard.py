@@ -16,7 +16,7 @@ from deadtime.scenarios.drawn import in_many_runs
 from deadtime.scenarios.layout import KINDS, Hearing, Relayed
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
-from deadtime.scenarios.side_by_side import groups, lay_lags, lay_numbers, lay_rows
+from deadtime.scenarios.side_by_side import from_scenario, groups, lay_lags, lay_numbers, lay_rows
 from deadtime.scenarios.sights import Sights
 from deadtime.switching import SignalBatch
 
@@ -46,7 +46,9 @@ class HeardBlock:
     signals, laid : SignalBatch, Laid
         Their signals, and these laid on periods.
     by_mode : bool
-        Whether a law's rows depend on the modes that it is told.
+        Whether a law goes by the modes that it is told.
+    measured : int
+        How many numbers laws measure.
     """
 
     loop: Loop
@@ -56,31 +58,37 @@ class HeardBlock:
     seed: int
     first: int
     by_mode: bool
+    measured: int
 
-    def hearing(self, feedback: Feedback | None, begin: int, count: int) -> Hearing:
+    def hearing(
+        self, feedback: Feedback | None, begin: int, count: int, remembers: bool = False
+    ) -> Hearing:
         """What a law with this table hears in `count` scenarios of the block from `begin` on.
 
-        `begin` is a multiple of eight.
+        `begin` is a multiple of eight; a law that `remembers` goes by the mode besides.
         """
-        heard, row = self._heard, np.zeros(0, np.int32)
+        heard, row, told_mode = self._heard, np.zeros(0, np.int32), np.zeros(0, np.int32)
         if feedback is not None and feedback.context != "none" and heard.modes is not None:
             part = slice(begin, begin + count)
             row = np.empty(groups(count) * heard.modes.shape[1] * LANES, np.int32)
             told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
             lay_rows(told, sampled, age, KINDS[feedback.context], feedback.ages, row)
-        lag, noise = (self._from(begin, part) for part in (heard.lag, heard.noise))
-        sight = None if heard.sight is None else self._from(begin, heard.sight)
-        return Hearing(Relayed(lag, heard.reach, noise, row), sight)
-
-    def _from(self, begin: int, laid: np.ndarray) -> np.ndarray:
-        """What is laid, from a scenario on."""
-        return laid[begin // LANES * (laid.size // groups(self.laid.scenarios)) :]
+        if remembers and heard.modes is not None:
+            part = slice(begin, begin + count)
+            told_mode = np.empty(groups(count) * heard.modes.shape[1] * LANES, np.int32)
+            told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
+            lay_rows(told, sampled, age, KINDS["mode"], 1, told_mode)
+        all_of, sight = self.laid.scenarios, heard.sight
+        lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
+        sight = None if sight is None else from_scenario(sight, begin, all_of)
+        return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
 
     @cached_property
     def _heard(self) -> _Stack:
         """What reaches the law of every scenario."""
         plant, samples = self.loop.plant, self.loop.whole + 1
-        count, sizes = self.laid.scenarios, Sizes.of(plant, self.loop.step)
+        count = self.laid.scenarios
+        sizes = Sizes(plant.modes, self.measured, plant.inputs, self.loop.step)
         kinds = in_many_runs(self.imperfections, Relaying, self.seed, self.first, count)
         rooms = [each.room(sizes, samples, min(_FEW, count)) for each in kinds]
         size = groups(count) * samples * LANES
@@ -99,7 +107,7 @@ class HeardBlock:
                 lag = lag if lag.size else np.zeros(size, np.int32)
                 reach = lay_lags(sample, few, begin // LANES, lag, reach)
             if heard.noise.shape[1] > 1:
-                noise = noise if noise.size else np.zeros(size * plant.states)
+                noise = noise if noise.size else np.zeros(size * self.measured)
                 lay_numbers(heard.noise, begin // LANES, noise)
             true = heard.mode_of is nothing.mode_of and heard.named is nothing.named
             if self.by_mode and not true:

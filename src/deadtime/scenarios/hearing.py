@@ -47,7 +47,7 @@ class Recent(NamedTuple):
 @kernel(eager=True, nogil=True)
 def recent_of(shape, relayed, sight):
     """Room for as many states as are looked back to, or for what acts on these, too."""
-    size = len(shape.x) if sight is None else len(shape.z)
+    size = len(shape.seen) if sight is None else len(shape.z)
     states = np.zeros(LANES * (relayed.reach + 1) * size)
     slot, places = np.zeros(1, np.int64), np.zeros(LANES, np.int64)
     return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES))
@@ -55,12 +55,12 @@ def recent_of(shape, relayed, sight):
 
 @kernel(eager=True, nogil=True, inline="always")
 def hear(shape, relayed, recent, x, at):
-    """The state that was measured as long before x_k as is said at `at`."""
-    n, slots, slot = len(shape.x), relayed.reach + 1, recent.slot[0]
+    """What was measured as long before x_k as is said at `at`."""
+    n, slots, slot = len(shape.seen), relayed.reach + 1, recent.slot[0]
     spread(recent.states, slot * n, slots * n, x)
     _look_back(relayed, recent, at, slots, n)
     recent.slot[0] = 0 if slot + 1 == slots else slot + 1
-    return gather(recent.states, recent.places, shape.x)
+    return gather(recent.states, recent.places, shape.seen)
 
 
 @kernel(eager=True, nogil=True, inline="always")
@@ -96,7 +96,7 @@ def _look_back(relayed, recent, at, slots, size):
 @kernel(eager=True, nogil=True, inline="always")
 def add_noise(shape, relayed, x, at):
     """What the law takes x to be."""
-    return times(same(1.0, shape.x), x, load(relayed.noise, at * len(shape.x), shape.x))
+    return times(same(1.0, shape.seen), x, load(relayed.noise, at * len(shape.seen), shape.seen))
 
 
 @kernel(eager=True, nogil=True, inline="always")
@@ -104,6 +104,13 @@ def hear_rows(relayed, recent, at):
     """Note the row of the law's table in every scenario."""
     for lane in range(LANES):
         recent.number[lane] = relayed.row[at + lane]
+
+
+@kernel(eager=True, nogil=True, inline="always")
+def hear_modes(relayed, mode, at):
+    """Note the mode that is told in every scenario."""
+    for lane in range(LANES):
+        mode[lane] = relayed.told[at + lane]
 
 
 @kernel(eager=True, nogil=True, inline="always")

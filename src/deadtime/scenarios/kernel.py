@@ -39,7 +39,6 @@ from deadtime.numerics.lanes import (
     squares,
     store,
     times,
-    total,
     where_larger,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
@@ -48,10 +47,21 @@ from deadtime.scenarios.hearing import (
     command,
     go_on,
     hear,
+    hear_modes,
     hear_rows,
     recent_of,
     see,
     told_rows,
+)
+from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
+from deadtime.scenarios.remembering import (
+    correct,
+    follow_modes,
+    follow_outputs,
+    kept_of,
+    predict,
+    remembered,
+    sum_up_errors,
 )
 
 FIGURES = 8  # ise, energy, peak², last outside, least², Σ log, ΣΣ log, final²
@@ -59,42 +69,7 @@ OUTSIDE = 0.02**2
 _LOG_2 = math.log(2.0)
 _NEVER = np.int64(2**62)
 _ONE = (0.0,)
-_FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out again
-
-
-@kernel(eager=True, nogil=True)
-def _dot(a, i, b, j, length):
-    """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
-    sums = same(0.0, _FOUR)
-    k = 0
-    while k + 4 * LANES <= length:
-        sums = times(load(a, i + k, _FOUR), load(b, j + k, _FOUR), sums)
-        k += 4 * LANES
-    rest = same(0.0, _ONE)
-    while k < length:
-        rest = times(load(a, i + k, _ONE), load(b, j + k, _ONE), rest)
-        k += LANES
-    return total(first_of(sums, rest, rest, _FIVE))
-
-
-@kernel(eager=True, nogil=True, inline="always")
-def _refill(shape, factored, ring, period, now, carry):
-    """What the previous block of inputs adds to each sum of the coming one.
-
-    With s_r = Σ_{i ≥ r} S^{W−1−i} Γ u_{k−W+i}, the sum r periods on gets H S^r s_r. Nothing is
-    subtracted, so nothing cancels.
-    """
-    m, asked = len(shape.u), len(shape.rows)
-    q = len(shape.b)
-    s = same(0.0, shape.b)
-    place = now
-    for r in range(factored.length - 1, -1, -1):
-        place = period - 1 if place == 0 else place - 1
-        u = load(ring, place * m * LANES, shape.u)
-        s = product(factored.ahead, r * q * m, u, s)
-        sums = product(factored.behind, r * asked * q, s, same(0.0, shape.rows))
-        store(carry, r * asked * LANES, sums)
 
 
 class Work(NamedTuple):
@@ -170,56 +145,6 @@ def _switch(plant, work, k, soon):
     return soon
 
 
-class Window(NamedTuple):
-    """Memory of dense rows.
-
-    line : scenario by scenario, inputs twice over, so that N of them lie side by side wherever the
-    ring begins;  sums : of all inputs but the latest;  row : each scenario's, and where its head is
-    """
-
-    line: np.ndarray
-    sums: np.ndarray
-    row: np.ndarray
-    head: np.ndarray
-
-
-@kernel(eager=True, nogil=True)
-def _window(shape, dense):
-    """The memory of dense rows at time 0."""
-    m, row = len(shape.u), np.zeros(LANES, np.int64)
-    line = np.zeros((2 * dense.taps * m + LANES) * LANES)
-    return Window(line, np.empty(m * LANES), row, row.copy())
-
-
-@kernel(eager=True, nogil=True, inline="always")
-def _choose_rows(dense, work, window, k):
-    """The row of every scenario by its mode and age."""
-    for lane in range(LANES):
-        row = 0
-        if dense.kind == 1:
-            row = work.mode[lane]
-        elif dense.kind == 2:
-            row = work.mode[lane] * dense.ages + min(k - work.began[lane], dense.ages - 1)
-        window.row[lane] = row
-
-
-@kernel(eager=True, nogil=True, inline="always")
-def _sum_dense(shape, dense, window, place):
-    """Sums of all inputs but the latest, scenario by scenario.
-
-    They do not wait for what the last period gave: a processor works on both at once.
-    """
-    m, head = len(shape.u), len(shape.head)
-    width = window.line.size // LANES
-    for lane in range(LANES):
-        row = window.row[lane]
-        window.head[lane] = row * head
-        start = lane * width + (place + 1) * m
-        for i in range(m):
-            begin = (row * m + i) * dense.width
-            window.sums[lane * m + i] = _dot(dense.rest, begin, window.line, start, dense.width)
-
-
 @kernel(eager=True, nogil=True, inline="always")
 def _clip(shape, clip, u, before):
     """The input after the actuators, the one before given."""
@@ -241,12 +166,13 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def _run_eight(
-    shape, factored, dense, model, plant, run, clip, relayed, sight, start, count, out, path, keep,
-    first, taps,
+    shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force, start, count,
+    out, path, keep, first, taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
-    The first of them is number `first` of those that `relayed` is about, a multiple of eight.
+    The first of them is number `first` of those that `relayed` and `force` are about, a multiple of
+    eight.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
     # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
@@ -259,6 +185,9 @@ def _run_eight(
     ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
     # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
     P, Q, EP, EQ = one, one, none, none
+    felt, y, z = same(0.0, shape.force), same(0.0, shape.output), same(0.0, shape.kept)
+    if memory is not None:
+        kept = kept_of(shape, memory, run.samples, period)
     # A plain 0 is a type of its own, for which what is called would be compiled once more.
     soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     older = period - min(taps, run.samples)
@@ -266,7 +195,7 @@ def _run_eight(
         sizes, b = len(shape.rows), same(0.0, shape.b)
         carry = np.zeros(max(1, min(factored.length, run.samples)) * sizes * LANES)
     if dense is not None:
-        window, places = _window(shape, dense), m * np.arange(LANES)
+        window, places = window_of(shape, dense), m * np.arange(LANES)
         width = window.line.size // LANES
     if model is not None:
         ahead, enters = look_ahead(shape, model, start, count, period)
@@ -290,46 +219,72 @@ def _run_eight(
                 EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
                 P, Q = mantissa(P), mantissa(Q)
         before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-        seen = x
+        if memory is not None:
+            if k > 0:
+                predict(shape, kept, ring)
+                _turn_around(kept.acting, m, ring.size)
+            follow_outputs(memory, kept, work.mode)
+            y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
+        seen = first_of(y, x, x, shape.seen)
         if relayed is not None:
             at = first * run.samples + k * LANES
             if sight is not None:
-                seen = see(shape, relayed, sight, recent, x, at)
+                there = see(shape, relayed, sight, recent, x, at)
+                if memory is not None:
+                    y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
+                seen = first_of(y, there, there, shape.seen)
             elif late:
-                seen = hear(shape, relayed, recent, x, at)
+                seen = hear(shape, relayed, recent, seen, at)
             if noisy:
                 seen = add_noise(shape, relayed, seen, at)
             if by_told:
                 hear_rows(relayed, recent, at)
+        if memory is not None:
+            lost, told = none, work.mode
+            if relayed is not None:
+                lost = load(recent.lost, 0, _ONE)
+                if relayed.told.size > 0:
+                    hear_modes(relayed, kept.told, at)
+                    told = kept.told
+            follow_modes(memory, kept, told)
+            heard = first_of(seen, seen, seen, shape.output)
+            heard = correct(shape, memory, kept, heard, lost)
+            if clip is not None:
+                store(kept.before, 0, before)
+            sum_up_errors(shape, memory, kept, heard, k, clip is not None)
+            z = remembered(shape, memory, kept, k)
+        known = first_of(z, seen, seen, shape.known)
         if model is not None:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
             if r == model.length:
                 sum_up(shape, model.length, ahead)
                 r = np.int64(0)
-            u = foresee(shape, model.length, ahead, r, seen, before)
+            u = foresee(shape, model.length, ahead, r, known, before)
         if factored is not None:
             if r == factored.length:
-                _refill(shape, factored, ring, period, now, carry)
+                refill(shape, factored, ring, period, now, carry)
                 b, r = same(0.0, shape.b), np.int64(0)
             sums = load(carry, r * sizes * LANES, shape.rows)
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
-            sums = product(factored.out, 0, b, product(factored.state, 0, seen, sums))
+            sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
             number = load(work.number, 0, _ONE)
             if relayed is not None:  # noqa: SIM102
                 if by_told:
                     number = load(recent.number, 0, _ONE)
             u = choose(sums, number, shape.u)
         if dense is not None:
-            _choose_rows(dense, work, window, k)
+            choose_rows(dense, work, window, k)
             if relayed is not None:  # noqa: SIM102
                 if by_told:
                     told_rows(recent, window.row)
-            _sum_dense(shape, dense, window, place)
+            sum_dense(shape, dense, window, place)
             heads = gather(dense.head, window.head, shape.head)
             sums = gather(window.sums, places, shape.u)
-            u = matrix_product(heads, first_of(seen, before, before, shape.both), sums)
-        if relayed is not None:
+            u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
+        if memory is not None:
+            store(kept.asked, 0, u)
+        elif relayed is not None:
             u = command(shape, recent, u, asked)
             asked = u
         if clip is not None:
@@ -352,14 +307,17 @@ def _run_eight(
             store(path, (k - keep) * (n + m) * LANES, x)
             store(path, ((k - keep) * (n + m) + n) * LANES, u)
         acting = load_each(ring, work.acting, shape.u, shape.acting)
+        if force is not None:
+            at = (first * run.samples + k * LANES) * len(shape.force)
+            felt = load(force, at, shape.force)
         if sight is not None:
-            go_on(shape, relayed, recent, acting)
-        z = first_of(x, acting, acting, shape.z)
-        ise = own_form(own, n * wide * LANES, z, ise)
-        x = own_product(own, 0, z, same(0.0, shape.x))
+            go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
+        moved = first_of(x, acting, felt, shape.z)
+        ise = own_form(own, n * wide * LANES, moved, ise)
+        x = own_product(own, 0, moved, same(0.0, shape.x))
         weight = run.rest if k == run.samples - 1 else 1.0
-        felt = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
-        energy = times(same(weight, _ONE), squares(felt, none), energy)
+        weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
+        energy = times(same(weight, _ONE), squares(weighed, none), energy)
         now = 0 if now + 1 == period else now + 1
         _turn_around(work.acting, m, ring.size)
         older = 0 if older + 1 == period else older + 1
@@ -374,21 +332,24 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, taps, plant, run, clip, relayed, sight, start, count, path, keep
+    shape, factored, dense, model, memory, taps, plant, run, clip, relayed, sight, force, start,
+    count, path, keep,
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
-    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs. `clip`, and
-    `relayed` and `sight`, what the law hears (`layout.Hearing`), may be None. `path`, empty or for
-    at most eight scenarios, gets x and u of every sample from `keep` on.
+    One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
+    it remembers. That may be None, and so may `clip`, and
+    `relayed` and `sight`, what the law hears (`layout.Hearing`), and `force`, what the plant feels
+    (`forces`), may be None. `path`, empty or for at most eight scenarios, gets x and u of every
+    sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, plant, run, clip, relayed, sight, start + at, few, out,
-            path, keep, at, taps,
+            shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force,
+            start + at, few, out, path, keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):
             for lane in range(few):

@@ -104,6 +104,20 @@ def series(flat, index, cells, degrees, size, start, cell, t, width):
 
 
 @kernel(eager=True, nogil=True)
+def fill_series(found, row, time, edges, table, width):
+    """Fill found[c] from row[c] of `table` (row, part, cell, degree, size), at time[c]."""
+    _, parts, cells, degrees, size = table.shape
+    flat, place = table.reshape(-1), found.reshape(-1)
+    for c in range(time.size):
+        part = 0
+        while part + 1 < parts and time[c] >= edges[part + 1]:
+            part += 1
+        low, cell = edges[part], (edges[part + 1] - edges[part]) / cells
+        value = series(flat, row[c] * parts + part, cells, degrees, size, low, cell, time[c], width)
+        store(place, c * size, value)
+
+
+@kernel(eager=True, nogil=True)
 def _compose(piece, column, move, energy, own):
     """Follow the map (move, energy) by a piece whose inputs are z[column]."""
     (n, wide), m = move.shape, column.size
@@ -136,8 +150,7 @@ def _compose(piece, column, move, energy, own):
 def compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
-    flat, wide, m = pieces.reshape(-1), acting.wide, acting.column.shape[1]
-    n = wide - acting.lags.size * m
+    flat, n, wide, m = pieces.reshape(-1), acting.states, acting.wide, acting.column.shape[1]
     move, energy = np.zeros((n, wide)), np.zeros((wide, wide))
     own = np.empty((n + m, wide))
     for i in range(n):

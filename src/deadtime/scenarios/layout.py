@@ -13,9 +13,14 @@ class Shape(NamedTuple):
     """The sizes of a loop as the lengths of tuples, so that they are types.
 
     x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
-    acting : the inputs that act over a period;  z : these and the state
+    acting : the inputs that act over a period;  driving : these and the forces;  z : and the state
     b : the window of factorised rows;  block : a block of its transition
     rows : the inputs that all its rows ask for
+    force : all forces of a period
+    seen : what is measured;  known : what the law's rows are multiplied with
+    kept : that of a law with a memory, and of it the `estimate`, the `sums` and what is `tracked`;
+        output : what it measures;  reaching, watched : `acting` and `z` of its model
+    estimates, outputs, two_sums : two of each
     head : m (n + m), for the heads of dense rows
     square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
     """
@@ -24,8 +29,22 @@ class Shape(NamedTuple):
     u: tuple
     both: tuple
     acting: tuple
+    driving: tuple
     z: tuple
     pair: tuple
+    force: tuple = ()
+    seen: tuple = ()
+    known: tuple = ()
+    kept: tuple = ()
+    estimate: tuple = ()
+    estimates: tuple = ()
+    sums: tuple = ()
+    two_sums: tuple = ()
+    tracked: tuple = ()
+    output: tuple = ()
+    outputs: tuple = ()
+    reaching: tuple = ()
+    watched: tuple = ()
     b: tuple = ()
     block: tuple = ()
     rows: tuple = ()
@@ -66,6 +85,32 @@ class Dense(NamedTuple):
     width: int
     kind: int
     ages: int
+
+
+class Memory(NamedTuple):
+    """What moves the z of a law that remembers (`feedback.memory.Memory`).
+
+    matrices : (modes, size), of each mode one after the other, flat: the map of its estimate over a
+        period, −C (`at_output`), the observer's gain (`at_gain`), how the input answers q
+        (`at_push`)
+    outputs : (modes, p n), the C of the plant
+    lags : of the inputs that the map takes, oldest first
+    start : the first estimate;  tracked (r, p), reference (samples, r), flat
+    sums : the entries of q;  step : seconds
+    """
+
+    matrices: np.ndarray
+    at_output: int
+    at_gain: int
+    at_push: int
+    outputs: np.ndarray
+    lags: np.ndarray
+    start: np.ndarray
+    tracked: np.ndarray
+    tracked_count: int
+    reference: np.ndarray
+    sums: int
+    step: float
 
 
 class Plant(NamedTuple):
@@ -113,12 +158,14 @@ class Relayed(NamedTuple):
     reach : the longest of them
     noise : (group, sample, n, lane), what was added to it; empty for nothing
     row : (group, sample, lane), the row of the law's table; empty where that is the plant's mode's
+    told : (group, sample, lane), the mode that a memory goes by; empty where that is the plant's
     """
 
     lag: np.ndarray
     reach: int
     noise: np.ndarray
     row: np.ndarray
+    told: np.ndarray
 
 
 class Hearing(NamedTuple):

@@ -49,6 +49,8 @@ class Loop:
     actuators : sequence of Limiting
     weight : Weight or None
         What engines measure: ∫xᵀQx as their ise, uᵀRu as their energy; None for the identity.
+    forced : bool
+        Whether disturbances act.
     """
 
     sampled: SampledPlant
@@ -56,6 +58,7 @@ class Loop:
     horizon: float
     actuators: Sequence[Limiting] = ()
     weight: Weight | None = None
+    forced: bool = False
 
     @property
     def plant(self) -> SwitchedSystem:
@@ -68,7 +71,7 @@ class Loop:
     @cached_property
     def acting(self) -> Acting:
         """What acts on the plant over a period."""
-        return acting_of(self.sampled)
+        return acting_of(self.sampled, self.forced)
 
     @cached_property
     def whole(self) -> int:
@@ -101,12 +104,15 @@ class Loop:
     @cached_property
     def tables(self) -> Tables | None:
         """Cut periods as series; None for a plant so fast that they would be too long."""
-        norms = [balanced_norm(A) for A in self.plant.A]
-        size = max(norms) * self.step
-        cells = 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
-        if cells > _CELLS:
+        if self.cells > _CELLS:
             return None
-        return tables_of(self.sampled, cells, self.weight)
+        return tables_of(self.sampled, self.cells, self.weight, self.forced)
+
+    @cached_property
+    def cells(self) -> int:
+        """How many cells of a period a series is made of."""
+        size = max(map(balanced_norm, self.plant.A)) * self.step
+        return 1 << max(0, math.ceil(math.log2(max(size, 1.0))))
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.threads import processors
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.memory import WithMemory, tables_of
 from deadtime.imperfections import (
+    Disturbance,
     Imperfection,
     Limiting,
     Relaying,
@@ -74,8 +76,9 @@ def monte_carlo(
     any delay, a law whose model is not the plant.
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
-    where their rows are factorised. One by one, by `simulate`, run: laws that are no table, all
-    laws where the plant is disturbed or an imperfection is a function of the user's own, horizons
+    where their rows are factorised; so do those of what they remember (`OutputFeedback`). One by
+    one, by `simulate`, run: laws that are no table, all laws where the plant is disturbed and its
+    delays differ between modes, or an imperfection is a function of the user's own, horizons
     of fewer than some 20 periods, plants beyond some 30 states (11 for a law that knows the signal)
     or a thousand times faster than the period; `attrs["one_by_one"]` names the laws. So do
     scenarios that diverge or vanish.
@@ -161,7 +164,8 @@ def monte_carlo(
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections))
+    forced = any(isinstance(one, Disturbance) for one in imperfections)
+    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections), forced=forced)
     results = _room(loop, len(named), scenarios, trajectories)
     engine = Engine(loop)
     tables = _tables(engine, loop, named, imperfections)
@@ -196,7 +200,7 @@ def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     steps = _BLOCK_STEPS
     if any(isinstance(one, TimingImperfection) for one in imperfections):
         steps /= 32
-    elif any(isinstance(one, Relaying) for one in imperfections):
+    elif any(isinstance(one, Relaying | Disturbance) for one in imperfections):
         steps /= 8
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
@@ -233,19 +237,26 @@ def _tables(
     n, wide = loop.plant.states, loop.acting.wide
     if loop.tables is None or not all(map(is_batched, imperfections)):
         return {}
+    if loop.forced and not (loop.plant.delays == loop.plant.delays[0]).all():
+        return {}
     if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
         return {}
-    tables = {name: _table(engine, loop, law) for name, law in laws.items()}
+    timed = any(isinstance(one, TimingImperfection) for one in imperfections)
+    tables = {name: _table(engine, loop, law, timed) for name, law in laws.items()}
     return {name: table for name, table in tables.items() if table is not None}
 
 
-def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Table] | None:
+def _table(
+    engine: Engine, loop: Loop, law: Law, timed: bool
+) -> Callable[[SignalBatch], Table] | None:
     """What makes a table of a law along signals; None for one that the engine cannot run."""
     from deadtime.scenarios.model_ahead import ModelAhead
 
+    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
+    if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
+        return _with_memory(engine, loop, law, timed)
     if not isinstance(law, TableLaw):
         return None
-    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if law.foresight(step, anything, samples) is not None:
         ahead = ModelAhead(law, law.sampled_plant(step), samples)
         if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:
@@ -255,6 +266,23 @@ def _table(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Tabl
     if feedback.context == "step":
         return None
     table = engine.table(feedback)
+    return lambda signals: table
+
+
+def _with_memory(
+    engine: Engine, loop: Loop, law: Law, timed: bool
+) -> Callable[[SignalBatch], Table] | None:
+    """The same of a law that remembers; with measurements within periods, of one C for all modes.
+
+    Its memory is filled for one run, but for what the modes of a run do to it.
+    """
+    tables, C = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1), law.outputs
+    if tables is None or tables.memory is None or tables.feedback is None or C is None:
+        return None
+    wide = max(part.shape[-1] for part in (tables.memory.Phi, tables.memory.Gamma))
+    if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:
+        return None
+    table = engine.remember(tables.feedback, tables.memory, C)
     return lambda signals: table
 
 

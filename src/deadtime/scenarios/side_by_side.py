@@ -17,6 +17,11 @@ def groups(scenarios: int) -> int:
     return -(-scenarios // LANES)
 
 
+def from_scenario(laid: np.ndarray, begin: int, scenarios: int) -> np.ndarray:
+    """What is laid of so many scenarios, from one on whose number is a multiple of eight."""
+    return laid[begin // LANES * (laid.size // groups(scenarios)) :]
+
+
 @kernel(eager=True, nogil=True)
 def lay_lags(sample, scenarios, begin, lag, reach):
     """Fill `lag`, from group `begin` on; how long the longest is, `reach` at least.
@@ -46,6 +51,32 @@ def lay_numbers(numbers, begin, laid):
                 for lane in range(LANES):
                     laid[at] = numbers[min(first + lane, scenarios - 1), k, i]
                     at += 1
+
+
+@kernel(eager=True, nogil=True)
+def lay_forces(laid, begin, few, draws, maps, first, step, which, samples):
+    """Add to `laid`, from scenario `begin` on, what a disturbance's draws make for `few` of them.
+
+    draws : (stretch, few or 1, sample, r);  maps : (map, stretch, n, r)
+    first, step, which : of `Records`, `which` being its `map`
+    """
+    stretches, runs, _, r = draws.shape
+    n = maps.shape[2]
+    for f in range(few + -few % LANES):
+        run = min(f, few - 1, runs - 1)
+        at = (begin + f) // LANES * samples * stretches * n * LANES + f % LANES
+        record, last = first[begin + min(f, few - 1)], first[begin + min(f, few - 1) + 1] - 1
+        for k in range(samples):
+            while record < last and step[record + 1] <= k:
+                record += 1
+            e = which[record]
+            for s in range(stretches):
+                for i in range(n):
+                    total = laid[at]
+                    for j in range(r):
+                        total += maps[e, s, i, j] * draws[s, run, k, j]
+                    laid[at] = total
+                    at += LANES
 
 
 @kernel(eager=True, nogil=True)

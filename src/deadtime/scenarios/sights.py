@@ -1,7 +1,7 @@
 """What laws are shown that measure within periods: a delay of measurements, and jitter.
 
-A measurement t seconds into a period is x(t_k + t) = M z, z being the state at the sample and the
-inputs that act in the period: the first n rows of what a period that ends there does.
+A measurement t seconds into a period is x(t_k + t) = M z, z being the state at the sample and what
+acts in the period: the first n rows of what a period that ends there does.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Sights:
         assert period.shape == offset.shape == whole
         assert tables is not None
         if self.laid is not None:
-            n, m = loop.plant.states, loop.plant.inputs
+            _, n, m = loop.acting.B.shape
             width = (0.0,) * -(-(n * n + n * m) // WIDE)
             flat = tables.pieces, step / tables.pieces.shape[1], width
             place = period, offset, begin, few

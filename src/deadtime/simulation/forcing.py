@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.imperfections import Disturbance, Sizes, Stacked
-from deadtime.imperfections.base import Piece
+from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
+from deadtime.numerics.accumulated import accumulate, rates
 from deadtime.plant import SampledPlant
 from deadtime.plant.pieces import PieceTable
 from deadtime.plant.steps import Cuts
@@ -40,17 +40,13 @@ class Forcing:
         plant = self._plant = sampled.plant
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
         self._starts = np.array([part.start for part in sampled.stretches(0)])
-        # Of two stretches at least, so that a seed draws the same numbers for every delay.
-        lengths = [part.stop - part.start for part in sampled.stretches(0)] + [0.0]
-        lengths = tuple(lengths[: max(2, len(lengths) - 1)])
+        lengths = lengths_of(sampled)
         self._kinds = [force for force, _ in disturbances]
         self._draws = [force.draws(self._sizes, lengths, steps, rng) for force, rng in disturbances]
         held = [sampled.stretches(mode) for mode in range(plant.modes)]
         self._first = np.cumsum([0, *map(len, held)])
         self._held = [
-            [(A, part.stop - part.start)]
-            for A, parts in zip(plant.A, held, strict=True)
-            for part in parts
+            [(mode, part.stop - part.start)] for mode, parts in enumerate(held) for part in parts
         ]
         self._of_held = self._maps(self._held)
 
@@ -58,12 +54,12 @@ class Forcing:
         self, table: PieceTable, cuts: Cuts
     ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece n"]]:
         """ξ and d over the pieces of a known signal."""
-        A, shift = self._plant.A, np.zeros((table.entry.size, self._plant.states))
+        shift = np.zeros((table.entry.size, self._plant.states))
         period, entry = table.period, table.entry
         place = np.searchsorted(self._starts, table.start[entry], "right") - 1
         # The entries of modes held come first.
         cut = [table.parts(e, cuts) for e in range(len(self._held), table.mode.size)]
-        own = [[(A[i], b - a) for i, a, b in e] for e in cut]
+        own = [[(i, b - a) for i, a, b in e] for e in cut]
         # A piece that goes on in a stretch has the force of the one that begins it.
         goes_on = np.append(False, (np.diff(period) == 0) & (np.diff(place) == 0))
         head = np.maximum.accumulate(np.where(goes_on, 0, np.arange(entry.size)))
@@ -77,7 +73,8 @@ class Forcing:
         shared = np.unique(head[goes_on])
         parts = np.flatnonzero(np.isin(head, shared))
         if parts.size:
-            Gamma = self._pushed(*_stacked([own[entry[q] - first] for q in parts]))
+            given = _stacked([own[entry[q] - first] for q in parts])
+            Gamma = pushed_over(self._plant.A, *given)
             shift[parts] = np.einsum("qij,qj->qi", Gamma, force[parts])
         return shift, force
 
@@ -88,47 +85,72 @@ class Forcing:
         shift = np.sum([spread[entry] @ draws[k, piece] for spread, draws in pairs], axis=0)
         return inverse[entry] @ shift
 
-    def _maps(self, entries: list[list[Piece]]) -> tuple[list[np.ndarray], np.ndarray]:
+    def _maps(self, entries: list[list[tuple[int, float]]]) -> tuple[list[np.ndarray], np.ndarray]:
         """How each disturbance's numbers become ξ over every entry, and Γ_I⁻¹."""
-        A, tau = _stacked(entries)
-        spreads = [
-            force.spreads(self._sizes, A, tau)
-            if isinstance(force, Stacked)
-            else np.stack([force.spread(self._sizes, pieces) for pieces in entries])
-            for force in self._kinds
-        ]
-        return spreads, self._inverse(A, tau)
+        mode, tau = _stacked(entries)
+        A = self._plant.A
+        spreads = [spread_over(force, self._sizes, A, mode, tau) for force in self._kinds]
+        return spreads, force_over(A, mode, tau, self._step)
 
-    def _pushed(self, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Γ_I of every entry."""
-        from deadtime.numerics.exponential import discretise_each
 
-        Gamma, unit = np.zeros((len(A), *A.shape[2:])), np.eye(A.shape[2])
-        unit = np.broadcast_to(unit, Gamma.shape)
-        for i in range(tau.shape[1]):
-            Phi, own = discretise_each(*map(read_only, (A[:, i], unit, tau[:, i])))
-            Gamma = Phi @ Gamma + own
-        return Gamma
+def lengths_of(sampled: SampledPlant) -> tuple[float, ...]:
+    """How long the stretches of a period are for which disturbances draw.
 
-    def _inverse(self, A: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Γ_I⁻¹ of every entry, 0 where it takes no time."""
-        Gamma, total = self._pushed(A, tau), tau.sum(axis=1)
+    Of two at least, the other one of length 0: a seed draws the same numbers for every delay.
+    """
+    lengths = [part.stop - part.start for part in sampled.stretches(0)]
+    return tuple([*lengths, 0.0][: max(2, len(lengths))])
+
+
+def spread_over(
+    force: Disturbance, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
+) -> Float[np.ndarray, "count n r"]:
+    """How a disturbance's numbers become ξ over many stretches.
+
+    Each has tau (count, pieces) seconds, 0 for no piece, in a mode (count, pieces).
+    """
+    if isinstance(force, DrawnDisturbance):
+        return force.spreads_in(sizes, A, mode, tau)
+    if isinstance(force, Stacked):
+        return force.spreads(sizes, A[mode], tau)
+    pieces = [
+        [(A[i], float(t)) for i, t in zip(*each, strict=True) if t > 0.0]
+        for each in zip(mode, tau, strict=True)
+    ]
+    return np.stack([force.spread(sizes, each) for each in pieces])
+
+
+def pushed_over(A: np.ndarray, mode: np.ndarray, tau: np.ndarray) -> Float[np.ndarray, "count n n"]:
+    """Γ_I over many stretches, given as above."""
+    modes, n, _ = A.shape
+    joint = np.zeros((modes, 2 * n, 2 * n))
+    joint[:, :n, :n], joint[:, :n, n:] = A, np.eye(n)
+    return accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:]
+
+
+def force_over(
+    A: np.ndarray, mode: np.ndarray, tau: np.ndarray, step: float
+) -> Float[np.ndarray, "count n n"]:
+    """Γ_I⁻¹ over many stretches, from ξ to d, 0 where one takes no time; the others as above."""
+    Gamma, total = pushed_over(A, mode, tau), tau.sum(axis=1)
+    # In units of one matrix |Γ_I/τ − I| ≤ (e^s − 1)/s − 1 < 1 for s = |A|τ ≤ 1.
+    if rates(np.abs(A).sum(axis=0)[None])[0] * total.max() > 1.0:
         size = np.abs(np.linalg.eigvals(Gamma)).min(axis=1)
         if not (size[total > 0.0] > _SINGULAR * total[total > 0.0]).all():
             raise ArgumentError(
-                f"step = {self._step:g} s is too long for disturbances: a mode of the plant "
+                f"step = {step:g} s is too long for disturbances: a mode of the plant "
                 "oscillates a whole number of times within it; shorten it."
             )
-        inverse = np.zeros(Gamma.shape)
-        inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
-        return inverse
+    inverse = np.zeros(Gamma.shape)
+    inverse[total > 0.0] = np.linalg.inv(Gamma[total > 0.0])
+    return inverse
 
 
-def _stacked(entries: list[list[Piece]]) -> tuple[np.ndarray, np.ndarray]:
-    """A (entries, pieces, n, n) and seconds (entries, pieces) of entries, 0 for fewer pieces."""
-    n, longest = len(entries[0][0][0]), max(map(len, entries))
-    A, tau = np.zeros((len(entries), longest, n, n)), np.zeros((len(entries), longest))
+def _stacked(entries: list[list[tuple[int, float]]]) -> tuple[np.ndarray, np.ndarray]:
+    """Modes and seconds (entries, pieces) of entries, 0 s for fewer pieces."""
+    shape = len(entries), max(map(len, entries))
+    mode, tau = np.zeros(shape, np.int64), np.zeros(shape)
     for entry, pieces in enumerate(entries):
-        for i, (matrix, seconds) in enumerate(pieces):
-            A[entry, i], tau[entry, i] = matrix, seconds
-    return A, tau
+        for i, (of, seconds) in enumerate(pieces):
+            mode[entry, i], tau[entry, i] = of, seconds
+    return mode, tau

@@ -58,7 +58,7 @@ def choose(_, values, row, like):
 
     def work(code: Code, given: Any, rows: Any, _: Any) -> list[Any]:
         result = list(given[:width])
-        for r in range(1, len(given) // width):
+        for r in range(1, len(given) // max(width, 1)):
             number = ir.Constant(VECTOR, [float(r)] * LANES)
             here = code.builder.fcmp_ordered("==", rows[0], number)
             for j in range(width):

@@ -16,7 +16,8 @@ from deadtime.base.checks import read_only
 from deadtime.base.errors import DeadtimeError
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
-from deadtime.imperfections import Relaying, TimingImperfection
+from deadtime.feedback.memory import WithMemory
+from deadtime.imperfections import Disturbance, Relaying, TimingImperfection
 from deadtime.imperfections.known import is_batched
 from deadtime.plant import Window
 from deadtime.plant.weight import PLAIN, text_of
@@ -28,6 +29,8 @@ _FACTORED = 3e-9  # … whose row is factorised,
 _TAP = 1.5e-10  # … for every past input of a dense row,
 _FORESEEN = 1.2e-8  # … of a law that knows the signal,
 _HEARD = 2e-8  # … where sensors are imperfect,
+_FELT = 5e-8  # … for each disturbance,
+_KEPT = 3e-8  # … of a law that remembers,
 _SEEN = 1e-7  # … where measurements lie within periods,
 _ALONE = 2e-6  # … run by `simulate`,
 _CALLED = 2.5e-5  # … sample by sample.
@@ -130,14 +133,16 @@ def _cost(study: Study, index: tuple[int, ...]) -> float:
 
 def _of_law(loop: Loop, law: Law) -> float:
     """Seconds of a period of a scenario."""
-    if not isinstance(law, TableLaw):
+    if not isinstance(law, TableLaw | WithMemory):
         return _CALLED
     if not all(map(is_batched, loop.imperfections)):
         return _ALONE
-    heard = 0.0
+    heard = _FELT * sum(isinstance(one, Disturbance) for one in loop.imperfections)
     for kind, cost in ((Relaying, _HEARD), (TimingImperfection, _SEEN)):
         if any(isinstance(one, kind) for one in loop.imperfections):
             heard += cost
+    if isinstance(law, WithMemory):
+        return _ALONE if law.foresees else heard + _KEPT
     taps = Window.of(law.plant.longest_delay, loop.step).count
     size = max(1.0, loop.plant.states * loop.plant.inputs / 2.0)
     if law.foresees:
