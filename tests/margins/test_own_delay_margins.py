@@ -187,8 +187,7 @@ def test_runs_decay_at_delays_drawn_from_the_certified_margin(input):
     for _ in range(6):
         delays = np.array(plant.delays)
         which = slice(None) if input is None else [input]
-        shape = delays[:, which].shape
-        delays[:, which] += rng.uniform(-0.99 * margin.shorter, margin.longer, size=shape)
+        delays[:, which] += rng.uniform(-0.99 * margin.shorter, margin.longer)
         times, modes = reference.random_signal(rng, 2, 0.27, 60.0, 0.5)
         truth = dt.SwitchedSystem(plant.A, plant.B, delays)
         run = dt.simulate(truth, law, dt.SwitchingSignal(times, modes), [1.0], 60.0, 0.1)
@@ -214,4 +213,20 @@ def test_pieces_of_the_certified_margin_end_at_multiples_of_the_period_of_all_de
         assert (np.floor(ratios[1] - 1e-9) <= np.floor(ratios[0] + 1e-9)).all()
         assert low[0] - low[1] == pytest.approx(plant.delays[0] - plant.delays[1])
     assert "s shorter to" in margin.message
-    assert "each whatever the others are" in margin.message
+    assert "all by as much" in margin.message
+
+
+def test_a_certified_margin_of_all_delays_is_of_a_common_shift():
+    # The inputs cancel but for how late they are to each other, and no piece holds both corners.
+    plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0, -1.0]]], [0.16, 0.14])
+    law = dt.DelayedStateFeedback(plant, [[[12.0], [12.0]]])
+    margin = dt.delay_margin(plant, law, 0.1, 0.25, upto=0.4)
+    assert margin.certified
+    for shift in np.linspace(-margin.shorter, margin.longer, 9):
+        shifted = dt.SwitchedSystem(plant.A, plant.B, plant.delays + shift)
+        assert dt.growth_rate(shifted, law, 0, 0.1) < 0.0
+    corner = plant.delays + 0.99 * np.array([-margin.shorter, margin.longer])
+    apart = dt.SwitchedSystem(plant.A, plant.B, corner)
+    assert dt.growth_rate(apart, law, 0, 0.1) > 1.0
+    assert "all by as much" in margin.message
+    assert "whatever the others" not in margin.message

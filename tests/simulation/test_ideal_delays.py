@@ -285,16 +285,6 @@ def test_what_would_be_read_a_second_time_is_refused_by_name():
     dt.simulate(plant, law, dt.SwitchingSignal.constant(0), [1.0], 1.0, step=None)
 
 
-def test_the_expected_law_refuses_several_delays_by_name():
-    rng = np.random.default_rng(0)
-    plant = random_plant(rng, modes=2)
-    K, model = random_gains(rng, plant), dt.Markov([[0, 1], [1, 0]])
-    law = dt.ExpectedPredictor(plant, K, model, allow_unstable=True)
-    constant = dt.SwitchingSignal.constant(0)
-    with pytest.raises(dt.ArgumentError, match=r"must have one delay for the ideal loop"):
-        dt.simulate(plant, law, constant, np.zeros(plant.states), 1.0, step=None)
-
-
 def test_jumps_are_passed_on_by_the_mode_that_reads_them_until_they_are_faint():
     signal = dt.SwitchingSignal([0.0, 0.6], [0, 1])
     shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01), Shift(0.3, None, 1e-14)]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from numpy.polynomial.chebyshev import chebder, chebvander
-from scipy.linalg import eigvals, expm
+from scipy.linalg import block_diag, eigvals, expm
 
 import deadtime as dt
 import plants
@@ -103,6 +103,32 @@ def matrix_by_motions(plant, law, mode, s):
     row = sent(law, mode, np.eye(n, n + m).astype(complex), propagate)
     A, B = plant.A[mode], plant.B[mode] * np.exp(-s * plant.delays[mode])
     return np.block([[s * np.eye(n) - A, -B], [-row[:, :n], np.eye(m) - row[:, n:]]])
+
+
+def matrix_by_moments(plant, law, mode, s):
+    """Δ(s) under the expected law: the moments of x in every mode along a motion."""
+    A, B, K, delays = law.plant.A, law.plant.B, law.gains, law.plant.delays[0]
+    (modes, n, m), flow = B.shape, law.model.generator.T
+    here = np.eye(modes)[:, [mode]]
+    X = np.kron(here, np.eye(n, n + m)).astype(complex)
+    forced, rows, begin = block_diag(*B), np.zeros((m, n + m), complex), 0.0
+    for end in np.unique(delays):
+        flying = delays >= end
+        own = [A[i] + B[i][:, ~flying] @ K[i][~flying] for i in range(modes)]
+        # dX/dθ = 𝒮 X + ℬ V,  V = p ⊗ v,  v_k = U_k e^{s(θ − D_k)}.
+        moved = np.kron(flow, np.eye(m)) + s * np.eye(modes * m)
+        fed = forced * np.tile(flying, modes)
+        S = block_diag(*own) + np.kron(flow, np.eye(n))
+        both = np.block([[S, fed], [np.zeros((modes * m, modes * n)), moved]])
+        v = np.hstack((np.zeros((m, n)), np.diag(np.exp(s * (begin - delays)))))
+        V = np.kron(expm(flow * begin) @ here, v)
+        X = (expm(both * (end - begin)) @ np.vstack((X, V)))[: modes * n]
+        read = delays == end
+        rows[read] = (K.transpose(1, 0, 2).reshape(m, modes * n) @ X)[read]
+        begin = end
+    late = plant.B[mode] * np.exp(-s * plant.delays[mode])
+    own = s * np.eye(n) - plant.A[mode]
+    return np.block([[own, -late], [-rows[:, :n], np.eye(m) - rows[:, n:]]])
 
 
 def roots_by_chebyshev(plant, law, mode, degree=50):
@@ -202,6 +228,26 @@ def test_the_delay_equation_on_chebyshev_points_has_these_roots_and_no_others(na
     assert other.size == found.roots.size
     for root in found.roots:
         assert np.abs(other - root).min() < 1e-8 * (1.0 + abs(root))
+
+
+@pytest.mark.parametrize("seed", mostly_long(range(8), 1))
+def test_roots_under_the_expected_law_make_its_moments_along_motions_singular(seed):
+    rng = np.random.default_rng(seed)
+    random = random_plant(rng, 2)
+    model = dt.SwitchedSystem(random.A, random.B, random.delays[0])
+    plant = dt.SwitchedSystem(model.A, model.B, model.delays * (0.9 if seed % 2 else 1.0))
+    K = 0.6 * rng.normal(size=(2, plant.inputs, plant.states))
+    rates = dt.Markov([[0.0, 1.5], [2.5, 0.0]])
+    law = dt.ExpectedPredictor(model, K, rates, allow_unstable=True)
+    for mode in (0, 1):
+        found = dt.characteristic_roots(plant, law, mode, count=4)
+        assert found.complete
+        for root in found.roots:
+            near = [
+                np.linalg.det(matrix_by_moments(plant, law, mode, root + d))
+                for d in (0.0, 1e-5, -1e-5)
+            ]
+            assert abs(2e-5 * near[0] / (near[1] - near[2])) <= 1e-10 * (1.0 + abs(root))
 
 
 # -- bounds ------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.feedback import Feedback, Forecast
+from deadtime.feedback import Feedback, Forecast, Functional
 from deadtime.feedback.law import TableLaw, remember_table, require_room, room
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
@@ -48,7 +48,7 @@ class ExpectedPredictor(TableLaw):
         If the model has another number of modes than the plant or is no switching model;
         `digital` raises it if the step is too long for the model's sojourns, or the table would
         take more than 1 GB; `simulate` with `step=None` if the model is semi-Markov or switches
-        many times per delay.
+        many times per delay, or an input's delay differs between modes.
 
     Notes
     -----
@@ -117,30 +117,43 @@ class ExpectedPredictor(TableLaw):
         chain = model.hazard(h, ages + longest), model.transition
         return semi_markov_table(self.gains, *chain, ages, sampled)
 
-    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         plant, model = self.plant, self.model
         if not isinstance(model, Markov):
             raise ArgumentError(
                 "step must be given: ExpectedPredictor has no closed form in continuous time "
                 "under a SemiMarkov model."
             )
-        from deadtime.laws.tables.markov import markov_forecast
+        from deadtime.laws.tables.markov import CLOSED_FORM, markov_forecast
 
-        forecast = markov_forecast(
-            plant.A,
-            plant.B,
-            self.gains,
-            model.generator,
-            plant.one_delay("the ideal loop (step=None)"),
-            signal,
-        )
-        if forecast is None:
+        if plant.has_one_delay:
+            law = markov_forecast(
+                plant.A, plant.B, self.gains, model.generator, plant.delay, signal
+            )
+        else:
+            from deadtime.laws.tables.markov_windows import markov_functional
+
+            _require_delay_per_input(plant)
+            law = markov_functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
+        if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "
                 f"loses its digits where the mode switches many times per delay, as here with "
-                f"rates up to {model.rates.max():g} 1/s and a delay of {plant.delay:g} s."
+                f"rates up to {model.rates.max():g} 1/s and a delay of {plant.longest_delay:g} s."
             )
-        return forecast
+        return law
+
+
+def _require_delay_per_input(plant: SwitchedSystem) -> None:
+    """Refuse an input whose delay differs between modes: what it was read of is then unknown."""
+    differ = np.flatnonzero((plant.delays != plant.delays[0]).any(axis=0))
+    if differ.size:
+        j = differ[0]
+        raise ArgumentError(
+            "step must be given: ExpectedPredictor has no closed form in continuous time where an "
+            f"input's delay differs between modes, as that of input {j} does, "
+            f"{', '.join(f'{delay:g}' for delay in plant.delays[:, j])} s."
+        )
 
 
 def table_ages(model: SemiMarkov, step: float, asked: int | None, most: int) -> int:

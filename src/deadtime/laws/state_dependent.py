@@ -38,7 +38,8 @@ class StateDependentPredictor(Law):
     It is the one law that is no table: not linear in the state, it runs its model once a period.
     The sampled mode tells it on which side of a boundary x is.
     Updated continuously (`step=None`) it has a closed form where model and plant are the same:
-    from D on, x follows (A_σ + B_σ K_σ) x under the rule.
+    from D on, x follows (A_σ + B_σ K_σ) x under the rule. There inputs may have delays of their
+    own, the same in all modes.
 
     Parameters
     ----------
@@ -156,12 +157,14 @@ def final_place(
     x: Float[np.ndarray, " n"],
     place: int,
     beside: Beside | None,
+    others: Float[np.ndarray, " m"] | float = 0.0,
 ) -> int:
     """The place whose mode's gain the feedback takes at the end of a prediction.
 
-    On a boundary that the state slides along it is the one beyond, if its own gain leads on there.
+    On a boundary that the state slides along it is the one beyond, if its own gain leads on there,
+    with what other inputs read, 0 for those of the gain.
     """
     if beside is None:
         return place
-    there = gains[motion.mode_of(beside.place)] @ x
+    there = gains[motion.mode_of(beside.place)] @ x + others
     return beside.place if motion.leads_on(x, beside, there) else place

@@ -2,8 +2,10 @@
 
 For every admissible signal the true delays around the nominal one are covered by pieces, each
 certified at once for all delays in it (`certify` with `delays`), since the loop's order changes
-where the delay passes a multiple of the period. What fails is halved, down to a small part of the
-interval that constant modes allow, the most that any certificate can reach.
+where the delay passes a multiple of the period. Of several delays a piece is a box: together the
+boxes hold every common shift, but not one delay from one box with another from the next. What fails
+is halved, down to a small part of the interval that constant modes allow, the most that any
+certificate can reach.
 """
 
 from __future__ import annotations
@@ -56,8 +58,8 @@ def delay_margin(
     dwell_time : float, optional
         Without it, the mode is constant: exact, from the spectrum. With it, proved for every
         switching signal with this dwell time and every constant delay between `lower` and
-        `upper`, in seconds; of several that move, for each within its range whatever the others
-        are, which is more than that all are as wrong.
+        `upper`, in seconds; of several that move, with all of them wrong by the same time. That
+        each is wrong by another time is what `certify` with `delays` proves.
     upto : float, optional
         The longest true delay that is tried, in seconds. By default ten times the nominal one; or
         ten times 1/ω, ω the highest frequency at which the loop's gain may be 1, where that is
@@ -142,7 +144,7 @@ def _range(lower: float, upper: float, constant: DelayMargin) -> str:
         shorter, longer = inwards(nominal - lower, 0.0), inwards(upper - nominal, 0.0)
         return (
             f"all constant true delays{of_one} from {shorter} s shorter to {longer} s longer, "
-            "each whatever the others are"
+            "all by as much"
         )
     return (
         f"every constant true delay{of_one} between {inwards(lower, nominal)} s and "

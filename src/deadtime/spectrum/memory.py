@@ -76,8 +76,9 @@ def windows_of(
     """F, of a state x in units of its own, and the windows of a law with its mode held."""
     law = law.settled if isinstance(law, Outlook) else law
     if isinstance(law, Functional):
-        pieces = zip(law.C, law.S, law.R, law.near.tolist(), law.far.tolist(), strict=True)
-        return law.F * units, tuple(Window.balanced(*piece) for piece in pieces)
+        row = int(law.row(np.zeros(1))[0])
+        pieces = zip(law.C[row], law.S, law.R, law.near.tolist(), law.far.tolist(), strict=True)
+        return law.F[row] * units, tuple(Window.balanced(*piece) for piece in pieces)
     from deadtime.numerics.exponential import balance
 
     K, S, R, L = _terms_in_aged_mode(law)

@@ -46,7 +46,7 @@ from deadtime.plant import SampledPlant, Window
 from deadtime.switching import SwitchingSignal
 
 _AGREEMENT = 1e-13
-_CLOSED_FORM = 1e-11
+CLOSED_FORM = 1e-11  # of its gains: the most digits that the ideal loop's closed form may lose
 _PROBABILITY = 1e-9
 
 
@@ -111,7 +111,7 @@ def markov_forecast(
     row = K.transpose(1, 0, 2).reshape(m, states)
     direct = (row @ transition(free, delay)).reshape(m, modes, n).transpose(1, 0, 2)
     closed = gains @ transition(system, delay) @ lift
-    if not np.abs(closed - direct).max() <= _CLOSED_FORM * np.abs(direct).max():
+    if not np.abs(closed - direct).max() <= CLOSED_FORM * np.abs(direct).max():
         return None
     return Forecast(
         system[None],

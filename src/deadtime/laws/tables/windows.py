@@ -20,6 +20,9 @@ one mode this is the predictor of Tsubakino, Oliveira and Krstic (Automatica
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -40,39 +43,68 @@ def constant_functional(
     --------
     >>> plant = SwitchedSystem([[[0.0]]], [[[1.0, 1.0]]], delay=[0.2, 0.1])
     >>> law = constant_functional(plant, np.array([[[-1.0], [-2.0]]]), np.ones(1))
-    >>> law.F.round(3).tolist(), law.near.tolist(), law.far.tolist()
+    >>> law.F[0].round(3).tolist(), law.near.tolist(), law.far.tolist()
     ([[-0.819], [-2.0]], [0.0, 0.0, 0.1], [0.1, 0.1, 0.2])
     """
-    parts = [
-        _mode(plant.A[i], plant.B[i], plant.delays[i], K[i], weights[i]) for i in range(plant.modes)
-    ]
-    windows = [window for _, own in parts for window in own]
-    C, S, R, near, far = (
-        np.ascontiguousarray(np.stack(part)) for part in zip(*windows, strict=True)
-    )
-    F = np.sum([F for F, _ in parts], axis=0)
-    return Functional(F, C, S, R, near, far)
+    F, windows = np.zeros(K.shape[1:]), []
+    for A, B, delays, own, weight in zip(plant.A, plant.B, plant.delays, K, weights, strict=True):
+
+        def closed_loop(closed: np.ndarray, A=A, B=B, own=own) -> np.ndarray:
+            return A + B[:, closed] @ own[closed]
+
+        at_once, ahead = stages(closed_loop, B, weight * own, delays)
+        F += at_once
+        windows += [(w.Q[None], w.S, np.where(w.fed, B, 0.0), w.near, w.far) for w in ahead]
+    return functional_of(F[None], windows, lambda times: np.zeros(times.size, np.int64))
 
 
-def _mode(
-    A: np.ndarray, B: np.ndarray, delays: np.ndarray, K: np.ndarray, weight: float
-) -> tuple[np.ndarray, list[tuple[np.ndarray, ...]]]:
-    """F and the windows (C, S, R, α, β) of one mode."""
+class Stage(NamedTuple):
+    """What a prediction takes of some inputs between two delays: a window on what was sent.
+
+    Q : (m, q), from the stage's end to u;  S : (q, q), its matrix;  fed : (m,), the inputs
+    near, far : α, β, seconds;  end : d_r, when the stage ends, seconds ahead
+    """
+
+    Q: np.ndarray
+    S: np.ndarray
+    fed: np.ndarray
+    near: float
+    far: float
+    end: float
+
+
+def stages(
+    closed_loop: Callable[[np.ndarray], np.ndarray],
+    B: Float[np.ndarray, "q k"],
+    K: Float[np.ndarray, "m q"],
+    delays: Float[np.ndarray, " m"],
+) -> tuple[Float[np.ndarray, "m q"], list[Stage]]:
+    """Q_0 and the stages of u_j = K_j x̂(D_j); `closed_loop` gives S_r of the inputs with D_k < d_r.
+
+    B, by which x̂ is fed, sets the units in which e^{Sτ} is computed.
+    """
     from deadtime.numerics.exponential import discretise
 
     ends = np.unique(delays)
     ends = ends[np.append(True, np.diff(ends) > _SAME * ends[-1])]
     stage = np.searchsorted(ends, delays * (1.0 + _SAME), "right") - 1
     starts = np.concatenate(([0.0], ends[:-1]))
-    windows, Q, F = [], np.zeros_like(K), np.zeros_like(K)
+    ahead, Q = [], np.zeros_like(K)
     for r in range(ends.size - 1, -1, -1):
-        ending, closed = stage == r, stage < r
-        Q[ending] = weight * K[ending]
-        S = A + B[:, closed] @ K[closed]
+        Q[stage == r] = K[stage == r]
+        S = closed_loop(stage < r)
         for s in range(r, ends.size):
-            R = np.where(stage == s, B, 0.0)
-            near = ends[s] - ends[r]
-            windows.append((Q.copy(), S, R, np.array(near), np.array(ends[s] - starts[r])))
+            near, far = float(ends[s] - ends[r]), float(ends[s] - starts[r])
+            ahead.append(Stage(Q.copy(), S, stage == s, near, far, float(ends[r])))
         Q = Q @ discretise(S, B, ends[r] - starts[r])[0]
-    F += Q
-    return F, windows
+    return Q, ahead
+
+
+def functional_of(
+    F: Float[np.ndarray, "row m n"],
+    windows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float, float]],
+    row: Callable[[np.ndarray], np.ndarray],
+) -> Functional:
+    """A `Functional` from its windows (C of all rows, S, R, α, β)."""
+    C, S, R, near, far = (np.stack(part) for part in zip(*windows, strict=True))
+    return Functional(F, np.ascontiguousarray(C.swapaxes(0, 1)), S, R, near, far, row)

@@ -9,6 +9,8 @@ from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
 from deadtime.numerics.collocation import gauss
+from deadtime.simulation.ideal.breakpoints import merge
+from deadtime.simulation.initial_input import InputHistory
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,3 +61,25 @@ class Piecewise(Frozen):
         weights = np.diff(self.edges)[inside, None] * gauss(self.values.shape[1] - 2).weights
         f = self.values[inside, 1:-1]
         return float(np.sum(weights * np.sum(f**2 if Q is None else f * (f @ Q), axis=2)))
+
+
+def side_by_side(functions: list[Piecewise]) -> Piecewise:
+    """Functions as one, on the segments of all and where all are known.
+
+    Those on the same segments keep their values, others are interpolated.
+
+    Examples
+    --------
+    >>> t = gauss(3).support[None, :, None]
+    >>> slow = Piecewise(np.array([0.0, 2.0]), 2.0 * t)
+    >>> both = side_by_side([slow, Piecewise(np.array([0.0, 1.0]), 3.0 * t)])
+    >>> both.edges, both(np.array([0.5])).round(12)
+    (array([0., 1.]), array([[0.5, 1.5]]))
+    """
+    first = functions[0]
+    if all(np.array_equal(each.edges, first.edges) for each in functions):
+        return Piecewise(first.edges, np.concatenate([each.values for each in functions], axis=2))
+    low, high = max(each.edges[0] for each in functions), min(each.edges[-1] for each in functions)
+    edges = merge(np.concatenate([each.edges for each in functions]), float(low), float(high))
+    joint = InputHistory(lambda t: np.hstack([each(t) for each in functions]), np.empty(0))
+    return Piecewise(edges, joint.on(edges, gauss(first.values.shape[1] - 2)))

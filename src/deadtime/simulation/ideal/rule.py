@@ -5,9 +5,16 @@ as x gets there. So, with what is in the delay line held piece by piece,
 
     x' = A_σ x + B_σ u₀(t − D),    0 ≤ t < D,        x' = (A_σ + B_σ K_σ) x,    t ≥ D,
 
-σ = r(x): two plants under held inputs, which a `Motion` moves from crossing to crossing. Along a
-boundary at which both closed loops point σ jumps without end, u with it, and x follows Filippov's
-mean of the two; the mode and the input that are reported there are those of the mode it came from.
+σ = r(x): two plants under held inputs, which a `Motion` moves from crossing to crossing. Where
+every input has its own delay, the same D_j in all modes, u_j(t) = K_σ,j x(t + D_j) with the σ of
+t + D_j reaches it likewise, and there is one plant more for every further delay,
+
+    x' = A_σ x + Σ_{j: D_j ≤ t} b_σ,j K_σ,j x + Σ_{j: D_j > t} b_σ,j u₀,j(t − D_j).
+
+(A mode with a longer delay than the one before would read once more what was read already, as K x
+of then: a delay equation.) Along a boundary at which both closed loops point σ jumps without end,
+u with it, and x follows Filippov's mean of the two; the mode and the input that are reported there
+are those of the mode it came from.
 States are kept as polynomials on segments, as those of every ideal loop.
 """
 
@@ -27,8 +34,8 @@ from deadtime.laws.state_dependent import final_place
 from deadtime.numerics.collocation import gauss
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Outcome
-from deadtime.simulation.ideal.breakpoints import subdivide
-from deadtime.simulation.ideal.piecewise import Piecewise
+from deadtime.simulation.ideal.breakpoints import merge, subdivide
+from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
 from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.slides import Slide, join, slides_in_words
@@ -41,6 +48,26 @@ _PIECE, _SEGMENT = (
 )  # lengths, times the fastest rate: of what is moved over, of polynomials
 _MOST_PIECES = 1e6
 _SAME = 1e-12  # of the time: switches that close are one
+
+
+class _Stage(NamedTuple):
+    """A stretch of time over which the same inputs have arrived.
+
+    arrived : (m,)
+        Whether what an input reads is the law's own.
+    edges : (pieces + 1,)
+        Of the pieces over which what has been in the line is held, seconds.
+    lengths, kinds : tuple, (pieces,)
+        The lengths that pieces have, and which of them each has.
+    held : (pieces, m)
+        What is read from the line, 0 for inputs that have arrived.
+    """
+
+    arrived: np.ndarray
+    edges: np.ndarray
+    lengths: tuple[float, ...]
+    kinds: np.ndarray
+    held: np.ndarray
 
 
 class _Part(NamedTuple):
@@ -76,26 +103,46 @@ def run_ideal_rule(
     u0: InitialInput,
 ) -> Outcome:
     """Solve the loop on [0, horizon]."""
-    delay = plant.one_delay("a rule that switches the ideal loop")
-    gains = _exact_gains(plant, law, rule)
-    loops = plant.A + plant.B @ gains
-    rate = max(_rate(plant.A), _rate(loops))
-    if (horizon + delay) * rate > _PIECE * _MOST_PIECES:
+    delays, gains = _delays_of_inputs(plant), _exact_gains(plant, law, rule)
+    longest, arrivals = plant.longest_delay, np.unique(delays).tolist()
+    arrived = [delays <= time for time in (0.0, *arrivals)]
+    loops = [plant.A + plant.B @ (gains * own[:, None]) for own in arrived]
+    rate = max(_rate(A) for A in loops)
+    if (horizon + longest) * rate > _PIECE * _MOST_PIECES:
         raise ArgumentError(
             f"horizon = {horizon:g} s is too long for the ideal loop, more than "
             f"{_MOST_PIECES:.0e} pieces of {_PIECE / rate:.1e} s: shorten it, or give a step."
         )
     line = _line(plant, u0, rate)
-    open_loop = rule.motion(plant, (delay / len(line),))
-    march = _march(open_loop, 0.0, delay, line, x0, open_loop.place_of(x0))
-    if not march.stop:
-        pieces = math.ceil(horizon * rate / _PIECE)
-        unforced = np.zeros((pieces, plant.inputs))
-        closed_loop = rule.motion(SwitchedSystem(loops, plant.B, delay), (horizon / pieces,))
-        place = final_place(open_loop, gains, march.x, march.place, march.beside)
-        rest = _march(closed_loop, delay, delay + horizon, unforced, march.x, place)
+    stages = [
+        *(_waiting(line, delays, *ends) for ends in pairwise((0.0, *arrivals))),
+        _closed(plant, horizon, rate),
+    ]
+    motions = [
+        rule.motion(plant.like(A, plant.B), stage.lengths)
+        for A, stage in zip(loops, stages, strict=True)
+    ]
+    march = _march(motions[0], stages[0], x0, motions[0].place_of(x0))
+    for q, stage in enumerate(stages[1:], 1):
+        if march.stop:
+            break
+        fresh = gains * (stage.arrived & ~stages[q - 1].arrived)[:, None]
+        at = march.x, march.place, march.beside
+        place = final_place(motions[q - 1], fresh, *at, stage.held[0])
+        rest = _march(motions[q], stage, march.x, place)
         march = rest._replace(parts=march.parts + rest.parts)
     return _outcome(plant, gains, march, line, horizon, rate)
+
+
+def _delays_of_inputs(plant: SwitchedSystem) -> Float[np.ndarray, " m"]:
+    """The delay of every input; an error where modes differ in it."""
+    if not (plant.delays == plant.delays[0]).all():
+        raise ArgumentError(
+            "step must be given where a rule switches a plant whose modes have other delays, got "
+            f"delay={plant.delay_text}: a mode with a longer one reads again what has been read, "
+            "the feedback of a past state, so that the ideal loop is a delay equation."
+        )
+    return plant.delays[0]
 
 
 def _exact_gains(plant: SwitchedSystem, law: Law, rule: Rule) -> np.ndarray:
@@ -140,24 +187,47 @@ def _line(plant: SwitchedSystem, u0: InitialInput, rate: float) -> Float[np.ndar
             "u0 must be None, a number, (m,) or held samples (m, N), oldest first, where the ideal "
             "loop runs under a rule: sample the function, as many times as you like."
         )
-    history = input_function(u0, plant.inputs, plant.delay)
+    longest = plant.longest_delay
+    history = input_function(u0, plant.inputs, longest)
     held = max(history.jumps.size, 1)
-    middles = -plant.delay * (np.arange(held, 0, -1) - 0.5) / held
-    each = math.ceil(plant.delay * rate / held / _PIECE)
+    middles = -longest * (np.arange(held, 0, -1) - 0.5) / held
+    each = math.ceil(longest * rate / held / _PIECE)
     return np.repeat(history.function(middles), max(each, 1), axis=0)
 
 
-def _march(
-    motion: Motion, begin: float, end: float, inputs: np.ndarray, x: np.ndarray, place: int
-) -> _March:
-    """Move over equal pieces of [begin, end] under held inputs."""
+def _waiting(line: np.ndarray, delays: np.ndarray, begin: float, end: float) -> _Stage:
+    """The stage from one arrival to the next: some inputs still read what was in the line."""
+    arrived, longest = delays <= begin, delays.max()
+    sent = np.linspace(-longest, 0.0, len(line) + 1)
+    edges = merge(np.add.outer(delays[~arrived], sent).ravel(), begin, end)
+    lengths, kinds = tuple(np.diff(edges).tolist()), np.arange(edges.size - 1)
+    even = np.linspace(begin, end, edges.size)
+    if np.abs(edges - even).max() <= _SAME * longest:
+        edges, lengths, kinds = even, ((end - begin) / kinds.size,), np.zeros_like(kinds)
+    ago = delays - (edges[:-1] + edges[1:])[:, None] / 2.0
+    place = np.floor((1.0 - ago / longest) * len(line)).astype(int)
+    read = np.take_along_axis(line, np.clip(place, 0, len(line) - 1), axis=0)
+    return _Stage(arrived, edges, lengths, kinds, np.where(arrived, 0.0, read))
+
+
+def _closed(plant: SwitchedSystem, horizon: float, rate: float) -> _Stage:
+    """The stage from the last arrival on, up to that of what is sent at the horizon."""
+    pieces = math.ceil(horizon * rate / _PIECE)
+    edges = np.linspace(plant.longest_delay, plant.longest_delay + horizon, pieces + 1)
+    held, kinds = np.zeros((pieces, plant.inputs)), np.zeros(pieces, dtype=int)
+    return _Stage(np.ones(plant.inputs, dtype=bool), edges, (horizon / pieces,), kinds, held)
+
+
+def _march(motion: Motion, stage: _Stage, x: np.ndarray, place: int) -> _March:
+    """Move over the pieces of a stage."""
     from deadtime.simulation.kernel import LIMIT
 
-    edges = np.linspace(begin, end, len(inputs) + 1).tolist()
+    edges = stage.edges.tolist()
     parts: list[_Part] = []
     beside = None
-    for a, b, u in zip(edges[:-1], edges[1:], inputs, strict=True):
-        move = motion.advance(0, x, place, u, beside)
+    pieces = zip(edges[:-1], edges[1:], stage.kinds.tolist(), stage.held, strict=True)
+    for a, b, kind, u in pieces:
+        move = motion.advance(kind, x, place, u, beside)
         if not np.abs(move.x).max() <= LIMIT:
             return _March(parts, x, place, None, f"diverged: |x| leaves 1e100 before t = {b:g} s")
         stop = ""
@@ -186,20 +256,17 @@ def _outcome(
     rate: float,
 ) -> Outcome:
     """Lay the parts out as polynomials, and say what there is to say."""
-    parts, delay, stop = march.parts, plant.delay, march.stop
+    parts, longest, stop = march.parts, plant.longest_delay, march.stop
     reached = parts[-1].end if parts else 0.0
-    if stop and reached <= delay:
+    if stop and reached <= longest:
         raise ArgumentError(
-            f"x0 leads to no ideal loop, {stop}, before the first input of the law arrives at "
-            f"{delay:g} s: give a step for a run up to there."
+            f"x0 leads to no ideal loop, {stop}, before all inputs of the law have arrived, at "
+            f"{longest:g} s: give a step for a run up to there."
         )
-    end = reached - delay if stop else horizon
+    end = reached - longest if stop else horizon
     edges, x, modes = _polynomials(parts, rate, end)
-    first = int(np.searchsorted(edges, delay * (1.0 - 1e-15)))
-    u = np.einsum("smn,spn->spm", gains[modes[first:]], x[first:])
-    sent = np.concatenate((np.repeat(line[:, None], x.shape[1], axis=1), u))
-    sent_at = np.concatenate((np.linspace(-delay, 0.0, len(line) + 1), edges[first + 1 :] - delay))
-    record = IdealRecord(plant, Piecewise(edges, x), Piecewise(sent_at, sent))
+    sent = _sent(plant.delays[0], edges, np.einsum("smn,spn->spm", gains[modes], x), line)
+    record = IdealRecord(plant, Piecewise(edges, x), sent)
     signal = _signal(parts, reached)
     slides = join(
         [_slide(part, end) for part in parts if part.leg.beside and part.begin < end],
@@ -231,6 +298,20 @@ def _polynomials(
             modes.append(part.mode)
             edges.append(b)
     return np.array(edges), np.array(values), np.array(modes)
+
+
+def _sent(
+    delays: np.ndarray, edges: np.ndarray, feedback: np.ndarray, line: np.ndarray
+) -> Piecewise:
+    """All inputs: what was in the line, and K_σ x (segments, nodes, m) sent a delay before."""
+    before = np.linspace(-delays.max(), 0.0, len(line) + 1)
+    held = np.repeat(line[:, None], feedback.shape[1], axis=1)
+    each = []
+    for j, delay in enumerate(delays.tolist()):
+        first = int(np.searchsorted(edges, delay * (1.0 - 1e-15)))
+        times = np.concatenate((before, edges[first + 1 :] - delay))
+        each.append(Piecewise(times, np.concatenate((held, feedback[first:]))[..., j : j + 1]))
+    return side_by_side(each)
 
 
 def _signal(parts: list[_Part], reached: float) -> SwitchingSignal:

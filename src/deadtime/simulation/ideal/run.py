@@ -153,7 +153,7 @@ def run_ideal(
     else:
         from deadtime.simulation.ideal.windows import march_windows, windows_of
 
-        states, done = march_windows(moving, line, windows_of(law), x0, nodes)
+        states, done = march_windows(moving, line, windows_of(law, middles), x0, nodes)
     # The states of the delay line's last inputs may leave the limit after the run's end.
     end = float(edges[done]) if done < stop else None
     kept = done if end is not None else stop

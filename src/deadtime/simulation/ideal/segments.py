@@ -86,17 +86,27 @@ def _speeds(
     from deadtime.numerics.exponential import discretise
 
     enter, ends = 0.0, {}
-    for C, S, R, near, far in zip(law.C, law.S, law.R, law.near, law.far, strict=True):
-        jump = float(np.linalg.norm(C @ R, 2))
-        left = float(np.linalg.norm(C @ discretise(S, R, far - near)[0] @ R, 2))
+    for p, (S, R, near, far) in enumerate(zip(law.S, law.R, law.near, law.far, strict=True)):
+        C = law.C[:, p]
+        jump = _largest(C @ R)
+        left = _largest(C @ discretise(S, R, far - near)[0] @ R)
         enter += jump * (near == 0.0)
         for end, size in ((float(near), jump), (float(far), left)):
             ends[end] = ends.get(end, 0.0) + size
     ends.pop(0.0, None)
     none = np.zeros((1, plant.inputs, plant.states))
-    free = _rate(np.concatenate((plant.A, law.S)), plant.B, none)
-    arriving = float(np.linalg.norm(law.F @ plant.B, 2, axis=(1, 2)).max())
+    if law.S.shape[1] == plant.states:
+        free = _rate(np.concatenate((plant.A, law.S)), plant.B, none)
+    else:
+        unfed = np.zeros((1, *law.C.shape[2:]))
+        free = max(_rate(plant.A, plant.B, none), _rate(law.S, law.R, unfed))
+    arriving = _largest(law.F[:, None] @ plant.B)
     return _Speeds(free + max(enter, arriving), arriving, ends)
+
+
+def _largest(matrices: np.ndarray) -> float:
+    """The largest of their 2-norms."""
+    return float(np.linalg.norm(matrices, 2, axis=(-2, -1)).max())
 
 
 def _reaches(law: Forecast | Functional | Outlook) -> np.ndarray:

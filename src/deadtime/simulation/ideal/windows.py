@@ -1,9 +1,10 @@
 """The compiled march under a law that is a `Functional`: windows on the past inputs.
 
-    u(t) = F x(t) + Σ_p C_p y_p(t),    y_p(t) = ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ, α_p to β_p.
+    u(t) = F_c x(t) + Σ_p C_c,p y_p(t),    y_p(t) = ∫ e^{S_p (τ − α_p)} R_p u(t − τ) dτ, α_p to β_p,
 
-On a segment [a, b] x is solved first, as in `ideal.kernel`. Every y_p(a) is summed afresh over the
-inputs sent from a − β_p to a − α_p, so that nothing drifts from segment to segment, and then
+c the row that applies on a segment [a, b]. There x is solved first, as in `ideal.kernel`. Every
+y_p(a) is summed afresh over the inputs sent from a − β_p to a − α_p, so that nothing drifts from
+segment to segment, and then
 
     dy_p/dt = S_p y_p + R_p u(t − α_p) − e^{S_p (β_p − α_p)} R_p u(t − β_p).
 
@@ -17,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.feedback import Functional
 from deadtime.numerics.exponential import product
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.ideal.kernel import (
@@ -37,7 +39,7 @@ from deadtime.simulation.kernel import LIMIT
 class Windows(NamedTuple):
     """A `Functional` for the compiled march.
 
-    leaving : e^{S (β − α)} R;  sought : R where α = 0, else 0
+    leaving : e^{S (β − α)} R;  sought : R where α = 0, else 0;  row : (segments,) of F and C
     """
 
     F: np.ndarray
@@ -48,6 +50,7 @@ class Windows(NamedTuple):
     far: np.ndarray
     leaving: np.ndarray
     sought: np.ndarray
+    row: np.ndarray
 
 
 @kernel(eager=True)
@@ -55,7 +58,7 @@ def _window_sum(line, law, p, g, whole, moved, nodes, y):
     """y_p at the start of segment g, into y."""
     edges, n = line.edges, y.size
     low, high = edges[g] - law.far[p], edges[g] - law.near[p]
-    flow, u = np.empty((nodes.points.size + 1, n, n)), np.empty((nodes.points.size, law.C.shape[1]))
+    flow, u = np.empty((nodes.points.size + 1, n, n)), np.empty((nodes.points.size, law.R.shape[2]))
     following = np.empty(n)
     for i in range(n):
         y[i] = 0.0
@@ -103,16 +106,16 @@ def _shift(line, law, p, times, backward, nodes, hint, result):
 
 
 @kernel(eager=True)
-def _solve_input(law, states, starts, shifts, forward, backward, length, nodes, inputs):
-    """u at the support nodes of a segment, x there known."""
+def _solve_input(law, F, C, states, starts, shifts, forward, backward, length, nodes, inputs):
+    """u at the support nodes of a segment, x there known; F and C of its row."""
     windows, p, n = shifts.shape
     m = inputs.shape[1]
     matrix, right = np.eye(p * m), np.zeros(p * m)
     for k in range(p):
-        add_product(law.F, states[k + 1], right[k * m : (k + 1) * m])
+        add_product(F, states[k + 1], right[k * m : (k + 1) * m])
     for w in range(windows):
         add_branch(
-            forward[w], backward[w], law.sought[w], law.C[w], starts[w], shifts[w], length, nodes,
+            forward[w], backward[w], law.sought[w], C[w], starts[w], shifts[w], length, nodes,
             matrix, right,
         )  # fmt: skip
     u = np.linalg.solve(matrix, right).reshape(p, m)
@@ -120,27 +123,27 @@ def _solve_input(law, states, starts, shifts, forward, backward, length, nodes, 
         inputs[0, i] = inputs[p + 1, i] = 0.0
         for k in range(p):
             inputs[k + 1, i] = u[k, i]
-    add_product(law.F, states[0], inputs[0])
-    add_product(law.F, states[p + 1], inputs[p + 1])
+    add_product(F, states[0], inputs[0])
+    add_product(F, states[p + 1], inputs[p + 1])
     last = np.empty(n)
     for w in range(windows):
         end_branch(
             forward[w], backward[w], law.sought[w], starts[w], shifts[w], length, nodes, u, last
         )
-        add_product(law.C[w], starts[w], inputs[0])
-        add_product(law.C[w], last, inputs[p + 1])
+        add_product(C[w], starts[w], inputs[0])
+        add_product(C[w], last, inputs[p + 1])
 
 
 @kernel(eager=True)
 def march_windows(plant, line, law, x0, nodes):
     """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`."""
-    edges, points, n = line.edges, nodes.points, x0.size
+    edges, points, n, q = line.edges, nodes.points, x0.size, law.S.shape[1]
     segments, p, windows = edges.size - 1, points.size, law.near.size
     states, x = np.zeros((segments, p + 2, n)), x0.copy()
-    whole, moved = np.zeros((segments, windows, n, n)), np.zeros((segments, windows, n))
-    forward, backward = np.empty((windows, p + 1, n, n)), np.empty((windows, p, n, n))
+    whole, moved = np.zeros((segments, windows, q, q)), np.zeros((segments, windows, q))
+    forward, backward = np.empty((windows, p + 1, q, q)), np.empty((windows, p, q, q))
     ahead, behind = np.empty((p + 1, n, n)), np.empty((p, n, n))
-    starts, shifts = np.empty((windows, n)), np.empty((windows, p, n))
+    starts, shifts = np.empty((windows, q)), np.empty((windows, p, q))
     for g in range(segments):
         length = edges[g + 1] - edges[g]
         if g < line.stop:
@@ -157,8 +160,8 @@ def march_windows(plant, line, law, x0, nodes):
                     _window_sum(line, law, w, g, whole, moved, nodes, starts[w])
                     _shift(line, law, w, times, backward[w], nodes, g - 1, shifts[w])
                 _solve_input(
-                    law, states[g], starts, shifts, forward, backward, length, nodes,
-                    line.inputs[g],
+                    law, law.F[law.row[g]], law.C[law.row[g]], states[g], starts, shifts, forward,
+                    backward, length, nodes, line.inputs[g],
                 )  # fmt: skip
             inside = True
             for j in range(n):
@@ -173,12 +176,13 @@ def march_windows(plant, line, law, x0, nodes):
     return states, segments
 
 
-def windows_of(law) -> Windows:
-    """A `Functional` as the march takes it."""
+def windows_of(law: Functional, middles: np.ndarray) -> Windows:
+    """A `Functional` on the segments around these times, as the march takes it."""
     from deadtime.numerics.exponential import discretise
 
     leaving = np.empty_like(law.R)
     for p in range(law.near.size):
         product(discretise(law.S[p], law.R[p], law.far[p] - law.near[p])[0], law.R[p], leaving[p])
     sought = np.where(law.near[:, None, None] == 0.0, law.R, 0.0)
-    return Windows(law.F, law.C, law.S, law.R, law.near, law.far, leaving, sought)
+    row = law.row(np.maximum(middles, 0.0))
+    return Windows(law.F, law.C, law.S, law.R, law.near, law.far, leaving, sought, row)
