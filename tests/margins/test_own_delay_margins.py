@@ -140,9 +140,8 @@ def test_delays_that_may_be_wrong_by_any_time_are_said_so():
     law = dt.AveragedPredictor(plant, [[[-0.1, 0.0], [0.0, -1.5]]])
     tolerant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], [[[1.0]], [[1.0]]], [[0.3], [0.5]])
     small = dt.AveragedPredictor(tolerant, [[[-0.1]], [[-0.1]]])
-    said = "whatever the true delays{}, all wrong by as much"
     margin = dt.delay_margin(tolerant, small, STEP)
-    assert margin.message.endswith(said.format(""))
+    assert margin.message.endswith("whatever the true delays, all wrong by as much")
     one = dt.delay_margin(plant, law, STEP, input=0)
     assert "whatever the true delay of input 0" in one.message
     assert "whatever" not in dt.delay_margin(plant, law, STEP, input=1).message
