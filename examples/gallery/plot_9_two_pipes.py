@@ -99,12 +99,12 @@ for name, believed in (
     ("0.4 s", 0.4),
 ):
     law = dt.AveragedPredictor(dt.SwitchedSystem(late.A, late.B, believed), car.gains)
-    data = dt.monte_carlo(late, {"averaged": law}, pedals, car.x0, car.horizon, STEP, scenarios=400)
+    runs = dt.monte_carlo(late, {"averaged": law}, pedals, car.x0, car.horizon, STEP, scenarios=400)
     throttle, brake = (dt.growth_rate(late, law, mode, STEP) for mode in (0, 1))
     margin = dt.delay_margin(late, law, STEP)
     dwell = dt.least_dwell_time(late, law, STEP, ratio=1.05).certified
     print(
-        f"{name:10s} cost {data.cost.mean().item():.2f}, throttle {throttle:+.2f}, "
+        f"{name:10s} cost {runs.cost.mean().item():.2f}, throttle {throttle:+.2f}, "
         f"brake {brake:+.2f} 1/s, margin {margin.upper - margin.nominal:.3f} s, "
         f"certified from {dwell:.2f} s on"
     )

@@ -38,8 +38,16 @@ class Sampled:
         self.modes, self.travels = A.shape[1], F.any() or G.any()
         plants = [tuple(np.tensordot(w, X, 1) for X in (A, B)) for w in weights]
         if isinstance(plant["delays"][0], list):
-            plants = [dt.SwitchedSystem(*pair, plant["delays"]) for pair in plants]
-            self.loops = [delayed_loops.Loop(one, table) for one in plants]
+            own = np.array(plant["delays"])
+            if own.ndim == 3:  # a range each: its ends and two points of the box
+                low, high = own[0] + 1e-9 * (own[0] < own[1]), own[1]
+                own = [low, high, *rng.uniform(low, high, (2, *low.shape))]
+            else:
+                own = [own]
+            self.loops = [
+                delayed_loops.Loop(dt.SwitchedSystem(*pair, delays), table)
+                for pair, delays in itertools.product(plants, own)
+            ]
             return
         low, high = plant["delays"]
         delays = {low + 1e-9 * (low < high), high, *rng.uniform(low, high, 2 * (low < high))}
