@@ -38,8 +38,6 @@ def is_known(each: Imperfection) -> bool:
 
 def is_batched(each: Imperfection) -> bool:
     """Whether the engine of many scenarios can take all that it does."""
-    drawing = (Relaying, TimingImperfection, Disturbance)  # each takes some of the numbers
-    one_stream = (
-        sum(isinstance(each, part) for part in drawing) > 1
-    )  # of which each part takes some
-    return is_known(each) and not one_stream
+    drawing = (Relaying, TimingImperfection, Disturbance)
+    # One that draws as two of these shares a stream between them: no array is each part's alone.
+    return is_known(each) and sum(isinstance(each, part) for part in drawing) <= 1

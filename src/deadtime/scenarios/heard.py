@@ -68,20 +68,24 @@ class HeardBlock:
         `begin` is a multiple of eight; a law that `remembers` goes by the mode besides.
         """
         heard, row, told_mode = self._heard, np.zeros(0, np.int32), np.zeros(0, np.int32)
-        if feedback is not None and feedback.context != "none" and heard.modes is not None:
-            part = slice(begin, begin + count)
-            row = np.empty(groups(count) * heard.modes.shape[1] * LANES, np.int32)
-            told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
-            lay_rows(told, sampled, age, KINDS[feedback.context], feedback.ages, row)
-        if remembers and heard.modes is not None:
-            part = slice(begin, begin + count)
-            told_mode = np.empty(groups(count) * heard.modes.shape[1] * LANES, np.int32)
-            told, sampled, age = heard.modes[part], self._sampled[part], self.laid.age[part]
-            lay_rows(told, sampled, age, KINDS["mode"], 1, told_mode)
+        if heard.modes is not None:
+            if feedback is not None and feedback.context != "none":
+                row = self._rows(heard.modes, begin, count, feedback.context, feedback.ages)
+            if remembers:
+                told_mode = self._rows(heard.modes, begin, count, "mode", 1)
         all_of, sight = self.laid.scenarios, heard.sight
         lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
         sight = None if sight is None else from_scenario(sight, begin, all_of)
         return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
+
+    def _rows(
+        self, told: np.ndarray, begin: int, count: int, context: str, ages: int
+    ) -> np.ndarray:
+        """The rows of a context in scenarios that are told these modes, laid on samples."""
+        part = slice(begin, begin + count)
+        row = np.empty(groups(count) * told.shape[1] * LANES, np.int32)
+        lay_rows(told[part], self._sampled[part], self.laid.age[part], KINDS[context], ages, row)
+        return row
 
     @cached_property
     def _heard(self) -> _Stack:
