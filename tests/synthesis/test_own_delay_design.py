@@ -81,7 +81,7 @@ def test_the_estimate_is_the_margin_that_the_search_for_crossings_finds(delays):
 @pytest.mark.parametrize("several", mostly_long(["inputs", "modes"], "modes"))
 def test_a_design_meets_its_margin_where_all_delays_err_alike(several):
     if several == "inputs":
-        plant, asked = dt.SwitchedSystem(A, B, [1.0, 0.6]), 0.25
+        plant, asked = dt.SwitchedSystem(A, B, [1.0, 0.6]), 0.3
     else:
         A_i, B_i = [[[0.5, 1.0], [0.0, 0.2]], [[0.6, 1.0], [0.0, 0.2]]], [[[0.0], [1.0]]] * 2
         plant, asked = dt.SwitchedSystem(A_i, B_i, [[0.5], [0.7]]), 0.4
