@@ -45,7 +45,8 @@ def reproduce(
     json_output
         Print the metrics as JSON instead of text.
     """
-    from deadtime.reports.report import metrics_of, steps_of, write_report
+    from deadtime.reports.metrics import metrics_of
+    from deadtime.reports.report import steps_of, write_report
 
     chosen = problem_of(problem)
     command = f"deadtime reproduce {problem}" + ("" if certificates else " --no-certificates")
@@ -97,7 +98,7 @@ def simulate(
         Print the metrics as JSON instead of text.
     """
     from deadtime.problems.comparison import compare
-    from deadtime.reports.report import metrics_of
+    from deadtime.reports.metrics import metrics_of
     from deadtime.reports.tables.certificates import delay_sentence
     from deadtime.reports.verdict import verdict
 

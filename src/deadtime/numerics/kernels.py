@@ -5,7 +5,9 @@ milliseconds in it. So a kernel starts as the Python that it is, and goes over t
 
 - as soon as a process has spent `START` seconds in kernels, where this machine has it compiled,
 - where not, once it has cost `PATIENCE` seconds itself,
-- at once where its arguments are large, and where it says so (`@kernel(eager=True)`).
+- at once where its arguments are large, and where it says so (`@kernel(eager=True)`). What is large
+  is what Python is likely to spend its patience on: a kernel whose time grows as its arguments do
+  can say how many numbers those are (`@kernel(large=…)`).
 
 At worst that is twice the time of the better choice, and a short run needs neither Numba nor a
 compiler. Where NumPy does the same over all pieces at once, it is given as `plain`: that runs in
@@ -21,6 +23,7 @@ eager.
 from __future__ import annotations
 
 import functools
+import math
 import os
 import threading
 import time
@@ -57,6 +60,8 @@ class Kernel:
         For `numba.njit`.
     plain : callable or None
         What runs in place of the function as Python.
+    large : float
+        How many numbers in the arguments are too many for Python.
     """
 
     spent = 0.0  # seconds of this process in the Python of kernels
@@ -67,9 +72,11 @@ class Kernel:
         eager: bool,
         options: dict[str, Any],
         plain: Callable[..., Any] | None = None,
+        large: float | None = None,
     ) -> None:
         functools.update_wrapper(self, function)
         self.function, self.eager, self.options, self.plain = function, eager, options, plain
+        self.large = (LARGE if plain is None else math.inf) if large is None else large
         self._own, self._asked = 0.0, False
         self._ready: Callable[..., Any] | None = None
 
@@ -83,9 +90,11 @@ class Kernel:
         if self._pays(args, within):
             self._ready = self.dispatcher
             return self.dispatcher(*args)
+        if not within:
+            return self._interpret(args)
         began = time.perf_counter()
         try:
-            return (self.plain or self.function)(*args) if within else self._interpret(args)
+            return (self.plain or self.function)(*args)
         finally:
             self._own += time.perf_counter() - began
 
@@ -102,7 +111,7 @@ class Kernel:
             return self.eager
         if WISH == "always" or self._own > PATIENCE:
             return True
-        if not within and self.plain is None and _size(args) > LARGE:
+        if not within and self.large < math.inf and _size(args) > self.large:
             return True
         if self._asked or Kernel.spent < START:
             return False
@@ -112,14 +121,16 @@ class Kernel:
         return is_cached(self.dispatcher)
 
     def _interpret(self, args: tuple[Any, ...]) -> Any:
-        began, _HERE.within = time.perf_counter(), True
+        # Of a processor, not of the clock: on a busy machine compiling takes longer, too.
+        began, _HERE.within = time.thread_time(), True
         try:
             # Compiled code says nothing about overflow either.
             with np.errstate(all="ignore"):
                 return _plain_numbers((self.plain or self.function)(*args))
         finally:
-            _HERE.within = False
-            Kernel.spent += time.perf_counter() - began
+            _HERE.within, took = False, time.thread_time() - began
+            self._own += took
+            Kernel.spent += took
 
 
 def kernel(
@@ -127,6 +138,7 @@ def kernel(
     *,
     eager: bool = False,
     plain: Callable[..., Any] | None = None,
+    large: float | None = None,
     **options: Any,
 ) -> Any:
     """Make a function of plain loops a kernel; options are those of `numba.njit`.
@@ -143,8 +155,8 @@ def kernel(
     3.0
     """
     if function is None:
-        return lambda inner: Kernel(inner, eager, options, plain)
-    return Kernel(function, eager, options, plain)
+        return lambda inner: Kernel(inner, eager, options, plain, large)
+    return Kernel(function, eager, options, plain, large)
 
 
 def _plain_numbers(result: Any) -> Any:

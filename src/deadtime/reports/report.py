@@ -11,17 +11,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
-from deadtime.base.record import plain, record
-from deadtime.base.version import __version__
 from deadtime.base.wording import file_name
 from deadtime.laws import DelayedStateFeedback
-from deadtime.plant.weight import record_of, text_of
+from deadtime.plant.weight import text_of
 from deadtime.problems import Problem
 from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import Comparison, Progress, compare
 from deadtime.reports.audit import STEPS, audit
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
 from deadtime.reports.figures.comparison import plot_norms, plot_signal, plot_verdict, plot_window
+from deadtime.reports.metrics import metrics_of
 from deadtime.reports.page import save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables.certificates import delay_sentence
 from deadtime.reports.tables.constants import (
@@ -227,23 +226,6 @@ def _write_data(result: Comparison, folder: Path) -> None:
     for number, (name, run) in enumerate(result.runs.items(), 1):
         run.to_csv(folder / "data" / f"{number}-{file_name(name)}.csv")
     write_metrics(metrics_of(result), folder)
-
-
-def metrics_of(result: Comparison) -> dict[str, Any]:
-    """The figures of a comparison for JSON."""
-    laws = {}
-    for name, row in result.metrics.items():
-        ending = result.outcomes[name]
-        # A run settles where it comes to rest, which need not be 0.
-        ends = {"outcome": ending.kind, "settling_time": ending.settling, "rest": ending.rest}
-        laws[name] = {**row, **ends, **record(result.runs[name], "diverged", "message")}
-    return plain({
-        "problem": result.problem.name,
-        "version": __version__,
-        **record_of(result.problem.weight),
-        "laws": laws,
-        "growth_without_switching": dict(zip(result.problem.modes, result.growth, strict=True)),
-    })  # fmt: skip
 
 
 def _matrix(array: np.ndarray) -> str:

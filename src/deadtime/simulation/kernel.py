@@ -9,8 +9,11 @@ from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
 from deadtime.plant.cut_pieces import up_to
 from deadtime.simulation.foreseen import foresee
+from deadtime.simulation.plain_loop import LIMIT, bare_loop, is_bare
 
-LIMIT = 1e100
+_LONG = (
+    400_000  # numbers of a run, some 14 a period, that Python's loop takes about two seconds for
+)
 
 
 @kernel
@@ -102,7 +105,14 @@ def _move(Phi, Gamma, e, path, q, acting):
         path[q + 1, i] = total
 
 
-@kernel
+def _in_python(table, rows, memory, foreseen, line, sight, clip, shift, x0):
+    """`closed_loop` where it is not compiled: over lists where these will do."""
+    if memory is None and foreseen is None and is_bare(table, line, sight, clip, shift):
+        return bare_loop(table, rows, line, x0)
+    return closed_loop.function(table, rows, memory, foreseen, line, sight, clip, shift, x0)
+
+
+@kernel(plain=_in_python, large=_LONG)
 def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
@@ -204,7 +214,23 @@ def ways(A, B, table, cut_offset, cut_mode, entry, offset):
     return Phi, Gamma
 
 
-@kernel
+def _forms_at_once(
+    M: np.ndarray, entry: np.ndarray, pieces: int, path: np.ndarray, acting: np.ndarray
+) -> float:
+    """`form_integral` by NumPy: the sums of `_dot` for all pieces, then one after the other."""
+    z = np.hstack((path[:pieces], acting[:pieces]))
+    forms, size = M[entry[:pieces]], z.shape[1]
+    whole = size - size % 4
+    sums = np.zeros((4, pieces, size))
+    for i in range(whole):
+        sums[i % 4] += forms[:, :, i] * z[:, i, None]
+    total = (sums[0] + sums[1]) + (sums[2] + sums[3])
+    for i in range(whole, size):
+        total += forms[:, :, i] * z[:, i, None]
+    return np.add.accumulate(np.append(0.0, z * total))[-1]
+
+
+@kernel(plain=_forms_at_once, large=_LONG)
 def form_integral(M, entry, pieces, path, acting):
     """The sum of the forms M of the entries over the first pieces."""
     n, m = path.shape[1], acting.shape[1]
