@@ -11,6 +11,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.certificates.worst_case.products import compress
+from deadtime.certificates.worst_case.words import Word, _apart
 from worst_case_laws import QUICK, TURNING, H, free
 
 # -- relations ---------------------------------------------------------------------------------
@@ -131,3 +132,21 @@ def test_what_cannot_be_searched_is_refused_by_name(changes, message):
     arguments = {"plant": plant, "law": plants.LAWS["mean"](plant), "dwell_time": 0.2, "step": H}
     with pytest.raises(dt.ArgumentError, match=message):
         dt.falsify(**(arguments | changes))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_words_are_as_far_apart_as_the_nearest_of_their_turns(seed):
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(1, 7))
+    one, other = (
+        Word(rng.integers(0, 2, size) * rng.integers(0, 2), rng.integers(0, 30, size), 0.0)
+        for _ in range(2)
+    )
+    found = [
+        int(np.abs(np.roll(one.index, i) - other.index).max())
+        for i in range(size)
+        if np.array_equal(np.roll(one.kinds, i), other.kinds)
+    ]
+    assert _apart(one, other) == (min(found) if found else None)
+    longer = Word(np.append(other.kinds, 0), np.append(other.index, 3), 0.0)
+    assert _apart(one, longer) is None

@@ -1,6 +1,7 @@
 """The command line, driven as a user would."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -214,3 +215,27 @@ def test_installed_command_runs_in_its_own_process():
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == dt.__version__
     assert result.stderr == ""
+
+
+@pytest.mark.parametrize("command", ["simulate", "certify --help", "--help"])
+def test_commands_load_what_they_need_only(tmp_path, command):
+    """A figure needs matplotlib, a run of some thousand periods no compiler, and help nothing."""
+    heavy = {"numba", "scipy.signal", "xarray", "pandas", "cvxpy", "deadtime.scenarios"}
+    heavy |= {"deadtime.reports.audit", "deadtime.reports.report", "jinja2", "distributed"}
+    if "--help" in command:
+        heavy |= {"numpy", "matplotlib", "pydantic"}
+    arguments = command.split() if "--help" in command else [command, "follower"]
+    code = (
+        "import atexit, sys; from deadtime.cli.entry import main; import deadtime.cli; "
+        f"atexit.register(lambda: print(sorted({heavy!r} & set(sys.modules)), file=sys.stderr)); "
+        f"main({arguments!r})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "[]\n")
+    assert not list(tmp_path.rglob("*.nbi"))

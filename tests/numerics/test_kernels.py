@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 
 import numpy as np
 import pytest
@@ -111,6 +112,42 @@ def test_large_arguments_are_compiled_for_at_once_wherever_they_are_held():
     nested((np.ones(kernels.LARGE + 1), 1))
     assert own._ready is not None
     assert nested._ready is not None
+
+
+def test_a_kernel_says_itself_how_many_numbers_are_large(monkeypatch):
+    monkeypatch.setattr(kernels, "START", np.inf)  # what an earlier run has compiled is left alone
+    own = kernel(mean_square.function, large=np.inf)
+    patient = kernel(mean_square.function, large=2 * kernels.LARGE)
+    eager = kernel(mean_square.function, large=5, plain=mean_square.function)
+    for one in (own, patient, eager):
+        one(np.ones(kernels.LARGE + 1))
+    assert own._ready is patient._ready is None
+    assert eager._ready is not None
+
+
+def test_patience_is_of_a_processor_and_not_of_the_clock(monkeypatch):
+    """Where other programs keep the machine busy, compiling takes as much longer as Python does."""
+
+    @kernel
+    def idle(a):
+        time.sleep(0.2)
+        return a[0]
+
+    monkeypatch.setattr(kernels, "PATIENCE", 0.1)
+    assert idle(np.ones(3)) == 1.0
+    assert idle._own < 0.1
+
+
+def test_what_is_compiled_is_used_at_once_where_many_calls_are_expected(monkeypatch):
+    monkeypatch.setattr(kernels.Kernel, "spent", 0.0)
+    before, after = kernel(mean_square.function), kernel(mean_square.function)
+    mean_square.dispatcher(np.ones(3))
+    for one in (before, after):
+        monkeypatch.setattr(one, "dispatcher", mean_square.dispatcher)
+    before(np.ones(3))
+    kernels.expect_many_calls()
+    after(np.ones(3))
+    assert (before._ready, after._ready) == (None, mean_square.dispatcher)
 
 
 def test_overflow_is_silent_both_ways():

@@ -159,6 +159,11 @@ def kernel(
     return Kernel(function, eager, options, plain, large)
 
 
+def expect_many_calls() -> None:
+    """Say that kernels will run for long: what this machine has compiled is used from now on."""
+    Kernel.spent = max(Kernel.spent, START)
+
+
 def _plain_numbers(result: Any) -> Any:
     """A result with Python's numbers in place of NumPy's, as Numba returns it."""
     if isinstance(result, np.generic):

@@ -33,6 +33,8 @@ from deadtime.plant.pieces import Ahead, Period, Piece, PieceTable, Stretch, Str
 from deadtime.plant.steps import Cuts, Window, require_step, windows_of
 from deadtime.plant.switched_system import SwitchedSystem
 
+_KEPT = 100_000  # periods; of more, tables are too large to lie about
+
 
 @dataclass(frozen=True, eq=False)
 class SampledPlant(Frozen):
@@ -144,13 +146,18 @@ class SampledPlant(Frozen):
         return Ahead(*map(read_only, (start, stop, lag, np.array([phase, step]), kind)))
 
     def along(self, cuts: Cuts, periods: int) -> PieceTable:
-        """The pieces of the periods 0, …, periods − 1 along a switching signal."""
-        from deadtime.plant.cut_pieces import pieces_along
+        """The pieces of the periods 0, …, periods − 1 along a switching signal.
 
-        A, B = self.plant.A, self.plant.B
-        place = cuts.step, cuts.offset, cuts.mode
-        table = pieces_along(A, B, self.every_stretch, *place, periods, self._whole)
-        return PieceTable(*map(read_only, table))
+        Runs along one signal share them: the last are kept, unless they are long.
+        """
+        return (_kept_along if periods <= _KEPT else _along)(self, cuts, periods)
+
+    def gramians_along(
+        self, cuts: Cuts, periods: int, Q: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "entry q q"]:
+        """M of every entry of `along`: ∫xᵀQx = zᵀMz over it, z = (x, u) at its start."""
+        work = _kept_gramians if periods <= _KEPT else _gramians
+        return work(self, cuts, periods, Q.tobytes())
 
     @cached_property
     def _whole(self) -> tuple[np.ndarray, np.ndarray]:
@@ -182,6 +189,27 @@ class SampledPlant(Frozen):
                 Gamma[lag] = Gamma.get(lag, np.zeros((n, m))) + arriving
         lags = tuple(sorted(Gamma, reverse=True))
         return Period(read_only(Phi), read_only(np.stack([Gamma[lag] for lag in lags])), lags)
+
+
+def _along(sampled: SampledPlant, cuts: Cuts, periods: int) -> PieceTable:
+    from deadtime.plant.cut_pieces import pieces_along
+
+    A, B = sampled.plant.A, sampled.plant.B
+    place = cuts.step, cuts.offset, cuts.mode
+    table = pieces_along(A, B, sampled.every_stretch, *place, periods, sampled._whole)
+    return PieceTable(*map(read_only, table))
+
+
+def _gramians(sampled: SampledPlant, cuts: Cuts, periods: int, Q: bytes) -> np.ndarray:
+    from deadtime.plant.cut_pieces import gramians
+
+    (A, B), table = (sampled.plant.A, sampled.plant.B), sampled.along(cuts, periods)
+    weight = read_only(np.frombuffer(Q).reshape(A.shape[1:]))
+    return read_only(gramians(A, B, table, cuts.offset, cuts.mode, weight))
+
+
+_kept_along = lru_cache(maxsize=2)(_along)
+_kept_gramians = lru_cache(maxsize=2)(_gramians)
 
 
 @lru_cache(maxsize=16)

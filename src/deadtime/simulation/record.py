@@ -181,7 +181,10 @@ class DigitalRecord(Frozen):
         from deadtime.simulation.kernel import form_integral
 
         table, (B, acting) = self.table, self.driving_inputs
-        M = gramians(self.plant.A, B, table, self.cuts.offset, self.cuts.mode, Q)
+        if self.forces is None:
+            M = self.sampled.gramians_along(self.cuts, table.first.size - 1, Q)
+        else:
+            M = gramians(self.plant.A, B, table, self.cuts.offset, self.cuts.mode, Q)
         pieces = int(table.first[steps])
         if self.slides is None:
             return form_integral(M, table.entry, pieces, self.path, acting)

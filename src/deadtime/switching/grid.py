@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from deadtime.plant.sampled_plant import SampledPlant
@@ -9,8 +11,12 @@ from deadtime.plant.steps import TOLERANCE, Cuts, snap_all
 from deadtime.switching.signal import SwitchingSignal
 
 
+@lru_cache(maxsize=4)
 def cuts_of(signal: SwitchingSignal, sampled: SampledPlant) -> Cuts:
-    """Lay the switches of `signal` on a plant's periods; those at an arrival are exactly there."""
+    """Lay the switches of `signal` on a plant's periods; those at an arrival are exactly there.
+
+    Runs along one signal share its cuts, and by them what a `SampledPlant` makes of these.
+    """
     h, times = sampled.step, signal.times[1:]
     ratio = snap_all(times / h)
     step = np.floor(ratio)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Int
@@ -32,17 +33,29 @@ def distinct(words: list[Word], sojourns: Sojourns) -> list[Word]:
     for word in sorted(words, key=lambda word: -word.rate):
         if not math.isfinite(word.rate):
             continue
-        turns = [(np.roll(word.kinds, i), np.roll(word.index, i)) for i in range(word.kinds.size)]
-        alike = [
-            min(np.abs(index - other.index).max() for index in same)
-            for other in kept
-            if (same := [index for kinds, index in turns if np.array_equal(kinds, other.kinds)])
-        ]
+        alike = [away for other in kept if (away := _apart(word, other)) is not None]
         if len(alike) < ALIKE and min(alike, default=np.inf) > near:
             kept.append(word)
         if len(kept) == KEPT:
             break
     return kept
+
+
+def _apart(word: Word, other: Word) -> int | None:
+    """The least change of a length from one of the turns of a word to another word of its kinds."""
+    if word.kinds.size != other.kinds.size:
+        return None
+    turns = _turns(word.kinds.size)
+    same = (word.kinds[turns] == other.kinds).all(axis=1)
+    if not same.any():
+        return None
+    return int(np.abs(word.index[turns[same]] - other.index).max(axis=1).min())
+
+
+@lru_cache(maxsize=64)
+def _turns(size: int) -> np.ndarray:
+    """Every rotation of the places 0, …, size − 1, one a row."""
+    return (np.arange(size) - np.arange(size)[:, None]) % size
 
 
 def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:

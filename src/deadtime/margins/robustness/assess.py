@@ -25,6 +25,7 @@ from deadtime.margins.robustness.tolerance import (
     sweep as _sweep,
     tolerance_of as _tolerance_of,
 )
+from deadtime.numerics.kernels import expect_many_calls
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.simulation.initial_input import InitialInput
@@ -161,6 +162,7 @@ def robustness(
     setting = Setting(
         plant, law, signal, x0, horizon, step, scenarios, seed, tuple(imperfections), u0, weight
     )
+    expect_many_calls()
     if not setting.moves:
         raise ArgumentError("x0 must not be 0, from where nothing moves: start elsewhere.")
     inner = law.law if isinstance(law, OutputFeedback) else law
