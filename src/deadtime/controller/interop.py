@@ -14,10 +14,13 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
+from deadtime.base.libraries import python_control
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.sampled_plant import acting_inputs
+
+_DISTURBED = 1e-3  # `control.linearize` moves every input and state a little
 
 
 def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
@@ -54,7 +57,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     >>> system.nstates, system.input_labels, system.output_labels
     (6, ['x[0]', 'x[1]', 'mode'], ['u[0]'])
     """
-    control = _library()
+    control = python_control("systems of python-control")
 
     instance("law", law, Law)
     if not isinstance(law, TableLaw) or law.foresees:
@@ -65,7 +68,7 @@ def law_to_control(law: Law, step: float, *, name: str = "law") -> Any:
     n, modes, last = law.plant.states, law.plant.modes, taps * m
 
     def age_at(state: np.ndarray, mode: int) -> int:
-        before, age = int(state[last]), int(state[last + 1])
+        before, age = round(state[last]), round(state[last + 1])
         return age if before < 0 else age + 1 if before == mode else 0
 
     def output(t: float, state: np.ndarray, given: np.ndarray, params: dict) -> np.ndarray:
@@ -99,7 +102,7 @@ def plant_to_control(plant: SwitchedSystem, step: float, *, name: str = "plant")
     >>> plant_to_control(dt.problems.paper().plant, 0.3).nstates
     6
     """
-    control = _library()
+    control = python_control("systems of python-control")
 
     instance("plant", plant, SwitchedSystem)
     sampled = SampledPlant(plant, positive("step", step))
@@ -153,7 +156,7 @@ def loop_to_control(
     >>> bool(np.abs(found.outputs[:2] - run.states).max() < 1e-10)
     True
     """
-    control = _library()
+    control = python_control("systems of python-control")
 
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
@@ -170,22 +173,10 @@ def loop_to_control(
 
 def _mode(value: float, modes: int) -> int:
     mode = round(value)
-    if not 0 <= mode < modes or abs(mode - value) > 1e-9:
+    if not 0 <= mode < modes or abs(mode - value) > _DISTURBED:
         raise ArgumentError(f"mode must be in 0..{modes - 1} at every sample, got {value:g}.")
     return mode
 
 
 def _past(taps: int, m: int) -> list[str]:
     return [f"u[{i}] {j} ago" for j in range(1, taps + 1) for i in range(m)]
-
-
-def _library() -> Any:
-    """python-control, which is an extra."""
-    try:
-        import control
-    except ModuleNotFoundError:
-        raise ArgumentError(
-            'systems of python-control need it, and it is not installed: pip install "deadtime'
-            '[control]".'
-        ) from None
-    return control

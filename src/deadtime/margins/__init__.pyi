@@ -3,6 +3,8 @@ from .constant_modes import DelayMargin as DelayMargin
 from .delay import delay_margin as delay_margin
 from .dwell_time import LeastDwellTime as LeastDwellTime, least_dwell_time as least_dwell_time
 from .gain import GainMargin as GainMargin, gain_margin as gain_margin
+from .loop_transfer import loop_transfer as loop_transfer
+from .loop_view import LoopView as LoopView, ModeView as ModeView, loop_view as loop_view
 from .robustness.assess import Robustness as Robustness, robustness as robustness
 from .robustness.tolerance import NoisePrice as NoisePrice, Tolerance as Tolerance
 from .stability import StabilityMargin as StabilityMargin, stability_margin as stability_margin

@@ -7,6 +7,7 @@ from .figures.comparison import (
 )
 from .figures.design import plot_designs as plot_designs
 from .figures.fit import plot_fit as plot_fit
+from .figures.loop import plot_loop as plot_loop
 from .figures.margins import plot_chart as plot_chart, plot_tightness as plot_tightness
 from .figures.monte_carlo import plot_monte_carlo as plot_monte_carlo
 from .figures.robustness import plot_robustness as plot_robustness

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
+from deadtime.base.libraries import python_control
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.ideal.run import IdealRecord
@@ -194,8 +195,7 @@ class Trajectory(Frozen):
 
     def to_control(self) -> Any:
         """A python-control ``TimeResponseData``, the states as outputs (needs python-control)."""
-        import control
-
+        control = python_control("responses of python-control")
         labels = [f"x[{i}]" for i in range(self.states.shape[0])]
         return control.TimeResponseData(
             self.time.copy(),

@@ -24,6 +24,42 @@ from deadtime.plant.pieces import Period
 from deadtime.spectrum.lifted import LiftedLoop
 
 
+class LawSide(NamedTuple):
+    """What observer and law make of what is seen, w = (x̄, s): w' = A w + B y, u = E w + D y.
+
+    Without the inputs that arrive, and without the law's taps.
+    """
+
+    A: Float[np.ndarray, "w w"]
+    B: Float[np.ndarray, "w seen"]
+    E: Float[np.ndarray, "m w"]
+    D: Float[np.ndarray, "m seen"]
+
+    @classmethod
+    def of(
+        cls,
+        law: OutputFeedback,
+        C: Float[np.ndarray, "p seen"],
+        x_bar: Period,
+        F: Float[np.ndarray, "m z"],
+        mode: int,
+    ) -> LawSide:
+        """Under F of the law inside, with C the measurement; the identity for y itself."""
+        h, observer = law.observer.step, law.observer
+        C_o, L = observer.C[mode], observer.gain[mode]
+        H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]
+        seen, n_o, q = C.shape[1], len(x_bar.Phi), len(H)
+        estimate, v = np.zeros((n_o, seen + n_o + q)), np.zeros((q, seen + n_o + q))
+        estimate[:, :seen], estimate[:, seen : seen + n_o] = L @ C, np.eye(n_o) - L @ C_o
+        v[:, :seen] = H @ C
+        q_now = h / 2.0 * v
+        q_now[:, seen + n_o :] += np.eye(q)
+        after = np.vstack((x_bar.Phi @ estimate, h * v))
+        after[n_o:, seen + n_o :] += np.eye(q)
+        gain = F[:, :n_o] @ estimate + F[:, n_o : n_o + q] @ q_now
+        return cls(after[:, seen:], after[:, :seen], gain[:, seen:], gain[:, :seen])
+
+
 class Joined(NamedTuple):
     """X' = Phi X + …, u_k = gain X + …, X = (x, x̄, s), its first `true` those of the plant."""
 
@@ -34,23 +70,12 @@ class Joined(NamedTuple):
     @classmethod
     def of(cls, law: OutputFeedback, x: Period, x_bar: Period, F: np.ndarray, mode: int) -> Joined:
         """Plant and observer side by side, each with its own inputs, under F of the law inside."""
-        h, observer = law.observer.step, law.observer
         assert law.outputs is not None
-        C, C_o, L = law.outputs[mode], observer.C[mode], observer.gain[mode]
-        H = np.zeros((0, len(C))) if law.servo is None else law.servo.tracked[: law.servo.sums]
-        n, n_o, q = len(x.Phi), len(x_bar.Phi), len(H)
-        size = n + n_o + q
-        estimate, v = np.zeros((n_o, size)), np.zeros((q, size))
-        estimate[:, :n], estimate[:, n : n + n_o] = L @ C, np.eye(n_o) - L @ C_o
-        v[:, :n] = H @ C
-        q_now = h / 2.0 * v
-        q_now[:, n + n_o :] += np.eye(q)
-        Phi = np.zeros((size, size))
+        side, n = LawSide.of(law, law.outputs[mode], x_bar, F, mode), len(x.Phi)
+        Phi = np.zeros((n + len(side.A), n + len(side.A)))
         Phi[:n, :n] = x.Phi
-        Phi[n : n + n_o] = x_bar.Phi @ estimate
-        Phi[n + n_o :] = h * v
-        Phi[n + n_o :, n + n_o :] += np.eye(q)
-        return cls(Phi, F[:, :n_o] @ estimate + F[:, n_o : n_o + q] @ q_now, n)
+        Phi[n:, :n], Phi[n:, n:] = side.B, side.A
+        return cls(Phi, np.hstack((side.D, side.E)), n)
 
     def arrivals(self, x: Period, x_bar: Period) -> Period:
         """The same with its inputs: those of the plant and of the observer's model, lag by lag."""

@@ -1,0 +1,104 @@
+"""`deadtime loop`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
+from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.problems import problem_with
+
+if TYPE_CHECKING:
+    from deadtime.margins.loop_view import LoopView, ModeView
+
+_HEADINGS = ("mode", "growth, 1/s", "phase margin", "at, rad/s", "disk margin", "peak |S|")
+
+
+@app.command(
+    group=JUDGE,
+    help_epilogue=lines(
+        "deadtime loop problem.toml",
+        "deadtime loop follower --law mean --at output",
+        "deadtime loop problem.toml --step ideal",
+    ),
+)
+def loop(
+    problem: Path,
+    *,
+    law: str | None = None,
+    step: float | Literal["ideal"] | None = None,
+    at: Literal["input", "output"] = "input",
+    out: File = None,
+    json_output: AsJson = False,
+) -> int:
+    """How near −1 is the loop? Bode, Nyquist and sensitivity of every mode, with margins.
+
+    Parameters
+    ----------
+    problem
+        A problem file, or paper, three-mode, follower.
+    law
+        One law of the problem, by its name; the first by default.
+    step
+        Sampling period in seconds, or ideal; the problem's by default.
+    at
+        Where the loop is cut open: at the plant's inputs, or at what is measured.
+    out
+        The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
+    json_output
+        Print the margins as JSON instead of text.
+    """
+    from deadtime.base.wording import sentence_of
+    from deadtime.margins.loop_view import loop_view
+    from deadtime.reports.figures.loop import plot_loop
+
+    chosen = problem_with(problem, step, None, None)
+    name = next(iter(chosen.laws)) if law is None else law
+    view = loop_view(chosen.plant, chosen.law(name), chosen.step, at)
+    path = Path(f"{chosen.name}-loop.png") if out is None else out
+    path = path if path.suffix else path.with_suffix(".png")
+    save_figure(plot_loop(view, f"{chosen.title}: law “{name}”", chosen.modes), path)
+    stable = bool((view.gain.growth < 0.0).all())
+    if json_output:
+        setting = {"problem": chosen.name, "law": name, "step": chosen.step, "at": at}
+        print_json(setting | _record(view), [path])
+        return 0 if stable else 1
+    print_heading(chosen.title, map(sentence_of, (view.gain.message, view.delay.message)))
+    print()
+    growth = view.gain.growth.tolist()
+    names = chosen.modes or [f"{each.mode}" for each in view.modes]
+    print_table(_HEADINGS, [_row(*each) for each in zip(names, growth, view.modes, strict=True)])
+    print(f"\nFigure: {path}")
+    return 0 if stable else 1
+
+
+def _row(name: str, growth: float, view: ModeView) -> list[str]:
+    phase = "–" if view.phase is None else f"{view.phase:.3g}°"
+    at = "–" if view.phase_frequency is None else f"{view.phase_frequency:.3g}"
+    disk = "–" if view.disk is None else f"{view.disk:.3g}"
+    return [name, f"{growth:+.3g}", phase, at, disk, f"{view.sensitivity.max():.3g}"]
+
+
+def _record(view: LoopView) -> dict[str, Any]:
+    """The figures for JSON."""
+    from deadtime.base.record import record
+
+    figures = (
+        "mode",
+        "phase",
+        "phase_frequency",
+        "disk",
+        "disk_frequency",
+        "disk_gain",
+        "disk_phase",
+    )
+    return {
+        "growth": view.gain.growth,
+        "gain_margin": [view.gain.lower, view.gain.upper],
+        "delay_margin": [view.delay.lower, view.delay.upper],
+        "modes": [
+            record(each, *figures) | {"peak_sensitivity": each.sensitivity.max()}
+            for each in view.modes
+        ],
+    }

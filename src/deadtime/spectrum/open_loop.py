@@ -1,0 +1,176 @@
+"""A loop with one mode held, cut open: what the plant and what the law answer.
+
+At samples the plant goes from the inputs v to the outputs y, and the law from y to the inputs u
+that it asks for,
+
+    x_{k+1} = Φ x_k + Σ_l Γ_l v_{k−l},    y_k = C x_k,
+    w_{k+1} = A w_k + B y_k + Σ_l Γʷ_l u_{k−l},    u_k = E w_k + D y_k + Σ_j G_j u_{k−j}:
+
+a law on the state has no w, D = F and C = I; one with an observer has w = (x̄, s)
+(`deadtime.spectrum.observed`). The closed loop has v = u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
+from deadtime.numerics.exponential import balance
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant.pieces import Period
+from deadtime.spectrum.compiled import transform
+from deadtime.spectrum.ideal import IdealLoop
+from deadtime.spectrum.lifted import aged_row
+from deadtime.spectrum.observed import LawSide, periods_of
+from deadtime.switching import SwitchingSignal
+
+
+class StateSpace(NamedTuple):
+    """z_{k+1} = A z_k + B v_k, y_k = C z_k + D v_k."""
+
+    A: Float[np.ndarray, "z z"]
+    B: Float[np.ndarray, "z v"]
+    C: Float[np.ndarray, "y z"]
+    D: Float[np.ndarray, "y v"]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoop:
+    """The plant and the law of a loop in one mode, apart (immutable).
+
+    Attributes
+    ----------
+    C : (p, n)
+        What is measured.
+    plant : Period
+        Φ, Γ and lags of the plant.
+    law : LawSide
+        Of w: A, B, E and D.
+    arriving : Period
+        Γʷ and their lags, of no states where the law has none.
+    G : (taps, m, m)
+        The law's taps, the latest input first.
+    """
+
+    C: Float[np.ndarray, "p n"]
+    plant: Period
+    law: LawSide
+    arriving: Period
+    G: Float[np.ndarray, "tap m m"]
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, law: Law, mode: int, step: float) -> OpenLoop:
+        """The loop of any linear law with one mode held."""
+        inside = law.law if isinstance(law, OutputFeedback) else law
+        feedback = inside.digital(step, SwitchingSignal.constant(mode), 1)
+        row = aged_row(feedback, mode)
+        F, G = feedback.state_gain[row], feedback.input_gain[row]
+        if isinstance(law, OutputFeedback):
+            law.require_step(step)
+            assert law.outputs is not None
+            x, model = periods_of(plant, law, mode)
+            C = law.outputs[mode]
+            side = LawSide.of(law, np.eye(len(C)), model, F, mode)
+            idle = np.zeros((len(model.lags), len(side.A) - model.Gamma.shape[1], len(F)))
+            arriving = model._replace(Gamma=np.concatenate((model.Gamma, idle), axis=1))
+            return cls(C, x, side, arriving, G)
+        n, m = plant.states, plant.inputs
+        side = LawSide(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), F)
+        nothing = Period(side.A, np.zeros((0, 0, m)), ())
+        return cls(np.eye(n), SampledPlant.of(plant, step).period(mode), side, nothing, G)
+
+    def plant_system(self) -> StateSpace:
+        """The plant from v to y, z = (x_k, v_{k−1}, …, v_{k−N})."""
+        Phi, Gamma, lags = self.plant
+        n, m = Gamma.shape[1:]
+        size = n + max(lags) * m
+        A, B = _shifting(size, n, m)
+        A[:n, :n] = Phi
+        for lag, arriving in zip(lags, Gamma, strict=True):
+            _add_input(A, B, slice(0, n), lag, arriving)
+        return StateSpace(A, B, np.hstack((self.C, np.zeros((len(self.C), size - n)))),
+                          np.zeros((len(self.C), m)))  # fmt: skip
+
+    def law_system(self) -> StateSpace:
+        """The law from y to u, z = (w_k, u_{k−1}, …, u_{k−W})."""
+        side, (_, Gamma, lags) = self.law, self.arriving
+        taps, m, _ = self.G.shape
+        w = len(side.A)
+        size = w + max(taps, *lags, 0) * m
+        C = np.zeros((m, size))
+        C[:, :w] = side.E
+        C[:, w : w + taps * m] = self.G.transpose(1, 0, 2).reshape(m, taps * m)
+        A, B = _shifting(size, w, m)
+        A[:w, :w] = side.A
+        for lag, arriving in zip(lags, Gamma, strict=True):
+            _add_input(A, B, slice(0, w), lag, arriving)
+        # What enters the line is u_k, which y_k has a part in.
+        A, into = A + B @ C, B @ side.D
+        into[:w] += side.B
+        return StateSpace(A, into, C, side.D)
+
+    def responses(
+        self, omega: Float[np.ndarray, " point"], step: float
+    ) -> tuple[Complex[np.ndarray, "point p m"], Complex[np.ndarray, "point m p"]]:
+        """The plant and the law at frequencies, rad/s: O(1) in how many periods a delay holds."""
+        z = np.exp(1j * omega * step)
+        w, m = len(self.law.A), self.G.shape[1]
+        plant = self.C @ _resolvent(z, self.plant.Phi) @ _transform_line(self.plant, z)
+        own = self.law.E @ _resolvent(z, self.law.A)
+        before = np.eye(m) - transform(self.G, 1.0 / z)[0]
+        if w:
+            before = before - own @ _transform_line(self.arriving, z)
+        return plant, np.linalg.solve(before, self.law.D + own @ self.law.B)
+
+
+def ideal_responses(
+    plant: SwitchedSystem, law: Law, mode: int, omega: Float[np.ndarray, " point"]
+) -> tuple[Complex[np.ndarray, "point n m"], Complex[np.ndarray, "point m n"]]:
+    """The plant from v to x and the law from x to u, updated continuously, at frequencies.
+
+    (sI − A)⁻¹ B diag(e^{−sD_j}),    (I − W(s))⁻¹ F,    s = iω
+    """
+    loop, s = IdealLoop.of(plant, law, mode), 1j * omega
+    late = np.exp(-s[:, None] * plant.delays[mode])[:, None, :] * plant.B[mode]
+    F = loop.F / balance(plant.A[mode])  # whose states are in other units
+    before = np.eye(plant.inputs) - loop.memory(s)[0]
+    return _resolvent(s, plant.A[mode]) @ late, np.linalg.solve(before, F + 0j)
+
+
+def _shifting(size: int, first: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """A and B that move m inputs on a line behind `first` states, and do no more."""
+    A, B = np.zeros((size, size)), np.zeros((size, m))
+    if size > first:
+        A[first + m :, first:-m] = np.eye(size - first - m)
+        B[first : first + m] = np.eye(m)
+    return A, B
+
+
+def _add_input(
+    A: np.ndarray, B: np.ndarray, rows: slice, lag: int, arriving: Float[np.ndarray, "n m"]
+) -> None:
+    """Let an input of so many samples ago act on the states in `rows`."""
+    first, m = rows.stop, arriving.shape[1]
+    if lag == 0:
+        B[rows] += arriving
+    else:
+        A[rows, first + (lag - 1) * m : first + lag * m] += arriving
+
+
+def _resolvent(
+    z: Complex[np.ndarray, " point"], A: Float[np.ndarray, "n n"]
+) -> Complex[np.ndarray, "point n n"]:
+    """(zI − A)⁻¹."""
+    return np.linalg.inv(z[:, None, None] * np.eye(len(A)) - A)
+
+
+def _transform_line(
+    period: Period, z: Complex[np.ndarray, " point"]
+) -> Complex[np.ndarray, "point n m"]:
+    """Σ_l Γ_l z^{−l}."""
+    return np.tensordot(z[:, None] ** -np.array(period.lags, float), period.Gamma, 1)

@@ -1,0 +1,39 @@
+"""`deadtime loop`."""
+
+import json
+
+import pytest
+
+import deadtime as dt
+from deadtime.cli.entry import main
+from deadtime.margins import loop_view
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    captured = capsys.readouterr()
+    return stopped.value.code, captured.out, captured.err
+
+
+def test_the_json_is_the_library_s_and_the_picture_is_there(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run(capsys, "loop", "follower", "--step", "0.05", "--json")
+    found, problem = json.loads(out), dt.problems.follower()
+    law = problem.law(found["law"])
+    view = loop_view(problem.plant, law, 0.05)
+    assert code == 0
+    assert found["gain_margin"][1] == dt.gain_margin(problem.plant, law, 0.05).upper
+    assert found["delay_margin"][1] == dt.delay_margin(problem.plant, law, 0.05).upper
+    assert [mode["disk"] for mode in found["modes"]] == [mode.disk for mode in view.modes]
+    assert (tmp_path / found["written"][0]).stat().st_size > 10_000
+
+
+def test_a_loop_that_grows_is_answered_no(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run(capsys, "loop", "paper", "--law", "averaged", "--step", "0.05")
+    assert code == 1
+    assert "There is no gain margin" in out
+    code, _, error = run(capsys, "loop", "paper", "--law", "best")
+    assert code == 2
+    assert "best" in error
