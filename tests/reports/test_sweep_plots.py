@@ -87,13 +87,6 @@ def test_a_cell_shows_the_median_that_numpy_has():
     assert title(figure) == "Law “mean”"
 
 
-def test_the_delay_of_an_input_is_named_in_full_beside_a_low_panel():
-    data = sweep("delay", "dwell_time").rename({"delay": "delay.1"})
-    data["delay.1"].attrs["long_name"] = "delay of input 1"
-    (panel,) = panels(plot_heat(data.isel({"delay.1": [0, 1]}), "mean"))
-    assert panel.get_ylabel().split() == ["delay", "of", "input", "1", "(s)"]
-
-
 def test_more_of_a_figure_is_darker_and_less_of_a_rate():
     data = sweep("delay", "dwell_time")
     for metric, sign in (("ise", 1.0), ("decay_rate", -1.0)):

@@ -136,6 +136,14 @@ def test_the_legend_says_what_every_mark_is_and_nothing_else(short):
         assert 0.0 <= legend.x0 < legend.x1 <= width
 
 
+def test_every_design_that_is_tried_is_told():
+    told = []
+    plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], 1.0)
+    found = dt.design(plant, delay_margin=0.2, step=0.1, budget=25, progress=told.append)
+    assert told == ["trying designs"] * found.evaluated
+    assert 0 < found.evaluated <= 25
+
+
 def test_the_axis_of_margins_names_the_delay_that_they_are_shares_of():
     asked = {"delay_margin": 0.2, "step": 0.1, "gains": [[[-0.3], [0.0]]], "budget": 20}
     for delay, label in ((1.0, "D"), ([1.0, 0.5], "the shortest delay")):
