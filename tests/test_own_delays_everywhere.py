@@ -5,12 +5,14 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.linalg import expm
 
 import deadtime as dt
 from c_code import Library, needs_compiler
 from deadtime.cli.entry import main
 from deadtime.problems import load_problem
+from deadtime.reports import plot_heat
 from deadtime.scenarios.sweeps.axes import axis_of
 from deadtime.scenarios.sweeps.load import load_study
 
@@ -215,3 +217,21 @@ def test_sweeps_move_all_of_them_or_one():
     assert one["plant"]["delay"] == [0.4, 0.3]
     axis_of("delay_error").write(draft, 0.5)
     assert draft["truth"]["delay"] == pytest.approx([0.6, 0.45])
+
+
+def test_maps_name_the_delay_of_an_input_in_full_beside_low_panels():
+    axis = axis_of("delay.1")
+    about = {"long_name": axis.label, "units": axis.unit}
+    values = np.arange(8.0).reshape(2, 2, 1, 2)
+    dims = ("delay.1", "dwell_time", "law", "scenario")
+    data = xr.Dataset(
+        {
+            "ise": (dims, values, {"units": "x^2 s"}),
+            "diverged": (dims, values < 0.0),
+            "reason": (dims[:3], np.full((2, 2, 1), "", dtype=object)),
+            "done": (dims[:2], np.ones((2, 2), dtype=bool)),
+        },
+        {"delay.1": ("delay.1", [0.2, 0.8], about), "dwell_time": [1.0, 2.0], "law": ["mean"]},
+    )
+    panel = plot_heat(data, "mean").axes[0]
+    assert panel.get_ylabel().split() == ["delay", "of", "input", "1", "(s)"]

@@ -71,7 +71,8 @@ figure.savefig("two-pipes.png", dpi=120)
 #
 # Of the averaged law, which needs no model of the flow: the decay that is proved for every signal
 # whose regimes last 0.25 min or more, with the four delays and with the single one that costs it
-# the least; and how wrong the delays may be in a regime held.
+# the least; and how wrong the delays may be in a regime held. Sentences count times in seconds;
+# here these are minutes.
 
 for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
     law = dt.AveragedPredictor(dt.SwitchedSystem(A, B, believed), gains)

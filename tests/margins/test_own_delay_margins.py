@@ -34,6 +34,18 @@ def drawn(seed):
     return plant, dt.AveragedPredictor(plant, dt.place(plant, -rng.uniform(0.3, 1.5, size=n)))
 
 
+def test_inputs_are_called_by_their_names():
+    plant = dt.SwitchedSystem([[[0.5]]], [[[1.0, 0.4]]], [0.3, 0.1])
+    law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]))
+    options = {"step": STEP, "scenarios": 1, "names": ["throttle", "brake"]}
+    signal = dt.SwitchingSignal.constant(0)
+    sentences = dt.robustness(plant, law, signal, [1.0], 4.0, **options).sentences
+    assert "the true delays of input" not in sentences[0]
+    assert "delay of input “throttle”" in sentences[1]
+    assert "delay of input “brake”" in sentences[2]
+    assert " of input 1 " in dt.delay_margin(plant, law, STEP, input=1).message
+
+
 @pytest.mark.parametrize("seed", mostly_long(range(40), 4, 18, 21, 26, 33))
 def test_loops_are_lost_at_the_shifts_that_growth_rates_say(seed):
     plant, law = drawn(seed)

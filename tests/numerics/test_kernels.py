@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -278,3 +279,29 @@ def test_where_no_folder_can_be_written_kernels_are_compiled_all_the_same(tmp_pa
         print(discretise(np.zeros((1, 1)), np.ones((1, 1)), 0.5)[1].item())
     """
     assert run(code, tmp_path, DEADTIME_COMPILE="always") == ["0.5"]
+
+
+def test_many_short_compilations_are_said_as_one_long_one_is(monkeypatch):
+    from deadtime.numerics import compiling
+
+    clock, waits = [0.0], []
+
+    class Timer:
+        def __init__(self, seconds, _):
+            waits.append(seconds)
+
+        def start(self):
+            pass
+
+        def cancel(self):
+            pass
+
+    monkeypatch.setattr(compiling, "threading", SimpleNamespace(Timer=Timer))
+    monkeypatch.setattr(compiling, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    notice = compiling._Notice()
+    for _ in range(4):
+        notice.on_start(None)
+        clock[0] += 0.4
+        notice.on_end(None)
+        clock[0] += 10.0  # what is not compiling does not count
+    assert waits == pytest.approx([1.0, 0.6, 0.2, 0.0])

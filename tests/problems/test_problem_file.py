@@ -56,6 +56,13 @@ def test_template_describes_the_named_problem_exactly(name):
         np.testing.assert_array_equal(a.states, b.states)
 
 
+def test_the_template_shows_every_section_that_a_file_may_have():
+    text = (TEMPLATES / "paper.toml").read_text(encoding="utf-8")
+    shown = set(re.findall(r"^(?:# )?\[+(\w+)\]+", text, re.M))
+    keys = {key for key in json_schema()["properties"] if f"\n{key} = " not in text}
+    assert shown == keys
+
+
 def test_plain_file_runs_all_laws_of_the_paper(tmp_path):
     problem = load(tmp_path, PLAIN)
     assert problem.name == "mine"

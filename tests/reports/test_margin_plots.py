@@ -80,6 +80,12 @@ def test_a_plant_nearer_than_all_that_is_drawn_is_on_the_axis(tmp_path):
     assert room.x0 <= box.x0 < box.x1 <= room.x1
 
 
+def test_a_distance_of_one_is_ten_to_the_zero_without_a_sign():
+    reaches = (Reach("lifted loop, proved", 0.576, 3.765),)
+    (axes,) = plot_tightness(Tightness(reaches, 0.3, None, "")).axes
+    assert "$10^{0}$" in [tick.get_text() for tick in axes.get_xticklabels()]
+
+
 @pytest.mark.parametrize("form", ["printed", "sharp"])
 @pytest.mark.parametrize("name", ["paper", "three-mode", "follower"])
 def test_the_theorem_reaches_where_the_distance_meets_what_it_allows(name, form):

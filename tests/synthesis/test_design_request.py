@@ -122,13 +122,34 @@ def test_the_legend_says_what_every_mark_is_and_nothing_else(short):
 
     labels = legend(short)
     assert {"chosen", "plain design", "hollow: slower than asked", "margin asked for"} <= labels
-    assert "none reaches it, in some mode" not in labels
+    assert "beyond reach in some mode" not in labels
     calm = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 1.0)
     found = dt.design(calm, delay_margin=0.2, step=0.1, gains=[[[-0.3]]], budget=20)
     assert math.isinf(found.margin.relative)
     labels = legend(found)
     assert {"chosen", "stable whatever the delay"} <= labels
     assert "hollow: slower than asked" not in labels
+    both = {"short": short, "calm": found}
+    for figure in (plot_designs(both), plot_designs(both, columns=1)):
+        figure.draw_without_rendering()
+        width, legend = figure.bbox.width, figure.legends[0].get_window_extent()
+        assert 0.0 <= legend.x0 < legend.x1 <= width
+
+
+def test_every_design_that_is_tried_is_told():
+    told = []
+    plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], 1.0)
+    found = dt.design(plant, delay_margin=0.2, step=0.1, budget=25, progress=told.append)
+    assert told == ["trying designs"] * found.evaluated
+    assert 0 < found.evaluated <= 25
+
+
+def test_the_axis_of_margins_names_the_delay_that_they_are_shares_of():
+    asked = {"delay_margin": 0.2, "step": 0.1, "gains": [[[-0.3], [0.0]]], "budget": 20}
+    for delay, label in ((1.0, "D"), ([1.0, 0.5], "the shortest delay")):
+        plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0, 0.5]]], delay)
+        (panel,) = plot_designs({"": dt.design(plant, **asked)}).axes
+        assert panel.get_xlabel() == f"delay margin (% of {label})"
 
 
 def test_a_shortfall_counts_only_what_is_asked_for():

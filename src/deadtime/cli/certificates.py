@@ -83,7 +83,8 @@ def certify(
     dwell, names = asked.value, None if law is None else [law]
     if out is not None:
         require_json("--out", out)  # before the search, which may take minutes
-    with progress_bar(len(names or chosen.laws), quiet=json_output) as advance:
+    laws = names or list(chosen.laws)
+    with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
         ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
         judged = judge(chosen, dwell, period, names, decay_rate, advance, ranges)
     saved = [] if out is None else _save(judged, out)
@@ -185,7 +186,7 @@ def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> 
 
     period, names = step_of(problem), list(problem.laws) if law is None else [law]
     laws, brackets = [problem.law(name) for name in names], dict[str, Bracket]()
-    with progress_bar(len(names), quiet=json_output) as advance:
+    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
         for name, one in zip(names, laws, strict=True):
             try:
                 margin = least_dwell_time(problem.plant, one, period)

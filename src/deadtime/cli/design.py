@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, Folder, app, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.printing import print_heading, print_json, print_table, progress_bar, save_figure
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
@@ -84,18 +84,20 @@ def design(
         plant = plant.like(plant.A[one], plant.B[one], plant.delays[one])
         gains = gains[one]
     period = step_of(chosen) if step is None else positive("step", step)
-    found = designed(
-        plant,
-        delay_margin=delay_margin,
-        step=period,
-        law=None if law == "averaged" else _mean,
-        gains=gains,
-        filtered=filtered,
-        longest_step=longest_step,
-        decay_rate=decay_rate,
-        budget=budget,
-        weight=chosen.weight,
-    )
+    with progress_bar(budget, quiet=json_output) as advance:
+        found = designed(
+            plant,
+            delay_margin=delay_margin,
+            step=period,
+            law=None if law == "averaged" else _mean,
+            gains=gains,
+            filtered=filtered,
+            longest_step=longest_step,
+            decay_rate=decay_rate,
+            budget=budget,
+            weight=chosen.weight,
+            progress=advance,
+        )
     written = [out.with_name(f"{out.name}.toml"), out.with_name(f"{out.name}.png")]
     title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
     _write(written[0], problem_sections(found, law, chosen.plant, chosen.gains, mode))

@@ -73,18 +73,27 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 @contextmanager
-def progress_bar(total: int, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A progress bar on stderr, only when that is a terminal."""
+def progress_bar(
+    total: int, quiet: bool, first: str = "starting"
+) -> Iterator[Callable[[str], None]]:
+    """A bar and a clock on stderr, only when that is a terminal; `first` is worked on first."""
     if quiet or not on_terminal():
         yield lambda _: None
         return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
 
     from deadtime.cli.console import Terminal
 
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    what = TextColumn("{task.description}", markup=False)
+    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), what
     with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=total)
+        task = bar.add_task(first, total=total)
 
         def advance(what: str) -> None:
             bar.update(task, advance=1, description=what)

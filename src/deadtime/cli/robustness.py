@@ -73,6 +73,7 @@ def robustness(
             imperfections=chosen.imperfections,
             u0=chosen.u0,
             weight=chosen.weight,
+            names=chosen.inputs,
             progress=advance,
         )
     path = Path(f"{chosen.name}-robustness.png") if out is None else out

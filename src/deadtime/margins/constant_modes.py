@@ -12,6 +12,7 @@ that is searched for is the shortest of those that move.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -117,6 +118,7 @@ def constant_delay_margin(
     step: float | None = 0.01,
     upto: float | None = None,
     input: int | None = None,
+    names: Sequence[str] | None = None,
 ) -> DelayMargin:
     """How wrong the delay may be under constant switching signals.
 
@@ -137,6 +139,8 @@ def constant_delay_margin(
     input : int, optional
         The input whose delay moves, in every mode by as many seconds, counted from 0; the other
         inputs keep theirs. By default those of all inputs move, by as many seconds.
+    names : sequence of str, optional
+        What inputs are called in `message`; by default they are counted.
 
     Returns
     -------
@@ -200,7 +204,7 @@ def constant_delay_margin(
         upper.frequency,
         growth,
         nominal,
-        _stable(lower, upper, nominal, input, differ),
+        _stable(lower, upper, nominal, of_input(input, names), differ),
         False,
         input,
         differ,
@@ -259,9 +263,9 @@ def _unstable(mode: int, growth: float) -> str:
     return f"there is no delay margin, since held in mode {mode} the loop {not_decaying(growth)}"
 
 
-def _stable(lower: _Limit, upper: _Limit, nominal: float, input: int | None, differ: bool) -> str:
+def _stable(lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: bool) -> str:
     """The interval in a sentence, rounded inwards."""
-    text, of_one = "the loop stays stable in every constant mode", of_input(input)
+    text = "the loop stays stable in every constant mode"
     if differ:
         return f"{text} {_shifts(lower, upper, nominal, of_one)}"
     if math.isinf(upper.delay):
@@ -276,9 +280,17 @@ def _stable(lower: _Limit, upper: _Limit, nominal: float, input: int | None, dif
     return f"{text} between {low} s and {high} s ({shorter}, {longer})"
 
 
-def of_input(input: int | None) -> str:
-    """Whose delay, in a sentence; nothing where it is that of all inputs."""
-    return "" if input is None else f" of input {input}"
+def of_input(input: int | None, names: Sequence[str] | None = None) -> str:
+    """Whose delay, in a sentence; nothing where it is that of all inputs.
+
+    Examples
+    --------
+    >>> of_input(1), of_input(1, ["throttle", "brake"])
+    (' of input 1', ' of input “brake”')
+    """
+    if input is None:
+        return ""
+    return f" of input {input}" if names is None else f" of input “{names[input]}”"
 
 
 def _shifts(lower: _Limit, upper: _Limit, nominal: float, of_one: str) -> str:

@@ -9,6 +9,7 @@ import contextlib
 import functools
 import os
 import threading
+import time
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -19,7 +20,7 @@ from numba.extending import typeof_impl
 
 from deadtime.base import notices
 
-_LONG = 1.0  # seconds of one compilation after which it is said
+_LONG = 1.0  # seconds of compiling after which it is said
 
 
 class _CacheFile(IndexDataCacheFile):
@@ -104,19 +105,22 @@ class _Notice(event.Listener):
     """Says once compiling takes a while, of kernels and of functions under `njit` alike."""
 
     def __init__(self) -> None:
-        self._depth = 0
+        self._depth, self._began, self._spent = 0, 0.0, 0.0
         self._timer: threading.Timer | None = None
 
     def on_start(self, event: Any) -> None:
         self._depth += 1
         if self._depth == 1:
-            self._timer = threading.Timer(_LONG, lambda: notices.compiling())
+            self._began = time.perf_counter()
+            left = max(0.0, _LONG - self._spent)
+            self._timer = threading.Timer(left, lambda: notices.compiling())
             self._timer.daemon = True
             self._timer.start()
 
     def on_end(self, event: Any) -> None:
         self._depth -= 1
         if self._depth == 0 and self._timer is not None:
+            self._spent += time.perf_counter() - self._began
             self._timer.cancel()
 
 

@@ -182,7 +182,7 @@ class SwitchedSystem(Frozen):
         if not self.has_one_delay:
             raise ArgumentError(
                 f"plant must have one delay for {feature}, got delay={self.delay_text}: several "
-                "are not possible there yet."
+                "are not possible there."
             )
         return float(self.delays[0, 0])
 

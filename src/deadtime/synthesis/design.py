@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -45,6 +47,7 @@ def design(
     dearest: float = DEAREST,
     seed: int = 0,
     weight: Weight | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
     """Gains and a law with a requested delay margin, at the least cost found.
 
@@ -87,6 +90,8 @@ def design(
     weight : Weight, optional
         Of the cost, the identity by default. R must be definite and Q weigh the unstable states of
         every mode, so that no loop is cheap because its growth is not seen.
+    progress : callable
+        Called with a few words before each of at most `budget` designs that are tried.
 
     Returns
     -------
@@ -128,7 +133,9 @@ def design(
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
     plain = _plain(plant, first, step, cost == "worst", weight)
-    search = Search(plant, make, cost == "worst", budget, dearest, floors, weight)
+    search = Search(
+        plant, make, cost == "worst", budget, dearest, floors, weight, progress=progress
+    )
     pairs = pairs_of(search, filtered, step, longest_step)
     if not filtered:
         search.plain = _plain_candidate(plain, *pairs[0], start)

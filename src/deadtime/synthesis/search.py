@@ -62,6 +62,7 @@ class Search:
     plain: Tried | None = None  # the design to compare with, where it may be chosen, too
     tried: list[Tried] = field(default_factory=list)
     spent: int = 0
+    progress: Callable[[str], None] = lambda _: None  # told of each design
 
     @property
     def stable(self) -> list[Tried]:
@@ -80,6 +81,7 @@ class Search:
         if self.spent >= self.budget:
             raise Spent
         self.spent += 1
+        self.progress("trying designs")
         choice = family.choice(parameters)
         if choice is None:
             return None

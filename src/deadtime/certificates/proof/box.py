@@ -24,15 +24,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof.family import ROUND_OFF, Delays, Family
+from deadtime.certificates.proof.steps import Steps
 from deadtime.plant import Window
 
 TOLERANCE = 1e-9  # of a period: marks nearer than that are one
@@ -111,21 +110,14 @@ class Clock:
 
 
 @dataclass(frozen=True, eq=False)
-class Box(Frozen):
-    """A plant, or a polytope of plants, at a period, each of its delays in an interval.
+class Box(Steps):
+    """Steps of a plant with each of its delays in an interval.
 
     Attributes
     ----------
-    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
-        The corners of the polytope; one for a plant.
-    step : float
-        h.
     intervals : tuple by mode and input of Interval
     """
 
-    A: Float[np.ndarray, "vertex mode n n"]
-    B: Float[np.ndarray, "vertex mode n m"]
-    step: float
     intervals: tuple[tuple[Interval, ...], ...]
 
     @classmethod
@@ -145,16 +137,13 @@ class Box(Frozen):
         """N of the longest delay."""
         return max(one.count for row in self.intervals for one in row)
 
-    @cached_property
-    def reads(self) -> tuple[tuple[int, int], ...]:
-        """The past inputs that the plant reads, (lag, input), the oldest first."""
-        every = {
+    def _heard(self) -> set[tuple[int, int]]:
+        return {
             (lag, c)
             for row in self.intervals
             for c, one in enumerate(row)
             for lag in ((one.count,) if one.low == self.step else (one.count, one.count - 1))
         }
-        return tuple(sorted(every, key=lambda read: (-read[0], read[1])))
 
     @property
     def sound(self) -> bool:
@@ -271,7 +260,7 @@ class Box(Frozen):
         """The plant's rows E of x⁺ = E y at one point of the parameters, in floating point."""
         from deadtime.numerics.exponential import discretise
 
-        weights = np.full(len(self.A), 1.0 / len(self.A)) if weights is None else weights
+        weights = self._weights(weights)
         A, B = (np.tensordot(weights, M, 1) for M in (self.A, self.B))
         places = list(f) if isinstance(f, tuple) else [f] * len(self.moving(order))
         n = self.A.shape[2]
@@ -290,15 +279,13 @@ class Box(Frozen):
     def _floats(self) -> Clock:
         return Clock(float, lambda one: (one.low, one.high), self.step, lambda a, sign: 0.0)
 
-    def corners(self, order: Order, instants: np.ndarray) -> np.ndarray:
-        """Samples at the given u, at the ends of all intervals, and the corners of the polytope.
+    def switches(self, order: Order) -> bool:
+        """Whether a step has a switch; a full step has none."""
+        return order.mode != order.after
 
-        Returns (samples, n, k): what a search for a certificate looks at before the proof.
-        """
-        us = np.zeros(1) if order.mode == order.after else instants
-        ends = list(product((0.0, 1.0), repeat=len(self.moving(order))))
-        points = np.eye(len(self.A))
-        return np.stack([self.sample(order, u, f, w) for u in us for f in ends for w in points])
+    def ends(self, order: Order) -> list[tuple[float, ...]]:
+        """The corners of the delays that a step depends on."""
+        return list(product((0.0, 1.0), repeat=len(self.moving(order))))
 
 
 def _phase(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,15 @@ from deadtime.certificates.proof.enclosure import (
     hull_of,
     product_of,
 )
+
+
+class _Chain(NamedTuple):
+    """Over a cell: the pieces of an input, their exponentials, and their generators at every
+    corner of the polytope."""
+
+    pieces: list[Piece]
+    factors: list[Any]
+    corners: list[list[Any]]
 
 
 class BoxEnclosures:
@@ -81,11 +90,12 @@ class BoxEnclosures:
         if moving or hull is not None:
             pieces = self.family.pieces(cell.order, c, self.clock, u, f)
             factors = [X.exp() for X in self._exponents(pieces, c, weights, hull)]
+            chain = _Chain(pieces, factors, [self._corners(piece, c) for piece in pieces])
             for k, half in moving:
-                slope = self._slope(pieces, factors, c, weights, hull, k)
+                slope = self._slope(chain, weights, hull, k)
                 slopes.append((k, balls.top(slope, n) * arb(half)))
             for corner in cell.corners if hull is not None else ():
-                slope = self._towards(pieces, factors, c, weights, hull, corner)
+                slope = self._towards(chain, weights, hull, corner)
                 slopes.append((POLYTOPE, balls.top(slope, n)))
         return Enclosure(balls.top(centre, n), slopes)
 
@@ -116,40 +126,28 @@ class BoxEnclosures:
         ]
 
     def _slope(
-        self,
-        pieces: list[Piece],
-        factors: list[Any],
-        c: int,
-        weights: np.ndarray,
-        hull: np.ndarray | None,
-        direction: int,
+        self, chain: _Chain, weights: np.ndarray, hull: np.ndarray | None, direction: int
     ) -> Any:
         """∂E/∂p of u or a delay."""
-        X = [hull_of(self._corners(piece, c), weights, hull) for piece in pieces]
+        X = [hull_of(corners, weights, hull) for corners in chain.corners]
         size = X[0].nrows()
         total = balls.zeros(size, size)
-        for k, piece in enumerate(pieces[:-1]):
+        for k, piece in enumerate(chain.pieces[:-1]):
             if direction in piece.moves:
-                before, after = product_of(factors[: k + 1]), product_of(factors[k + 1 :])
+                before = product_of(chain.factors[: k + 1])
+                after = product_of(chain.factors[k + 1 :])
                 total = total + after * (X[k] - X[k + 1]) * before * piece.moves[direction]
         return total
 
     def _towards(
-        self,
-        pieces: list[Piece],
-        factors: list[Any],
-        c: int,
-        weights: np.ndarray,
-        hull: np.ndarray | None,
-        corner: np.ndarray,
+        self, chain: _Chain, weights: np.ndarray, hull: np.ndarray | None, corner: np.ndarray
     ) -> Any:
         """The derivative from the weights towards a corner of the polytope."""
-        total = None
-        for k, (piece, tau) in enumerate(zip(pieces, self._durations(pieces), strict=True)):
-            corners = self._corners(piece, c)
+        total, durations = None, self._durations(chain.pieces)
+        for k, (corners, tau) in enumerate(zip(chain.corners, durations, strict=True)):
             away = combine(corners, corner) - combine(corners, weights)
             inner = frechet(hull_of(corners, weights, hull) * tau, away * tau)
-            term = product_of([*factors[:k], inner, *factors[k + 1 :]])
+            term = product_of([*chain.factors[:k], inner, *chain.factors[k + 1 :]])
             total = term if total is None else total + term
         return total
 

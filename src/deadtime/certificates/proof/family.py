@@ -20,13 +20,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.frozen import Frozen
+from deadtime.certificates.proof.steps import Steps
 from deadtime.plant import SwitchedSystem, Window
 from deadtime.plant.steps import windows_of
 
@@ -53,15 +52,11 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class Family(Frozen):
-    """A plant, or a polytope of plants, at a period, with its delays or a range of its delay.
+class Family(Steps):
+    """Steps of a plant with its delays, or with a range of its one delay.
 
     Attributes
     ----------
-    A : (vertices, modes, n, n), B : (vertices, modes, n, m)
-        The corners of the polytope; one for a plant.
-    step : float
-        h.
     count : int
         N of the longest delay.
     marks : tuple of (low, high)
@@ -71,9 +66,6 @@ class Family(Frozen):
         What is read between one mark and the next.
     """
 
-    A: Float[np.ndarray, "vertex mode n n"]
-    B: Float[np.ndarray, "vertex mode n m"]
-    step: float
     count: int
     marks: tuple[tuple[float, float], ...]
     lags: tuple[tuple[Lags, ...], ...]
@@ -103,11 +95,8 @@ class Family(Frozen):
         both = ((N,) * m, (N - 1,) * m)
         return cls(A, B, step, N, (start, (phase, high.phase), stop), (both,) * modes)
 
-    @cached_property
-    def reads(self) -> tuple[tuple[int, int], ...]:
-        """The past inputs that the plant reads, (lag, input), the oldest first."""
-        every = {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}
-        return tuple(sorted(every, key=lambda read: (-read[0], read[1])))
+    def _heard(self) -> set[tuple[int, int]]:
+        return {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}
 
     @property
     def ranges(self) -> bool:
@@ -213,7 +202,7 @@ class Family(Frozen):
         from scipy.linalg import expm
 
         marks = [low if low == high else (1.0 - f) * low + f * high for low, high in self.marks]
-        weights = np.full(len(self.A), 1.0 / len(self.A)) if weights is None else weights
+        weights = self._weights(weights)
         share = {"all": 1.0, "before": u, "after": 1.0 - u}
         n = self.A.shape[2]
         result: np.ndarray = np.eye(n + len(self.reads))
@@ -223,15 +212,13 @@ class Family(Frozen):
             result = expm(generator * (part_time * share[part.share])) @ result
         return result[:n]
 
-    def corners(self, order: tuple[Segment, ...], instants: np.ndarray) -> np.ndarray:
-        """Samples at the given u, the ends of the delay's range, and the corners of the polytope.
+    def switches(self, order: tuple[Segment, ...]) -> bool:
+        """Whether a step has a switch; a full step has none."""
+        return _switching(order) is not None
 
-        Returns (samples, n, k): what a search for a certificate looks at before the proof.
-        """
-        us = np.zeros(1) if _switching(order) is None else instants
-        fs = (0.0, 1.0) if self.ranges else (0.0,)
-        points = np.eye(len(self.A))
-        return np.stack([self.sample(order, u, f, w) for u in us for f in fs for w in points])
+    def ends(self, order: tuple[Segment, ...]) -> tuple[float, ...]:
+        """The corners of the delays: both ends of the one, if it has a range."""
+        return (0.0, 1.0) if self.ranges else (0.0,)
 
 
 def _switching(order: tuple[Segment, ...]) -> Segment | None:

@@ -98,6 +98,7 @@ def robustness(
     imperfections: Sequence[Imperfection] = (),
     u0: InitialInput = None,
     weight: Weight | None = None,
+    names: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
     """What a loop tolerates: errors of delay and gain, lost and late samples, late modes, noise.
@@ -124,6 +125,8 @@ def robustness(
         Inputs before time 0, as `simulate` takes them.
     weight : Weight, optional
         Of the cost; the identity by default.
+    names : sequence of str, optional
+        What the inputs are called in `sentences`; by default they are counted.
     progress : callable
         Called with a few words before each of `len(STEPS)` pieces of work.
 
@@ -173,7 +176,8 @@ def robustness(
     delay = constant_delay_margin(plant, law, step) if dear.get("delay margin") == "" else None
     alone: tuple[DelayMargin, ...] = ()
     if delay is not None and plant.inputs > 1 and not plant.has_one_delay:
-        alone = tuple(constant_delay_margin(plant, law, step, input=j) for j in range(plant.inputs))
+        each = range(plant.inputs)
+        alone = tuple(constant_delay_margin(plant, law, step, None, j, names) for j in each)
     progress("gain margin")
     gain = gain_margin(plant, law, step) if dear.get("gain margin") == "" else None
     progress("lost samples")

@@ -82,7 +82,7 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
     keys: list[tuple[bool, Line2D | Patch]] = [
         (
             any(len(_front(one)) > 1 for one in designs.values()),
-            Line2D([], [], color=COLOURS[0], lw=1.0, label="least cost found for a margin"),
+            Line2D([], [], color=COLOURS[0], lw=1.0, label="least cost for a margin"),
         ),
         (
             any(point.time_constant is None for point in points),
@@ -114,10 +114,10 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
             Line2D([], [], color="grey", marker=">", label="stable whatever the delay", **line),
         ),
         (True, Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label="margin asked for")),
-        (True, Patch(facecolor=REACHED, label="linear controllers reach it, per mode")),
+        (True, Patch(facecolor=REACHED, label="within reach, by mode")),
         (
             any(100.0 * most < _right(one) for one, most in limits),
-            Patch(facecolor=BEYOND, label="none reaches it, in some mode"),
+            Patch(facecolor=BEYOND, label="beyond reach in some mode"),
         ),
     ]
     return [key for there, key in keys if there]
@@ -141,7 +141,8 @@ def _panel(panel: Axes, design: Design) -> None:
     top = max([2.0, *_coordinates(drawn, cheapest, right)[1].tolist()])
     panel.set_ylim(0.85, 1.4 * top)
     panel.set_xlim(0.0, right)
-    panel.set_xlabel("delay margin (% of D)")
+    shortest = "D" if design.law.plant.has_one_delay else "the shortest delay"
+    panel.set_xlabel(f"delay margin (% of {shortest})")
     ticks = [tick for tick in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if tick <= 1.4 * top]
     panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     panel.minorticks_off()

@@ -122,7 +122,7 @@ def plot_tightness(found: Tightness, title: str | None = None) -> Figure:
         axes.set_ylim(count - 0.4, -0.9)
         axes.set_xlim(left, right)
         every = max(1, int(np.ceil((right - left) / 6.0)))
-        ticks = np.arange(np.ceil(left / every) * every, right, every)
+        ticks = np.arange(np.ceil(left / every) * every, right, every) + 0.0  # no −0
         axes.set_xticks(ticks, [f"$10^{{{tick:.0f}}}$" for tick in ticks])
         axes.set_xlabel("distance ε between modes and gains")
         axes.grid(False, axis="y")

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from functools import partial
+from operator import call
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -101,38 +103,33 @@ def judge(
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
-    certified: list[Future[Certificate]] = [Future() for _ in names]
+    certified: dict[str, Future[Certificate]] = {name: Future() for name in names}
 
-    def answer(question: int) -> Judged | None:
-        """The certificates of all laws, then what else is asked of each.
-
-        A solver leaves Python to the other threads, a search for signals does not: the solver of
-        the law that takes longest works beside the searches of the others.
-        """
-        later, k = divmod(question, len(names))
-        law = problem.laws[names[k]]
-        if later:
-            return _judge(problem, names[k], certified[k], (dwell_time, step))
+    def prove(name: str) -> None:
+        law = problem.laws[name]
         try:
             found = certify(
                 problem.plant, law, dwell_time, step, decay_rate=decay_rate, delays=delays
             )
-            certified[k].set_result(found)
+            certified[name].set_result(found)
         except BaseException as error:
-            certified[k].set_exception(error)
-        return None
+            certified[name].set_exception(error)
 
-    judged: list[Judged] = []
-    for question, one in enumerate(in_order(answer, range(2 * len(names)))):
-        if one is None:
-            progress(f"certified: {names[question]}")
-        else:
-            judged.append(one)
-    return judged
+    def search(name: str) -> Judged:
+        return _judge(problem, name, certified[name], dwell_time, step)
+
+    # A solver leaves Python to the other threads, a search for signals does not: the solver of the
+    # law that takes longest works beside the searches of the others.
+    proofs, searches = ([partial(work, name) for name in names] for work in (prove, search))
+    answers = in_order(call, [*proofs, *searches])
+    for name in names:
+        next(answers)
+        progress(f"certified: {name}")
+    return list(answers)
 
 
 def _judge(
-    problem: Problem, name: str, certified: Future[Certificate], asked: tuple[float, float]
+    problem: Problem, name: str, certified: Future[Certificate], dwell_time: float, step: float
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
@@ -140,7 +137,6 @@ def _judge(
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
-    dwell_time, step = asked
     try:
         certificate = certified.result()
     except ArgumentError as error:
@@ -227,6 +223,8 @@ def margin_text(margin: DelayMargin | None) -> str:
     'any'
     >>> margin_text(SimpleNamespace(lower=0.25, upper=0.75, nominal=0.5, differ=True))
     '−0.25 to +0.25'
+    >>> margin_text(SimpleNamespace(lower=0.1, upper=float("inf"), nominal=0.5, differ=True))
+    'from −0.4'
     """
     if margin is None:
         return "–"
@@ -234,9 +232,9 @@ def margin_text(margin: DelayMargin | None) -> str:
         return "none"
     if margin.differ:
         ends = margin.nominal - margin.lower, margin.upper - margin.nominal
-        shorter, longer = (_shorten(x, ROUND_FLOOR) for x in ends)
-        return f"−{shorter} to +{longer}"
-    low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
+        low, high = (sign + _shorten(x, ROUND_FLOOR) for sign, x in zip("−+", ends, strict=True))
+    else:
+        low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
     if margin.lower == 0.0:
         return f"up to {high}" if math.isfinite(margin.upper) else "any"
     return f"{low} to {high}" if math.isfinite(margin.upper) else f"from {low}"

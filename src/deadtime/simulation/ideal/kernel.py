@@ -30,6 +30,7 @@ import numpy as np
 
 from deadtime.numerics.exponential import discretise, product
 from deadtime.numerics.kernels import kernel
+from deadtime.simulation.kernel import LIMIT
 
 
 @kernel(eager=True)
@@ -229,3 +230,13 @@ def end_branch(forward, backward, B, start, shift, length, nodes, u, last):
     for i in range(n):
         last[i] = 0.0
     add_product(forward[p], y, last)
+
+
+@kernel(eager=True)
+def hand_on(last, x):
+    """The last state of a segment, into x; whether it is within the limit."""
+    inside = True
+    for j in range(x.size):
+        x[j] = last[j]
+        inside &= abs(x[j]) <= LIMIT
+    return inside

@@ -14,12 +14,12 @@ from deadtime.simulation.ideal.kernel import (
     convolve,
     end_branch,
     flows,
+    hand_on,
     interpolate,
     locate,
     sample,
     solve_state,
 )
-from deadtime.simulation.kernel import LIMIT
 
 _SAME = 1e-15  # of the run: lengths of segments so close are one
 
@@ -251,11 +251,7 @@ def march(plant, line, ahead, x0, nodes):
             elif g < line.stop:
                 for k in range(p + 2):
                     add_product(ahead.gains[g, 0], states[g, k], inputs[g, k])
-            inside = True
-            for j in range(n):
-                x[j] = states[g, p + 1, j]
-                inside &= abs(x[j]) <= LIMIT
-            if not inside:
+            if not hand_on(states[g, p + 1], x):
                 return states, g
         if predicts:
             for s in range(systems):

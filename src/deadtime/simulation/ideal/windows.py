@@ -27,13 +27,13 @@ from deadtime.simulation.ideal.kernel import (
     convolve,
     end_branch,
     flows,
+    hand_on,
     interpolate,
     locate,
     sample,
     solve_state,
 )
 from deadtime.simulation.ideal.loop import arrivals
-from deadtime.simulation.kernel import LIMIT
 
 
 class Windows(NamedTuple):
@@ -163,11 +163,7 @@ def march_windows(plant, line, law, x0, nodes):
                     law, law.F[law.row[g]], law.C[law.row[g]], states[g], starts, shifts, forward,
                     backward, length, nodes, line.inputs[g],
                 )  # fmt: skip
-            inside = True
-            for j in range(n):
-                x[j] = states[g, p + 1, j]
-                inside &= abs(x[j]) <= LIMIT
-            if not inside:
+            if not hand_on(states[g, p + 1], x):
                 return states, g
         if g < line.stop:
             for w in range(windows):

@@ -157,7 +157,7 @@ def _axis_label(axis: xr.DataArray, side: str, length: float) -> str:
     label, symbol = label_of(axis), name_of(axis).split()[-1]
     if side == "x" or len(label) * _LETTER <= 1.1 * length:
         return plain(label)
-    if len(symbol) == 1:
+    if len(symbol) == 1 and symbol.isalpha():
         return plain(symbol)
     return plain(textwrap.fill(label, max(int(length / _LETTER), 8)))
 
