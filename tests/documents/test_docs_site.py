@@ -1,8 +1,8 @@
 """The documentation site: it builds without a warning, links lead somewhere, it reads offline.
 
-To build it is long: at every change the pages' links between each other,
-their code and what it prints are tested (`test_documents.py`, `test_docs_pages.py`).
-The gallery's scripts are not run here: tests of their own run them, and `make docs` does.
+To build it is long: at every change the pages' links between each other, their code and what it
+prints are tested (`test_documents.py`, `test_docs_pages.py`). The gallery's scripts are not run
+here: tests of their own run them, and `make docs` does.
 """
 
 import re
