@@ -18,7 +18,7 @@ from shares import mostly_long
 SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
 NAMES = [path.stem.split("_", 2)[2] for path in SCRIPTS]
 # Those that compile or search for seconds; tests of what they find are long, too.
-LONG = ("epidemic", "shared_network", "follower")
+LONG = ("epidemic", "shared_network", "follower", "two_pipes")
 
 
 @functools.cache
@@ -175,6 +175,7 @@ def test_the_drone_is_its_model_linearised_and_the_push_is_made_up_for():
     assert np.abs(out["runs"]["delay ignored"].states[0, late]).max() > 1.0
 
 
+@pytest.mark.long
 def test_each_feed_is_as_late_as_its_pipe_is_long_and_no_single_delay_is_as_good_at_both():
     out = ran("two_pipes")
     assert_allclose(out["plant"].delays, [[0.4, 0.15], [0.8, 0.3]])
