@@ -24,7 +24,9 @@ reproduce: .venv/installed
 study: .venv/installed
 	$(BIN)/deadtime study studies/paper.toml --out study-report
 
-test: lint types pytest
+# Types are checked by one process, beside which the tests begin.
+test: lint
+	@$(MAKE) --no-print-directory --jobs 2 types pytest
 
 lint: .venv/installed-test
 	$(BIN)/ruff check .

@@ -15,6 +15,7 @@ from deadtime.problems import load_problem
 from deadtime.reports import plot_heat
 from deadtime.scenarios.sweeps.axes import axis_of
 from deadtime.scenarios.sweeps.load import load_study
+from shares import mostly_long
 
 STEP, HORIZON = 0.05, 4.0
 DELAYS = np.array([[0.31, 0.12], [0.2, 0.05], [0.26, 0.17]])
@@ -40,12 +41,18 @@ LAWS = {
 }
 
 
-def test_batches_are_runs_one_by_one():
+# Each law compiles a loop: at every change rows that know a mode's age, and what has no batch.
+FEW = ["dwell-aware", "oracle"]
+
+
+@pytest.mark.parametrize("names", mostly_long([list(LAWS), FEW], FEW))
+def test_batches_are_runs_one_by_one(names):
+    laws = {name: LAWS[name] for name in names}
     signals = [dt.SwitchingSignal.random(3, 9.0, dwell_time=0.07, seed=i) for i in range(9)]
-    data = dt.monte_carlo(TRUTH, LAWS, signals, X0, HORIZON, STEP)
+    data = dt.monte_carlo(TRUTH, laws, signals, X0, HORIZON, STEP)
     assert data.attrs["one_by_one"] == ["oracle"]
     assert data.attrs["delay"] == TRUTH.delays.ravel().tolist()
-    for name, law in LAWS.items():
+    for name, law in laws.items():
         for i in (0, 4, 8):
             run = dt.simulate(TRUTH, law, signals[i], X0, HORIZON, STEP)
             for metric, value in run.metrics().items():

@@ -1,6 +1,8 @@
 """The documentation site: it builds without a warning, links lead somewhere, it reads offline.
 
-The gallery's scripts are not run here: tests of their own run them, and `make docs` does.
+To build it is long: at every change the pages' links between each other, their code and what it
+prints are tested (`test_documents.py`, `test_docs_pages.py`). The gallery's scripts are not run
+here: tests of their own run them, and `make docs` does.
 """
 
 import re
@@ -46,6 +48,7 @@ def site(tmp_path_factory):
     return out
 
 
+@pytest.mark.long
 def test_every_page_of_the_docs_is_on_the_site(site):
     pages = {p.relative_to(DOCS).with_suffix(".html") for p in DOCS.rglob("*.md")}
     pages = {p for p in pages if not GENERATED & set(p.parts)}
@@ -53,10 +56,12 @@ def test_every_page_of_the_docs_is_on_the_site(site):
     assert {p for p in pages if not (site / p).exists()} == set()
 
 
+@pytest.mark.long
 def test_every_internal_link_and_anchor_leads_somewhere(site):
     assert site_pages.broken(site) == []
 
 
+@pytest.mark.long
 def test_pages_load_nothing_from_elsewhere(site):
     assert site_pages.fetched(site) == []
 
@@ -71,6 +76,7 @@ def test_a_broken_link_and_a_foreign_script_are_found(tmp_path):
     assert site_pages.fetched(tmp_path) == ["a.html: https://example.org/x.js"]
 
 
+@pytest.mark.long
 def test_no_formula_is_taken_for_emphasis(site):
     for path in site_pages.pages(site):
         text = path.read_text(encoding="utf-8")
@@ -88,6 +94,7 @@ def entries(site):
     }
 
 
+@pytest.mark.long
 def test_every_public_name_has_an_entry(site):
     found = entries(site)
     missing = [
@@ -98,6 +105,7 @@ def test_every_public_name_has_an_entry(site):
     assert missing == []
 
 
+@pytest.mark.long
 def test_every_name_of_the_table_of_stable_names_links_to_its_entry(site):
     text = (site / "api.html").read_text(encoding="utf-8")
     rows = re.findall(r"<tr class=\"row-\w+\"><td>(.*?)</td>", text, re.S)
@@ -107,6 +115,7 @@ def test_every_name_of_the_table_of_stable_names_links_to_its_entry(site):
         assert codes == len(LINK.findall(row)) > 0, row
 
 
+@pytest.mark.long
 def test_every_name_of_the_outer_rooms_links_to_its_entry(site):
     text = (site / "api.html").read_text(encoding="utf-8")
     codes = r'(<a [^>]*>)?<code class="[^"]*literal[^"]*"><span class="pre">(deadtime\.[\w.]+)<'
@@ -131,6 +140,7 @@ def entry_text(text, name):
     return text[start : said + 10 + following.start()] if following else text[start:]
 
 
+@pytest.mark.long
 def test_every_equation_links_to_a_function_and_back(site):
     rows = equations(site)
     assert len(rows) >= 25
@@ -144,6 +154,7 @@ def test_every_equation_links_to_a_function_and_back(site):
                 assert f"equations.html#{anchor}" in entry_text(text, name), (name, anchor)
 
 
+@pytest.mark.long
 def test_numbers_in_docstrings_of_the_public_names_link_to_their_equations(site):
     text = (site / "api" / "laws.html").read_text(encoding="utf-8")
     for anchor in ("equation-2", "equation-3", "equation-79", "equation-80", "lemma-2-3"):

@@ -61,6 +61,7 @@ def test_python_of_the_page_on_many_signals_runs(capsys):
     )
 
 
+@pytest.mark.long
 def test_python_and_axes_of_the_page_on_sweeps_are_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page, names = run_page("sweeps.md")

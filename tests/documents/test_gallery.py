@@ -17,8 +17,8 @@ from shares import mostly_long
 
 SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
 NAMES = [path.stem.split("_", 2)[2] for path in SCRIPTS]
-# Those that compile or search for seconds.
-LONG = ("epidemic", "shared_network", "follower")
+# Those that compile or search for seconds; tests of what they find are long, too.
+LONG = ("epidemic", "shared_network", "follower", "two_pipes")
 
 
 @functools.cache
@@ -73,6 +73,7 @@ def test_every_bit_of_knowledge_makes_the_median_cheaper():
     assert all(b < 0.95 * a for a, b in pairwise(medians))
 
 
+@pytest.mark.long
 def test_the_follower_s_predictor_is_proved_and_pays_from_this_delay_on():
     out = ran("follower")
     assert out["certificate"].proven
@@ -145,6 +146,7 @@ def test_the_epidemic_is_linearised_right_and_only_late_reactions_make_waves():
     assert np.ptp(fresh[-100:]) > 1.0
 
 
+@pytest.mark.long
 def test_the_reactor_has_the_poles_of_its_source_and_the_rule_run_forward_no_mismatch():
     out = ran("shared_network")
     assert_allclose(out["poles"], [1.991, 0.06351, -5.057, -8.666], rtol=5e-4)
@@ -173,6 +175,7 @@ def test_the_drone_is_its_model_linearised_and_the_push_is_made_up_for():
     assert np.abs(out["runs"]["delay ignored"].states[0, late]).max() > 1.0
 
 
+@pytest.mark.long
 def test_each_feed_is_as_late_as_its_pipe_is_long_and_no_single_delay_is_as_good_at_both():
     out = ran("two_pipes")
     assert_allclose(out["plant"].delays, [[0.4, 0.15], [0.8, 0.3]])

@@ -258,13 +258,13 @@ def test_the_cost_under_additive_noise_is_that_of_the_covariance_recursion():
 
 
 def test_laws_of_a_scenario_meet_the_same_disturbance():
-    laws = {name: plants.LAWS[name](MODEL) for name in ("averaged", "mean")}
+    laws = {name: plants.LAWS[name](MODEL) for name in ("averaged", "weighted")}
     data = dt.monte_carlo(
         PLANT, laws, [SIGNAL] * 3, X0, 0.2, STEP, imperfections=[WhiteDisturbance(W)], seed=2
     )
     # Before the first input arrives the laws cannot differ.
-    assert (data.ise.sel(law="mean") == data.ise.sel(law="averaged")).all()
-    assert np.unique(data.ise.sel(law="mean")).size == 3
+    assert (data.ise.sel(law="weighted") == data.ise.sel(law="averaged")).all()
+    assert np.unique(data.ise.sel(law="weighted")).size == 3
 
 
 def test_a_plant_that_switches_by_its_state_is_disturbed_too():

@@ -115,6 +115,12 @@ def test_a_gain_that_no_two_modes_can_share_is_refused():
     own = np.array([[[-2.0]], [[2.0]]])
     with pytest.raises(dt.InfeasibleError, match=r"no common gain was found that leaves every"):
         minimax(plant, own, H, True, False)
+
+
+@pytest.mark.long
+def test_where_modes_may_be_left_unstable_it_is_found_all_the_same():
+    plant = plants.scalar([1.0, 1.0], np.array([1.0, -1.0]), 0.2)
+    own = np.array([[[-2.0]], [[2.0]]])
     weights, gains, growth = minimax(plant, own, H, True, True)
     assert growth == pytest.approx(rates(plant, gains, weights), abs=1e-9)
     assert growth.max() > 0.0

@@ -25,12 +25,10 @@ def nodes(seed, alike):
     "alike", mostly_long([True, False], False), ids=["one mode twice", "two modes"]
 )
 @pytest.mark.parametrize(
-    "as_function",
-    [pytest.param(False, marks=pytest.mark.long), True],
-    ids=["half-space", "function"],
+    ("as_function", "plants_tried"), mostly_long([(True, 3), (True, 10), (False, 30)], (True, 3))
 )
-def test_a_plant_that_moves_along_a_boundary_does_not_chatter(alike, as_function):
-    for seed in range(10 if as_function else 30):
+def test_a_plant_that_moves_along_a_boundary_does_not_chatter(alike, as_function, plants_tried):
+    for seed in range(plants_tried):
         plant, V, normal = nodes(seed, alike)
         rule = (lambda x, n=normal: int(n @ x >= 0.0)) if as_function else HalfSpace(normal)
         for x0 in (V[:, 0], V[:, 0] + 0.3 * V[:, 1]):
@@ -42,8 +40,9 @@ def test_a_plant_that_moves_along_a_boundary_does_not_chatter(alike, as_function
             plants.close(late, np.exp(-0.5 * one.time[250:]) * np.linalg.norm(V[:, 0]), 1e-9)
 
 
-def test_a_law_predicts_along_a_boundary():
-    for seed in range(8):
+@pytest.mark.parametrize("seeds", mostly_long([range(2), range(2, 8)], range(2)))
+def test_a_law_predicts_along_a_boundary(seeds):
+    for seed in seeds:
         plant, V, normal = nodes(seed, True)
         gains = dt.place(plant, [-1.5, -2.0])
         free = run(dt.MeanPredictor(plant, gains[0], gains), dt.SwitchingSignal.constant(0), plant,
@@ -93,10 +92,13 @@ CORNERS = {
 }
 
 
-@pytest.mark.parametrize("corner", mostly_long(CORNERS, "quadrants"))
-def test_a_plant_that_passes_through_a_corner_goes_on_in_the_region_beyond(corner):
+@pytest.mark.parametrize(
+    ("corner", "count"),
+    mostly_long([("quadrants", 30), *((name, 100) for name in CORNERS)], ("quadrants", 30)),
+)
+def test_a_plant_that_passes_through_a_corner_goes_on_in_the_region_beyond(corner, count):
     rng = np.random.default_rng(5)
-    for _ in range(100):
+    for _ in range(count):
         angle, at, v = rng.uniform(0.0, 6.28), 10.0 * rng.normal(size=2), rng.normal(size=2)
         R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         rows = [np.column_stack((H @ R.T, np.zeros(len(H)))) for H in CORNERS[corner]]

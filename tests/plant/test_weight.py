@@ -123,9 +123,11 @@ def test_a_batch_has_the_costs_of_runs_one_by_one(name, limited):
         assert cost == pytest.approx(run.metrics(WEIGHT)["cost"], rel=1e-11)
 
 
-def test_a_batch_with_the_identity_is_one_without_a_weight():
+@pytest.mark.parametrize("name", mostly_long(LAWS, "averaged"))
+def test_a_batch_with_the_identity_is_one_without_a_weight(name):
+    laws = {name: LAWS[name]}
     data = [
-        dt.monte_carlo(TRUTH, LAWS, [SIGNAL], X0, 3.0, 0.1, weight=weight)
+        dt.monte_carlo(TRUTH, laws, [SIGNAL], X0, 3.0, 0.1, weight=weight)
         for weight in (None, dt.Weight(1.0, 1.0))
     ]
     assert data[0].identical(data[1])

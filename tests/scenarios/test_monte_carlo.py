@@ -142,6 +142,7 @@ def test_signals_that_end_before_the_horizon_are_counted_in_the_message():
     assert np.unique(found["ise"]).size == 1
 
 
+@pytest.mark.long  # as every one of `test_imperfect_batches.py`, for a plant of other sizes
 def test_a_noisy_scenario_can_be_run_alone():
     noise, law = [dt.imperfections.Noise(0.1)], LAWS["averaged"]
     found = data(laws={"law": law}, seed=5, scenarios=3, imperfections=noise)
@@ -179,9 +180,10 @@ def test_a_diverging_law_is_counted_and_leaves_the_others_untouched():
 
 
 def test_divergence_depends_on_the_signal_only():
-    # Mode 0 for ever grows too slowly to leave the limit, mode 1 does not.
-    plant = plants.scalar([0.1, 60.0])
-    law = dt.DelayedStateFeedback(plant, [[[-0.2]], [[-61.0]]])
+    # Mode 0 for ever grows too slowly to leave the limit, mode 1 does not; mode 2, which never
+    # acts, makes the sizes those of the test above.
+    plant = plants.scalar([0.1, 60.0, -1.0])
+    law = dt.DelayedStateFeedback(plant, [[[-0.2]], [[-61.0]], [[-0.2]]])
     signals = [dt.SwitchingSignal.constant(mode) for mode in (0, 1, 0)]
     found = data(plant, [law], signals, [1.0], 20.0)
     assert found["diverged"].values.tolist() == [[False, True, False]]
@@ -193,7 +195,8 @@ def test_divergence_depends_on_the_signal_only():
 
 def test_progress_is_reported_after_each_block():
     seen = []
-    data(scenarios=5000, progress=lambda done, total: seen.append((done, total)))
+    model = dt.Markov([[0.0, 5.0], [4.0, 0.0]])
+    data(model=model, scenarios=5000, progress=lambda done, total: seen.append((done, total)))
     counts = [done for done, _ in seen]
     assert counts == sorted(counts)
     assert len(counts) >= 3

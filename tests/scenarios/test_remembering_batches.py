@@ -63,15 +63,24 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", mostly_long(CASES, "observed", "all"))
-def test_remembering_scenarios_are_those_of_single_runs(case):
+# At every change one law without imperfections, and with all of them one that knows how old a mode
+# is, and one that follows a reference.
+FEW = ("observed", ("observed",)), ("all", ("modes apart", "tracking"))
+
+
+@pytest.mark.parametrize(
+    ("case", "names"),
+    mostly_long([*((case, tuple(laws)) for case, (laws, _) in CASES.items()), *FEW], *FEW),
+)
+def test_remembering_scenarios_are_those_of_single_runs(case, names):
     laws, given = CASES[case]
-    require_single_runs(TRUTH, laws, given)
+    require_single_runs(TRUTH, {name: laws[name] for name in names}, given)
 
 
-def test_so_are_they_with_delays_of_every_mode_and_input():
+@pytest.mark.parametrize("name", mostly_long(["observed", "tracking"], "observed"))
+def test_so_are_they_with_delays_of_every_mode_and_input(name):
     own = [[0.3, 0.07], [0.21, 0.1], [0.3, 0.26]]
     believed = plants.generic(own, seed=5)
     truth = dt.SwitchedSystem(TRUTH.A, TRUTH.B, [[0.28, 0.07], [0.21, 0.14], [0.31, 0.2]])
-    laws = {"observed": observed(plant=believed), "tracking": tracking(believed)}
-    require_single_runs(truth, laws, [Noise(0.02), Dropout(0.1), Saturation(-1.0, 1.2)])
+    law = {"observed": observed, "tracking": tracking}[name](plant=believed)
+    require_single_runs(truth, {name: law}, [Noise(0.02), Dropout(0.1), Saturation(-1.0, 1.2)])
