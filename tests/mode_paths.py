@@ -7,9 +7,10 @@ a period, SciPy's normal densities, probabilities of paths from rates or from su
 import itertools
 
 import numpy as np
-import plants
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
+
+import plants
 
 
 def ahead(plant, step, mode, x, inputs, k):
@@ -28,8 +29,9 @@ def ahead(plant, step, mode, x, inputs, k):
 
 def covariance(plant, step, mode, W, std):
     """Of x_{k+1} about what a mode makes of x_k as measured."""
-    R, Phi = np.diag(np.broadcast_to(std, plant.states) ** 2), expm(plant.A[mode] * step)
-    return plants.gramian_by_quadrature(plant.A[mode], W, step) + R + Phi @ R @ Phi.T
+    R = np.diag(np.broadcast_to(std, plant.states) ** 2)
+    moved = sum(expm(A * step) @ R @ expm(A * step).T for A in plant.A) / plant.modes
+    return plants.gramian_by_quadrature(plant.A[mode], W, step) + R + moved
 
 
 def densities(plant, step, states, inputs, W, std, within):
@@ -49,18 +51,25 @@ def densities(plant, step, states, inputs, W, std, within):
 def beliefs(density, log_prior):
     """P(mode at the last sample) from the probability of every path (modes)^(samples)."""
     periods, modes, _ = density.shape
-    paths = np.array(list(itertools.product(range(modes), repeat=periods + 1)))
-    along = density[np.arange(periods), paths[:, :-1], paths[:, 1:]].sum(axis=1)
-    along = along + log_prior(paths)
-    weight = np.exp(along - along.max())
-    return np.bincount(paths[:, -1], weight, modes) / weight.sum()
+    rest = np.array(list(itertools.product(range(modes), repeat=periods)), np.int8)
+    along = np.empty((modes, len(rest)))
+    for first in range(modes):
+        paths = np.insert(rest, 0, first, axis=1)
+        along[first] = log_prior(paths)
+        for k in range(periods):
+            along[first] += density[k, paths[:, k], paths[:, k + 1]]
+    weight = np.exp(along - along.max()).sum(axis=0)
+    return np.bincount(rest[:, -1], weight, modes) / weight.sum()
 
 
 def markov_prior(rates, step):
     """log P of paths under a Markov process, its first mode drawn evenly."""
     generator = rates - np.diag(rates.sum(axis=1))
     log = np.log(expm(step * generator))
-    return lambda paths: log[paths[:, :-1], paths[:, 1:]].sum(axis=1) - np.log(len(rates))
+    return lambda paths: sum(
+        (log[paths[:, k - 1], paths[:, k]] for k in range(1, paths.shape[1])),
+        start=np.full(len(paths), -np.log(len(rates))),
+    )
 
 
 def semi_markov_prior(sojourns, transition, step):

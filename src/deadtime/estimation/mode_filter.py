@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, positive, real_array, require_shape
+from deadtime.base.checks import count, instance, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.estimation.filter_arguments import (
@@ -124,9 +124,9 @@ class ModeFilter(Frozen):
         step = SampledPlant.of(plant, step).step
         if switches not in ("anywhere", "samples"):
             raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-        forgetting = positive("forgetting", forgetting, "as a probability")
-        if forgetting >= 1.0:
-            raise ArgumentError(f"forgetting must be below 1, got {forgetting:g}.")
+        forgetting = number("forgetting", forgetting)
+        if not 0.0 < forgetting < 1.0:
+            raise ArgumentError(f"forgetting must be in (0, 1), got {forgetting:g}.")
         if not allow_alike:
             require_distinct(plant)
         own = 1
@@ -183,10 +183,14 @@ class ModeFilter(Frozen):
         return np.tile(leave[:, None], ages), P / np.where(leave > 0.0, leave, 1.0)[:, None]
 
     def _covariance(self, Phi: np.ndarray) -> Float[np.ndarray, "mode n n"]:
-        """Of x_{k+1} − Φ_i x_k, both as they are measured."""
+        """Of x_{k+1} − Φ_i x_k, both as they are measured.
+
+        Φ_i R Φ_iᵀ is the mean over the modes: else, where the noise hides x, the mode in which it
+        grows least would be the likeliest.
+        """
         A, R = self.plant.A, np.diag(self.noise**2)
         W = noise_covariances(A, self.disturbance, np.full(len(A), self.step))
-        return W + R + Phi @ R @ Phi.transpose(0, 2, 1)
+        return W + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
 
     def start(self, u0: ArrayLike | None = None) -> RunningFilter:
         """The filter, ready to be called once a period.
