@@ -58,6 +58,9 @@ def require_same(
     assert (run.estimates is None) == (reference.told.estimates is None)
     if run.estimates is not None:
         same(run.estimates, reference.told.estimates.T)
+    assert (run.belief is None) == (reference.belief is None)
+    if run.belief is not None:
+        same(run.belief[:, : len(reference.belief)], reference.belief.T)
     same(run.history, reference.record.history(run.end))
     if (
         plant.inputs == 2

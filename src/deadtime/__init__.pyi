@@ -25,6 +25,8 @@ from .certificates import (
 )
 from .controller import Controller as Controller
 from .estimation import (
+    BeliefPredictor as BeliefPredictor,
+    ModeFilter as ModeFilter,
     Observer as Observer,
     OutputFeedback as OutputFeedback,
     Servo as Servo,

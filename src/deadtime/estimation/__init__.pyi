@@ -1,4 +1,7 @@
+from .belief_predictor import BeliefPredictor as BeliefPredictor
+from .mode_filter import ModeFilter as ModeFilter
 from .observer import Observer as Observer
 from .observer_design import kalman as kalman, luenberger as luenberger
 from .output_feedback import OutputFeedback as OutputFeedback
+from .running_filter import RunningFilter as RunningFilter
 from .servo import Servo as Servo

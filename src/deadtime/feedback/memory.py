@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.feedback.belief import Belief
 from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.law import Law, TableLaw
 from deadtime.feedback.table import Feedback
@@ -54,12 +55,14 @@ class Memory(NamedTuple):
 class Tables(NamedTuple):
     """A law as tables: its rows, and what they are multiplied with where that is not x or y.
 
-    A law that knows the signal has a foresight in place of rows.
+    A law that knows the signal has a foresight in place of rows; one with a belief weighs its rows
+    by that in place of choosing one by the mode.
     """
 
     feedback: Feedback | None
     memory: Memory | None = None
     foresight: Foresight | None = None
+    belief: Belief | None = None
 
 
 class WithMemory(ABC):

@@ -11,6 +11,7 @@ import numpy as np
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Law
+from deadtime.feedback.belief import BeliefState
 from deadtime.feedback.memory import Tables
 from deadtime.feedback.table import OLDEST, follow
 from deadtime.imperfections import Disturbance
@@ -125,6 +126,8 @@ class Outcome:
         What else is worth knowing.
     told : Told or None
         What the law was told, where that is not the state.
+    belief : (samples, modes) or None
+        How likely a law that is not told the mode took each to be.
     """
 
     record: DigitalRecord | IdealRecord
@@ -134,6 +137,7 @@ class Outcome:
     diverged: bool = False
     note: str = ""
     told: Told | None = None
+    belief: np.ndarray | None = None
 
 
 def run_table(
@@ -149,7 +153,7 @@ def run_table(
     from deadtime.simulation.kernel import closed_loop
 
     sampled, samples, past = grid.sampled, grid.samples, grid.past
-    step, memory = sampled.step, tables.memory
+    step, memory, belief = sampled.step, tables.memory, tables.belief
     cuts = cuts_of(signal, sampled)
     table = sampled.along(cuts, grid.periods)
     shift, forces = np.zeros((0, x0.size)), None
@@ -168,7 +172,11 @@ def run_table(
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
     along = Along(sampled, signal, table)
     foreseen = Foreseen.of(tables.foresight, samples, along) if tables.foresight else None
-    kept, path = closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0)
+    state = None
+    if belief is not None:
+        state = BeliefState.of(belief, rows.F.shape[0], samples)
+    known = memory, belief, state, foreseen
+    kept, path = closed_loop(table, rows, *known, line, sight, clip, shift, x0)
     record = DigitalRecord(
         sampled,
         cuts,
@@ -185,7 +193,8 @@ def run_table(
     if arrays is not None or law.outputs is not None:
         estimates = None if memory is None else line.estimates[:kept]
         told = Told(line.measured[:kept], line.asked[past : past + kept], estimates)
-    return Outcome(record, signal, mode_at, end, diverged, told=told)
+    trace = None if state is None else state.trace[:kept]
+    return Outcome(record, signal, mode_at, end, diverged, told=told, belief=trace)
 
 
 def _rows(tables: Tables, modes: np.ndarray, age: int, arrays: Arrays | None) -> Rows:

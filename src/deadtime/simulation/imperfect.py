@@ -41,6 +41,8 @@ class ImperfectLaw:
 
     Attributes
     ----------
+    update : Update
+        The law.
     lags : Lags or None
         How long before each sample its state is to be measured.
     measured : (samples, n) or (samples, p)
@@ -67,7 +69,7 @@ class ImperfectLaw:
             each.actuator(sizes) for each, _ in pairs if isinstance(each, ActuatorImperfection)
         ]
         self.lags = Lags.of(pairs, sizes, samples)
-        self._update = update
+        self.update = update
         self._line: np.ndarray | None = None
         self._mode, self._age = -1, 0
         self.measured: list[np.ndarray] = []
@@ -101,7 +103,7 @@ class ImperfectLaw:
 
     def record(self, kept: int) -> Told:
         """What the law was told at the first samples, and made of it."""
-        estimates = self._update.estimates if isinstance(self._update, Remembering) else None
+        estimates = self.update.estimates if isinstance(self.update, Remembering) else None
         return Told(
             np.array(self.measured[:kept]),
             np.array(self.commanded[:kept]),
@@ -109,7 +111,7 @@ class ImperfectLaw:
         )
 
     def _ask_law(self, x: np.ndarray, past: np.ndarray) -> np.ndarray:
-        asked = self._update(x, past, max(self._mode, 0), self._age)
+        asked = self.update(x, past, max(self._mode, 0), self._age)
         if np.isfinite(asked).all() or (np.isfinite(x).all() and self._mode >= 0):
             return asked
         return self.commanded[-1] if self.commanded else past[-1].copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deadtime.estimation.belief_kernel import believe
 from deadtime.estimation.kernel import remember
 from deadtime.numerics.exponential import advance
 from deadtime.numerics.kernels import kernel
@@ -46,6 +47,18 @@ def _row_dot(A, c, i, b):
     for j in range(whole, b.size):
         total += A[c, i, j] * b[j]
     return total
+
+
+@kernel
+def _mean_row(rows, weight, recent, known, answer):
+    """The answers of all rows, each by its weight."""
+    for i in range(answer.size):
+        answer[i] = 0.0
+    for c in range(weight.size):
+        if weight[c] > 0.0:
+            for i in range(answer.size):
+                own = _row_dot(rows.F, c, i, known)
+                answer[i] += weight[c] * (_dot(rows.G[c, i], recent) + own)
 
 
 @kernel
@@ -94,6 +107,21 @@ def _go_on(table, sight, k, x, inputs, past, result):
 
 
 @kernel
+def _see(sight, k, x, measured, seen):
+    """What is measured of x, or nothing."""
+    for i in range(seen.size):
+        if sight.piece[k] < 0:
+            seen[i] = np.nan
+        elif sight.C.shape[1]:
+            seen[i] = _row_dot(sight.C, sight.mode[k], i, x)
+        else:
+            seen[i] = x[i]
+        if sight.noise.size:
+            seen[i] += sight.noise[k, i]
+        measured[k, i] = seen[i]
+
+
+@kernel
 def _move(Phi, Gamma, e, path, q, acting):
     """x at the end of piece q, of entry e: `advance` from row to row."""
     for i in range(path.shape[1]):
@@ -105,35 +133,31 @@ def _move(Phi, Gamma, e, path, q, acting):
         path[q + 1, i] = total
 
 
-def _in_python(table, rows, memory, foreseen, line, sight, clip, shift, x0):
+def _in_python(table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0):
     """`closed_loop` where it is not compiled: over lists where these will do."""
-    if memory is None and foreseen is None and is_bare(table, line, sight, clip, shift):
+    simple = memory is None and belief is None and foreseen is None
+    if simple and is_bare(table, line, sight, clip, shift):
         return bare_loop(table, rows, line, x0)
-    return closed_loop.function(table, rows, memory, foreseen, line, sight, clip, shift, x0)
+    parts = table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0
+    return closed_loop.function(*parts)
 
 
 @kernel(plain=_in_python, large=_LONG)
-def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
+def closed_loop(table, rows, memory, belief, state, foreseen, line, sight, clip, shift, x0):
     """Run the loop over the samples 0, …, rows.row.size − 1 and on until an input is missing.
 
-    `table` is a `deadtime.plant.pieces.PieceTable`, `memory` a `deadtime.feedback.memory.Memory` or
-    None, `foreseen` one of its file in place of rows or None; the others are of
-    `deadtime.simulation`, too: `rows` and `line` of `digital`, `sight` of its file, `clip` of
-    `compiled`; `shift` (pieces, n), or empty, is what disturbances add. Returns (samples, path):
-    how many samples were kept before |x| left the limit, and x at the start of every piece that was
-    run and at the end of the last.
+    `table` is a `deadtime.plant.pieces.PieceTable`; `memory` a `deadtime.feedback.memory.Memory`,
+    `belief` and `state` of `deadtime.feedback.belief`, `foreseen` one of its file in place of rows,
+    or None each; the others are of `deadtime.simulation`, too: `rows` and `line` of `digital`,
+    `sight` of its file, `clip` of `compiled`; `shift` (pieces, n), or empty, is what disturbances
+    add. Returns (samples, path): how many samples were kept before |x| left the limit, and x at the
+    start of every piece that was run and at the end of the last.
     """
     first, entry, Phi, Gamma, lag = table.first, table.entry, table.Phi, table.Gamma, table.lag
     inputs, asked, told, flat = line.inputs, line.asked, line.told, line.told.reshape(-1)
-    F, G, row, measured, piece, way = (
-        rows.F,
-        rows.G,
-        rows.row,
-        line.measured,
-        sight.piece,
-        sight.way,
-    )
-    noise, C, low, high, relative = sight.noise, sight.C, clip.low, clip.high, clip.relative
+    F, G, row, measured = rows.F, rows.G, rows.row, line.measured
+    piece, way = sight.piece, sight.way
+    low, high, relative = clip.low, clip.high, clip.relative
     n, m, window, past, samples = x0.size, inputs.shape[1], G.shape[2], line.past, row.size
     spare, seen = np.empty(n), np.empty(measured.shape[1])
     known = seen if memory is None else np.empty(line.estimates.shape[1])
@@ -150,22 +174,18 @@ def closed_loop(table, rows, memory, foreseen, line, sight, clip, shift, x0):
                 spare[i] = path[max(q, 0), i]
             if way[k] >= 0:
                 _go_on(table, sight, k, path[q], inputs, past, spare)
-            for i in range(seen.size):
-                if q < 0:
-                    seen[i] = np.nan
-                else:
-                    seen[i] = _row_dot(C, sight.mode[k], i, spare) if C.shape[1] else spare[i]
-                if noise.size:
-                    seen[i] += noise[k, i]
-                measured[k, i] = seen[i]
+            _see(sight, k, spare, measured, seen)
             if memory is not None:
                 remember(memory, rows.mode, k, told, past, seen, answer, line.estimates)
                 for i in range(known.size):
                     known[i] = line.estimates[k, i]
+            recent = flat[at * m - window : at * m]
             if foreseen is not None:
                 foresee(foreseen, k, past, told, known, answer)
+            elif belief is not None:
+                believe(belief, state, k, past, told, measured)
+                _mean_row(rows, state.weight, recent, known, answer)
             else:
-                recent = flat[at * m - window : at * m]
                 for i in range(m):
                     own = _row_dot(F, row[k], i, known)
                     answer[i] = _dot(G[row[k], i], recent) + own

@@ -16,6 +16,7 @@ import numpy as np
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ChatteringError
 from deadtime.feedback import Law
+from deadtime.feedback.belief import Believing
 from deadtime.feedback.law import Update
 from deadtime.plant.steps import snap
 from deadtime.simulation.compiled import Lags
@@ -90,7 +91,13 @@ def run_online(
         diverged,
         note,
         None if imperfect is None else imperfect.record(kept),
+        _belief(update if imperfect is None else imperfect.update, kept),
     )
+
+
+def _belief(update: Update, kept: int) -> np.ndarray | None:
+    """What a law that keeps a belief took each mode's probability to be, (samples, modes)."""
+    return np.array(update.beliefs[:kept]) if isinstance(update, Believing) else None
 
 
 def _run(

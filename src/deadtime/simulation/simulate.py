@@ -31,7 +31,7 @@ from deadtime.simulation.ideal.run import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
-from deadtime.simulation.trajectory import Trajectory, trajectory_of
+from deadtime.simulation.trajectory import Trajectory, belief_at, trajectory_of
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.rule import as_rule
 
@@ -87,7 +87,8 @@ def simulate(
         (`deadtime.imperfections`); digital loop only. With sensors or actuators among them,
         `run.inputs` are the inputs applied, `run.commanded` those asked for and `run.measured`
         what the law was told of x. A law that measures outputs is told of these, with or without
-        imperfections, and `run.estimates` is what it makes of them.
+        imperfections, and `run.estimates` is what it makes of them. Of a `BeliefPredictor`
+        `run.belief` is how likely it took each mode to be.
     seed : int
         At least 0, of all that is random in them.
     predict : "applied" or "commanded"
@@ -154,6 +155,8 @@ def simulate(
         outcome.diverged,
         _message(outcome, end, horizon),
     )
+    if outcome.belief is not None:
+        run = replace(run, belief=belief_at(run, outcome.belief))
     if outcome.told is None:
         return run
     measured, commanded, estimates = outcome.told

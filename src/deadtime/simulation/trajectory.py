@@ -60,6 +60,8 @@ class Trajectory(Frozen):
         What the law asked for, `inputs` being what was applied; of the same runs.
     estimates : (states of the law's model, samples) or None
         What a law that measures outputs took the state of its model to be.
+    belief : (modes, T) or None
+        How likely a law that is not told the mode took each to be, as of the last sample.
     """
 
     time: Float[np.ndarray, " T"]
@@ -76,6 +78,7 @@ class Trajectory(Frozen):
     measured: Float[np.ndarray, "y samples"] | None = field(default=None, repr=False)
     commanded: Float[np.ndarray, "m samples"] | None = field(default=None, repr=False)
     estimates: Float[np.ndarray, "z samples"] | None = field(default=None, repr=False)
+    belief: Float[np.ndarray, "modes T"] | None = field(default=None, repr=False)
 
     @property
     def history(self) -> Float[np.ndarray, "m N"] | InputHistory:
@@ -161,6 +164,8 @@ class Trajectory(Frozen):
         columns["mode"] = self.mode
         if self.mismatch is not None:
             columns |= {f"w[{i}]": row for i, row in enumerate(self.mismatch)}
+        if self.belief is not None:
+            columns |= {f"belief[{i}]": row for i, row in enumerate(self.belief)}
         return columns
 
     def to_csv(self, path: str | PathLike[str]) -> None:
@@ -173,13 +178,13 @@ class Trajectory(Frozen):
             writer.writerows(rows)
 
     def to_pandas(self) -> pd.DataFrame:
-        """A data frame indexed by time, columns x[0], …, u[0], …, mode, w[0], …."""
+        """A data frame indexed by time, columns x[0], …, u[0], …, mode, w[0], …, belief[0], …."""
         import pandas as pd
 
         return pd.DataFrame(self._columns(), index=pd.Index(self.time, name="time"))
 
     def to_xarray(self) -> xr.Dataset:
-        """A dataset with variables x (state, time), u (input, time), mode, and w."""
+        """A dataset with variables x (state, time), u (input, time), mode, w, and belief."""
         import xarray as xr
 
         variables: dict[str, Any] = {
@@ -189,6 +194,8 @@ class Trajectory(Frozen):
         }
         if self.mismatch is not None:
             variables["w"] = (("input", "time"), self.mismatch.copy())
+        if self.belief is not None:
+            variables["belief"] = (("candidate", "time"), self.belief.copy())
         time = xr.Variable("time", self.time.copy(), {"units": "s"})
         attributes = {"diverged": int(self.diverged), "message": self.message}
         return xr.Dataset(variables, coords={"time": time}, attrs=attributes)
@@ -214,6 +221,15 @@ class Trajectory(Frozen):
         )
         state = "diverged" if self.diverged else final
         return f"Trajectory(end={self.end:g} s, samples={self.time.size}, {state})"
+
+
+def belief_at(
+    run: Trajectory, belief: Float[np.ndarray, "samples modes"]
+) -> Float[np.ndarray, "modes T"]:
+    """What was believed at the samples, at the times of a run: held from sample to sample."""
+    assert isinstance(run.record, DigitalRecord)
+    step, _ = run.record.locate(run.time)
+    return read_only(belief[np.minimum(step, len(belief) - 1)].T)
 
 
 def trajectory_of(

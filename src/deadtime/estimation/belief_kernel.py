@@ -1,0 +1,219 @@
+"""The compiled steps of a `deadtime.feedback.belief.Belief`.
+
+`advance_belief` is one sample of the filter, whoever runs it: it reads the states at two samples
+and the inputs in a line whose last row that matters is the one sent at the first of them.
+"""
+
+from __future__ import annotations
+
+import math
+
+from deadtime.numerics.kernels import kernel
+
+ROUND_OFF = 1e-12  # of the size of what a prediction adds up: residuals below say nothing
+_SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
+_LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
+
+
+@kernel
+def advance_belief(form, state, before, x, told, row):
+    """π_k in `state.now`, from π_{k−1}, x_{k−1} `before`, x_k and the inputs, u_{k−1} in row `row`.
+
+    Where a state is not finite, or nothing moves, nothing is learnt: the chain goes on by itself.
+    """
+    seen = _predict(form, state, before, x, told, row)
+    if seen:
+        for i in range(form.Phi.shape[0]):
+            seen &= _weigh(form, state, x, i)
+    _move(form, state, seen)
+
+
+@kernel
+def _predict(form, state, before, x, told, row):
+    """What each mode makes of the period, and the size of its terms; whether that says anything."""
+    modes, n = form.Phi.shape[:2]
+    m = form.Gamma.shape[3]
+    finite, moving = True, False
+    for a in range(n):
+        finite &= math.isfinite(x[a]) and math.isfinite(before[a])
+        state.size[a] = abs(x[a])
+    for i in range(modes):
+        for a in range(n):
+            total = size = 0.0
+            for b in range(n):
+                term = form.Phi[i, a, b] * before[b]
+                total += term
+                size += abs(term)
+            for p in range(form.lag.size):
+                for j in range(m):
+                    term = form.Gamma[i, p, a, j] * told[row - form.lag[p], j]
+                    total += term
+                    size += abs(term)
+            state.predicted[i, a] = total
+            state.size[a] = max(state.size[a], size)
+            finite &= math.isfinite(size)
+            moving |= size > 0.0
+    return finite and moving
+
+
+@kernel
+def _weigh(form, state, x, i):
+    """log p_ij of the periods that begin in mode i, up to a constant; whether they are finite."""
+    n = x.size
+    scale = root_of(form.noise[i], state.size, state.root)
+    for a in range(n):
+        state.white[a] = x[a] - state.predicted[i, a]
+    whiten(state.root, state.white)
+    square = 0.0
+    for a in range(n):
+        square += state.white[a] * state.white[a]
+    state.density[i, i] = -0.5 * square - scale
+    finite = math.isfinite(state.density[i, i])
+    for j in range(form.Phi.shape[0]):
+        if j == i:
+            continue
+        state.density[i, j] = state.density[i, i]
+        if form.within:
+            for a in range(n):
+                state.apart[a] = state.predicted[j, a] - state.predicted[i, a]
+            whiten(state.root, state.apart)
+            state.density[i, j] = _between(state.white, state.apart) - scale
+        finite &= math.isfinite(state.density[i, j])
+    return finite
+
+
+@kernel
+def root_of(noise, size, root):
+    """Cholesky's L of the noise and of the round-off of predictions; Σ log L_aa.
+
+    A row without either is left out, with a 0 on the diagonal.
+    """
+    scale = 0.0
+    for a in range(size.size):
+        own = noise[a, a] + (ROUND_OFF * size[a]) ** 2
+        for b in range(a + 1):
+            rest = own if a == b else noise[a, b]
+            for c in range(b):
+                rest -= root[a, c] * root[b, c]
+            if a == b:
+                root[a, a] = math.sqrt(max(rest, _SPENT * own))
+            else:
+                root[a, b] = rest / root[b, b] if root[b, b] > 0.0 else 0.0
+        if root[a, a] > 0.0:
+            scale += math.log(root[a, a])
+    return scale
+
+
+@kernel
+def whiten(root, vector):
+    """vector = L⁻¹ vector, 0 in rows that are left out."""
+    for a in range(vector.size):
+        rest = vector[a]
+        for b in range(a):
+            rest -= root[a, b] * vector[b]
+        vector[a] = rest / root[a, a] if root[a, a] > 0.0 else 0.0
+
+
+@kernel
+def _between(white, apart):
+    """The log-density of a whitened residual about a point on its way to `apart`, evenly spread.
+
+    A normal one about the middle, its variance along the way 1 + |d|²/12, d = `apart`: split into
+    along and across before squaring, as d may be 1e12 times the noise.
+    """
+    length = along = 0.0
+    for a in range(white.size):
+        length += apart[a] * apart[a]
+        along += apart[a] * (white[a] - 0.5 * apart[a])
+    if length == 0.0:
+        square = 0.0
+        for a in range(white.size):
+            square += white[a] * white[a]
+        return -0.5 * square
+    along /= length
+    across = 0.0
+    for a in range(white.size):
+        across += (white[a] - (0.5 + along) * apart[a]) ** 2
+    wide = 1.0 + length / 12.0
+    return -0.5 * (across + along * along * length / wide + math.log(wide))
+
+
+@kernel
+def _move(form, state, seen):
+    """Let the chain go on for a period, weighed by the densities where they say something."""
+    now, mass, hazard = state.now, state.mass, form.hazard
+    modes, ages = now.shape
+    for i in range(modes):
+        leave = stay = 0.0
+        for a in range(ages):
+            leave += hazard[i, a] * now[i, a]
+            stay += (1.0 - hazard[i, a]) * now[i, a]
+        for j in range(modes):
+            mass[i, j] = stay if i == j else leave * form.jump[i, j]
+    _factors(state, seen)
+    for i in range(modes):
+        factor, last = state.density[i, i], ages - 1
+        kept = (1.0 - hazard[i, last]) * now[i, last]
+        for a in range(last, 0, -1):
+            now[i, a] = (1.0 - hazard[i, a - 1]) * now[i, a - 1] * factor
+        now[i, 0] = 0.0
+        now[i, last] += kept * factor
+    total = 0.0
+    for j in range(modes):
+        for i in range(modes):
+            if i != j:
+                now[j, 0] += mass[i, j] * state.density[i, j]
+        for a in range(ages):
+            total += now[j, a]
+    for j in range(modes):
+        for a in range(ages):
+            now[j, a] *= (1.0 - form.forgetting) / total
+        now[j, 0] += form.forgetting / modes
+
+
+@kernel
+def _factors(state, seen):
+    """density = p over what makes the likeliest of all 1; 1 where nothing was seen."""
+    modes = state.mass.shape[0]
+    top = -math.inf
+    for i in range(modes):
+        for j in range(modes):
+            if seen and state.mass[i, j] >= _LEAST:
+                top = max(top, state.density[i, j] + math.log(state.mass[i, j]))
+    for i in range(modes):
+        for j in range(modes):
+            factor = 1.0
+            if seen:
+                factor = 0.0
+                if state.mass[i, j] >= _LEAST:
+                    factor = math.exp(state.density[i, j] - top)
+            state.density[i, j] = factor
+
+
+@kernel
+def share_rows(state):
+    """The share of every row of a table: ages past the table's count as its last."""
+    now, weight = state.now, state.weight
+    modes, ages = now.shape
+    rows = weight.size // modes
+    for c in range(weight.size):
+        weight[c] = 0.0
+    for i in range(modes):
+        for a in range(ages):
+            weight[i * rows + min(a, rows - 1)] += now[i, a]
+
+
+@kernel
+def believe(form, state, k, past, told, measured):
+    """The belief at sample k of a run, its shares of the rows and its place in the trace.
+
+    u_k is in row past + k of `told`, and what was seen of x at sample k in row k of `measured`.
+    """
+    if k > 0:
+        advance_belief(form, state, measured[k - 1], measured[k], told, past + k - 1)
+    share_rows(state)
+    for i in range(state.now.shape[0]):
+        total = 0.0
+        for a in range(state.now.shape[1]):
+            total += state.now[i, a]
+        state.trace[k, i] = total

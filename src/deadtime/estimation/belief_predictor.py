@@ -1,0 +1,151 @@
+"""A law with rows by mode, run on a belief over the modes in place of the mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadtime.base.checks import instance
+from deadtime.base.errors import ArgumentError
+from deadtime.estimation.mode_filter import ModeFilter
+from deadtime.feedback import Feedback, Forecast, Law
+from deadtime.feedback.belief import Belief, BeliefState, Believing
+from deadtime.feedback.law import TableLaw, Update
+from deadtime.feedback.memory import Tables, WithMemory
+from deadtime.switching import SwitchingSignal
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class BeliefPredictor(WithMemory, Law):
+    """A law whose rows are weighed by how likely their modes are; it reads no mode.
+
+        u = Σ_c π_c (F_c x + Σ_j G_{c,j} u_{k−j}),    c = mode, or (mode, age)
+
+    Of `ExpectedPredictor` under the filter's switching model this is the expectation over what is
+    not known, the present mode included. Of other laws with rows by mode it is their mean.
+
+    Parameters
+    ----------
+    law : Law
+        A law with a table by mode or by mode and age.
+    filter : ModeFilter
+        For a plant of the same sizes; it fixes the period. Its matrices and delays may differ from
+        those of the law's model, but no delay may be longer than the law's longest.
+
+    Raises
+    ------
+    ArgumentError
+        If the law has no such table, or law and filter do not belong together; by `digital` and
+        `ideal`, always.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem, model = dt.problems.paper(), dt.Markov([[0, 1.25], [1.25, 0]])
+    >>> law = dt.ExpectedPredictor(problem.plant, problem.gains, model)
+    >>> believing = dt.BeliefPredictor(law, dt.ModeFilter(problem.plant, model, step=0.02))
+    >>> signal = model.sample(10.0, seed=1)
+    >>> run = dt.simulate(problem.plant, believing, signal, problem.x0, 10.0, step=0.02)
+    >>> run.belief.shape, run.diverged, bool((run.belief.argmax(axis=0) == run.mode).mean() > 0.97)
+    ((2, 501), False, True)
+    """
+
+    law: TableLaw
+    filter: ModeFilter
+
+    def __init__(self, law: Law, filter: ModeFilter) -> None:
+        instance("law", law, Law)
+        instance("filter", filter, ModeFilter)
+        kind = type(law).__name__
+        if not isinstance(law, TableLaw) or law.foresees:
+            why = "foresees the signal" if law.foresees else "is no table"
+            raise ArgumentError(
+                f"law must have a table of rows by mode, or by mode and age: {kind} {why}."
+            )
+        for size in ("modes", "states", "inputs"):
+            mine, its = getattr(law.plant, size), getattr(filter.plant, size)
+            if mine != its:
+                raise ArgumentError(
+                    f"filter must be of a plant with the law's {mine} {size}, got {its}: delay and "
+                    "matrices of the two models may differ, sizes not."
+                )
+        table = law.digital(filter.step)
+        if table.context not in ("mode", "mode_age"):
+            raise ArgumentError(
+                f"law must have rows by mode, or by mode and age: {kind} ({law.label}) does not "
+                "read the mode. Run it as it is; no belief changes what it does."
+            )
+        longest = law.sampled_plant(filter.step).longest_lag
+        if filter.longest_lag > longest:
+            raise ArgumentError(
+                f"filter must read inputs of the last {longest} periods, as the law does, got "
+                f"{filter.longest_lag}: give the law's model the longer delay, too."
+            )
+        vars(self).update(plant=law.plant, gains=law.gains, outputs=None, law=law, filter=filter)
+
+    @property
+    def label(self) -> str:
+        return f"{self.law.label}, by belief"
+
+    def digital(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Feedback:
+        raise ArgumentError(
+            "BeliefPredictor has no table: it weighs rows by a belief, which no mode decides. Ask "
+            "about its .law, which is told the mode."
+        )
+
+    def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
+        raise ArgumentError(
+            "step must be given for BeliefPredictor: its filter runs at samples, every "
+            f"{self.filter.step:g} s."
+        )
+
+    def require_step(self, step: float) -> None:
+        """Refuse a period that is not the filter's."""
+        if step != self.filter.step:
+            raise ArgumentError(
+                f"step must be the filter's, {self.filter.step:g} s, got {step:g}: make the filter "
+                "for the period of the loop."
+            )
+
+    def belief_of(self, feedback: Feedback) -> Belief:
+        """The filter as data, with as many ages as the table has, or more."""
+        return self.filter.belief(feedback.ages)
+
+    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables:
+        self.require_step(step)
+        feedback = self.law.digital(step)
+        return Tables(feedback, belief=self.belief_of(feedback))
+
+    def online(
+        self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
+    ) -> Update:
+        self.require_step(step)
+        feedback = self.law.digital(step)
+        return BeliefUpdate(feedback, self.belief_of(feedback))
+
+
+class BeliefUpdate(Believing):
+    """A `BeliefPredictor` that runs: from x_k and the past inputs to u_k; it reads no mode."""
+
+    def __init__(self, feedback: Feedback, form: Belief) -> None:
+        self._feedback, self._form = feedback, form
+        self._oldest_first = feedback.oldest_first
+        self._state = BeliefState.of(form, len(feedback.state_gain), 1)
+        self._before = np.empty(form.Phi.shape[1])
+        self.beliefs: list[np.ndarray] = []
+
+    def __call__(self, x: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        from deadtime.estimation.belief_kernel import advance_belief, share_rows
+
+        if self.beliefs:
+            advance_belief(self._form, self._state, self._before, x, past, len(past) - 1)
+        self._before = np.array(x, float)
+        share_rows(self._state)
+        self.beliefs.append(self._state.now.sum(axis=1))
+        share = self._state.weight
+        recent = past[-self._feedback.taps :].ravel()
+        rows = self._feedback.state_gain @ x + self._oldest_first @ recent
+        return share @ rows

@@ -1,0 +1,105 @@
+"""What a mode filter is given, checked."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import as_floats, real_array, require_shape
+from deadtime.base.errors import ArgumentError
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import Markov, SemiMarkov
+
+_ALIKE = 1e-9  # of an entry: modes whose entries all differ by less are the same
+_ROUND_OFF = 1e-9
+_SUM = 1e-9
+
+
+def require_model(model: object, modes: int) -> None:
+    """Refuse what is no switching model, or one for another number of modes."""
+    if not isinstance(model, Markov | SemiMarkov):
+        raise ArgumentError(
+            f"model must be a Markov or a SemiMarkov model, got {type(model).__name__}."
+        )
+    if model.modes != modes:
+        raise ArgumentError(
+            f"model must have the plant's {modes} modes, got {model.modes}: give it one sojourn "
+            "and one row of transition (or rates) per mode."
+        )
+
+
+def require_distinct(plant: SwitchedSystem) -> None:
+    """Refuse two modes of which x and u do the same in both."""
+    for i in range(plant.modes):
+        for j in range(i):
+            pairs = ((plant.A[i], plant.A[j]), (plant.B[i], plant.B[j]))
+            same = all(_alike(one, other) for one, other in pairs)
+            # The delay of an input that does nothing shows nowhere.
+            acts = (plant.B[i] != 0.0).any(axis=0)
+            if same and _alike(plant.delays[i][acts], plant.delays[j][acts]):
+                raise ArgumentError(
+                    f"modes {j} and {i} cannot be told apart: A, B and delays are the same, so x "
+                    "shows the same in both. Make one mode of them, or allow_alike = True: then "
+                    "they share what the switching model gives them."
+                )
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether all entries are the same, each by its own size, whatever its unit."""
+    return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
+
+
+def intensity(value: ArrayLike, n: int) -> Float[np.ndarray, "n n"]:
+    """W as a matrix."""
+    given = as_floats("disturbance", value, "one, (n,) or (n, n)")
+    if given.ndim < 2:
+        given = np.diag(np.full(n, given) if given.ndim == 0 else given)
+    W = require_shape(
+        "disturbance", real_array("disturbance", given, "(n, n)", 2), (n, n), "(n, n)"
+    )
+    size = np.abs(W).max()
+    if np.abs(W - W.T).max() > _ROUND_OFF * size or np.linalg.eigvalsh(W)[0] < -_ROUND_OFF * size:
+        raise ArgumentError(
+            f"disturbance must be symmetric and positive semidefinite, got {W.tolist()}."
+        )
+    return W
+
+
+def deviation(value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
+    """A standard deviation per state."""
+    given = as_floats("noise", value, "one or (n,)")
+    whole = real_array("noise", np.full(n, given) if given.ndim == 0 else given, "(n,)", 1)
+    if require_shape("noise", whole, (n,), "(n,)").min() < 0.0:
+        raise ArgumentError(f"noise must be ≥ 0, a standard deviation, got {whole.tolist()}.")
+    return whole
+
+
+def first_belief(value: ArrayLike | None, modes: int, ages: int) -> Float[np.ndarray, "mode age"]:
+    """π_0; of a belief over modes alone all are just begun."""
+    whole = np.zeros((modes, ages))
+    whole[:, 0] = 1.0
+    return whole / modes if value is None else belief_of("initial", value, whole)
+
+
+def belief_of(
+    name: str, value: ArrayLike, now: Float[np.ndarray, "mode age"]
+) -> Float[np.ndarray, "mode age"]:
+    """Probabilities over modes and ages, when they are some; over modes alone, ages as in `now`."""
+    modes, ages = now.shape
+    form = f"(modes,) or (modes, ages) = {now.shape}"
+    given = as_floats(name, value, form)
+    given = real_array(name, given, form, 2 if given.ndim == 2 else 1)
+    require_shape(name, given, now.shape if given.ndim == 2 else (modes,), form)
+    total = float(given.sum())
+    if given.min() < 0.0 or abs(total - 1.0) > _SUM:
+        raise ArgumentError(
+            f"{name} must be probabilities, ≥ 0 with sum 1, got {given.tolist()} with sum "
+            f"{total:.10g}: if none is negative, divide them by their sum."
+        )
+    if given.ndim == 2:
+        return given / total
+    own = now.sum(axis=1, keepdims=True)
+    young = np.eye(1, ages)
+    share = np.where(own > 0.0, now / np.where(own > 0.0, own, 1.0), young)
+    return given[:, None] / total * share

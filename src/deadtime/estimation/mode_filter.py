@@ -1,0 +1,256 @@
+"""ModeFilter: how likely each mode is, from states and past inputs, where nobody measures it.
+
+Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `deadtime.plant`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import count, instance, number, real_array, require_shape
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.estimation.filter_arguments import (
+    deviation,
+    first_belief,
+    intensity,
+    require_distinct,
+    require_model,
+)
+from deadtime.estimation.running_filter import RunningFilter
+from deadtime.feedback.belief import Belief, frozen
+from deadtime.numerics.covariance import noise_covariances, transition
+from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.switching import Markov, SemiMarkov
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class ModeFilter(Frozen):
+    """The belief over the modes of a plant of which x is measured and the mode is not (immutable).
+
+        π_k(j) ∝ Σ_i π_{k−1}(i) P_ij p(x_k | x_{k−1}, inputs, i then j),    P = e^{hΛ} or hazards
+
+    p is normal about what the model predicts over a period in mode i; of a switch within it, about
+    the middle of what i and j predict, and as much wider as its instant is unknown. Under a
+    `SemiMarkov` model the belief is over modes and ages.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The filter's model of the plant; any delays.
+    model : Markov or SemiMarkov
+        How the mode switches.
+    step : float
+        Sampling period h, in seconds.
+    disturbance : array_like
+        W of `imperfections.WhiteDisturbance(W)`, x² per second: a number for number·I, (n,) for a
+        diagonal, or (n, n). A noise of s √h per period and state is W = s².
+    noise : array_like
+        Standard deviation of `imperfections.Noise`, in units of x: a number or (n,).
+    switches : "anywhere" or "samples"
+        Whether the plant switches within periods, treated to first order in h, or at samples only,
+        which is then exact.
+    forgetting : float
+        The part of the belief, in (0, 1), that all modes share alike after every sample, so that
+        none is ever ruled out.
+    initial : array_like, shape (modes,) or (modes, ages), optional
+        The belief at the first sample; by default as the model's signals begin, every mode alike,
+        just begun.
+    ages : int, optional
+        The most ages, in samples, that a semi-Markov model tells apart; older ones count as that
+        old. By default as many as matter to the model (`SemiMarkov.ages`).
+    allow_alike : bool
+        Accept modes that nothing in x tells apart: they share what the switching model gives them.
+
+    Attributes
+    ----------
+    ages : int
+        How many ages the switching model needs; 1 of a Markov model.
+
+    Raises
+    ------
+    ArgumentError
+        If two modes cannot be told apart, an argument is malformed, or the step is too long for the
+        model's sojourns.
+
+    References
+    ----------
+    Elliott, Aggoun and Moore, "Hidden Markov Models", Springer 1995, chapter 3, for states and
+    switches at samples; the rest is derived in docs/theory/mode-filter.md.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> model = dt.Markov([[0.0, 2.0], [1.0, 0.0]])
+    >>> filt = dt.ModeFilter(problem.plant, model, step=0.02, disturbance=1e-4)
+    >>> filt
+    ModeFilter(modes=2, ages=1, step=0.02, switches='anywhere')
+    >>> running = filt.start()
+    >>> running.update([1.0, 1.0]), running.update([1.061, 1.0202]).round(3)
+    (array([0.5, 0.5]), array([0.995, 0.005]))
+    """
+
+    plant: SwitchedSystem
+    model: Markov | SemiMarkov
+    step: float
+    disturbance: Float[np.ndarray, "n n"]
+    noise: Float[np.ndarray, " n"]
+    switches: str
+    forgetting: float
+    initial: Float[np.ndarray, "mode age"]
+    ages: int
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        model: Markov | SemiMarkov,
+        step: float,
+        *,
+        disturbance: ArrayLike = 0.0,
+        noise: ArrayLike = 0.0,
+        switches: str = "anywhere",
+        forgetting: float = 1e-9,
+        initial: ArrayLike | None = None,
+        ages: int | None = None,
+        allow_alike: bool = False,
+    ) -> None:
+        instance("plant", plant, SwitchedSystem)
+        require_model(model, plant.modes)
+        step = SampledPlant.of(plant, step).step
+        if switches not in ("anywhere", "samples"):
+            raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
+        forgetting = number("forgetting", forgetting)
+        if not 0.0 < forgetting < 1.0:
+            raise ArgumentError(f"forgetting must be in (0, 1), got {forgetting:g}.")
+        if not allow_alike:
+            require_distinct(plant)
+        own = 1
+        if isinstance(model, SemiMarkov):
+            own = model.ages(step, None if ages is None else count("ages", ages))
+        elif ages is not None:
+            raise ArgumentError(
+                "ages must be left out of a Markov model, in which age says nothing."
+            )
+        vars(self).update(
+            plant=plant,
+            model=model,
+            step=step,
+            disturbance=intensity(disturbance, plant.states),
+            noise=deviation(noise, plant.states),
+            switches=switches,
+            forgetting=forgetting,
+            initial=first_belief(initial, plant.modes, own),
+            ages=own,
+        )
+
+    def belief(self, ages: int = 1) -> Belief:
+        """Its data for compiled loops, telling apart at least so many ages.
+
+        Parameters
+        ----------
+        ages : int
+            As many as a law's table has; those past the model's own repeat its last hazard.
+        """
+        ages, modes = max(count("ages", ages), self.ages), self.plant.modes
+        sampled = SampledPlant.of(self.plant, self.step)
+        periods = [sampled.period(mode) for mode in range(modes)]
+        lag = np.unique(np.concatenate([period.lags for period in periods]))[::-1]
+        Phi = np.stack([period.Phi for period in periods])
+        Gamma = np.zeros((modes, lag.size, *self.plant.B.shape[1:]))
+        for mode, period in enumerate(periods):
+            Gamma[mode, np.searchsorted(-lag, -np.array(period.lags))] = period.Gamma
+        start = np.zeros((modes, ages))
+        start[:, : self.ages] = self.initial
+        hazard, jump = self._chain(ages)
+        within = self.switches == "anywhere"
+        parts = start, Phi, Gamma, lag, self._covariance(Phi), hazard, jump
+        return frozen(Belief(*parts, self.forgetting, within))
+
+    def _chain(self, ages: int) -> tuple[np.ndarray, np.ndarray]:
+        """The hazard of every mode and age in a period, and the probabilities of the next mode."""
+        if isinstance(self.model, SemiMarkov):
+            own = self.model.hazard(self.step, self.ages)
+            last = np.repeat(own[:, -1:], ages - self.ages, axis=1)
+            return np.hstack((own, last)), self.model.transition
+        P = np.maximum(transition(self.model.generator, self.step), 0.0)
+        np.fill_diagonal(P, 0.0)
+        leave = P.sum(axis=1)
+        return np.tile(leave[:, None], ages), P / np.where(leave > 0.0, leave, 1.0)[:, None]
+
+    def _covariance(self, Phi: np.ndarray) -> Float[np.ndarray, "mode n n"]:
+        """Of x_{k+1} − Φ_i x_k, both as they are measured.
+
+        Φ_i R Φ_iᵀ is the mean over the modes: else, where the noise hides x, the mode in which it
+        grows least would be the likeliest.
+        """
+        A, R = self.plant.A, np.diag(self.noise**2)
+        W = noise_covariances(A, self.disturbance, np.full(len(A), self.step))
+        return W + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
+
+    def start(self, u0: ArrayLike | None = None) -> RunningFilter:
+        """The filter, ready to be called once a period.
+
+        Parameters
+        ----------
+        u0 : array_like, shape (m, N), optional
+            The inputs in flight at the first sample, oldest first, N = `longest_lag`; 0 by default.
+        """
+        return RunningFilter(self.belief(), u0)
+
+    def separation(self, x: ArrayLike, inputs: ArrayLike | None = None) -> np.ndarray:
+        """How many standard deviations apart the modes' predictions over a period are, from x on.
+
+        Below about 1 a single period tells little; with no noise at all the numbers are large.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,)
+        inputs : array_like, shape (m,), optional
+            What acts all through the period; 0 by default.
+
+        Returns
+        -------
+        (modes, modes) array
+            Of the predictions of i and j by the noise in mode i; 0 where they are the same.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> plant = dt.problems.paper().plant
+        >>> filt = dt.ModeFilter(plant, dt.Markov([[0, 1], [1, 0]]), 0.02, disturbance=1e-4)
+        >>> filt.separation([1.0, 1.0]).round(2)
+        array([[0.  , 6.84],
+               [6.82, 0.  ]])
+        """
+        n, m = self.plant.states, self.plant.inputs
+        x = require_shape("x", real_array("x", x, "(n,)", 1), (n,), "(n,)")
+        given = np.zeros(m) if inputs is None else inputs
+        u = require_shape("inputs", real_array("inputs", given, "(m,)", 1), (m,), "(m,)")
+        from deadtime.estimation.belief_kernel import root_of, whiten
+
+        form = self.belief()
+        ahead = form.Phi @ x + form.Gamma.sum(axis=1) @ u
+        size = (np.abs(form.Phi) @ np.abs(x) + np.abs(form.Gamma).sum(axis=1) @ np.abs(u)).max(0)
+        result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
+        for i, j in np.ndindex(result.shape):
+            root_of(form.noise[i], size, root)
+            apart = ahead[j] - ahead[i]
+            whiten(root, apart)
+            result[i, j] = np.linalg.norm(apart)
+        return result
+
+    @property
+    def longest_lag(self) -> int:
+        """N: no input older than u_{k−N} acts in period k of the model."""
+        return SampledPlant.of(self.plant, self.step).longest_lag
+
+    def __repr__(self) -> str:
+        return (
+            f"ModeFilter(modes={self.plant.modes}, ages={self.ages}, step={self.step:g}, "
+            f"switches={self.switches!r})"
+        )

@@ -1,0 +1,75 @@
+"""A mode filter that runs, one sample per call."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import as_floats, real_array, require_shape
+from deadtime.estimation.filter_arguments import belief_of
+from deadtime.feedback.belief import Belief, BeliefState
+
+
+class RunningFilter:
+    """A `ModeFilter` that runs: `update` once a period; made by `ModeFilter.start`.
+
+    Attributes
+    ----------
+    belief : (modes, ages) array
+        The belief at the last sample, over modes and ages; a view that changes.
+    """
+
+    def __init__(self, form: Belief, u0: ArrayLike | None = None) -> None:
+        modes, _, n, m = form.Gamma.shape
+        self.form, self._state = form, BeliefState.of(form, modes, 1)
+        longest = int(form.lag.max())
+        self._line = np.zeros((longest + 1, m))
+        if u0 is not None:
+            given = real_array("u0", u0, "(m, N)", 2)
+            self._line[1:] = require_shape("u0", given, (m, longest), "(m, N)").T
+        self._before, self._seen = np.full(n, np.nan), False
+
+    @property
+    def belief(self) -> Float[np.ndarray, "mode age"]:
+        """The belief at the last sample; a view that changes."""
+        return self._state.now
+
+    def update(
+        self, x: ArrayLike, u: ArrayLike | None = None, belief: ArrayLike | None = None
+    ) -> Float[np.ndarray, " mode"]:
+        """How likely each mode is at this sample.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,)
+            The state as measured; where an entry is not finite it counts as missing: the switching
+            model alone says how the belief goes on, over this period and the next.
+        u : array_like, shape (m,), optional
+            The input sent at the sample before, as applied; 0 by default, and not read at the first
+            call.
+        belief : array_like, shape (modes,) or (modes, ages), optional
+            What is known of the mode at this sample from elsewhere: it replaces what the filter
+            makes of x. Over modes alone, each mode keeps the shares of its ages.
+
+        Raises
+        ------
+        ArgumentError
+            If a shape is wrong, or `belief` is not ≥ 0 with sum 1; nothing is changed then.
+        """
+        from deadtime.estimation.belief_kernel import advance_belief
+
+        n, m = self._before.size, self._line.shape[1]
+        x = require_shape("x", as_floats("x", x, f"shape ({n},)"), (n,), "(n,)")
+        given = np.zeros(m) if u is None else u
+        sent = require_shape("u", real_array("u", given, "(m,)", 1), (m,), "(m,)")
+        told = None if belief is None else belief_of("belief", belief, self._state.now)
+        if self._seen:
+            self._line[:-1] = self._line[1:]
+            self._line[-1] = sent
+            row = len(self._line) - 1
+            advance_belief(self.form, self._state, self._before, x, self._line, row)
+        if told is not None:
+            self._state.now[:] = told
+        self._before, self._seen = x, True
+        return self._state.now.sum(axis=1)

@@ -1,0 +1,105 @@
+"""A belief over the modes as arrays for compiled loops: how it moves, and what of it changes.
+
+The hidden chain is c = (mode, age), age the samples since the sampled mode last changed, the last
+age standing for all older ones. Over the period from t_{k−1} to t_k a mode i lasts on with
+probability 1 − hazard, or gives way to j with hazard·jump_ij, and every one of these is weighed by
+the density of the x_k that is seen (`estimation/belief_kernel.py`; docs/theory/mode-filter.md):
+
+    π_k(i, a + 1) ∝ π_{k−1}(i, a) (1 − hazard_i,a) p_ii,
+    π_k(j, 0)     ∝ Σ_i Σ_a π_{k−1}(i, a) hazard_i,a jump_ij p_ij.
+
+A Markov chain is the case of one age.
+"""
+
+from __future__ import annotations
+
+from abc import ABC
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.base.checks import read_only
+
+
+class Belief(NamedTuple):
+    """How a belief moves: data that no run changes.
+
+    start : (modes, ages), π_0
+    Phi : (modes, n, n), Gamma : (modes, lags, n, m), lag : (lags,): the model over a whole period
+        in each mode, x_{k+1} = Φ_i x_k + Σ_l Γ_i,l u_{k−lag_l}
+    noise : (modes, n, n), the covariance of x_{k+1} about that
+    hazard : (modes, ages), the probability that a mode of that age ends by the next sample
+    jump : (modes, modes), the probabilities of the next mode, rows sum to 1
+    forgetting : the part of π that is taken from all modes alike after every sample
+    within : whether a mode may end within a period, or at samples only
+    """
+
+    start: Float[np.ndarray, "mode age"]
+    Phi: Float[np.ndarray, "mode n n"]
+    Gamma: Float[np.ndarray, "mode lag n m"]
+    lag: Int[np.ndarray, " lag"]
+    noise: Float[np.ndarray, "mode n n"]
+    hazard: Float[np.ndarray, "mode age"]
+    jump: Float[np.ndarray, "mode mode"]
+    forgetting: float
+    within: bool
+
+
+class BeliefState(NamedTuple):
+    """What of a belief changes from sample to sample, and room to work in.
+
+    now : (modes, ages), π_k
+    weight : (rows,), the share of every row of the law's table
+    trace : (samples, modes), π_k summed over ages, of a run
+    density : (modes, modes), log p_ij of the period that ended, up to one constant
+    mass : (modes, modes), the probability of each of these before x_k was seen
+    predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,)
+    """
+
+    now: Float[np.ndarray, "mode age"]
+    weight: Float[np.ndarray, " row"]
+    trace: Float[np.ndarray, "sample mode"]
+    density: Float[np.ndarray, "mode mode"]
+    mass: Float[np.ndarray, "mode mode"]
+    predicted: Float[np.ndarray, "mode n"]
+    apart: Float[np.ndarray, " n"]
+    size: Float[np.ndarray, " n"]
+    root: Float[np.ndarray, "n n"]
+    white: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, belief: Belief, rows: int, samples: int) -> BeliefState:
+        """The state at time 0, for a table of so many rows and a run of so many samples."""
+        modes, n = belief.Phi.shape[:2]
+        square, states = (modes, modes), np.empty((3, n))
+        return cls(
+            belief.start.copy(),
+            np.empty(rows),
+            np.empty((samples, modes)),
+            np.empty(square),
+            np.empty(square),
+            np.empty((modes, n)),
+            states[0],
+            states[1],
+            np.empty((n, n)),
+            states[2],
+        )
+
+
+class Believing(ABC):
+    """An `Update` that keeps a belief over the modes in place of the mode that it is told.
+
+    Attributes
+    ----------
+    beliefs : list of (modes,) arrays
+        What it believed, once a call.
+    """
+
+    beliefs: list[np.ndarray]
+
+
+def frozen(belief: Belief) -> Belief:
+    """The same with arrays that cannot be written to: one type for compiled loops."""
+    arrays = [read_only(part) if isinstance(part, np.ndarray) else part for part in belief]
+    return Belief(*arrays)  # pyright: ignore[reportArgumentType]
