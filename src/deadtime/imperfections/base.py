@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, TypeVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,6 +49,9 @@ class Limits(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     relative: bool
+
+
+Checked = TypeVar("Checked")
 
 
 class Imperfection(Frozen, ABC):
@@ -190,6 +194,22 @@ def require(one: Imperfection, sizes: Sizes) -> None:
             one.spread(sizes, [(np.zeros((sizes.states, sizes.states)), sizes.step)])
         case _:
             pass
+
+
+def once(check: Callable[[Any, int], Checked]) -> Callable[[Any, int], Checked]:
+    """Remember what a check of an imperfection's fields made of them, size by size.
+
+    Many runs ask for it as often as they draw, and checking takes as long as drawing.
+    """
+
+    @functools.wraps(check)
+    def remembered(one: Any, size: int) -> Checked:
+        found = vars(one).setdefault("_found", {})
+        if size not in found:
+            found[size] = check(one, size)
+        return found[size]
+
+    return remembered
 
 
 def per_signal(name: str, value: ArrayLike, size: int) -> np.ndarray:

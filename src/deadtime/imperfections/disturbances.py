@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import Sizes, per_signal
+from deadtime.imperfections.base import Sizes, once, per_signal
 from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
 from deadtime.numerics.accumulated import accumulate, rates
 from deadtime.numerics.covariance import lower_root
@@ -54,6 +54,7 @@ class WhiteDisturbance(DrawnDisturbance):
     ) -> np.ndarray:
         return lower_root(accumulate(A, self._check(sizes.states), rates(A), mode, tau)[1])
 
+    @once
     def _check(self, n: int) -> np.ndarray:
         name = "WhiteDisturbance.intensity"
         given = as_floats(name, self.intensity, "one, (n,) or (n, n)")
@@ -119,6 +120,7 @@ class ColouredDisturbance(DrawnDisturbance):
         left = lower_root(Q[:, :n, :n] - slope @ Q[:, n:, :n])
         return np.concatenate((M[:, :n, n:] - slope * kept[:, None], slope, left), axis=2)
 
+    @once
     def _check(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         given = as_floats("ColouredDisturbance.force", self.force, "(n, q)")
         given = given[:, None] if given.ndim == 1 else given
@@ -190,20 +192,21 @@ def _follow_many(std, kept, fresh, numbers, draws):
     """
     stretches, runs, steps, width = draws.shape
     q = std.size
-    c = np.empty(q)
+    c, more = np.empty(q), width - q
+    given, filled = numbers.reshape(-1), draws.reshape(-1)
     for run in range(runs):
         for j in range(q):
             c[j] = std[j] * numbers[0, run, j]
-        at = q
         for k in range(steps):
             for s in range(stretches):
+                at = (s * runs + run) * numbers.shape[2] + q + k * more
+                to = ((s * runs + run) * steps + k) * width
                 for j in range(q):
-                    draws[s, run, k, j] = c[j]
-                    c[j] = kept[s, j] * c[j] + fresh[s, j] * numbers[s, run, at + j]
-                    draws[s, run, k, q + j] = c[j]
-                for i in range(2 * q, width):
-                    draws[s, run, k, i] = numbers[s, run, at + i - q]
-            at += width - q
+                    filled[to + j] = c[j]
+                    c[j] = kept[s, j] * c[j] + fresh[s, j] * given[at + j]
+                    filled[to + q + j] = c[j]
+                for i in range(q, more):
+                    filled[to + q + i] = given[at + i]
 
 
 def _follow_one(

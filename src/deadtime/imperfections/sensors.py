@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count as whole
 from deadtime.base.errors import ArgumentError
-from deadtime.imperfections.base import SensorImperfection, Sizes, per_signal, probability_of
+from deadtime.imperfections.base import SensorImperfection, Sizes, once, per_signal, probability_of
 from deadtime.imperfections.heard import Additive, Draw, DrawnRelaying, Heard
 
 _MOST = 10**9  # periods
@@ -34,7 +34,7 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
         return samples * sizes.states
 
     def relay_from(self, numbers: np.ndarray, heard: Heard, sizes: Sizes) -> Heard:
-        std, before = self._check(sizes), heard.noise
+        std, before = self._check(sizes.states), heard.noise
         whole = *before.shape[:-2], heard.samples, sizes.states
         before = np.broadcast_to(before, whole).reshape(*before.shape[:-2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -44,11 +44,12 @@ class Noise(DrawnRelaying, Additive, SensorImperfection):
         return heard._replace(noise=numbers.reshape(*numbers.shape[:-1], *whole[-2:]))
 
     def sampler(self, sizes: Sizes, rng: np.random.Generator) -> Draw:
-        std = self._check(sizes)
+        std = self._check(sizes.states)
         return lambda count: std * rng.standard_normal((count, sizes.states))
 
-    def _check(self, sizes: Sizes) -> np.ndarray:
-        std = per_signal("Noise.std", self.std, sizes.states)
+    @once
+    def _check(self, n: int) -> np.ndarray:
+        std = per_signal("Noise.std", self.std, n)
         if (std < 0.0).any():
             raise ArgumentError(f"Noise.std must be ≥ 0, got {std.tolist()}.")
         return std

@@ -13,7 +13,7 @@ from deadtime.feedback import Feedback
 from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes
 from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.drawn import in_many_runs
-from deadtime.scenarios.layout import KINDS, Hearing, Relayed
+from deadtime.scenarios.layout import KINDS, Hearing, Relayed, Sight
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
 from deadtime.scenarios.side_by_side import from_scenario, groups, lay_lags, lay_numbers, lay_rows
@@ -33,7 +33,7 @@ class _Stack(NamedTuple):
     lag: np.ndarray
     reach: int
     noise: np.ndarray
-    sight: np.ndarray | None
+    sight: Sight | None
     modes: np.ndarray | None
 
 
@@ -75,7 +75,8 @@ class HeardBlock:
                 told_mode = self._rows(heard.modes, begin, count, "mode", 1)
         all_of, sight = self.laid.scenarios, heard.sight
         lag, noise = (from_scenario(part, begin, all_of) for part in (heard.lag, heard.noise))
-        sight = None if sight is None else from_scenario(sight, begin, all_of)
+        if sight is not None:
+            sight = Sight(*sight[:2], *(from_scenario(part, begin, all_of) for part in sight[2:]))
         return Hearing(Relayed(lag, heard.reach, noise, row, told_mode), sight)
 
     def _rows(
@@ -105,10 +106,12 @@ class HeardBlock:
             for each, room in zip(kinds, rooms, strict=True):
                 heard = each.relay(begin, room[:few], heard, sizes)
             sample = heard.sample
+            if sights is not None or sample is not nothing.sample:
+                lag = lag if lag.size else np.empty(size, np.int32)
             if sights is not None:
-                sample = sights.lay(self.signals, self.laid.records, begin, few, sample)
-            if sample is not nothing.sample:
-                lag = lag if lag.size else np.zeros(size, np.int32)
+                given = self.signals, self.laid.records, begin, few, sample
+                reach = sights.lay(*given, lag, reach)
+            elif sample is not nothing.sample:
                 reach = lay_lags(sample, few, begin // LANES, lag, reach)
             if heard.noise.shape[1] > 1:
                 noise = noise if noise.size else np.zeros(size * self.measured)
@@ -117,7 +120,7 @@ class HeardBlock:
             if self.by_mode and not true:
                 modes = self._sampled.copy() if modes is None else modes
                 modes[these] = heard.modes(self._sampled[these])
-        return _Stack(lag, reach, noise, None if sights is None else sights.laid, modes)
+        return _Stack(lag, reach, noise, None if sights is None else sights.sight(), modes)
 
     @cached_property
     def _sampled(self) -> np.ndarray:

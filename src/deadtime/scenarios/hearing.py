@@ -19,6 +19,7 @@ from deadtime.numerics.lanes import (
     first_of,
     gather,
     load,
+    matrix_product,
     own_product,
     same,
     spread,
@@ -35,6 +36,7 @@ class Recent(NamedTuple):
 
     slot : of x_k, one number;  places : where what is heard lies
     lost : 1 where nothing is heard;  number : the row of the law's table, as `choose` reads it
+    row : of `layout.Sight`, each scenario's;  own : what that holds, (degree, n, z)
     """
 
     states: np.ndarray
@@ -42,6 +44,8 @@ class Recent(NamedTuple):
     places: np.ndarray
     lost: np.ndarray
     number: np.ndarray
+    row: np.ndarray
+    own: np.ndarray
 
 
 @kernel(eager=True, nogil=True)
@@ -50,7 +54,9 @@ def recent_of(shape, relayed, sight):
     size = len(shape.seen) if sight is None else len(shape.z)
     states = np.zeros(LANES * (relayed.reach + 1) * size)
     slot, places = np.zeros(1, np.int64), np.zeros(LANES, np.int64)
-    return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES))
+    row = np.full(LANES, -1, np.int64)
+    own = np.zeros(0 if sight is None else sight.series.shape[1] * LANES)
+    return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES), row, own)
 
 
 @kernel(eager=True, nogil=True, inline="always")
@@ -69,8 +75,31 @@ def see(shape, relayed, sight, recent, x, at):
     size, slots = len(shape.z), relayed.reach + 1
     spread(recent.states, recent.slot[0] * size, slots * size, x)
     _look_back(relayed, recent, at, slots, size)
-    z = gather(recent.states, recent.places, shape.z)
-    return own_product(sight, at * len(shape.x) * size, z, same(0.0, shape.x))
+    if sight.news[at // LANES]:
+        _lay_out(sight, recent, at)
+    z, delta = gather(recent.states, recent.places, shape.z), load(sight.place, at, _ONE)
+    block = len(shape.x) * size * LANES
+    x = same(0.0, shape.x)
+    for part in range(recent.own.size - block, -1, -block):
+        x = matrix_product(x, delta, own_product(recent.own, part, z, same(0.0, shape.x)))
+    return x
+
+
+@kernel(eager=True, nogil=True)
+def _lay_out(sight, recent, at):
+    """Lay out what is new of scenarios whose row is another one."""
+    several, cut_size = len(sight.series), sight.cuts.shape[1]
+    for lane in range(LANES):
+        row = np.int64(sight.row[at + lane])
+        if row != recent.row[lane]:
+            recent.row[lane] = row
+            for i in range(sight.series.shape[1]):
+                value = 0.0
+                if row < several:
+                    value = sight.series[row, i]
+                elif i < cut_size:
+                    value = sight.cuts[row - several, i]
+                recent.own[i * LANES + lane] = value
 
 
 @kernel(eager=True, nogil=True, inline="always")

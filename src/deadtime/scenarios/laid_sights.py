@@ -1,4 +1,4 @@
-"""Maps to measurements that lie within periods, laid for the compiled loop: see `sights`."""
+"""Measurements that lie within periods, laid for the compiled loop: see `sights`."""
 
 # Intrinsics take one argument less than the functions that declare them.
 # pyright: reportCallIssue=false
@@ -8,71 +8,138 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.lanes import LANES, load, same, store, times
+from deadtime.numerics.lanes import LANES, store
+from deadtime.scenarios.laid import TOLERANCE, series
 
 
 @kernel(eager=True, nogil=True)
-def lay_sights(
-    laid, period, offset, begin, few, records, modes, acting, n, pieces, cell, width
-):  # fmt: skip
-    """Lay the maps to measurements `offset` seconds into a period, scenarios from `begin` on.
+def find_instants(missing, early, step, period, offset):
+    """Fill in the period, −1 before time 0, and the seconds into it at which x is measured.
 
-    period, offset : (few or 1, sample), period −1 for no measurement
-    laid : (group, sample, n, z, lane), flat
+    As `simulation.compiled.Lags.instants`: missing, early (runs or 1, samples or 1), the others
+    (runs, samples).
+    """
+    runs, samples = period.shape
+    for s in range(runs):
+        a, b = min(s, missing.shape[0] - 1), min(s, early.shape[0] - 1)
+        for k in range(samples):
+            lost = missing[a, min(k, missing.shape[1] - 1)]
+            ratio = _snap(k - (lost + early[b, min(k, early.shape[1] - 1)]) / step)
+            ratio = ratio if ratio > 0.0 else 0.0
+            whole = np.floor(ratio)
+            period[s, k] = -1 if _snap(k - lost / step) < 0.0 else np.int64(whole)
+            offset[s, k] = (ratio - whole) * step
+
+
+@kernel(eager=True, nogil=True)
+def _snap(ratio):
+    nearest = np.rint(ratio)
+    return nearest if abs(ratio - nearest) <= TOLERANCE else ratio
+
+
+@kernel(eager=True, nogil=True)
+def lay_periods(lag, reach, heard, period, begin, few):
+    """Fill `lag` of scenarios from `begin` on; the longest, `reach` at least.
+
+    heard : (few or 1, sample), whose measurement is heard, −1 for none;  period : as above, when
+        that is taken
+    """
+    samples = heard.shape[1]
+    at = begin * samples
+    for first in range(0, few, LANES):
+        for k in range(samples):
+            for lane in range(LANES):
+                s = min(first + lane, few - 1)
+                j = heard[min(s, heard.shape[0] - 1), k]
+                now = -1 if j < 0 else period[min(s, period.shape[0] - 1), j]
+                lag[at] = -1 if now < 0 else k - now
+                reach = max(reach, lag[at])
+                at += 1
+    return reach
+
+
+@kernel(eager=True, nogil=True)
+def lay_places(
+    row, place, news, lag, heard, offset, begin, few, records, modes, edges, cells, count, cut,
+    when,
+):  # fmt: skip
+    """Fill rows and places of scenarios from `begin` on; how many measurements lie in cut periods.
+
+    These have the rows count, count + 1, …, and are noted: cut period `cut` at `when`.
+    lag, row, place : (group, sample, lane), flat;  news : (group, sample), flat, set where a row
+        is another one than before;  heard : as in `lay_periods`
+    offset : (few or 1, sample), of all samples
+    """
+    samples, parts, noted = heard.shape[1], edges.size - 1, 0
+    step_of, map_of = records.step, records.map
+    for f in range(few + -few % LANES):
+        s = min(f, few - 1)
+        which, told = min(s, offset.shape[0] - 1), min(s, heard.shape[0] - 1)
+        first, last = records.first[begin + s], records.first[begin + s + 1] - 1
+        at = (begin + f) // LANES * samples * LANES + f % LANES
+        r, known, time, now_row, part = first, -1, -1.0, 0, 0
+        for k in range(samples):
+            late, delta, before = lag[at], 0.0, now_row
+            if late >= 0:
+                t, now = offset[which, heard[told, k]], k - late
+                while r < last and step_of[r + 1] <= now:
+                    r += 1
+                while step_of[r] > now:
+                    r -= 1
+                e = map_of[r]
+                if e < modes:
+                    part = 0
+                    while part + 1 < parts and t >= edges[part + 1]:
+                        part += 1
+                    cell = (edges[part + 1] - edges[part]) / cells
+                    c = min(np.int64((t - edges[part]) / cell), cells - 1)
+                    delta = 2.0 * ((t - edges[part]) / cell - c) - 1.0
+                    now_row = (e * parts + part) * cells + c
+                elif e != known or t != time:
+                    cut[noted], when[noted], now_row = e - modes, t, count + noted
+                    noted += 1
+                known, time = e, t
+            row[at], place[at] = now_row, delta
+            if k == 0 or now_row != before:
+                news[at // LANES] = True
+            at += LANES
+    return noted
+
+
+@kernel(eager=True, nogil=True)
+def follow_cuts(moves, cut, when, records, modes, acting, pieces, cell, width):
+    """Fill moves[c] (n, z) with the map of a cut period up to a measurement, for each noted.
+
     pieces : (mode, cell, degree, size), Φ and Γ of one mode over a time; `cell` is in seconds
     """
-    samples, wide, m, count = period.shape[1], acting.wide, acting.column.shape[1], pieces.shape[0]
+    n, wide, m = moves.shape[1], moves.shape[2], acting.column.shape[1]
     flat, cells, degrees, size = pieces.reshape(-1), *pieces.shape[1:]
     stretch, column = acting.stretches.first, acting.column
     opens, closes = acting.stretches.start, acting.stretches.stop
-    record_step, record_map, first = records.step, records.map, records.first
-    sojourn, until, at = records.sojourn, records.until, records.at
-    move, moved, piece = np.empty((n, wide)), np.empty((n, wide)), np.empty(LANES * len(width))
-    for f in range(few + -few % LANES):
-        s, row = begin + min(f, few - 1), min(f, few - 1, period.shape[0] - 1)
-        place = ((begin + f) // LANES * samples * n * wide) * LANES + f % LANES
-        r, last_record, known, when = first[s], first[s + 1] - 1, -1, -1.0
-        for k in range(samples):
-            now, t = period[row, k], offset[row, k]
-            while r < last_record and record_step[r + 1] <= now:
-                r += 1
-            while record_step[r] > max(now, 0):
-                r -= 1
-            if record_map[r] != known or t != when:
-                known, when, start = record_map[r], t, 0.0
-                cut = known - count
-                for i in range(n):
-                    for a in range(wide):
-                        move[i, a] = 1.0 if i == a else 0.0
-                i, stop_at = (0, 1) if cut < 0 else (sojourn[cut], until[cut])
-                while i < stop_at and start < t:
-                    mode = known if cut < 0 else modes[i]
-                    stop = t if i + 1 == stop_at else min(at[i + 1], t)
-                    for e in range(stretch[mode], stretch[mode + 1]):
-                        length = min(stop, closes[e]) - max(start, opens[e])
-                        if length > 0.0:
-                            c = min(np.int64(length / cell), cells - 1)
-                            delta = same(2.0 * (length / cell - c) - 1.0, width)
-                            term = ((mode * cells + c) * degrees + degrees - 1) * size
-                            value = load(flat, term, width)
-                            for _ in range(degrees - 1):
-                                term -= size
-                                value = times(value, delta, load(flat, term, width))
-                            store(piece, 0, value)
-                            for p in range(n):
-                                for a in range(wide):
-                                    total = 0.0
-                                    for q in range(n):
-                                        total += piece[p * n + q] * move[q, a]
-                                    moved[p, a] = total
-                                for q in range(m):
-                                    moved[p, column[e, q]] += piece[n * n + p * m + q]
-                            for p in range(n):
-                                for a in range(wide):
-                                    move[p, a] = moved[p, a]
-                    start = max(start, stop)
-                    i += 1
-            for i in range(n):
-                for a in range(wide):
-                    laid[place] = move[i, a]
-                    place += LANES
+    moved, piece = np.empty((n, wide)), np.empty(LANES * len(width))
+    for c in range(cut.size):
+        move, start, t = moves[c], 0.0, when[c]
+        for p in range(n):
+            for a in range(wide):
+                move[p, a] = 1.0 if p == a else 0.0
+        i, until = records.sojourn[cut[c]], records.until[cut[c]]
+        while i < until and start < t:
+            mode, stop = modes[i], t if i + 1 == until else min(records.at[i + 1], t)
+            for e in range(stretch[mode], stretch[mode + 1]):
+                length = min(stop, closes[e]) - max(start, opens[e])
+                if length > 0.0:
+                    value = series(flat, mode, cells, degrees, size, 0.0, cell, length, width)
+                    store(piece, 0, value)
+                    for p in range(n):
+                        for a in range(wide):
+                            total = 0.0
+                            for q in range(n):
+                                total += piece[p * n + q] * move[q, a]
+                            moved[p, a] = total
+                        for q in range(m):
+                            moved[p, column[e, q]] += piece[n * n + p * m + q]
+                    for p in range(n):
+                        for a in range(wide):
+                            move[p, a] = moved[p, a]
+            start = max(start, stop)
+            i += 1

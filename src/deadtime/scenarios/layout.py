@@ -168,12 +168,24 @@ class Relayed(NamedTuple):
     told: np.ndarray
 
 
-class Hearing(NamedTuple):
-    """What a law hears, None for all of it.
+class Sight(NamedTuple):
+    """Measurements within periods: from z, x and what acts in a period, to what is measured there.
 
-    sight : (group, sample, n, z, lane), flat: from x and the inputs that act in the period of a
-        measurement to what is measured; None where all are taken at samples
+    series : (row, degree·n·z), Σ_d M_d δ^d, M_d (n, z);  cuts : (row, n·z), one M each
+    row : (group, sample, lane), flat: a row of `series`, or beyond them one of `cuts`
+    place : (group, sample, lane), flat: δ
+    news : (group, sample), flat: whether a scenario's row is another one than before
     """
 
+    series: np.ndarray
+    cuts: np.ndarray
+    row: np.ndarray
+    place: np.ndarray
+    news: np.ndarray
+
+
+class Hearing(NamedTuple):
+    """What a law hears, None for all of it; `sight` is None where all is measured at samples."""
+
     relayed: Relayed | None = None
-    sight: np.ndarray | None = None
+    sight: Sight | None = None

@@ -1,21 +1,29 @@
 """What laws are shown that measure within periods: a delay of measurements, and jitter.
 
 A measurement t seconds into a period is x(t_k + t) = M z, z being the state at the sample and what
-acts in the period: the first n rows of what a period that ends there does.
+acts in the period: the first n rows of what a period that ends there does. In a period that no
+switch cuts M is a series in t, M = Σ_d M_d δ^d with δ ∈ [−1, 1] the place in a cell, and so is
+M z = Σ_d (M_d z) δ^d: the loop keeps the M_d of each scenario's mode. What is measured in a cut
+period has its own M.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
+from jaxtyping import Float
 
 from deadtime.imperfections import Imperfection, Sizes, TimingImperfection
-from deadtime.imperfections.heard import at_samples
 from deadtime.numerics.lanes.code import LANES
-from deadtime.scenarios.cut_periods import WIDE
+from deadtime.plant import SampledPlant
+from deadtime.scenarios.acting import acting_of
+from deadtime.scenarios.cut_periods import WIDE, compose, nodes, parts_of, series_through, stack
 from deadtime.scenarios.drawn import InManyRuns, in_many_runs
+from deadtime.scenarios.layout import Sight
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Records
 from deadtime.scenarios.side_by_side import groups
@@ -25,14 +33,18 @@ from deadtime.switching import SignalBatch
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """The maps M of a block of scenarios, laid a few scenarios at a time.
+    """Where the measurements of a block of scenarios lie, laid a few scenarios at a time.
 
-    laid : (group, sample, n, z, lane), flat, or None where all is measured at samples
+    row, place, news : as `layout.Sight` has them, or None where all is measured at samples
+    cuts : the M of measurements in cut periods, a few scenarios' each
     """
 
     loop: Loop
     kinds: Sequence[InManyRuns]
-    laid: np.ndarray | None
+    row: np.ndarray | None
+    place: np.ndarray | None
+    news: np.ndarray | None
+    cuts: list[np.ndarray] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -48,42 +60,99 @@ class Sights:
             fixed = [each.lags(0, nobody, sizes, samples) for each in kinds]
             _, offset = _sum(kinds, fixed).instants(step, samples)
             if not offset.any():
-                return cls(loop, kinds, None)
-        size = groups(count) * samples * LANES * loop.plant.states * loop.acting.wide
-        return cls(loop, kinds, np.zeros(size))
+                return cls(loop, kinds, None, None, None)
+        periods = groups(count) * samples
+        size, news = periods * LANES, np.zeros(periods, np.bool_)
+        return cls(loop, kinds, np.empty(size, np.int32), np.empty(size), news)
 
     def lay(
-        self, signals: SignalBatch, records: Records, begin: int, few: int, heard: np.ndarray
-    ) -> np.ndarray:
-        """Lay the maps of scenarios begin, …, begin + few − 1 of the block.
+        self,
+        signals: SignalBatch,
+        records: Records,
+        begin: int,
+        few: int,
+        heard: np.ndarray,
+        lag: np.ndarray,
+        reach: int,
+    ) -> int:
+        """Lay the measurements of scenarios begin, …, begin + few − 1 of the block.
 
-        `heard` (scenario or 1, sample) is whose measurement is heard; returns the periods in which
-        these are taken, −1 for none.
+        `heard` (scenario or 1, sample) is whose measurement is heard; `lag`, which is filled for
+        these scenarios, and `reach`, which is returned, are as `layout.Relayed` has them.
         """
-        from deadtime.scenarios.laid_sights import lay_sights
+        from deadtime.scenarios.laid_sights import find_instants, lay_periods, lay_places
 
         loop, samples = self.loop, self.loop.whole + 1
-        step, tables = loop.step, loop.tables
-        sizes = Sizes.of(loop.plant, step)
-        rooms = [each.room(sizes, samples, few) for each in self.kinds]
-        lags = [
-            each.lags(begin, room, sizes, samples)
-            for each, room in zip(self.kinds, rooms, strict=True)
-        ]
-        period, offset = _sum(self.kinds, lags).instants(step, samples)
-        whole = max(len(heard), len(period)), samples
-        period, offset = (np.broadcast_to(part, (len(part), samples)) for part in (period, offset))
-        period = np.where(heard < 0, -1, at_samples(period, heard))
-        offset = np.where(period < 0, 0.0, at_samples(offset, heard))
-        assert period.shape == offset.shape == whole
+        sizes, edges = Sizes.of(loop.plant, loop.step), loop.acting.edges
+        lags = _sum(
+            self.kinds,
+            [
+                each.lags(begin, each.room(sizes, samples, few), sizes, samples)
+                for each in self.kinds
+            ],
+        )
+        runs = max(map(len, lags))
+        period, offset = np.empty((runs, samples), np.int64), np.empty((runs, samples))
+        find_instants(*lags, loop.step, period, offset)
+        reach = lay_periods(lag, reach, heard, period, begin, few)
+        if self.row is not None:
+            modes, most = loop.plant.modes, (few + -few % LANES) * samples
+            cut, when = np.empty(most, np.int32), np.empty(most)
+            series = modes * (edges.size - 1) * loop.cells
+            noted = lay_places(
+                self.row, self.place, self.news, lag, heard, offset, begin, few, records, modes,
+                edges, loop.cells, series + sum(map(len, self.cuts)), cut, when,
+            )  # fmt: skip
+            self.cuts.append(self._moves(signals, records, cut[:noted], when[:noted]))
+        return reach
+
+    def _moves(
+        self, signals: SignalBatch, records: Records, cut: np.ndarray, when: np.ndarray
+    ) -> Float[np.ndarray, "count n z"]:
+        """The M of measurements in cut periods."""
+        from deadtime.scenarios.laid_sights import follow_cuts
+
+        loop, tables = self.loop, self.loop.tables
         assert tables is not None
-        if self.laid is not None:
-            _, n, m = loop.acting.B.shape
-            width = (0.0,) * -(-(n * n + n * m) // WIDE)
-            flat = tables.pieces, step / tables.pieces.shape[1], width
-            place = period, offset, begin, few
-            lay_sights(self.laid, *place, records, signals.modes, loop.acting, n, *flat)
-        return period
+        _, n, m = loop.acting.B.shape
+        width, cell = (0.0,) * -(-(n * n + n * m) // WIDE), loop.step / tables.pieces.shape[1]
+        moves = np.empty((cut.size, n, loop.acting.wide))
+        given = records, signals.modes, loop.acting, tables.pieces
+        follow_cuts(moves, cut, when, *given, cell, width)
+        return moves
+
+    def sight(self) -> Sight | None:
+        """All that was laid."""
+        if self.row is None or self.place is None or self.news is None:
+            return None
+        series = sight_series(self.loop.sampled, self.loop.cells, self.loop.forced)
+        cuts = np.concatenate(self.cuts) if self.cuts else np.empty((0, *series.shape[2:]))
+        flat = series.reshape(len(series), -1), cuts.reshape(len(cuts), -1)
+        return Sight(*flat, self.row, self.place, self.news)
+
+
+@lru_cache(8)
+def sight_series(
+    sampled: SampledPlant, cells: int, forced: bool = False
+) -> Float[np.ndarray, "row degree n z"]:
+    """The M_d of a plant's modes, in each part of a period (`Acting.edges`) cell by cell."""
+    plant, acting = sampled.plant, acting_of(sampled, forced)
+
+    def moves(mode: int) -> Callable[[float], np.ndarray]:
+        def at(t: float) -> np.ndarray:
+            return compose(parts_of(plant, acting, mode, 0.0, t), acting.wide)[0].ravel()
+
+        return at
+
+    size = plant.states * acting.wide
+    values = stack(
+        [
+            series_through(np.array([[moves(i)(t) for t in row] for row in nodes(*span, cells)]))
+            for i in range(plant.modes)
+            for span in itertools.pairwise(acting.edges)
+        ]
+    )
+    return values[..., :size].reshape(-1, values.shape[2], plant.states, acting.wide).copy()
 
 
 def _sum(kinds: Sequence[InManyRuns], lags: Sequence[np.ndarray]) -> Lags:
