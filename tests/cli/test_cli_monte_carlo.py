@@ -102,7 +102,7 @@ def test_sojourns_are_those_asked_for(capsys, monkeypatch):
         asked.append(model)
         raise dt.ArgumentError("enough.")
 
-    monkeypatch.setattr(import_module("deadtime.scenarios"), "monte_carlo", stopped)
+    monkeypatch.setattr(import_module("deadtime.scenarios.run"), "compare", stopped)
     run(capsys, "three-mode", "--dwell-time", "0.5", "--mean-sojourn", "2")
     run(capsys, "follower")
     for model, (dwell, mean) in zip(asked, ((0.5, 2.0), (1.0, 2.0)), strict=True):
@@ -141,10 +141,13 @@ def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, endin
         assert f"{done} random signals" in out
 
 
-def test_interrupted_before_the_first_scenario_it_says_so(capsys, monkeypatch, data):
-    nothing = data.isel(scenario=slice(0, 0)).assign_attrs(interrupted=1)
-    place = import_module("deadtime.scenarios")
-    monkeypatch.setattr(place, "monte_carlo", lambda *arguments, **options: nothing)
+def test_interrupted_before_the_first_scenario_it_says_so(capsys, monkeypatch):
+    place = import_module("deadtime.scenarios.run")
+
+    def interrupted(run, scenarios, *arguments):
+        return 0, True
+
+    monkeypatch.setattr(place, "run_blocks", interrupted)
     assert run(capsys, "paper") == (130, "", "deadtime: interrupted\n")
 
 
@@ -200,12 +203,10 @@ def test_requests_that_are_wrong_are_refused_before_the_run(folder, capsys, argu
     assert message in err
 
 
-def test_a_disk_that_fails_is_told_by_name(capsys, monkeypatch, data):
+def test_a_disk_that_fails_is_told_by_name(capsys, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    place = import_module("deadtime.scenarios")
-    monkeypatch.setattr(place, "monte_carlo", lambda *arguments, **options: data)
     monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
     code, out, err = run(capsys, "paper", *COARSE, "--data", "all.nc")
     assert code == 2

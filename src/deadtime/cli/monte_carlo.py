@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
     from deadtime.problems.asked import Given
     from deadtime.reports.tables.monte_carlo import Summary
+    from deadtime.scenarios.dataset import Comparison
     from deadtime.switching import SemiMarkov, SwitchingSignal
 
 _DATA = (".nc", ".csv")
@@ -76,7 +77,8 @@ def monte_carlo(
     """
     from deadtime.reports.figures.monte_carlo import plot_monte_carlo
     from deadtime.reports.tables.monte_carlo import summary
-    from deadtime.scenarios import monte_carlo as run
+    from deadtime.scenarios.dataset import dataset_of
+    from deadtime.scenarios.run import compare
 
     chosen = problem_of(problem)
     period = _period(chosen, step)
@@ -87,7 +89,7 @@ def monte_carlo(
     _writable("out", picture, _PICTURES)
     if data is not None:
         _writable("data", data, _DATA)
-    result = run(
+    result = compare(
         chosen.plant,
         chosen.laws,
         _model(chosen, sojourn.dwell.value, sojourn.mean.value),
@@ -101,7 +103,7 @@ def monte_carlo(
         imperfections=chosen.imperfections,
         weight=chosen.weight,
     )
-    if result.sizes["scenario"] == 0:
+    if result.scenarios == 0:
         raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print
     outcome = summary(result)
     written = [picture] if data is None else [picture, data]
@@ -111,10 +113,10 @@ def monte_carlo(
         _print(chosen, sojourn, result, outcome)
     save_figure(plot_monte_carlo(result, chosen.title), picture)
     if data is not None:
-        save_data(result, data)
+        save_data(dataset_of(result), data)
     if not json_output:
         print(f"\nFigure: {picture}" + (f"\nData: {data}" if data is not None else ""))
-    if not result.attrs["interrupted"]:
+    if not result.attributes["interrupted"]:
         return 0
     done = f"{outcome.scenarios:,} of {scenarios:,} scenarios"
     print(f"deadtime: interrupted after {done}; the results are of these", file=sys.stderr)
@@ -234,7 +236,7 @@ def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
-def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary) -> None:
+def _print(problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summary) -> None:
     """Heading, remarks and tables on the terminal."""
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
@@ -245,20 +247,20 @@ def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summar
     print(
         f"{outcome.scenarios:,} random {signals}, sojourns of {dwell:g} s + "
         f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "
-        f"sampled every {data.attrs['step']:g} s, seed {data.attrs['seed']}."
+        f"sampled every {data.attributes['step']:g} s, seed {data.attributes['seed']}."
     )
     print(
         f"• Dwell time {dwell:g} s: {sojourn.dwell.source}. "
         f"Mean sojourn {mean:g} s: {sojourn.mean.source}."
     )
-    for sentence in slips_of(problem, data.attrs["step"]):
+    for sentence in slips_of(problem, data.attributes["step"]):
         print(f"• {sentence}")
-    if data.attrs["imperfections"]:
-        print(f"• Imperfect: {', '.join(data.attrs['imperfections'])}.")
-    if data.attrs["one_by_one"]:
-        print(f"• Run one by one, which takes longer: {', '.join(data.attrs['one_by_one'])}.")
-    if data.attrs["message"]:
-        print(f"• {data.attrs['message']}")
+    if data.attributes["imperfections"]:
+        print(f"• Imperfect: {', '.join(data.attributes['imperfections'])}.")
+    if data.attributes["one_by_one"]:
+        print(f"• Run one by one, which takes longer: {', '.join(data.attributes['one_by_one'])}.")
+    if data.attributes["message"]:
+        print(f"• {data.attributes['message']}")
     print(f"\nCost, {text_of(problem.weight)}")
     print_table(outcome.headings, outcome.rows())
     print(f"/ {outcome.reference}: the median of the ratio on the same signal.")
@@ -267,7 +269,7 @@ def _print(problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summar
 
 
 def _record(
-    problem: Problem, sojourn: Sojourn, data: xr.Dataset, outcome: Summary
+    problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summary
 ) -> dict[str, object]:
     """The results for JSON."""
     from deadtime.plant.weight import record_of
@@ -278,8 +280,8 @@ def _record(
         "dwell_time": sojourn.dwell.value,
         "mean_sojourn": sojourn.mean.value,
         "horizon": problem.horizon,
-        **{name: data.attrs[name] for name in ("step", "seed", "backend", "message")},
-        "interrupted": bool(data.attrs["interrupted"]),
+        **{name: data.attributes[name] for name in ("step", "seed", "backend", "message")},
+        "interrupted": bool(data.attributes["interrupted"]),
         "reference": outcome.reference,
         **record_of(problem.weight),
         "laws": outcome.records(),

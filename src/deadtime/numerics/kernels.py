@@ -14,7 +14,8 @@ compiler. Where NumPy does the same over all pieces at once, it is given as `pla
 place of the Python, however large the arguments are. Both ways do the same floating-point
 operations in the same order: no figure depends on which is taken. What is written for both keeps to
 loops and scalars over arrays that its caller or its first lines make: array expressions cost
-seconds of compiling each.
+seconds of compiling each. A kernel that only compiled kernels call says `no_cpython_wrapper=True`:
+unpacking its arguments from Python's may cost as much to compile as the kernel itself.
 
 DEADTIME_COMPILE=always compiles everything at its first call; =never compiles nothing but what is
 eager.

@@ -70,8 +70,7 @@ def balanced_norm(A: Float[np.ndarray, "n n"]) -> float:
 class Part(NamedTuple):
     """A time in one mode under the inputs z[column]."""
 
-    A: Float[np.ndarray, "n n"]
-    B: Float[np.ndarray, "n m"]
+    mode: int
     length: float
     column: Int[np.ndarray, " m"]
 
@@ -82,35 +81,43 @@ def parts_of(plant: SwitchedSystem, acting: Acting, i: int, low: float, high: fl
     for s in range(stretches.first[i], stretches.first[i + 1]):
         start, stop = max(low, stretches.start[s]), min(high, stretches.stop[s])
         if stop > start:
-            parts.append(Part(plant.A[i], acting.B[i], stop - start, acting.column[s]))
+            parts.append(Part(i, stop - start, acting.column[s]))
     return parts
 
 
 def compose(
-    parts: Sequence[Part], wide: int, weight: Weight | None = None
-) -> tuple[Float[np.ndarray, "n z"], Float[np.ndarray, "z z"]]:
-    """M and E over parts of a period, z having `wide` entries."""
-    from deadtime.numerics.exponential import discretise, energy_gramian
+    plant: SwitchedSystem,
+    acting: Acting,
+    periods: Sequence[Sequence[Part]],
+    wide: int,
+    weight: Weight | None = None,
+) -> Maps:
+    """M and E of every period, over its parts, z having `wide` entries."""
+    from deadtime.numerics.stacked import discretise_all, gramian_all
 
-    n, Q = parts[0].A.shape[0], None if weight is None else weight.Q
-    move, energy = np.eye(n, wide), np.zeros((wide, wide))
-    for A, B, length, column in parts:
-        u = np.eye(wide)[column]
-        z = np.vstack((move, u))
-        Phi, Gamma = discretise(A, B, length)
-        energy += z.T @ energy_gramian(A, B, length, Q) @ z
-        move = Phi @ move + Gamma @ u
-    return move, energy
+    parts = [part for period in periods for part in period]
+    mode, tau = np.array([part.mode for part in parts]), np.array([part.length for part in parts])
+    Q = np.eye(plant.states) if weight is None else weight.Q
+    Phi, Gamma = discretise_all(plant.A, acting.B, mode, tau)
+    gramian = gramian_all(plant.A, acting.B, mode, tau, Q)
+    maps = Maps(
+        np.tile(np.eye(plant.states, wide), (len(periods), 1, 1)),
+        np.zeros((len(periods), wide, wide)),
+    )
+    period = np.repeat(np.arange(len(periods)), list(map(len, periods)))
+    for p, k in enumerate(period):
+        u = np.eye(wide)[parts[p].column]
+        z = np.vstack((maps.move[k], u))
+        maps.energy[k] += z.T @ gramian[p] @ z
+        maps.move[k] = Phi[p] @ maps.move[k] + Gamma[p] @ u
+    return maps
 
 
 def whole_periods(sampled: SampledPlant, acting: Acting, weight: Weight | None = None) -> Maps:
     """The periods that no switch cuts."""
     plant, step = sampled.plant, sampled.step
-    pairs = [
-        compose(parts_of(plant, acting, i, 0.0, step), acting.wide, weight)
-        for i in range(plant.modes)
-    ]
-    return Maps(*(np.array(part) for part in zip(*pairs, strict=True)))
+    periods = [parts_of(plant, acting, i, 0.0, step) for i in range(plant.modes)]
+    return compose(plant, acting, periods, acting.wide, weight)
 
 
 @lru_cache(8)
@@ -122,19 +129,24 @@ def tables_of(
     modes, n = plant.modes, plant.states
     wide, edges, m = acting.wide, acting.edges, acting.B.shape[2]
 
-    def piece(i: int) -> Callable[[float], np.ndarray]:
-        def at(t: float) -> np.ndarray:
-            parts = [Part(plant.A[i], acting.B[i], t, np.arange(n, n + m))]
-            move, energy = compose(parts, n + m, weight)
-            return np.concatenate((move[:, :n].ravel(), move[:, n:].ravel(), pack(energy)))
+    def piece(i: int) -> Callable[[np.ndarray], np.ndarray]:
+        def at(times: np.ndarray) -> np.ndarray:
+            periods = [[Part(i, t, np.arange(n, n + m))] for t in times]
+            move, energy = compose(plant, acting, periods, n + m, weight)
+            Phi, Gamma = move[:, :, :n], move[:, :, n:]
+            flat = Phi.reshape(times.size, -1), Gamma.reshape(times.size, -1), pack(energy)
+            return np.concatenate(flat, axis=1)
 
         return at
 
-    def with_switch(i: int, j: int) -> Callable[[float], np.ndarray]:
-        def at(t: float) -> np.ndarray:
-            before = parts_of(plant, acting, i, 0.0, t)
-            move, energy = compose([*before, *parts_of(plant, acting, j, t, step)], wide, weight)
-            return np.concatenate((move.ravel(), pack(energy)))
+    def with_switch(i: int, j: int) -> Callable[[np.ndarray], np.ndarray]:
+        def at(times: np.ndarray) -> np.ndarray:
+            periods = [
+                parts_of(plant, acting, i, 0.0, t) + parts_of(plant, acting, j, t, step)
+                for t in times
+            ]
+            move, energy = compose(plant, acting, periods, wide, weight)
+            return np.concatenate((move.reshape(times.size, -1), pack(energy)), axis=1)
 
         return at
 
@@ -151,15 +163,15 @@ def tables_of(
 
 
 def _series(
-    function: Callable[[float], np.ndarray], low: float, high: float, cells: int
+    function: Callable[[np.ndarray], np.ndarray], low: float, high: float, cells: int
 ) -> Float[np.ndarray, "cell degree size"]:
     """A function of time on [low, high] in powers of δ, cell by cell.
 
     Interpolation at Chebyshev's nodes; cells are short enough for terms to fall so fast that
     powers of δ lose nothing against Chebyshev's polynomials.
     """
-    values = np.array([[function(t) for t in of_cell] for of_cell in nodes(low, high, cells)])
-    return series_through(values)
+    times = nodes(low, high, cells)
+    return series_through(function(times.ravel()).reshape(*times.shape, -1))
 
 
 def nodes(low: float, high: float, cells: int) -> Float[np.ndarray, "cell node"]:

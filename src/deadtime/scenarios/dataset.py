@@ -80,33 +80,62 @@ class Results:
         return cls(metrics, *flags, x, u, np.empty((scenarios, samples), np.int32))
 
 
-def dataset_of(
-    names: Sequence[str],
-    results: Results,
-    step: float,
-    attributes: Mapping[str, Any],
-    weight: Weight | None = None,
-) -> xr.Dataset:
-    """The scenarios that are done."""
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Laws over the same scenarios: what a dataset says, for those who need no xarray.
+
+    Attributes
+    ----------
+    names : sequence of str
+        The laws, in order.
+    results : Results
+    step : float
+        Seconds.
+    attributes : mapping
+        Those of the dataset.
+    weight : Weight or None
+        Of the cost; None for the identity.
+    """
+
+    names: Sequence[str]
+    results: Results
+    step: float
+    attributes: Mapping[str, Any]
+    weight: Weight | None = None
+
+    @property
+    def scenarios(self) -> int:
+        """How many are done."""
+        return int(self.results.done.sum())
+
+    @property
+    def formula(self) -> str:
+        """The cost, as labels say it."""
+        return PLAIN if self.weight is None else self.weight.text
+
+    def keep(self, array: np.ndarray, axis: int = 1) -> np.ndarray:
+        """Of an array the scenarios that are done."""
+        done = self.results.done
+        return array if done.all() else np.take(array, np.flatnonzero(done), axis)
+
+
+def dataset_of(comparison: Comparison) -> xr.Dataset:
+    """The scenarios that are done, labelled."""
     import xarray as xr
 
+    results, weight, keep = comparison.results, comparison.weight, comparison.keep
     done, dims = np.flatnonzero(results.done), ("law", "scenario")
-    whole = done.size == results.done.size
-
-    def keep(array: np.ndarray, axis: int = 1) -> np.ndarray:
-        return array if whole else np.take(array, done, axis)
-
     variables: dict[str, Any] = {
         name: (dims, keep(value), attributes_of(name, None if weight is None else weight.text))
         for name, value in results.metrics.items()
     }
     variables["diverged"] = (dims, keep(results.diverged), {"long_name": DIVERGED})
     coordinates: dict[str, Any] = {
-        "law": ("law", list(names), {"long_name": "law"}),
+        "law": ("law", list(comparison.names), {"long_name": "law"}),
         "scenario": ("scenario", done, {"long_name": "scenario"}),
     }
     if results.x is not None and results.u is not None and results.mode is not None:
-        time = step * np.arange(results.mode.shape[1])
+        time = comparison.step * np.arange(results.mode.shape[1])
         coordinates["time"] = ("time", time, {"units": "s", "long_name": "time"})
         variables["x"] = ((*dims, "state", "time"), keep(results.x), {"long_name": "state"})
         variables["u"] = ((*dims, "input", "time"), keep(results.u), {"long_name": "input"})
@@ -115,4 +144,5 @@ def dataset_of(
             keep(results.mode, 0),
             {"long_name": "mode at the sample"},
         )
-    return xr.Dataset(variables, coordinates, {**attributes, "version": __version__})
+    attributes = {**comparison.attributes, "version": __version__}
+    return xr.Dataset(variables, coordinates, attributes)

@@ -72,7 +72,7 @@ class Stacks(NamedTuple):
     acting: np.ndarray
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def look_ahead(shape, model, start, count, period):
     """The stacks at time 0, when the first W periods are in, and when the next records enter.
 
@@ -106,7 +106,7 @@ def look_ahead(shape, model, start, count, period):
     return ahead, soon
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def clear(shape, ahead):
     """Nothing in `back`."""
     n = len(shape.x)
@@ -116,7 +116,7 @@ def clear(shape, ahead):
         store(ahead.back, (i * n + i) * LANES, same(1.0, (0.0,)))
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def turn(model, ahead, k, soon):
     """Apply the records of the period that enters at t_k; when the next one does."""
     while soon // LANES == k:
@@ -155,7 +155,7 @@ def enter(shape, ahead, acting, slot):
     store(ahead.back, size, v)
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def sum_up(shape, length, ahead):
     """Make the maps in the slots suffixes: slot r the composition of all from r on."""
     n = len(shape.x)
@@ -211,7 +211,7 @@ def fill_tails(tails, gains, latest, records, modes, rest, step, acting, pieces,
                 at += 1
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _flat_size(wide, n):
     """Of a map, as `laid.compose_period` fills it."""
     return n * wide + wide * (wide + 1) // 2

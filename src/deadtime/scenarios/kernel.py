@@ -93,7 +93,7 @@ class Work(NamedTuple):
     acting: np.ndarray
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _work(n, m, wide, plant, run, start, count, period):
     """The memory at time 0; sizes are numbers here, so that laws of all kinds share it."""
     at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
@@ -164,7 +164,7 @@ def _turn_around(places, m, size):
         places[p] = 0 if after == size else after
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _run_eight(
     shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force, start, count,
     out, path, keep, first, taps,

@@ -18,13 +18,13 @@ from deadtime.scenarios.records import Records
 TOLERANCE = 1e-9
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _snap(ratio):
     nearest = np.floor(ratio + 0.5)
     return nearest if abs(ratio - nearest) <= TOLERANCE else ratio
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _place(time, step, acting, rate):
     """The period that a switch falls in, and when in it; `rate` is 1/step."""
     ratio = _snap(time * rate)
@@ -90,7 +90,7 @@ def lay(offset, times, modes, samples, step, acting, plants):
     )
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def series(flat, index, cells, degrees, size, start, cell, t, width):
     """Σ_d flat[index, c, d] δ^d: c the cell of t, δ ∈ [−1, 1] the place in it."""
     c = min(max(np.int64((t - start) / cell), 0), cells - 1)
@@ -117,7 +117,7 @@ def fill_series(found, row, time, edges, table, width):
         store(place, c * size, value)
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _compose(piece, column, move, energy, own):
     """Follow the map (move, energy) by a piece whose inputs are z[column]."""
     (n, wide), m = move.shape, column.size
@@ -146,7 +146,7 @@ def _compose(piece, column, move, energy, own):
             move[i, a] = value
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]

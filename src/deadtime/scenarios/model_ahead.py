@@ -76,11 +76,12 @@ class ModelAhead:
         """The tails of modes that no switch cuts."""
         loop, plant = self.loop, self.loop.plant
         n, m, tails = plant.states, plant.inputs, []
-        for i, K in enumerate(self._foresight.gains):
-            move = np.eye(n, loop.acting.wide)
-            if self._rest > 0.0:
-                parts = parts_of(plant, loop.acting, i, 0.0, self._rest)
-                move, _ = compose(parts, loop.acting.wide)
+        moves = np.tile(np.eye(n, loop.acting.wide), (plant.modes, 1, 1))
+        if self._rest > 0.0:
+            modes = range(plant.modes)
+            periods = [parts_of(plant, loop.acting, i, 0.0, self._rest) for i in modes]
+            moves = compose(plant, loop.acting, periods, loop.acting.wide).move
+        for K, move in zip(self._foresight.gains, moves, strict=True):
             tail = K @ move[:, : n + m]
             tail[:, n:] += self._foresight.latest
             tails.append(tail.ravel())

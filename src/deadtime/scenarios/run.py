@@ -27,7 +27,7 @@ from deadtime.imperfections.known import is_batched
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
-from deadtime.scenarios.dataset import METRICS, Results, dataset_of
+from deadtime.scenarios.dataset import METRICS, Comparison, Results, dataset_of
 from deadtime.scenarios.figures import few_late
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory import require_memory
@@ -148,6 +148,42 @@ def monte_carlo(
     >>> data.ise.median("scenario").sel(law="mean").item() < 1000
     True
     """
+    found = compare(
+        plant,
+        laws,
+        model,
+        x0,
+        horizon,
+        step,
+        scenarios,
+        seed,
+        backend,
+        progress,
+        imperfections,
+        trajectories,
+        threads,
+        weight,
+    )
+    return dataset_of(found)
+
+
+def compare(
+    plant: SwitchedSystem,
+    laws: Laws,
+    model: Model,
+    x0: ArrayLike,
+    horizon: float,
+    step: float = 0.01,
+    scenarios: int = 1000,
+    seed: int = 0,
+    backend: str = "numba",
+    progress: Progress | bool | None = None,
+    imperfections: Sequence[Imperfection] = (),
+    trajectories: bool = False,
+    threads: int | None = None,
+    weight: Weight | None = None,
+) -> Comparison:
+    """`monte_carlo` before its results are labelled: xarray takes as long as the run to load."""
     from deadtime.scenarios.engine import Engine
 
     horizon, step = positive("horizon", horizon), positive("step", step)
@@ -192,7 +228,7 @@ def monte_carlo(
         "interrupted": int(interrupted),
         "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),
     }
-    return dataset_of(list(named), results, step, attributes, weight)
+    return Comparison(list(named), results, step, attributes, weight)
 
 
 def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:

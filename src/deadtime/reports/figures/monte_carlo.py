@@ -17,13 +17,14 @@ from deadtime.base.figure_style import LINES, STYLE, WIDTH, plain
 from deadtime.plant.weight import PLAIN
 from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.tables.monte_carlo import (
+    count_of,
     losses,
     names_of,
     quantile,
     reference_of,
     relative_costs,
 )
-from deadtime.scenarios.dataset import formula_of
+from deadtime.scenarios.dataset import Comparison, formula_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -34,7 +35,7 @@ _TAIL = 1e2  # nor does the axis go further than this many times a law's median
 _NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 1, 2, 5
 
 
-def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
+def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) -> Figure:
     """Distribution functions of the laws' costs, and of their costs over the reference law's.
 
     A curve at (c, p): on a share p of the scenarios the cost is at most c. A law that diverges
@@ -43,7 +44,7 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
 
     Parameters
     ----------
-    data : xarray.Dataset
+    data : xarray.Dataset or Comparison
         Of `monte_carlo`: `cost` and `diverged` over (law, scenario).
     title : str, optional
 
@@ -60,9 +61,9 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
     >>> [axes.get_xscale() for axes in plot_monte_carlo(data).axes]
     ['log', 'log']
     """
-    if data.sizes["scenario"] == 0:
+    if count_of(data) == 0:
         raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
-    names, count = names_of(data), data.sizes["scenario"]
+    names, count = names_of(data), count_of(data)
     with rc_context(STYLE):
         figure = Figure(figsize=(1.55 * WIDTH, 3.2))
         left, right = figure.subplots(1, 2, sharey=True)
@@ -73,7 +74,7 @@ def plot_monte_carlo(data: xr.Dataset, title: str | None = None) -> Figure:
         ]
         seen = _panel(left, losses(data, "cost"), styles)
         seen |= _panel(right, relative_costs(data), styles)
-        formula = formula_of(data["cost"])
+        formula = data.formula if isinstance(data, Comparison) else formula_of(data["cost"])
         unit = "  (x² s + u² s)" if formula == PLAIN else ""
         left.set_xlabel(f"cost, {plain(formula)}{unit}")
         right.set_xlabel(f"cost / cost of “{plain(reference_of(data))}”  (–)")

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import plain
 from deadtime.base.wording import compact
+from deadtime.scenarios.dataset import Comparison
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -100,7 +101,7 @@ class Summary:
         return plain(self.laws)
 
 
-def summary(data: xr.Dataset) -> Summary:
+def summary(data: xr.Dataset | Comparison) -> Summary:
     """Quantiles, wins and relative costs of the laws of a `monte_carlo` dataset.
 
     With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the
@@ -109,7 +110,7 @@ def summary(data: xr.Dataset) -> Summary:
 
     Parameters
     ----------
-    data : xarray.Dataset
+    data : xarray.Dataset or Comparison
         With `cost`, `ise` and `diverged` over (law, scenario).
 
     Raises
@@ -129,12 +130,12 @@ def summary(data: xr.Dataset) -> Summary:
     >>> first.relative, first.diverged, first.cost[2], round(second.best, 2)
     (2.0, 1, inf, 1.0)
     """
-    if data.sizes["scenario"] == 0:
+    if count_of(data) == 0:
         raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
     cost, ise = losses(data, "cost"), losses(data, "ise")
     least = cost.min(axis=0)
     best = ((cost == least) & np.isfinite(least)).mean(axis=1)
-    ratios, diverged = relative_costs(data), data["diverged"].values.sum(axis=1)
+    ratios, diverged = relative_costs(data), _lost(data).sum(axis=1)
     laws = tuple(
         LawSummary(
             name,
@@ -146,28 +147,44 @@ def summary(data: xr.Dataset) -> Summary:
         )
         for i, name in enumerate(names_of(data))
     )
-    return Summary(data.sizes["scenario"], reference_of(data), laws)
+    return Summary(count_of(data), reference_of(data), laws)
 
 
-def names_of(data: xr.Dataset) -> list[str]:
+def names_of(data: xr.Dataset | Comparison) -> list[str]:
     """The laws, in order."""
+    if isinstance(data, Comparison):
+        return list(data.names)
     return [str(name) for name in data["law"].values]
 
 
-def reference_of(data: xr.Dataset) -> str:
+def count_of(data: xr.Dataset | Comparison) -> int:
+    """How many scenarios there are."""
+    return data.scenarios if isinstance(data, Comparison) else data.sizes["scenario"]
+
+
+def reference_of(data: xr.Dataset | Comparison) -> str:
     """The law that others are held against: the oracle, or the first where there is none."""
     names = names_of(data)
     return ORACLE if ORACLE in names else names[0]
 
 
-def losses(data: xr.Dataset, metric: str) -> Float[np.ndarray, "law scenario"]:
+def losses(data: xr.Dataset | Comparison, metric: str) -> Float[np.ndarray, "law scenario"]:
     """A metric, infinite on diverged scenarios."""
-    values = data[metric].transpose("law", "scenario").values.astype(float)
-    lost = data["diverged"].transpose("law", "scenario").values.astype(bool)
-    return np.where(lost, np.inf, values)
+    if isinstance(data, Comparison):
+        values = data.keep(data.results.metrics[metric])
+    else:
+        values = data[metric].transpose("law", "scenario").values.astype(float)
+    return np.where(_lost(data), np.inf, values)
 
 
-def relative_costs(data: xr.Dataset) -> Float[np.ndarray, "law scenario"]:
+def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
+    """Where a law diverged."""
+    if isinstance(data, Comparison):
+        return data.keep(data.results.diverged)
+    return data["diverged"].transpose("law", "scenario").values.astype(bool)
+
+
+def relative_costs(data: xr.Dataset | Comparison) -> Float[np.ndarray, "law scenario"]:
     """Costs over those of the reference law: 1 where both are 0, infinite where a law diverged."""
     cost = losses(data, "cost")
     base = cost[names_of(data).index(reference_of(data))]
