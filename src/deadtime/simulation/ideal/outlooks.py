@@ -9,7 +9,7 @@ either in flight or under its own feedback,
 
 adds ∫ R(s) b_l u_l(s − D_l) ds for every input l in flight: Gauss sums over the segments that were
 sent. What lies within the segment itself is not known yet, and u at its nodes solves a linear
-system.
+system. Where a branch reads again what it has predicted, `rereading` has its part.
 """
 
 from __future__ import annotations
@@ -18,17 +18,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.base.errors import ArgumentError
 from deadtime.feedback.outlook import Outlook
 from deadtime.numerics.collocation import Nodes, gauss
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.ideal.kernel import flows, interpolate, locate, solve_alone
 from deadtime.simulation.ideal.loop import arrivals
+from deadtime.simulation.ideal.rereading import feedback_through_rereading
 from deadtime.simulation.initial_input import refit
 from deadtime.simulation.kernel import LIMIT
 
 _AGAIN = -1
 _FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the longest segment
+
+
+class ReadsAgain(Exception):
+    """A prediction reads again what it has predicted, on segments laid for none that does."""
 
 
 class Branch(NamedTuple):
@@ -187,13 +191,17 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
 
 
 def march_outlook(
-    plant, line, law: Outlook, x0: np.ndarray, nodes: Nodes
+    plant, line, law: Outlook, x0: np.ndarray, nodes: Nodes, rereads: bool
 ) -> tuple[np.ndarray, int]:
-    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`."""
+    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`.
+
+    `rereads`: whether segments end where a prediction stops to read something again.
+    """
     edges, (branches, _, m, n) = line.edges, law.gains.shape
     segments, p = edges.size - 1, nodes.points.size
     states, x = np.zeros((segments, p + 2, n)), x0.copy()
-    few, short = gauss(_FEW), _SHORT * float(np.diff(edges).max())
+    longest = float(np.diff(edges).max())
+    few, short = gauss(_FEW), _SHORT * longest
     ends = refit(nodes.points, np.array([0.0, 1.0]))
     for g in range(line.begin, segments):
         length, i = edges[g + 1] - edges[g], line.mode[g]
@@ -209,10 +217,15 @@ def march_outlook(
                 branch = Branch(law.A, law.B, law.delays, *own)
                 for k, t in enumerate(times.tolist()):
                     here = states[g, k + 1]
-                    if not _add(
+                    if _add(
                         line, g, t, branch, k * m, here, nodes, few, short, into, matrix, right
                     ):
-                        raise _reads_again(t)
+                        continue
+                    if not rereads:
+                        raise ReadsAgain
+                    sent = feedback_through_rereading(line, g, t, branch, here, nodes, longest)
+                    right[k * m : k * m + m] += sent[:, 0]
+                    matrix[k * m : k * m + m] -= sent[:, 1:]
             u = np.linalg.solve(matrix, right).reshape(p, m)
             line.inputs[g, 1:-1] = u
             line.inputs[g, [0, -1]] = ends @ u
@@ -227,11 +240,3 @@ def _room(parts: int, m: int) -> Intervals:
     most = parts * (m + 1) + 1
     whole = np.empty(most, np.int64), np.empty((most, m), np.int64)
     return Intervals(np.empty(most + 1), *whole, np.empty(m, np.int64), np.empty(m, np.int64))
-
-
-def _reads_again(t: float) -> ArgumentError:
-    return ArgumentError(
-        f"step must be given: what is sent at {t:.6g} s would be predicted through a switch after "
-        "which an input that is still to be sent is read a second time, with a longer delay; the "
-        "ideal loop has no closed form there."
-    )
