@@ -75,11 +75,14 @@ def random_plant(seed):
     rng = np.random.default_rng(seed)
     modes, n, m = 2, int(rng.integers(1, 3)), int(rng.integers(1, 3))
     A, B = 0.6 * rng.normal(size=(modes, n, n)), rng.normal(size=(modes, n, m))
+    # Not so unstable that no causal law has a finite cost.
+    fastest = np.linalg.eigvals(A).real.max(axis=1)[:, None, None]
+    A -= np.maximum(fastest - 0.1, 0.0) * np.eye(n)
     delays = rng.uniform(0.02, (3.5 if m == 1 else 2.5) * STEP, size=(modes, m))
     return dt.SwitchedSystem(A, B, delays), rng
 
 
-@pytest.mark.parametrize("seed", mostly_long(range(200), 0, 1, 2, 3))
+@pytest.mark.parametrize("seed", mostly_long(range(40), 0, 1, 2, 3))
 def test_the_optimal_law_cannot_be_improved_and_costs_what_it_says(seed):
     plant, rng = random_plant(seed)
     n, m = plant.B.shape[1:]
@@ -105,7 +108,7 @@ def test_the_optimal_law_cannot_be_improved_and_costs_what_it_says(seed):
         xi[n + m :], xi[n : n + m] = xi[n : lifted.size - m].copy(), run.inputs[:, k]
 
 
-@pytest.mark.parametrize("seed", mostly_long(range(20), 2))
+@pytest.mark.parametrize("seed", mostly_long(range(8), 2))
 def test_no_weights_on_a_lattice_leave_less_growth_than_the_minimax_law(seed):
     plant, rng = random_plant(seed)
     K = dt.lqr(plant, np.eye(plant.states), np.eye(plant.inputs))
