@@ -131,7 +131,7 @@ def segments_of(
     delays, reaches, breaks = np.unique(plant.delays), _reaches(law), np.empty(0)
     if not isinstance(law, Functional):
         breaks = np.concatenate([law.breaks, *(law.breaks - reach for reach in reaches)])
-        if rereads:
+        if rereads and isinstance(law, Outlook):
             apart = np.unique(law.delays[:, None] - law.delays)
             longer = np.concatenate([law.breaks + more for more in apart if more > 0.0])
             breaks = np.concatenate([breaks, longer, *(longer - reach for reach in reaches)])
