@@ -276,15 +276,6 @@ def test_a_dwell_aware_law_whose_mode_is_always_sure_is_the_single_mode_law():
     assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
 
 
-def test_what_would_be_read_a_second_time_is_refused_by_name():
-    plant = dt.SwitchedSystem(np.zeros((2, 1, 1)), np.ones((2, 1, 2)), [[0.1, 0.5], [0.3, 0.5]])
-    law = dt.ExactPredictor(plant, np.full((2, 2, 1), -0.5))
-    signal = dt.SwitchingSignal([0.0, 0.7], [0, 1])
-    with pytest.raises(dt.ArgumentError, match=r"step must be given: .* read a second time"):
-        dt.simulate(plant, law, signal, [1.0], 1.0, step=None)
-    dt.simulate(plant, law, dt.SwitchingSignal.constant(0), [1.0], 1.0, step=None)
-
-
 def test_jumps_are_passed_on_by_the_mode_that_reads_them_until_they_are_faint():
     signal = dt.SwitchingSignal([0.0, 0.6], [0, 1])
     shifts = [Shift(0.5, 0, 0.01), Shift(0.2, 1, 0.01), Shift(0.3, None, 1e-14)]

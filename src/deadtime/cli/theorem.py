@@ -48,5 +48,5 @@ def bound(
     if json_output:
         print_json(bounds_record(bounds))
         return
-    print_table(bound_headings(chosen.constants), bound_rows(bounds, chosen.constants))
+    print_table(bound_headings(bounds, chosen.constants), bound_rows(bounds, chosen.constants))
     print(f"\nDwell time {dwell:.4g} s ({source}). {bound_sentence(bounds)}")

@@ -202,7 +202,7 @@ def _constants(result: Comparison) -> dict[str, Any]:
         sentence = f"The theorem's constants were not computed: {error}"
         return {"rows": [], "sentence": sentence, "published": False}
     return {
-        "headings": bound_headings(problem.constants),
+        "headings": bound_headings(bounds, problem.constants),
         "rows": bound_rows(bounds, problem.constants),
         "sentence": bound_sentence(bounds),
         "published": bool(problem.constants),

@@ -16,7 +16,7 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError, InfeasibleError, SolverError
 from deadtime.certificates import theorem_bound
-from deadtime.certificates.theorem.bound import FORMS
+from deadtime.certificates.theorem.bound import stated_forms
 from deadtime.certificates.theorem.constants import distance
 from deadtime.gains import place
 from deadtime.laws import AveragedPredictor
@@ -128,7 +128,7 @@ def tightness(
         raise ArgumentError("modes of the problem must differ: they are all the same.")
     reaches, missing = [], []
     progress("the theorem's reach")
-    for form in FORMS:
+    for form in stated_forms(problem.plant) or ("sharp",):
         try:
             reaches.append(reach_of(problem, dwell_time, form))
         except (ArgumentError, InfeasibleError) as error:

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.theorem.constants import Constants, distance
+from deadtime.certificates.theorem.constants import Constants, FunctionalConstants, distance
+from deadtime.certificates.theorem.own_delays import own_delay_constants
 from deadtime.certificates.theorem.paper import paper_constants
 from deadtime.certificates.theorem.sharp import sharp_constants
 from deadtime.gains import CommonLyapunov, common_lyapunov
@@ -28,6 +29,7 @@ from deadtime.numerics.logs import exp, log
 from deadtime.plant import SwitchedSystem
 
 FORMS = ("printed", "corrected", "sharp")
+_PER_DECADE = 1.0 / math.log(10.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,12 +44,13 @@ class TheoremBound:
         "printed", "corrected" or "sharp". Only the last two are theorems.
     epsilon, epsilon_star : float
         The distance ε of modes and gains, (5), and what it must stay below, (62).
-    nu1, nu2 : float
+    nu1, nu2 : float or None
         ∫|U|² ≤ ν₁(|X|² + ∫|W|²) and the reverse, (56) and (57).
-    kappa : float
+    kappa : float or None
         |X|² + ∫|W|² ≤ κ e^{−μt}(…)(0), (63).
-    b, weight : float
-        V = XᵀPX + b∫e^{c(θ+D−t)}|W|², (64); the weight c is 1 in the paper, 1/s.
+    b, weight : float or None
+        V = XᵀPX + b∫e^{c(θ+D−t)}|W|², (64); the weight c is 1 in the paper, 1/s. None with several
+        delays, as are ν₁, ν₂ and κ: the proof there has no such functional.
     mu, rho, xi : float or None
         (73) and (75); None when they do not exist, and `message` says why.
     holds : bool
@@ -61,19 +64,19 @@ class TheoremBound:
     form: str
     epsilon: float
     epsilon_star: float
-    nu1: float
-    nu2: float
-    kappa: float
-    b: float
-    weight: float
+    nu1: float | None
+    nu2: float | None
+    kappa: float | None
+    b: float | None
+    weight: float | None
     mu: float | None
     rho: float | None
     xi: float | None
     holds: bool
     log10_epsilon_star: float
-    log10_nu1: float
-    log10_nu2: float
-    log10_kappa: float
+    log10_nu1: float | None
+    log10_nu2: float | None
+    log10_kappa: float | None
     log10_rho: float | None
     lyapunov: CommonLyapunov
     message: str
@@ -107,7 +110,8 @@ def theorem_bound(
     Parameters
     ----------
     plant : SwitchedSystem
-        The plant, its delay included: one for all modes and inputs, as the theorem has it.
+        The plant, its delay included: one for all modes and inputs, as the theorem has it; or, for
+        "sharp", one per input.
     gains : array_like, shape (modes, m, n)
         K_i of u = +K_i x, every A_i + B_i K_i Hurwitz.
     dwell_time : float
@@ -128,9 +132,9 @@ def theorem_bound(
     Raises
     ------
     ArgumentError
-        If the plant has several delays, for which the theorem is not stated; the gains do not
-        stabilise each mode, the dwell time is not positive, the form is unknown, no input acts,
-        or the given P and Q are not definite or violate (4).
+        If modes differ in the delay of an input, or inputs have several and the form is not
+        "sharp"; the gains do not stabilise each mode, the dwell time is not positive, the form is
+        unknown, no input acts, or the given P and Q are not definite or violate (4).
     InfeasibleError
         If no common P exists.
 
@@ -148,23 +152,45 @@ def theorem_bound(
     '0.7895 1.74e-14 1.73e+15 False'
     """
     K = hurwitz_gains(plant, gains)
-    if not plant.has_one_delay:
-        raise ArgumentError(
-            f"plant must have one delay for theorem_bound, got delay={plant.delay_text}: the "
-            "theorem is stated and proved for one only; certify proves a decay with several."
-        )
     dwell_time = positive("dwell_time", dwell_time)
     if form not in FORMS:
         raise ArgumentError(f"form must be one of {', '.join(map(repr, FORMS))}, got {form!r}.")
     if not plant.B.any():
         raise ArgumentError("plant.B is zero in every mode: no input acts on the plant.")
+    _require_stated(plant, form)
     pair = None if lyapunov is None else check_lyapunov(plant, K, lyapunov)
-    if form == "sharp":
-        constants: Constants = sharp_constants(plant, K, pair)
+    if not plant.has_one_delay:
+        constants: Constants = own_delay_constants(plant, K, pair)
+    elif form == "sharp":
+        constants = sharp_constants(plant, K, pair)
     else:
         pair = common_lyapunov(plant, K) if pair is None else pair
         constants = paper_constants(plant, K, dwell_time, pair, form == "corrected")
     return _bound(form, distance(plant, K), constants)
+
+
+def stated_forms(plant: SwitchedSystem) -> tuple[str, ...]:
+    """The forms that the theorem has for a plant with these delays."""
+    if plant.has_one_delay:
+        return FORMS
+    return ("sharp",) if (plant.delays == plant.delays[0]).all() else ()
+
+
+def _require_stated(plant: SwitchedSystem, form: str) -> None:
+    """An error where the theorem is not stated for these delays, in this form."""
+    stated = stated_forms(plant)
+    if not stated:
+        raise ArgumentError(
+            "plant must have the same delays in all modes for theorem_bound, got "
+            f"delay={plant.delay_text}: what a mode with another delay reads differs from what was "
+            "meant by no bound in the distance of the modes; certify proves a decay there."
+        )
+    if form not in stated:
+        raise ArgumentError(
+            f"form must be 'sharp' where inputs have several delays, got {form!r}: Lemma 2.4 has "
+            "x(t + D) as a functional of X(t) and of what was sent, and with a second delay what "
+            "is still to be sent is part of it."
+        )
 
 
 def _bound(form: str, epsilon: float, constants: Constants) -> TheoremBound:
@@ -174,30 +200,35 @@ def _bound(form: str, epsilon: float, constants: Constants) -> TheoremBound:
     if mu is not None and mu <= 0.0:
         # The printed ε* does not suffice for (71); in the other forms only rounding leads here.
         mu, holds = None, form == "printed"
-    log_rho = None if mu is None else constants.log_rho()
-    per_decade = 1.0 / math.log(10.0)
+    log_rho = None if mu is None else constants.log_rho(x)
     return TheoremBound(
         form=form,
         epsilon=epsilon,
         epsilon_star=exp(star),
-        nu1=exp(constants.log_nu1),
-        nu2=exp(constants.log_nu2),
-        kappa=exp(constants.log_kappa),
-        b=exp(constants.log_b),
-        weight=constants.weight,
+        **_of_functional(constants),
         mu=mu,
         rho=None if log_rho is None else exp(log_rho),
         xi=None if mu is None else 0.5 * mu,
         holds=holds,
-        log10_epsilon_star=star * per_decade,
-        log10_nu1=constants.log_nu1 * per_decade,
-        log10_nu2=constants.log_nu2 * per_decade,
-        log10_kappa=constants.log_kappa * per_decade,
-        log10_rho=None if log_rho is None else log_rho * per_decade,
+        log10_epsilon_star=star * _PER_DECADE,
+        log10_rho=None if log_rho is None else log_rho * _PER_DECADE,
         lyapunov=constants.lyapunov,
-        message=_message(epsilon, star * per_decade, holds, mu),
+        message=_message(epsilon, star * _PER_DECADE, holds, mu),
         constants=constants,
     )
+
+
+def _of_functional(constants: Constants) -> dict[str, float | None]:
+    """What a proof by the functional V has, and another has not."""
+    names, result = ("nu1", "nu2", "kappa"), {}
+    functional = constants if isinstance(constants, FunctionalConstants) else None
+    for name in names:
+        value = getattr(functional, f"log_{name}", None)
+        result[name] = None if value is None else exp(value)
+        result[f"log10_{name}"] = None if value is None else value * _PER_DECADE
+    result["b"] = None if functional is None else exp(functional.log_b)
+    result["weight"] = None if functional is None else functional.weight
+    return result
 
 
 def _message(epsilon: float, log10_star: float, holds: bool, mu: float | None) -> str:

@@ -35,18 +35,11 @@ class Constants(ABC):
     Attributes
     ----------
     lyapunov : CommonLyapunov
-        P and Q of V = XᵀPX + b∫e^{c(θ+D−t)}|W|².
-    weight : float
-        c, the exponent of the weight, 1/s.
+        P and Q of (4).
     """
 
     lyapunov: CommonLyapunov
-    weight: float
     log_epsilon_star: float
-    log_nu1: float
-    log_nu2: float
-    log_kappa: float
-    log_b: float
 
     @abstractmethod
     def log_delta1(self, x: float) -> float:
@@ -58,12 +51,29 @@ class Constants(ABC):
 
     @abstractmethod
     def decay(self, x: float) -> float:
-        """μ of V(t) ≤ e^{−μt} V(0), for e^x < ε*, 1/s."""
+        """μ = 2ξ, for e^x < ε*, 1/s."""
 
     @abstractmethod
-    def log_rho(self) -> float:
-        """log ρ."""
+    def log_rho(self, x: float) -> float:
+        """log ρ, where there is a μ."""
 
     def log_lambda(self, x: float) -> float:
         """log max(δ₁, δ₂), equation (55)."""
         return max(self.log_delta1(x), self.log_delta2(x))
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionalConstants(Constants):
+    """Those of a proof by V = XᵀPX + b∫e^{c(θ+D−t)}|W|², of one delay.
+
+    Attributes
+    ----------
+    weight : float
+        c, the exponent of the weight, 1/s.
+    """
+
+    weight: float
+    log_nu1: float
+    log_nu2: float
+    log_kappa: float
+    log_b: float

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.theorem.constants import Constants, Gains, largest_norm
+from deadtime.certificates.theorem.constants import FunctionalConstants, Gains, largest_norm
 from deadtime.gains import CommonLyapunov
 from deadtime.gains.lyapunov import closed_loops
 from deadtime.numerics.logs import exp, log, log_inverse, log_one_plus, log_sum
@@ -52,7 +52,7 @@ class Mismatch:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperConstants(Constants):
+class PaperConstants(FunctionalConstants):
     """The printed or the corrected constants.
 
     Attributes
@@ -83,7 +83,7 @@ class PaperConstants(Constants):
         share = exp(forcing + math.log(2.0 / q) + self.log_b + log_one_plus(log_D_nu1))
         return min(window, 0.5 * q * (1.0 - share) / largest)
 
-    def log_rho(self) -> float:
+    def log_rho(self, x: float) -> float:
         """Printed: √(2ν₁ν₂/κ). It must be √(2(1+ν₁)(1+ν₂)κ)."""
         if not self.corrected:
             return 0.5 * (math.log(2.0) + self.log_nu1 + self.log_nu2 - self.log_kappa)

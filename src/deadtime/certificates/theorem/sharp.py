@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deadtime.base.errors import InfeasibleError, SolverError
-from deadtime.certificates.theorem.constants import Constants, Gains, largest_norm
+from deadtime.certificates.theorem.constants import FunctionalConstants, Gains, largest_norm
 from deadtime.gains import CommonLyapunov, common_lyapunov
 from deadtime.gains.lyapunov import closed_loops, decaying_lyapunov, growth_in_norm
 from deadtime.numerics.logs import log, log_integral, log_one_plus, log_sum
@@ -33,7 +33,7 @@ FRACTIONS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97)
 
 
 @dataclass(frozen=True, eq=False)
-class SharpConstants(Constants):
+class SharpConstants(FunctionalConstants):
     """The sharp constants.
 
     Attributes
@@ -58,7 +58,7 @@ class SharpConstants(Constants):
         ratio = math.exp(2.0 * (x - self.log_epsilon_star)) if x > -math.inf else 0.0
         return self.rate * (1.0 - ratio)
 
-    def log_rho(self) -> float:
+    def log_rho(self, x: float) -> float:
         norms = log_one_plus(self.log_nu1) + log_one_plus(self.log_nu2)
         return 0.5 * (math.log(2.0) + norms + self.log_kappa)
 
@@ -139,7 +139,7 @@ def sharp_constants(
     plant: SwitchedSystem, gains: Gains, lyapunov: CommonLyapunov | None
 ) -> SharpConstants:
     """The constants with the largest ε*, over P (unless given), S and the weight."""
-    pairs = _pairs(plant, gains) if lyapunov is None else [lyapunov]
+    pairs = pairs_of(plant, gains) if lyapunov is None else [lyapunov]
     routes = [
         (pair, norm)
         for pair in pairs
@@ -150,7 +150,7 @@ def sharp_constants(
     return max(attempts, key=lambda constants: constants.log_epsilon_star)
 
 
-def _pairs(plant: SwitchedSystem, gains: Gains) -> list[CommonLyapunov]:
+def pairs_of(plant: SwitchedSystem, gains: Gains) -> list[CommonLyapunov]:
     """The P of largest λ_min(Q)/|P|, and the best conditioned P for a range of decay rates."""
     slowest = float(-np.linalg.eigvals(closed_loops(plant, gains)).real.max())
     others = (decaying_lyapunov(plant, gains, share * slowest) for share in FRACTIONS)

@@ -8,28 +8,32 @@ from typing import Any
 from deadtime.base.record import record
 from deadtime.base.wording import compact
 from deadtime.certificates import TheoremBound, theorem_bound
-from deadtime.certificates.theorem.bound import FORMS
+from deadtime.certificates.theorem.bound import stated_forms
 from deadtime.problems import Problem
 
-HEADINGS = ("constant", "as printed", "corrected", "sharp")
+HEADINGS = {"printed": "as printed", "corrected": "corrected", "sharp": "sharp"}
 
 
-def bound_headings(published: Mapping[str, float] | None = None) -> tuple[str, ...]:
+def bound_headings(
+    bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
+) -> tuple[str, ...]:
     """Of the columns of `bound_rows`."""
-    return (*HEADINGS, "figure in the text") if published else HEADINGS
+    headings = ("constant", *(HEADINGS[form] for form in bounds))
+    return (*headings, "figure in the text") if published else headings
 
 
 def bounds_of(problem: Problem, dwell_time: float) -> dict[str, TheoremBound]:
-    """The bound in its printed, corrected and sharp forms."""
+    """The bound in those of its forms that the delays allow: printed, corrected, sharp."""
+    forms = stated_forms(problem.plant) or ("sharp",)
     return {
-        form: theorem_bound(problem.plant, problem.gains, dwell_time, form=form) for form in FORMS
+        form: theorem_bound(problem.plant, problem.gains, dwell_time, form=form) for form in forms
     }
 
 
 def bound_rows(
     bounds: Mapping[str, TheoremBound], published: Mapping[str, float] | None = None
 ) -> list[tuple[str, ...]]:
-    """Rows (quantity, printed, corrected, sharp), and a column of published figures if any.
+    """Rows (quantity, a value per form), and a column of published figures if any.
 
     Examples
     --------
@@ -54,7 +58,7 @@ def bound_rows(
         "ν₁": large("nu1", "log10_nu1"),
         "ν₂": large("nu2", "log10_nu2"),
         "κ": large("kappa", "log10_kappa"),
-        "b": lambda bound: compact(bound.b),
+        "b": lambda bound: _optional(bound.b),
         "δ₁(ε)": lambda bound: compact(bound.delta1(bound.epsilon)),
         "δ₂(ε)": lambda bound: compact(bound.delta2(bound.epsilon)),
         "μ, 1/s": lambda bound: _optional(bound.mu),
@@ -73,17 +77,20 @@ def bound_rows(
 
 def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
     """What the constants say about the plant at hand."""
-    sharp, printed = bounds["sharp"], bounds["printed"]
-    gained = sharp.log10_epsilon_star - printed.log10_epsilon_star
-    ratio = f"The sharp form allows 10^{gained:.1f} times the distance that the printed one does."
+    sharp, printed, ratio = bounds["sharp"], bounds.get("printed"), ""
+    if printed is not None:
+        gained = sharp.log10_epsilon_star - printed.log10_epsilon_star
+        ratio = (
+            f" The sharp form allows 10^{gained:.1f} times the distance that the printed one does."
+        )
     if sharp.holds:
         return (
             f"The theorem proves this loop stable, updated continuously: |x| decays at least as "
-            f"e^(−{sharp.xi:.2g} t), for every signal with the dwell time. {ratio}"
+            f"e^(−{sharp.xi:.2g} t), for every signal with the dwell time.{ratio}"
         )
     return (
         f"The theorem says nothing about this loop: its modes and gains differ by ε = "
-        f"{compact(sharp.epsilon)}, and even the sharp form allows {compact(sharp.epsilon_star)}. "
+        f"{compact(sharp.epsilon)}, and even the sharp form allows {compact(sharp.epsilon_star)}."
         f"{ratio}"
     )
 

@@ -9,7 +9,7 @@ either in flight or under its own feedback,
 
 adds ∫ R(s) b_l u_l(s − D_l) ds for every input l in flight: Gauss sums over the segments that were
 sent. What lies within the segment itself is not known yet, and u at its nodes solves a linear
-system.
+system. Where a branch reads again what it has predicted, `rereading` has its part.
 """
 
 from __future__ import annotations
@@ -18,17 +18,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.base.errors import ArgumentError
 from deadtime.feedback.outlook import Outlook
 from deadtime.numerics.collocation import Nodes, gauss
 from deadtime.numerics.kernels import kernel
 from deadtime.simulation.ideal.kernel import flows, interpolate, locate, solve_alone
 from deadtime.simulation.ideal.loop import arrivals
+from deadtime.simulation.ideal.rereading import feedback_through_rereading
 from deadtime.simulation.initial_input import refit
 from deadtime.simulation.kernel import LIMIT
 
 _AGAIN = -1
 _FEW, _SHORT = 4, 0.125  # nodes that do on a panel so much shorter than the longest segment
+
+
+class ReadsAgain(Exception):
+    """A prediction reads again what it has predicted, on segments laid for none that does."""
 
 
 class Branch(NamedTuple):
@@ -41,6 +45,26 @@ class Branch(NamedTuple):
     weight: float
     starts: np.ndarray
     systems: np.ndarray
+
+
+class Kept(NamedTuple):
+    """What whole segments bring about, by branch, system and inputs under their own feedback.
+
+    done : (places, segments), whether it is known;  passed : (places, segments, n, n)
+    moved : (places, segments, m, n)
+    """
+
+    done: np.ndarray
+    passed: np.ndarray
+    moved: np.ndarray
+
+
+class Use(NamedTuple):
+    """Scratch of `_hear`, and 1/∏(c_z − c_y) of the Gauss nodes, (p,)."""
+
+    scale: np.ndarray
+    share: np.ndarray
+    pushed: np.ndarray
 
 
 class Intervals(NamedTuple):
@@ -101,7 +125,20 @@ def _divide(t, branch, into):
 
 
 @kernel(eager=True)
-def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, matrix, right):
+def _share(c, points, scale, share):
+    """The polynomials through the Gauss nodes, 1 at one and 0 at the others, at c ∈ [0, 1]."""
+    p = points.size
+    before = after = 1.0
+    for z in range(p):
+        share[z] = scale[z] * before
+        before *= c - points[z]
+    for z in range(p - 1, -1, -1):
+        share[z] *= after
+        after *= c - points[z]
+
+
+@kernel(eager=True)
+def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, use, matrix, right):
     """Add R e^{S (end − s)} b u_j over what was sent in a part of segment q, for R's rows."""
     edges, p, count, (m, n) = line.edges, nodes.points.size, panel.points.size, R.shape
     for k in range(count):
@@ -109,27 +146,51 @@ def _hear(line, g, q, begin, length, j, R, flow, row, nodes, panel, b, u, matrix
         c = min(max(c, 0.0), 1.0)
         if q < g:
             interpolate(line.inputs, q, nodes.support, nodes.barycentric, c, u, 0)
+        else:
+            _share(c, nodes.points, use.scale, use.share)
+        for o in range(n):
+            use.pushed[o] = 0.0
+            # The nodes are symmetric: the end is the node p − 1 − k after node k.
+            for a in range(n):
+                use.pushed[o] += flow[count - 1 - k, o, a] * b[a, j]
         for i in range(m):
             weight = 0.0
-            for a in range(n):
-                # The nodes are symmetric: the end is the node p − 1 − k after node k.
-                for o in range(n):
-                    weight += R[i, o] * flow[count - 1 - k, o, a] * b[a, j]
+            for o in range(n):
+                weight += R[i, o] * use.pushed[o]
             weight *= panel.weights[k] * length
             if q < g:
                 right[row + i] += weight * u[0, j]
                 continue
             for z in range(p):
-                share = 1.0
-                for y in range(p):
-                    if y != z:
-                        share *= (c - nodes.points[y]) / (nodes.points[z] - nodes.points[y])
-                matrix[row + i, z * m + j] -= weight * share
+                matrix[row + i, z * m + j] -= weight * use.share[z]
 
 
 @kernel(eager=True)
-def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
-    """Add a branch at node t of segment g, rows `row` on, to matrix u = right; whether it can."""
+def _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place):
+    """What segment q, all of it, brings about in a system: e^{S length}, and ∫ e^{S …} b_j u_j."""
+    count, (n, m) = panel.points.size, B.shape
+    flows(S, length, panel.points, flow, np.empty((0, n, n)))
+    for a in range(n):
+        for j in range(m):
+            kept.moved[place, q, j, a] = 0.0
+        for o in range(n):
+            kept.passed[place, q, a, o] = flow[count, a, o]
+    for k in range(count):
+        interpolate(line.inputs, q, nodes.support, nodes.barycentric, panel.points[k], u, 0)
+        for a in range(n):
+            for o in range(n):
+                pushed = panel.weights[k] * length * flow[count - 1 - k, a, o]
+                for j in range(m):
+                    kept.moved[place, q, j, a] += pushed * B[o, j] * u[0, j]
+    kept.done[place, q] = 1
+
+
+@kernel(eager=True)
+def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, matrix, right):
+    """Add a branch at node t of segment g, rows `row` on, to matrix u = right; whether it can.
+
+    Of `kept`, the places of the branch begin with `first`.
+    """
     edges, p, (m, n) = line.edges, nodes.points.size, branch.K.shape[1:]
     count = _divide(t, branch, into)
     if count == _AGAIN:
@@ -138,11 +199,15 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
     S, flow, u = np.empty((n, n)), np.empty((p + 1, n, n)), np.empty((1, m))
     none = np.empty((0, n, n))
     for r in range(count - 1, -1, -1):
-        i, known = into.system[r], -1.0
+        i, known, place, bit = into.system[r], -1.0, 0, 1
         for j in range(m):
             if into.read[j] == r + 1:
                 for a in range(n):
                     R[j, a] = branch.weight * branch.K[into.reader[j], j, a]
+        for j in range(m):
+            place += 0 if into.flying[r, j] else bit
+            bit *= 2
+        place += first + i * bit
         for a in range(n):
             for o in range(n):
                 S[a, o] = branch.A[i, a, o]
@@ -161,18 +226,32 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
                 begin, length = max(edges[q], low), min(edges[q + 1], high) - max(edges[q], low)
                 if length > 0.0:
                     panel = few if length < short else nodes
-                    if abs(length - known) > 1e-15:
-                        flows(S, length, panel.points, flow, none)
-                        known = length
-                    _hear(
-                        line, g, q, begin, length, j, carried, flow, row, nodes, panel, branch.B[i],
-                        u, matrix, right,
-                    )  # fmt: skip
+                    whole = q < g and begin == edges[q] and high >= edges[q + 1]
+                    if whole:
+                        if not kept.done[place, q]:
+                            _keep(
+                                line, q, length, S, branch.B[i], flow, nodes, panel, u, kept, place
+                            )
+                            known = -1.0
+                        for k in range(m):
+                            for a in range(n):
+                                right[row + k] += carried[k, a] * kept.moved[place, q, j, a]
+                    else:
+                        if abs(length - known) > 1e-15:
+                            flows(S, length, panel.points, flow, none)
+                            known = length
+                        _hear(
+                            line, g, q, begin, length, j, carried, flow, row, nodes, panel,
+                            branch.B[i], u, use, matrix, right,
+                        )  # fmt: skip
                     for k in range(m):
                         for a in range(n):
                             moved[a] = 0.0
                             for o in range(n):
-                                moved[a] += carried[k, o] * flow[panel.points.size, o, a]
+                                if whole:
+                                    moved[a] += carried[k, o] * kept.passed[place, q, o, a]
+                                else:
+                                    moved[a] += carried[k, o] * flow[panel.points.size, o, a]
                         for a in range(n):
                             carried[k, a] = moved[a]
                 q -= 1
@@ -186,15 +265,34 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, matrix, right):
     return True
 
 
+@kernel(eager=True)
+def _add_segment(
+    line, g, times, branch, states, nodes, few, short, into, kept, first, use, matrix, right, able
+):
+    """Add a branch at all nodes of segment g, x there `states`; `able` says at which it can."""
+    m = branch.K.shape[1]
+    for k in range(times.size):
+        able[k] = _add(
+            line, g, times[k], branch, k * m, states[k + 1], nodes, few, short, into, kept, first,
+            use, matrix, right,
+        )  # fmt: skip
+
+
 def march_outlook(
-    plant, line, law: Outlook, x0: np.ndarray, nodes: Nodes
+    plant, line, law: Outlook, x0: np.ndarray, nodes: Nodes, rereads: bool
 ) -> tuple[np.ndarray, int]:
-    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`."""
+    """Solve the segments from `begin` on; arguments and answer as of `ideal.loop.march`.
+
+    `rereads`: whether segments end where a prediction stops to read something again.
+    """
     edges, (branches, _, m, n) = line.edges, law.gains.shape
     segments, p = edges.size - 1, nodes.points.size
     states, x = np.zeros((segments, p + 2, n)), x0.copy()
-    few, short = gauss(_FEW), _SHORT * float(np.diff(edges).max())
+    longest = float(np.diff(edges).max())
+    few, short = gauss(_FEW), _SHORT * longest
     ends = refit(nodes.points, np.array([0.0, 1.0]))
+    kept, use = _kept(law, segments), _use(nodes, n)
+    places, able = kept.done.shape[0] // branches, np.empty(p, np.int8)
     for g in range(line.begin, segments):
         length, i = edges[g + 1] - edges[g], line.mode[g]
         times = edges[g] + length * nodes.points
@@ -207,12 +305,17 @@ def march_outlook(
             for b in range(branches):
                 own = law.gains[b], float(law.weights[b]), starts[b], systems[b]
                 branch = Branch(law.A, law.B, law.delays, *own)
-                for k, t in enumerate(times.tolist()):
-                    here = states[g, k + 1]
-                    if not _add(
-                        line, g, t, branch, k * m, here, nodes, few, short, into, matrix, right
-                    ):
-                        raise _reads_again(t)
+                _add_segment(
+                    line, g, times, branch, states[g], nodes, few, short, into, kept, b * places,
+                    use, matrix, right, able,
+                )  # fmt: skip
+                for k in np.flatnonzero(able == 0).tolist():
+                    if not rereads:
+                        raise ReadsAgain
+                    t, here = float(times[k]), states[g, k + 1]
+                    sent = feedback_through_rereading(line, g, t, branch, here, nodes, longest)
+                    right[k * m : k * m + m] += sent[:, 0]
+                    matrix[k * m : k * m + m] -= sent[:, 1:]
             u = np.linalg.solve(matrix, right).reshape(p, m)
             line.inputs[g, 1:-1] = u
             line.inputs[g, [0, -1]] = ends @ u
@@ -229,9 +332,18 @@ def _room(parts: int, m: int) -> Intervals:
     return Intervals(np.empty(most + 1), *whole, np.empty(m, np.int64), np.empty(m, np.int64))
 
 
-def _reads_again(t: float) -> ArgumentError:
-    return ArgumentError(
-        f"step must be given: what is sent at {t:.6g} s would be predicted through a switch after "
-        "which an input that is still to be sent is read a second time, with a longer delay; the "
-        "ideal loop has no closed form there."
+def _kept(law: Outlook, segments: int) -> Kept:
+    """Room for what whole segments bring about."""
+    branches, systems, m, n = law.gains.shape
+    places = branches * systems * 2**m
+    return Kept(
+        np.zeros((places, segments), np.int8),
+        np.empty((places, segments, n, n)),
+        np.empty((places, segments, m, n)),
     )
+
+
+def _use(nodes: Nodes, n: int) -> Use:
+    """The scratch of `_hear`."""
+    apart = nodes.points[:, None] - nodes.points + np.eye(nodes.points.size)
+    return Use(1.0 / apart.prod(axis=1), np.empty(nodes.points.size), np.empty(n))

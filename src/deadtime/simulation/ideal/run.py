@@ -132,8 +132,28 @@ def run_ideal(
         require_finite_gains(ahead)
     elif isinstance(law, Functional):
         require_finite_gains(law.F)
+    if not isinstance(law, Outlook):
+        return _solve(plant, law, signal, x0, horizon, history, rereads=False)
+    from deadtime.simulation.ideal.outlooks import ReadsAgain
+
+    try:
+        return _solve(plant, law, signal, x0, horizon, history, rereads=False)
+    except ReadsAgain:
+        return _solve(plant, law, signal, x0, horizon, history, rereads=True)
+
+
+def _solve(
+    plant: SwitchedSystem,
+    law: Forecast | Functional | Outlook,
+    signal: SwitchingSignal,
+    x0: Float[np.ndarray, " n"],
+    horizon: float,
+    history: InputHistory,
+    rereads: bool,
+) -> tuple[IdealRecord, float | None]:
+    """The run on one choice of segments."""
     nodes = gauss(NODES)
-    edges, begin = segments_of(plant, law, signal, horizon, history)
+    edges, begin = segments_of(plant, law, signal, horizon, history, rereads)
     middles = (edges[:-1] + edges[1:]) / 2.0
     # One segment more than the run: u at its end is a right limit.
     stop = int(np.searchsorted(edges, horizon * (1.0 - 1e-15))) + 1
@@ -149,7 +169,7 @@ def run_ideal(
     elif isinstance(law, Outlook):
         from deadtime.simulation.ideal.outlooks import march_outlook
 
-        states, done = march_outlook(moving, line, law, x0, nodes)
+        states, done = march_outlook(moving, line, law, x0, nodes, rereads)
     else:
         from deadtime.simulation.ideal.windows import march_windows, windows_of
 

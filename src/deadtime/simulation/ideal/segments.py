@@ -122,11 +122,19 @@ def segments_of(
     signal: SwitchingSignal,
     horizon: float,
     history: InputHistory,
+    rereads: bool = False,
 ) -> tuple[Float[np.ndarray, " edge"], int]:
-    """The edges of all segments, and the index of the first after time 0."""
+    """The edges of all segments, and the index of the first after time 0.
+
+    `rereads`: predictions read again, after a switch, what they have predicted themselves.
+    """
     delays, reaches, breaks = np.unique(plant.delays), _reaches(law), np.empty(0)
     if not isinstance(law, Functional):
         breaks = np.concatenate([law.breaks, *(law.breaks - reach for reach in reaches)])
+        if rereads and isinstance(law, Outlook):
+            apart = np.unique(law.delays[:, None] - law.delays)
+            longer = np.concatenate([law.breaks + more for more in apart if more > 0.0])
+            breaks = np.concatenate([breaks, longer, *(longer - reach for reach in reaches)])
     # x is known until the plant reads what is not sent any more.
     high = float(first_reads(signal, plant.delays, np.array([horizon]), 0.0).min())
     low = -max(reaches[-1], delays[-1])
