@@ -8,7 +8,12 @@ import numpy as np
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
+from deadtime.certificates.clock import (
+    CLOCK_TOLERANCE,
+    clock_tolerance_in_range,
+    lag_in_range,
+    require_periods,
+)
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
@@ -29,6 +34,7 @@ def falsify(
     *,
     maximum_dwell: float | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
+    mode_lag: int = 0,
     budget: int = 80_000,
 ) -> WorstCase:
     """The worst admissible switching signal found for a digital loop, and its growth rate.
@@ -55,6 +61,9 @@ def falsify(
         How far the controller's clock may be off, relative, from 0 to 0.1: sojourns of
         `dwell_time` (1 − tolerance) are admissible, and of `maximum_dwell` (1 + tolerance). So a
         mode that begins just after a sample may end at the sample a dwell time later.
+    mode_lag : int
+        L, in periods: the law is told the mode of L samples ago, as in a run with
+        `imperfections.ModeDelay(L)`.
     budget : int
         How many cycles and beginnings of cycles may be looked at on the compressed loop, about.
 
@@ -89,10 +98,12 @@ def falsify(
     """
     feedback = _require_table(plant, law, dwell_time, maximum_dwell, step)
     count("budget", budget)
+    mode_lag = lag_in_range(mode_lag)
+    lag = mode_lag if plant.modes > 1 and feedback.context != "none" else 0
     tolerance = clock_tolerance_in_range(clock_tolerance, least=0.0)
     bounded = maximum_dwell is not None and plant.modes > 1
     dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step, tolerance)
-    constants, loop = _constants(plant, feedback)
+    constants, loop = _constants(plant, feedback, lag)
     known = [] if bounded else constants
     evaluated, upper = len(constants), None
     if plant.modes > 1:
@@ -145,7 +156,9 @@ def _require_table(
     return feedback
 
 
-def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], SampledLoop]:
+def _constants(
+    plant: SwitchedSystem, feedback: Feedback, lag: int
+) -> tuple[list[Rated], SampledLoop]:
     """The constant modes, and the loop weighted by about the largest of their rates."""
     step = feedback.step
     rates = [
@@ -153,7 +166,7 @@ def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], 
         for mode in range(plant.modes)
     ]
     longest = max(plant.longest_delay, feedback.taps * step)
-    loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest))
+    loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest), lag)
     constants = []
     for mode, rate in enumerate(rates):
         cycle = Cycle((mode,), (float(loop.past),))

@@ -14,6 +14,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.feedback import Law
+from deadtime.imperfections import ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal
@@ -69,6 +70,7 @@ class WorstCase(Frozen):
     dwell_time: float = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
+    mode_lag: int = field(default=0, repr=False)
 
     @property
     def proven(self) -> bool:
@@ -86,12 +88,26 @@ class WorstCase(Frozen):
         return self.cycle.periods * self.step
 
     def simulate(self, cycles: int = CYCLES) -> Trajectory:
-        """Run the loop along some cycles of the signal, from x0 and u0."""
+        """Run the loop along some cycles of the signal, from x0 and u0.
+
+        A law that is told the mode late is told that of time 0 at first, not the cycle's before it:
+        the run needs some cycles to come to the growth.
+        """
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
             signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
-        return simulate(self.plant, self.law, signal, self.x0, horizon, self.step, self.u0)
+        late = [ModeDelay(self.mode_lag)] if self.mode_lag else []
+        return simulate(
+            self.plant,
+            self.law,
+            signal,
+            self.x0,
+            horizon,
+            self.step,
+            self.u0,
+            imperfections=late,
+        )
 
     def __repr__(self) -> str:
         return (
@@ -126,7 +142,7 @@ def worst_case(
     message = _message(growth.rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
     return WorstCase(
         signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, dwell_time, step, cycle,
+        plant, law, dwell_time, step, cycle, loop.lag,
     )  # fmt: skip
 
 
