@@ -144,6 +144,24 @@ CASES: dict[str, Case] = {
         *(0.2, 0.1, {"delays": ([[0.29], [0.25]], [[0.3], [0.3]])}),
     ),
     "rate": (lambda: designed(PAIR), 0.2, 0.1, {"decay_rate": 0.3}),
+    "late-mode": (lambda: (MILD, DELAYED), 0.5, 0.1, {"mode_lag": 2}),
+    "late-long": (lambda: (MILD, DELAYED), 0.3, 0.1, {"mode_lag": 6}),
+    "late-expected": (lambda: of("expected"), 0.6, 0.1, {"mode_lag": 3, "decay_rate": 0.0}),
+    "late-dwell": (
+        lambda: of("averaged, dwell-aware"),
+        *(0.4, 0.1, {"mode_lag": 2, "decay_rate": 0.0}),
+    ),
+    "late-three": (
+        lambda: of("expected", GENERIC),
+        *(0.4, 0.1, {"mode_lag": 5, "decay_rate": 0.0}),
+    ),
+    "late-maximum": (lambda: (MILD, DELAYED), 0.3, 0.1, {"mode_lag": 4, "maximum_dwell": 0.8}),
+    "late-average": (lambda: (MILD, DELAYED), 0.3, 0.1, {"mode_lag": 2, "chatter": 2}),
+    "late-range": (lambda: (MILD, DELAYED), 0.4, 0.1, {"mode_lag": 2, "delays": (0.2, 0.29)}),
+    "late-delays": (
+        lambda: slow([[0.34, 0.1], [0.05, 0.26]]),
+        *(0.43, 0.1, {"mode_lag": 2}),
+    ),
 }
 
 

@@ -3,6 +3,7 @@ from .constant_modes import DelayMargin as DelayMargin
 from .delay import delay_margin as delay_margin
 from .dwell_time import LeastDwellTime as LeastDwellTime, least_dwell_time as least_dwell_time
 from .gain import GainMargin as GainMargin, gain_margin as gain_margin
+from .mode_lag import LongestModeLag as LongestModeLag, longest_mode_lag as longest_mode_lag
 from .robustness.assess import Robustness as Robustness, robustness as robustness
 from .robustness.tolerance import NoisePrice as NoisePrice, Tolerance as Tolerance
 from .stability import StabilityMargin as StabilityMargin, stability_margin as stability_margin

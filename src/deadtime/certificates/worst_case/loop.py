@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -67,6 +67,19 @@ class Growth(NamedTuple):
 
     rate: float
     vector: np.ndarray
+
+
+class Growing(Protocol):
+    """A loop whose growth along cycles can be told."""
+
+    @property
+    def step(self) -> float:
+        """The period h, seconds."""
+        ...
+
+    def growth(self, cycle: Cycle, tolerance: float = ...) -> Growth | None:
+        """The growth rate of a cycle and the direction that grows; None where it is not found."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

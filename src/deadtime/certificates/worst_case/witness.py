@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -125,11 +126,39 @@ def worst_case(
     evaluated: int,
     upper_estimate: float | None,
 ) -> WorstCase:
-    """The result for the worst cycle."""
-    plant, feedback, step = loop.plant, loop.feedback, loop.step
-    x0, u0 = _direction(growth.vector, plant.states, plant.inputs)
+    """The result for the worst cycle of a table."""
+    plant, feedback = loop.plant, loop.feedback
+    aged = feedback.ages * loop.step if feedback.context == "mode_age" else 0.0
+    start = _direction(growth.vector, plant.states, plant.inputs)
+    proof = prove(loop, cycle, growth.rate)
+    kept = Kept(plant, law, dwell_time, loop.step, loop.lag)
+    return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
+
+
+class Kept(NamedTuple):
+    """The loop that a result is about."""
+
+    plant: SwitchedSystem
+    law: Law
+    dwell_time: float
+    step: float
+    lag: int
+
+
+def of_cycle(
+    loop: Kept,
+    cycle: Cycle,
+    rate: float,
+    proof: GrowthProof,
+    start: tuple[np.ndarray, np.ndarray],
+    aged: float,
+    evaluated: int,
+    upper_estimate: float | None,
+) -> WorstCase:
+    """The result for a cycle, its rate and its start (x0, u0); a constant mode is `aged` seconds."""
+    plant, law, dwell_time, step, lag = loop
+    x0, u0 = start
     if cycle.constant:
-        aged = feedback.ages * step if feedback.context == "mode_age" else 0.0
         signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
         sojourns = (math.inf,)
     else:
@@ -138,11 +167,10 @@ def worst_case(
         missing = [dwell_time - gap * step for gap in cycle.gaps]
         sojourns = tuple(dwell_time if 0.0 < t < SLACK * step else dwell_time - t for t in missing)
     modes, sojourns = _pattern(cycle.modes, sojourns)
-    proof = prove(loop, cycle, growth.rate)
-    message = _message(growth.rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
+    message = _message(rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
     return WorstCase(
-        signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, dwell_time, step, cycle, loop.lag,
+        signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
+        plant, law, dwell_time, step, cycle, lag,
     )  # fmt: skip
 
 
