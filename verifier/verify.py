@@ -136,7 +136,8 @@ def certificate(content):
     pairs = [(low[i][j], high[i][j]) if each else (low, high) for i, j in every]
     c.D = [pairs[i * c.m : i * c.m + c.m] for i in range(c.modes)]
     late = "mode_lag" in law
-    c.context, ages, step, F, G, *lag = take(law, "law", "context ages step F G" + " mode_lag" * late)
+    keys = "context ages step F G" + " mode_lag" * late
+    c.context, ages, step, F, G, *lag = take(law, "law", keys)
     c.lag = whole(lag[0], "mode_lag", 1) if late else 0
     c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
     rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
@@ -247,7 +248,7 @@ class Loop:
             need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
         room = 2 + 10**6 // self.d**2
         self.table, self.V = lru_cache(room)(self.new_table), lru_cache(room)(self.new_V)
-        self.full, self.under = lru_cache(room)(self.new_full), lru_cache(room)(self.new_under)
+        self.full, self.after = lru_cache(room)(self.new_full), lru_cache(room)(self.new_after)
         self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
         self.X_of = lru_cache(self.generator_of)
 
@@ -303,7 +304,8 @@ class Loop:
             return [0]
         late, ages, told = self.c.lag - age, self.c.ages, set()
         if self.bucket:
-            return range(self.c.modes * ages) if self.c.lag else range(mode * ages, (mode + 1) * ages)
+            first, last = (0, self.c.modes) if self.c.lag else (mode, mode + 1)
+            return range(first * ages, last * ages)
         if late <= 0:
             return [mode * ages + min(-late, ages - 1)]
         # Modes of the sojourns before, the last first, each of q₀ + 1 samples or more.
@@ -315,23 +317,12 @@ class Loop:
             told |= {i * ages + a for i in here for a in range(least, ages)}
         return sorted(told)
 
-    def rows_after(self, i, age, follows):
-        """The rows of the periods after a switch from mode i at an age, while i is told."""
-        ages, first = self.c.ages, age + 1 - self.c.lag
-        told = range(first, first + min(self.c.lag, follows))
-        return [i * ages + min(a, ages - 1) for a in told]
-
-    def after(self, i, age, j, follows):
-        """The product of the periods of mode j after a switch from i, none of them with a switch."""
-        rows = self.rows_after(i, age, follows)
-        return self.full(j, len(rows), follows) * self.under(j, tuple(rows))
-
-    def new_under(self, mode, rows):
-        """The product of periods without a switch under these rows; by halves."""
-        half = len(rows) // 2
-        if half:
-            return self.under(mode, rows[half:]) * self.under(mode, rows[:half])
-        return self.alone(mode, rows[0]) if rows else eye(self.d)
+    def new_after(self, i, first, j, follows):
+        """The product of the periods of mode j after a switch; i is told at first, by its ages."""
+        late, ages, M = min(self.c.lag, follows), self.c.ages, eye(self.d)
+        for age in range(first, first + late):
+            M = self.alone(j, i * ages + min(age, ages - 1)) * M
+        return self.full(j, late, follows) * M if late else self.full(j, 0, follows)
 
     def new_table(self, row):
         """Y₀ and U₀ of a row."""
@@ -571,7 +562,8 @@ def stretches(loop):
             before = loop.full(i, start, a)
             for j in (j for j in loop.modes if j != i and a >= loop.q0):
                 to = f"{name}, then {j}", V(i, start), V(j, knots[0]), row, (i, j), a
-                after = loop.after(i, a, j, knots[0])
+                first = min(a + 1 - loop.c.lag, loop.c.ages) * (loop.c.lag > 0)
+                after = loop.after(i * (loop.c.lag > 0), first, j, knots[0])
                 prove(loop, *to, L + knots[0], before, after)
             if a + 1 == end and (end <= last or unbounded):
                 prove(loop, name, V(i, start), V(i, min(end, last)), row, (i, i), a, L, before)

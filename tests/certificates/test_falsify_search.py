@@ -102,7 +102,10 @@ def test_the_compressed_loop_ranks_cycles_as_the_loop_does_whatever_is_late():
     ("changes", "message"),
     [
         ({"plant": plants.paper()}, "law must be made for a plant with 2 modes"),
-        ({"law": plants.LAWS["exact"](plants.generic())}, "law must not .* future, got ExactPredictor"),
+        (
+            {"law": plants.LAWS["exact"](plants.generic())},
+            "law must not .* future, got ExactPredictor",
+        ),
         ({"mode_lag": -1}, "mode_lag must be an integer of at least 0, got -1"),
         ({"mode_lag": 10**6}, "mode_lag must be at most 100,000 periods, got 1,000,000"),
         ({"dwell_time": 0.0}, "dwell_time must be positive"),

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import certificate_corpus as corpus
-import delayed_loops
 import deadtime as dt
+import delayed_loops
 from certificate_reference import rewritten
+from deadtime.certificates.proof import StretchEvidence
 from deadtime.certificates.proof.transitions import Transitions
 from deadtime.imperfections import ModeDelay
 
@@ -36,8 +37,9 @@ def a_loop(seed):
     plant = dt.SwitchedSystem(A, B, rng.choice([0.1, 0.13, 0.2, 0.27], m) if m > 1 else delay)
     gains = rng.normal(size=(modes, m, n)) * 0.3
     dwell = STEP * float(rng.choice([3, 4, 5.5]))
-    laws = [by_mode(plant, gains), dt.AveragedPredictor(plant, gains, None, dwell, allow_unstable=True)]
-    return rng, plant, laws[seed % 5 == 0], round(dwell, 12), int(rng.integers(1, 7))
+    aged = dt.AveragedPredictor(plant, gains, None, dwell, allow_unstable=True)
+    law = aged if seed % 5 == 0 else by_mode(plant, gains)
+    return rng, plant, law, round(dwell, 12), int(rng.integers(1, 7))
 
 
 # -- what may be told --------------------------------------------------------------------------
@@ -65,8 +67,8 @@ def told_in_histories(modes, ages, shortest, lag):
 
 @pytest.mark.parametrize(
     ("modes", "ages", "shortest", "lag"),
-    [(2, 1, 2, 1), (2, 1, 2, 3), (2, 1, 3, 7), (3, 1, 2, 2), (3, 1, 2, 3), (2, 3, 2, 2), (2, 2, 3, 4),
-     (3, 2, 2, 3)],
+    [(2, 1, 2, 1), (2, 1, 2, 3), (2, 1, 3, 7), (3, 1, 2, 2), (3, 1, 2, 3), (2, 3, 2, 2),
+     (2, 2, 3, 4), (3, 2, 2, 3)],
 )  # fmt: skip
 def test_the_rows_that_may_act_are_those_of_all_histories(modes, ages, shortest, lag):
     context = "mode" if ages == 1 else "mode_age"
@@ -106,11 +108,18 @@ def a_signal(rng, modes, dwell, horizon):
     return dt.SwitchingSignal(times, here)
 
 
-@pytest.mark.parametrize("seed", range(12))
+FEW = (0, 2, 3, 11)  # with ages, with two inputs, with three modes, with both
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(k, marks=() if k in FEW else pytest.mark.long) for k in range(12) if k != 7],
+)
 def test_v_falls_as_certified_along_runs_with_late_modes(seed):
     rng, plant, law, dwell, lag = a_loop(seed)
     found = dt.certify(plant, law, dwell, STEP, mode_lag=lag, search_signals=False)
     assert found.stable, found.message
+    whole = not isinstance(found.evidence, StretchEvidence)  # along stretches V is known at nodes
     evidence, ages = found.evidence, law.digital(STEP).ages
     assert evidence.setting.mode_lag == lag
     samples = 60
@@ -119,10 +128,10 @@ def test_v_falls_as_certified_along_runs_with_late_modes(seed):
     age, values, seen = 0, [], []
     for k, xi in enumerate(states):
         age = 0 if k and modes[k] != modes[k - 1] else age + (k > 0)
-        if k >= lag + ages and age >= lag:  # before, stretches know no V
+        if k >= lag + ages and (whole or age >= lag):
             values.append(xi @ found.lyapunov(modes[k], age) @ xi)
             seen.append(k)
-    assert len(values) > 15
+    assert len(values) > 40
     assert min(values) > 0.0
     for (before, k), (after, now) in itertools.pairwise(zip(values, seen, strict=True)):
         assert after <= before * evidence.rho ** (2 * (now - k)) * (1.0 + 1e-9)
@@ -161,17 +170,18 @@ def worst_of_attack(rng, loop, modes, dwell, lag, tries=50):
     shortest, found = max(0, math.ceil(dwell / STEP) - 2), []
     for _ in range(tries):
         count = int(rng.choice([2, 2, 3, 4])) if modes > 2 else int(rng.choice([2, 4]))
-        word = [k % modes if modes == 2 else k % 3 for k in range(count)]
+        word = [k % modes for k in range(count)]
         if word[0] == word[-1]:
             word[-1] = next(i for i in range(modes) if i not in (word[0], word[-2]))
-        cycle = [(i, shortest + int(rng.integers(0, 6)), float(rng.choice([0, 0.5, 1]))) for i in word]
+        full = (shortest + rng.integers(0, 6, count)).tolist()
+        cycle = list(zip(word, full, rng.choice([0.0, 0.5, 1.0], count).tolist(), strict=True))
         if admissible(cycle):
             found.append((growth(loop, cycle, lag), cycle))
     best = max(found)[0]
     for rate, cycle in sorted(found, reverse=True)[:3]:
         for _ in range(20):
             k, moved = int(rng.integers(len(cycle))), [*cycle]
-            mode, full, s = cycle[k]
+            mode, full, _ = cycle[k]
             moved[k] = mode, max(0, full + int(rng.integers(-1, 2))), float(rng.random())
             if admissible(moved) and growth(loop, moved, lag) > rate:
                 rate, cycle = growth(loop, moved, lag), moved
@@ -179,7 +189,9 @@ def worst_of_attack(rng, loop, modes, dwell, lag, tries=50):
     return best
 
 
-@pytest.mark.parametrize("seed", [1, 2, 5, 6, 9, 10])
+@pytest.mark.parametrize(
+    "seed", [1, 2, *(pytest.param(k, marks=pytest.mark.long) for k in (5, 6, 9, 10))]
+)
 def test_no_certificate_is_violated_by_signals_searched_by_other_code(seed):
     rng, plant, law, dwell, lag = a_loop(seed)
     found = dt.certify(plant, law, dwell, STEP, mode_lag=lag, search_signals=False)
@@ -225,7 +237,7 @@ def test_another_lag_written_into_a_file_proves_nothing(lag, tmp_path):
     path = dt.certify(plant, law, 0.5, STEP, mode_lag=2).save(tmp_path / "late.json")
     rewritten(path, "law", {"mode_lag": lag})
     if lag == 0:
-        with pytest.raises(dt.DeadtimeError, match="law.mode_lag 0 must be left out"):
+        with pytest.raises(dt.DeadtimeError, match=r"law\.mode_lag 0 must be left out"):
             dt.verify(path)
     else:
         assert not dt.verify(path).proven

@@ -161,8 +161,8 @@ def certify(
     if setting.mode_lag * len(setting.F) > MOST_TOLD:
         return Certificate(
             None,
-            f"mode_lag = {mode_lag} periods with a table of {len(setting.F):,} rows leaves too many "
-            "rows that may be told: lengthen the step.",
+            f"mode_lag = {mode_lag} periods with a table of {len(setting.F):,} rows leaves too "
+            "many rows that may be told: lengthen the step.",
         )
     if setting.order > LARGEST:
         return Certificate(None, _too_large(setting.order))

@@ -169,9 +169,7 @@ def verify(
         dwell = asked.value
         only = None if law is None else laws[law]
         lag = mode_lag or 0
-        result = check(
-            certificate, chosen.plant, only, dwell_time=dwell, step=period, mode_lag=lag
-        )
+        result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period, mode_lag=lag)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
@@ -260,9 +258,7 @@ def _longest_mode_lags(
     else:
         about = f"Sampling period {period:g} s, dwell time {asked.value:.4g} s ({asked.source})."
         print("\n".join((problem.title, about, *left_out(problem), "")))
-        rows = [
-            (name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()
-        ]
+        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
         print_table(("law", "proved up to", "refuted at"), rows)
         for name, one in brackets.items():
             print(f"• {name}: {one.message}")

@@ -114,8 +114,8 @@ def least_dwell_time(
         )
     if not isinstance(law, TableLaw) or law.foresees:
         raise ArgumentError(
-            f"law must be a table whose rows do not depend on the future, got {type(law).__name__}: "
-            "no dwell time of its loop can be certified."
+            "law must be a table whose rows do not depend on the future, got "
+            f"{type(law).__name__}: no dwell time of its loop can be certified."
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")

@@ -111,10 +111,11 @@ def longest_mode_lag(
     --------
     >>> import deadtime as dt
     >>> plant = dt.problems.paper().plant.apart(0.5)
-    >>> law = dt.ExpectedPredictor(plant, dt.place(plant, [-1.0, -2.0]), dt.Markov([[0, 1], [1, 0]]))
+    >>> gains, model = dt.place(plant, [-1.0, -2.0]), dt.Markov([[0.0, 1.0], [1.0, 0.0]])
+    >>> law = dt.ExpectedPredictor(plant, gains, model)
     >>> found = longest_mode_lag(plant, law, dwell_time=0.5, step=0.25)
     >>> found.certified, found.refuted, found.certified_seconds
-    (1, None, 0.25)
+    (1, 2, 0.25)
     """
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
@@ -122,8 +123,8 @@ def longest_mode_lag(
     step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
     if not isinstance(law, TableLaw) or law.foresees:
         raise ArgumentError(
-            f"law must be a table whose rows do not depend on the future, got {type(law).__name__}: "
-            "no lag of its mode can be certified."
+            "law must be a table whose rows do not depend on the future, got "
+            f"{type(law).__name__}: no lag of its mode can be certified."
         )
     table = law.digital(step)
     most = round(snap(DELAYS * (max(plant.longest_delay, table.taps * step) + dwell_time) / step))

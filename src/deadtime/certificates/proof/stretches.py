@@ -6,8 +6,9 @@ node the loop goes along one of these stretches to the next node that it meets:
     full steps to the next knot; from the last one, where a mode may last, one full step to it;
     full steps to an age at which the plant may switch, a mixed step to j, a_0 full steps there.
 
-A law that is told the mode of L samples ago acts in the first L of these a_0 ≥ L steps by what i was, at
-ages that are known, and is told j from the node on: so nothing before a node matters after it.
+A law that is told the mode of L samples ago acts in the first L of these a_0 ≥ L steps by what i
+was, at ages that are known, and is told j from the node on: so nothing before a node matters
+after it.
 
 With M the product of the matrices of the L periods of a stretch, what is proved is
 
@@ -64,8 +65,8 @@ class StretchEvidence(Frozen):
         knot = bisect_left(self.knots, age)
         if age < self.setting.mode_lag:
             raise ArgumentError(
-                f"age must be at least the mode's lag of {self.setting.mode_lag}, got {age}: before "
-                "it the Lyapunov function depends on the mode before."
+                f"age must be at least the mode's lag, {self.setting.mode_lag}, got {age}: before "
+                "that the Lyapunov function depends on the mode before."
             )
         if knot == len(self.knots):
             raise ArgumentError(

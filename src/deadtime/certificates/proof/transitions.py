@@ -26,11 +26,11 @@ the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
 switch per period is not described.
 
-A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) where a ≥ L. Else it goes by
-what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples, so that
-the k-th sojourn back is told only if b > (k − 1) p, and then at an age of at least k p − b. Where b ≤ p
-that is the mode before, and one row if rows go by the mode and there are two. In the graph any row
-that may be told, may act: V knows the mode and its age and not what was before.
+A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) where a ≥ L. Else it goes
+by what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
+so that the k-th sojourn back is told only if b > (k − 1) p, and then at an age of at least k p − b.
+Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In the
+graph any row that may be told may act: V knows the mode and its age and not what was before.
 """
 
 from __future__ import annotations

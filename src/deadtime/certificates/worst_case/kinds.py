@@ -7,8 +7,8 @@ of the mode before, which is taken to have lasted for the shortest sojourn (exac
 depend on the age by then; what is found is evaluated on the loop itself).
 
 A law that is told the mode L samples late acts for the mode before at the first L samples of every
-sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess; it ranks
-cycles, and is not trusted.
+sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess; it
+ranks cycles, and is not trusted.
 """
 
 from __future__ import annotations

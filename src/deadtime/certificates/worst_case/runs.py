@@ -1,10 +1,11 @@
 """The worst signal of a law that is no table: a search that measures growth in runs.
 
 A law that decides by a rule, estimates the state or weighs a belief has no matrix over a cycle. It
-can be run. Along a cycle repeated the size of (x, the inputs on their way) is taken over blocks of
-whole cycles, each a delay long or longer; the slope of its logarithm over the later half of the blocks
-is the growth: of a linear loop exact up to what has not yet died out, of another one that of this
-run. Cycles are drawn at random, short sojourns more often than long ones; switches fall on samples,
+can be run. Along a cycle repeated the size of (x, u) is taken over blocks of whole cycles, each a
+delay long or longer; the slope of its logarithm over the later half of the blocks is the growth: of
+a linear loop exact up to what has not yet died out, of another one that of this run.
+
+Cycles are drawn at random, short sojourns more often than long ones; switches fall on samples,
 right after them and elsewhere. The best are improved as those of a table are (`instants`).
 
 Nothing of this is a proof, and a law that is not linear may grow from other states than that of
@@ -20,13 +21,13 @@ from functools import cached_property
 
 import numpy as np
 
+from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
 from deadtime.certificates.worst_case.instants import COARSE, polish
 from deadtime.certificates.worst_case.loop import Growth
 from deadtime.certificates.worst_case.proof import GrowthProof
 from deadtime.certificates.worst_case.selection import Rated, worst_of
 from deadtime.certificates.worst_case.witness import Kept, WorstCase, of_cycle, repeat
-from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Law
 from deadtime.imperfections import ModeDelay
 from deadtime.plant import SwitchedSystem

@@ -155,7 +155,7 @@ def of_cycle(
     evaluated: int,
     upper_estimate: float | None,
 ) -> WorstCase:
-    """The result for a cycle, its rate and its start (x0, u0); a constant mode is `aged` seconds."""
+    """The result for a cycle, its rate, its start (x0, u0), and the age of a constant mode, s."""
     plant, law, dwell_time, step, lag = loop
     x0, u0 = start
     if cycle.constant:
