@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,6 +59,13 @@ def of_pair(alpha):
 
 
 BOTH = np.array([[[1.0, 1.0], [0.0, 0.5]], [[1.1, 0.95], [0.02, 0.45]]])
+
+
+def expecting(plant):
+    model = dt.Markov(1.0 - np.eye(plant.modes))
+    return plant, dt.ExpectedPredictor(plant, dt.place(plant, (-1.0, -2.0)), model)
+
+
 INPUTS = np.array([[[1.0, 0.0], [0.2, 1.0]], [[1.02, 0.0], [0.2, 0.98]]])
 
 
@@ -144,6 +152,26 @@ CASES: dict[str, Case] = {
         *(0.2, 0.1, {"delays": ([[0.29], [0.25]], [[0.3], [0.3]])}),
     ),
     "rate": (lambda: designed(PAIR), 0.2, 0.1, {"decay_rate": 0.3}),
+    "late-mode": (lambda: (MILD, DELAYED), 0.5, 0.1, {"mode_lag": 2}),
+    "late-far": (lambda: expecting(PAPER.apart(0.5)), 0.5, 0.1, {"mode_lag": 2}),
+    "late-long": (lambda: (MILD, DELAYED), 0.3, 0.1, {"mode_lag": 6}),
+    "late-expected": (lambda: of("expected"), 0.6, 0.1, {"mode_lag": 3, "decay_rate": 0.0}),
+    "late-dwell": (
+        lambda: of("averaged, dwell-aware"),
+        *(0.4, 0.1, {"mode_lag": 2, "decay_rate": 0.0}),
+    ),
+    "late-three": (
+        lambda: of("expected", GENERIC),
+        *(0.4, 0.1, {"mode_lag": 5, "decay_rate": 0.0}),
+    ),
+    "late-thrice": (lambda: expecting(with_delay(THREE, 0.3)), 0.4, 0.1, {"mode_lag": 2}),
+    "late-maximum": (lambda: (MILD, DELAYED), 0.3, 0.1, {"mode_lag": 4, "maximum_dwell": 0.8}),
+    "late-average": (lambda: (MILD, DELAYED), 0.3, 0.1, {"mode_lag": 2, "chatter": 2}),
+    "late-range": (lambda: (MILD, DELAYED), 0.4, 0.1, {"mode_lag": 2, "delays": (0.2, 0.29)}),
+    "late-delays": (
+        lambda: slow([[0.34, 0.1], [0.05, 0.26]]),
+        *(0.43, 0.1, {"mode_lag": 2}),
+    ),
 }
 
 
@@ -162,6 +190,9 @@ STRETCHES = {
     "stretches-delays": ("delays-both", (1, 2)),
     "stretches-ranges": ("ranges-modes", (0, 1, 2)),
     "stretches-one-mode": ("one-mode", (0,)),
+    "stretches-late": ("late-mode", (3, 4)),
+    "stretches-late-dwell": ("late-dwell", (2, 4)),
+    "stretches-late-three": ("late-thrice", (2, 3)),
 }
 
 
@@ -186,5 +217,5 @@ def save(name: str, path: Path) -> Path:
 
 
 if __name__ == "__main__":
-    for name in (*CASES, *STRETCHES):
+    for name in sys.argv[1:] or (*CASES, *STRETCHES):
         save(name, CORPUS / f"{name}.json")

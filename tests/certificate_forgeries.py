@@ -150,10 +150,14 @@ FALSE = [
     ("mean", put("law.step", 0.05)),
     (PAIR, entries("lyapunov.P", lambda P: P[:4, :4])),
     (AGED, put("law.step", 0.4)),
+    *(("late-far", put("law.mode_lag", lag)) for lag in (1, 3, 6)),
+    ("stretches-late-three", put("law.mode_lag", 5)),
 ]
 
 # malformed: no certificates at all
 MALFORMED = [
+    *(("late-far", put("law.mode_lag", lag)) for lag in (0, -1, True, 2.0, 10**7)),
+    *((name, put("law.mode_lag", 1)) for name in ("one-mode", "mean")),
     *((PAIR, put("rho", rho)) for rho in (1.01, 0.0, -0.9, HUGE, None, "1", True)),
     *((PAIR, put("law.step", step)) for step in (0, -0.1, HUGE, None, [0.1])),
     *((PAIR, put("plant.delays", D)) for D in ([0.3, 0.2], [0.2], 0.2, [HUGE, HUGE], [0, 0])),

@@ -32,8 +32,9 @@ has a kink where s is at a mark. With vertices, X = X⁰ + Σ λ_v (Xᵛ − X�
 |X/2^k| = θ ≤ 1/8 in the norm ∞: 24 terms of its series leave < θ²⁵/25!/(1 − θ/26) in every entry.
 
 **Ages.** For "linear", V_{i,a} and V at the next node are affine in the age a between breakpoints
-(knots, `last`, q₀, q₀ + 1, with a bucket q₀ + knots, all ages where rows go by age), and M is the
-same: so (1) at the first and the last age there implies the others, as it does for V ≻ 0.
+(knots, `last`, q₀, q₀ + 1, with a bucket q₀ + knots, all ages where rows go by age or the mode is
+told late), and M is the same: so (1) at the first and the last age there implies the others, as it
+does for V ≻ 0.
 
 **Rounding.** P, Ψ, S, F, G, ρ are exact; V and up to order 16 its leading minors are rational.
 A, B, delays, the period are balls of half a unit in the last place; ages come from quotients of
@@ -134,10 +135,15 @@ def certificate(content):
     every = [(i, j) for i in range(c.modes) for j in range(c.m)]
     pairs = [(low[i][j], high[i][j]) if each else (low, high) for i, j in every]
     c.D = [pairs[i * c.m : i * c.m + c.m] for i in range(c.modes)]
-    c.context, ages, step, F, G = take(law, "law", "context ages step F G")
+    late = "mode_lag" in law
+    keys = "context ages step F G" + " mode_lag" * late
+    c.context, ages, step, F, G, *lag = take(law, "law", keys)
+    c.lag = whole(lag[0], "mode_lag", 1) if late else 0
     c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
     rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
     need(rows and (c.context == "mode_age" or c.ages == 1), "context is unknown, or ages not 1")
+    fits = not late or (c.context != "none" and c.modes > 1 and c.lag * rows <= 10**6)
+    need(fits, "mode_lag where no row reads the mode, or too long a one")
     c.F, c.G = array(F, "F", rows, c.m, c.n), array(G, "G", rows, None, c.m, c.m)
     keys = "dwell_time maximum_dwell chatter clock_tolerance"
     dwell, maximum, chatter, tolerance = take(signals, "signals", keys)
@@ -242,7 +248,7 @@ class Loop:
             need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
         room = 2 + 10**6 // self.d**2
         self.table, self.V = lru_cache(room)(self.new_table), lru_cache(room)(self.new_V)
-        self.full = lru_cache(room)(self.new_full)
+        self.full, self.after = lru_cache(room)(self.new_full), lru_cache(room)(self.new_after)
         self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
         self.X_of = lru_cache(self.generator_of)
 
@@ -289,15 +295,34 @@ class Loop:
         if c.maximum is not None:
             return q0, math.ceil(self.longest) - 1, math.ceil(self.longest) - 1
         # Without a bucket the last age stands for all later ones.
-        last = math.ceil(c.chatter * dwell / h) if self.bucket else max(q0 + 1, c.ages - 1)
+        last = math.ceil(c.chatter * dwell / h) if self.bucket else max(q0 + 1, c.ages - 1 + c.lag)
         return q0, None, max(q0, last)
 
     def rows(self, mode, age):
-        """The rows that may act."""
-        if self.c.context != "mode_age":
-            return [mode if self.c.context == "mode" else 0]
-        every = range(mode * self.c.ages, (mode + 1) * self.c.ages)
-        return every if self.bucket else [every[min(age, self.c.ages - 1)]]
+        """The rows that may act: of what the law may have been told."""
+        if self.c.context == "none":
+            return [0]
+        late, ages, told = self.c.lag - age, self.c.ages, set()
+        if self.bucket:
+            first, last = (0, self.c.modes) if self.c.lag else (mode, mode + 1)
+            return range(first * ages, last * ages)
+        if late <= 0:
+            return [mode * ages + min(-late, ages - 1)]
+        # Modes of the sojourns before, the last first, each of q₀ + 1 samples or more.
+        here, seen = {mode}, 0
+        while seen < late:
+            here = {j for j in self.modes for i in here if i != j}
+            seen += self.q0 + 1
+            least = min(max(0, seen - late), ages - 1)
+            told |= {i * ages + a for i in here for a in range(least, ages)}
+        return sorted(told)
+
+    def new_after(self, i, first, j, follows):
+        """The product of the periods of mode j after a switch; i is told at first, by its ages."""
+        late, ages, M = min(self.c.lag, follows), self.c.ages, eye(self.d)
+        for age in range(first, first + late):
+            M = self.alone(j, i * ages + min(age, ages - 1)) * M
+        return self.full(j, late, follows) * M if late else self.full(j, 0, follows)
 
     def new_table(self, row):
         """Y₀ and U₀ of a row."""
@@ -454,7 +479,11 @@ class Loop:
             half = (start + end) // 2
             late = self.full(mode, half, end) if end > start else eye(self.d)
             return late * self.full(mode, start, half) if end > start else late
-        (Y, U), cell = self.table(self.rows(mode, start)[0]), self.roots(mode, mode)[0]
+        return self.alone(mode, self.rows(mode, start)[0])
+
+    def alone(self, mode, row):
+        """M of a period without a switch under a row."""
+        (Y, U), cell = self.table(row), self.roots(mode, mode)[0]
         E, R = self.enclosure(mode, mode, *cell)[0][0]
         return block([[(E + R) * Y], [U]]) if self.acts else (E + R) * Y
 
@@ -509,6 +538,7 @@ def linear(loop):
     V, last, c = loop.V, loop.last, loop.c
     found = {0, last, loop.q0, loop.q0 + 1, *c.knots, *range(min(c.ages, last + 1))}
     found |= {k + loop.q0 for k in c.knots if loop.bucket}
+    found |= set(range(min(c.lag + c.ages, last + 1) * (c.lag > 0)))
     starts = {a for a in found if a <= last}
     for a, i in itertools.product(sorted(starts | {a - 1 for a in starts if a > 0}), loop.modes):
         for row in loop.rows(i, a):
@@ -525,14 +555,16 @@ def stretches(loop):
     need(len(loop.modes) == 1 or knots[0] <= loop.q0, "the first knot is past a switch")
     fixed = not loop.ranged and loop.c.vertices == 1
     need(fixed or len(knots) > last, "not every age is a knot, though delay or plant varies")
-    after = [loop.full(j, 0, knots[0]) for j in loop.modes]
+    need(loop.c.lag <= knots[0], "the first knot is before the lag of the mode")
     for i, (start, end) in itertools.product(loop.modes, itertools.pairwise([*knots, last + 1])):
         for a in range(start, end):
             (row,), name, L = loop.rows(i, a), f"mode {i} from age {start} to {a}", a - start + 1
             before = loop.full(i, start, a)
             for j in (j for j in loop.modes if j != i and a >= loop.q0):
                 to = f"{name}, then {j}", V(i, start), V(j, knots[0]), row, (i, j), a
-                prove(loop, *to, L + knots[0], before, after[j])
+                first = min(a + 1 - loop.c.lag, loop.c.ages) * (loop.c.lag > 0)
+                after = loop.after(i * (loop.c.lag > 0), first, j, knots[0])
+                prove(loop, *to, L + knots[0], before, after)
             if a + 1 == end and (end <= last or unbounded):
                 prove(loop, name, V(i, start), V(i, min(end, last)), row, (i, i), a, L, before)
 
@@ -591,7 +623,8 @@ def summary(c):
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
-    loop = f"n = {c.n}, m = {c.m}, {plant}, h = {c.step!r} s, {D}, {first}, rows by {c.context}"
+    rows = f"rows by {c.context}" + f" of {c.lag} periods ago" * (c.lag > 0)
+    loop = f"n = {c.n}, m = {c.m}, {plant}, h = {c.step!r} s, {D}, {first}, {rows}"
     return f"{rate}; {loop}; {signals} by a clock off by {c.tolerance!r} at most"
 
 

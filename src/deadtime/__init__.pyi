@@ -56,6 +56,7 @@ from .margins import (
     delay_margin as delay_margin,
     gain_margin as gain_margin,
     least_dwell_time as least_dwell_time,
+    longest_mode_lag as longest_mode_lag,
     loop_transfer as loop_transfer,
     robustness as robustness,
     stability_chart as stability_chart,

@@ -96,11 +96,6 @@ def test_the_compressed_loop_ranks_cycles_as_the_loop_does_whatever_is_late():
             assert rate == pytest.approx(loop.growth(cycle).rate, abs=off)
 
 
-def ruled():
-    plant = plants.paper()
-    return dt.StateDependentPredictor(plant, plants.gains(plant), dt.HalfSpace([1.0, 0.0]))
-
-
 # -- what is refused ---------------------------------------------------------------------------
 
 
@@ -108,8 +103,12 @@ def ruled():
     ("changes", "message"),
     [
         ({"plant": plants.paper()}, "law must be made for a plant with 2 modes"),
-        ({"law": plants.LAWS["exact"](plants.generic())}, "law must be a table .* ExactPredictor"),
-        ({"law": ruled(), "plant": plants.paper()}, "law must be a table .* StateDependent"),
+        (
+            {"law": plants.LAWS["exact"](plants.generic())},
+            "law must not .* future, got ExactPredictor",
+        ),
+        ({"mode_lag": -1}, "mode_lag must be an integer of at least 0, got -1"),
+        ({"mode_lag": 10**6}, "mode_lag must be at most 100,000 periods, got 1,000,000"),
         ({"dwell_time": 0.0}, "dwell_time must be positive"),
         ({"dwell_time": 0.05}, "dwell_time must be at least one period, got 0.05 s .* shorten"),
         ({"step": -0.1}, "step must be positive"),

@@ -365,10 +365,6 @@ SMALL = plants.paper()
             "step must be given for OutputFeedback",
         ),
         (
-            lambda: dt.falsify(MODEL, observed(), 0.3, STEP),
-            "got OutputFeedback: it foresees the signal, decides it by a rule or remembers",
-        ),
-        (
             lambda: dt.Controller(observed("exact"), STEP),
             "law must be a table that a controller can run; ExactPredictor foresees",
         ),

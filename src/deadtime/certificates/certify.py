@@ -18,7 +18,12 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates.certificate import Certificate
-from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
+from deadtime.certificates.clock import (
+    CLOCK_TOLERANCE,
+    clock_tolerance_in_range,
+    lag_in_range,
+    require_periods,
+)
 from deadtime.certificates.dwell.frame import WHOLE
 from deadtime.certificates.dwell.search import Level, Search
 from deadtime.certificates.dwell.stretch_search import StretchSearch
@@ -26,6 +31,7 @@ from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import shortest
+from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
@@ -53,6 +59,7 @@ def certify(
     delays: tuple[ArrayLike, ArrayLike] | None = None,
     decay_rate: float | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
+    mode_lag: int = 0,
     search_signals: bool = True,
 ) -> Certificate:
     """Whether the digital loop is stable for every switching signal with a dwell time.
@@ -87,6 +94,9 @@ def certify(
     clock_tolerance : float
         By what part a sojourn may be shorter than `dwell_time`, or longer than `maximum_dwell`, as
         the controller's clock counts it; from 1e-8 to 0.1.
+    mode_lag : int
+        L, in periods: the law is told the mode of L samples ago, as in a run with
+        `imperfections.ModeDelay(L)`. For a law that does not read the mode it changes nothing.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
 
@@ -128,6 +138,7 @@ def certify(
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
     require_periods(dwell_time, step, maximum_dwell, chatter)
+    mode_lag = lag_in_range(mode_lag)
     reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or why_unmoved(plants)
     if reason:
         return Certificate(None, reason)
@@ -145,7 +156,14 @@ def certify(
         maximum_dwell,
         chatter,
         tolerance,
+        mode_lag if table.context != "none" and plants[0].modes > 1 else 0,
     )
+    if setting.mode_lag * len(setting.F) > MOST_TOLD:
+        return Certificate(
+            None,
+            f"mode_lag = {mode_lag} periods with a table of {len(setting.F):,} rows leaves too "
+            "many rows that may be told: lengthen the step.",
+        )
     if setting.order > LARGEST:
         return Certificate(None, _too_large(setting.order))
     return _decide(plants, law, setting, decay_rate, search_signals)
@@ -266,6 +284,7 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
             setting.step,
             maximum_dwell=setting.maximum_dwell,
             clock_tolerance=setting.clock_tolerance,
+            mode_lag=setting.mode_lag,
         )
     except DeadtimeError as error:
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deadtime.base.checks import number
+from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 
 CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator round
@@ -19,6 +19,16 @@ def clock_tolerance_in_range(value: object, least: float = LEAST) -> float:
             "much the clock that the dwell time is measured with may differ from the controller's."
         )
     return tolerance
+
+
+def lag_in_range(value: int) -> int:
+    """A number of periods by which the mode is told late."""
+    if count("mode_lag", value, 0) > MOST_PERIODS:
+        raise ArgumentError(
+            f"mode_lag must be at most {MOST_PERIODS:,} periods, got {value:,}: is it in periods, "
+            "not in milliseconds?"
+        )
+    return value
 
 
 def require_periods(

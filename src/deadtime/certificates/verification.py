@@ -14,6 +14,7 @@ import numpy as np
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import DeadtimeError
 from deadtime.base.wording import number_of
+from deadtime.certificates.clock import lag_in_range
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
@@ -67,6 +68,7 @@ class Asked:
     maximum_dwell: float | None = None
     chatter: int | None = None
     clock_tolerance: float | None = None
+    mode_lag: int | None = None
 
     def missing_from(self, setting: Setting) -> str:
         """How a certificate falls short of it, if it does."""
@@ -85,6 +87,15 @@ class Asked:
             return (
                 f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
                 f"loop's is that of the certificate, ask with a step of {setting.step!r} (--step)."
+            )
+        lag = self.mode_lag
+        # A law that is asked about is told the mode at once, unless it is said how late.
+        lag = 0 if law is not None and lag is None else lag
+        reads_mode = setting.context != "none" and setting.A.shape[1] > 1
+        if lag is not None and reads_mode and lag != setting.mode_lag:
+            return (
+                f"the certificate is about a law that is told the mode {setting.mode_lag} periods "
+                f"late, not {lag} (mode_lag=, --mode-lag)."
             )
         if law is None:
             return ""
@@ -132,6 +143,7 @@ def verify(
     maximum_dwell: float | None = None,
     chatter: int | None = None,
     clock_tolerance: float | None = None,
+    mode_lag: int | None = None,
 ) -> Verification:
     """Verify a certificate from its file: no solver, nothing believed but the numbers.
 
@@ -153,6 +165,8 @@ def verify(
         N₀ of an average dwell time.
     clock_tolerance : float, optional
         The part by which the clock may be off.
+    mode_lag : int, optional
+        How many periods late the law is told the mode; 0 where a law is given.
 
     Raises
     ------
@@ -183,7 +197,8 @@ def verify(
             instance(name, value, kind)
     chatter = None if chatter is None else count("chatter", chatter)
     tolerance = None if clock_tolerance is None else number("clock_tolerance", clock_tolerance)
-    asked = Asked(plant, law, step, dwell_time, maximum_dwell, chatter, tolerance)
+    lag = None if mode_lag is None else lag_in_range(mode_lag)
+    asked = Asked(plant, law, step, dwell_time, maximum_dwell, chatter, tolerance, lag)
     archived = load_evidence(Path(path))
     evidence, setting = archived.evidence, archived.evidence.setting
 
@@ -221,7 +236,7 @@ def laws_of(path: str | Path, laws: Mapping[str, Law]) -> list[str]:
     matching = []
     for name, law in laws.items():
         with suppress(DeadtimeError):  # a law without a table of its own at this period
-            if not Asked(law=law).missing_from(setting):
+            if not Asked(law=law, mode_lag=setting.mode_lag).missing_from(setting):
                 matching.append(name)
     return matching
 
@@ -231,13 +246,14 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     corners, modes, n, m = setting.B.shape
     polytope = f", a polytope of {corners} plants" if corners > 1 else ""
     rows, taps = setting.G.shape[:2]
+    late = f" of {number_of(setting.mode_lag, 'period')} ago" if setting.mode_lag else ""
     return (
         f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: "
         f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
         f"{_in_figures(setting.delays)}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
         f"B[0] = {_first(setting.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
-        f"{setting.context}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}; "
+        f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}; "
         f"state gain {_first(setting.F[0])}",
         f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",

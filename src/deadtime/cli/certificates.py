@@ -26,6 +26,8 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml --dwell-time 0.5 --out cert.json",
         "deadtime certify problem.toml --law averaged --least-dwell-time",
         "deadtime certify problem.toml --law mean --delays [0.3,0.1] [0.32,0.12]",
+        "deadtime certify problem.toml --law expected --mode-lag 3",
+        "deadtime certify problem.toml --law expected --longest-mode-lag",
     ),
 )
 def certify(
@@ -36,7 +38,9 @@ def certify(
     step: float | None = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
+    mode_lag: int = 0,
     least_dwell_time: bool = False,
+    longest_mode_lag: bool = False,
     out: File = None,
     json_output: AsJson = False,
 ) -> int:
@@ -60,8 +64,13 @@ def certify(
         Lowest and highest true delays in seconds: two numbers, or two lists in brackets, without
         spaces, with a number for each input (or a list for each mode), as in [0.3,0.1] [0.32,0.12].
         What is proved then holds for every delay in its range; each range lies in one period.
+    mode_lag
+        How many periods late the laws are told the mode, as by the imperfection mode_delay.
     least_dwell_time
         Look for the least dwell time instead: the shortest proved, and the longest refuted.
+    longest_mode_lag
+        Look for the longest lag instead with which the mode may be told: the longest proved, and
+        the shortest refuted.
     out
         Save the certificates that are proofs, for `deadtime verify`, as JSON: a name that ends in
         .json or in nothing; of several laws, each into a file named after the law.
@@ -79,6 +88,13 @@ def certify(
                 "--decay-rate, --delays and --out."
             )
         return _least_dwell_times(chosen, law, json_output)
+    if longest_mode_lag:
+        if not (decay_rate is None and delays is None and out is None and mode_lag == 0):
+            raise ArgumentError(
+                "--longest-mode-lag looks for the lag itself: leave out --mode-lag, --decay-rate, "
+                "--delays and --out."
+            )
+        return _longest_mode_lags(chosen, law, dwell_time, json_output)
     asked, period = _dwell_time_and_step(chosen, dwell_time)
     dwell, names = asked.value, None if law is None else [law]
     if out is not None:
@@ -86,13 +102,14 @@ def certify(
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
         ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
-        judged = judge(chosen, dwell, period, names, decay_rate, advance, ranges)
+        judged = judge(chosen, dwell, period, names, decay_rate, advance, ranges, mode_lag)
     saved = [] if out is None else _save(judged, out)
     if json_output:
         record = _asked(chosen, period) | {"dwell_time": dwell, "delays": ranges}
+        record |= {"mode_lag": mode_lag} if mode_lag else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
-        _print_judged(chosen, judged, asked, period, law is not None)
+        _print_judged(chosen, judged, asked, (period, mode_lag), law is not None)
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
     return 0 if law is None or judged[0].stable else 1
@@ -113,6 +130,7 @@ def verify(
     law: str | None = None,
     dwell_time: float | None = None,
     step: float | None = None,
+    mode_lag: int | None = None,
     json_output: AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
@@ -132,6 +150,8 @@ def verify(
         The dwell time in seconds that it must cover; by default that of `certify` for the problem.
     step
         The sampling period in seconds that it must have; by default that of the problem.
+    mode_lag
+        How many periods late the law must be told the mode; with a problem 0 by default.
     json_output
         Print the result as JSON instead of text.
     """
@@ -142,14 +162,15 @@ def verify(
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
-        result = check(certificate, dwell_time=dwell_time, step=step)
+        result = check(certificate, dwell_time=dwell_time, step=step, mode_lag=mode_lag)
     else:
         chosen = _with_step(problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
         asked, period = _dwell_time_and_step(chosen, dwell_time)
         dwell = asked.value
         only = None if law is None else laws[law]
-        result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period)
+        lag = mode_lag or 0
+        result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period, mode_lag=lag)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
@@ -171,7 +192,7 @@ def verify(
 
 
 class Bracket(NamedTuple):
-    """The least dwell time of a law lies between these, seconds; None where nothing is known."""
+    """What is proved of a law and what refuted, seconds; None where nothing is known."""
 
     certified: float | None
     refuted: float | None
@@ -209,6 +230,44 @@ def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> 
         for name, one in brackets.items():
             print(f"• {name}: {one.message}")
     return 0 if law is None or brackets[law].certified is not None else 1
+
+
+def _longest_mode_lags(
+    problem: Problem, law: str | None, dwell_time: float | None, json_output: bool
+) -> int:
+    """The bracket of every law, or of one, in periods; 1 if that one has none."""
+    from deadtime.margins import longest_mode_lag
+    from deadtime.reports.tables.certificates import left_out
+
+    asked, period = _dwell_time_and_step(problem, dwell_time)
+    names, brackets = list(problem.laws) if law is None else [law], dict[str, Bracket]()
+    laws = [problem.law(name) for name in names]
+    with progress_bar(len(names), quiet=json_output) as advance:
+        for name, one in zip(names, laws, strict=True):
+            try:
+                found = longest_mode_lag(problem.plant, one, asked.value, period)
+                certified, refuted = found.certified_seconds, found.refuted_seconds
+                brackets[name] = Bracket(certified, refuted, found.message)
+            except ArgumentError as error:
+                if law is not None:
+                    raise
+                brackets[name] = Bracket(None, None, str(error))
+            advance(name)
+    if json_output:
+        record = _asked(problem, period) | {"dwell_time": asked.value}
+        print_json(record | {"longest_mode_lags": brackets})
+    else:
+        about = f"Sampling period {period:g} s, dwell time {asked.value:.4g} s ({asked.source})."
+        print("\n".join((problem.title, about, *left_out(problem), "")))
+        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
+        print_table(("law", "proved up to", "refuted at"), rows)
+        for name, one in brackets.items():
+            print(f"• {name}: {one.message}")
+    return 0 if law is None or brackets[law].certified is not None else 1
+
+
+def _lag(seconds: float | None) -> str:
+    return "–" if seconds is None else f"{seconds:.4g} s"
 
 
 def _asked(problem: Problem, step: float) -> dict[str, object]:
@@ -276,8 +335,13 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 
 
 def _print_judged(
-    problem: Problem, judged: list[Judged], dwell: Given, step: float, in_full: bool
+    problem: Problem,
+    judged: list[Judged],
+    dwell: Given,
+    sampled: tuple[float, int],
+    in_full: bool,
 ) -> None:
+    from deadtime.base.wording import number_of
     from deadtime.cli.console import Terminal
     from deadtime.reports.tables.certificates import (
         HEADINGS,
@@ -287,11 +351,12 @@ def _print_judged(
         left_out,
     )
 
-    console = Terminal()
+    console, (step, lag) = Terminal(), sampled
+    late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
     console.print(problem.title, style="bold", markup=False)
     console.print(
         f"Every signal that stays in each mode for at least {dwell.value:.4g} s ({dwell.source}), "
-        f"switches at any time; sampling period {step:g} s.",
+        f"switches at any time; sampling period {step:g} s{late}.",
         markup=False,
     )
     for sentence in left_out(problem):

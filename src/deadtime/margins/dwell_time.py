@@ -16,7 +16,7 @@ from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.clock import CLOCK_TOLERANCE, MOST_PERIODS
 from deadtime.feedback import Law
-from deadtime.feedback.law import require_match
+from deadtime.feedback.law import TableLaw, require_match
 from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import GROWS, growth_bounds, growth_rate
@@ -111,6 +111,11 @@ def least_dwell_time(
         raise ArgumentError(
             "plant must have two modes or more, got one: without switches there is no dwell time. "
             "growth_rate says whether its loop is stable."
+        )
+    if not isinstance(law, TableLaw) or law.foresees:
+        raise ArgumentError(
+            "law must be a table whose rows do not depend on the future, got "
+            f"{type(law).__name__}: no dwell time of its loop can be certified."
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")

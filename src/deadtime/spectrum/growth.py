@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from deadtime.base.checks import instance, positive
+from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
@@ -20,7 +20,14 @@ GROWS = 1e-7  # 1/s: slower growth, or decay, is no answer
 _FADED = -25.0  # growth over the memory of the loop below which all is round-off
 
 
-def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None = 0.01) -> float:
+def growth_rate(
+    plant: SwitchedSystem,
+    law: Law,
+    mode: int,
+    step: float | None = 0.01,
+    *,
+    mode_lag: int = 0,
+) -> float:
     """How fast the loop grows in a constant mode, in 1/s.
 
         max Re s = ln(spectral radius of the lifted loop)/h,
@@ -41,6 +48,10 @@ def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None =
         The mode.
     step : float or None
         Sampling period h, in seconds; None for the ideal loop, updated continuously.
+    mode_lag : int
+        How many periods late the law is told the mode. One that lasts is told in the end, and its
+        age is past all that a table tells apart: no lag changes the rate. It is a parameter so that
+        whoever asks about a loop with a lag may ask for its rates, too.
 
     Returns
     -------
@@ -71,6 +82,7 @@ def growth_rate(plant: SwitchedSystem, law: Law, mode: int, step: float | None =
     [0.128182, 0.28213]
     """
     mode = check_mode(plant, law, mode)
+    count("mode_lag", mode_lag, 0)
     if step is None:
         return _ideal(plant, law, mode)
     step = positive("step", step)

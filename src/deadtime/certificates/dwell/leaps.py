@@ -46,12 +46,13 @@ class Leaps:
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
         self.known: dict[tuple[int, int, int], np.ndarray] = {}
+        self.followed: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
 
     def of(self, stretch: Stretch, instants: tuple[float, ...] | None = None) -> list[Leap]:
         """Leaps at fractions of the period at which it switches; by default at both ends."""
         step = stretch.step
         before = self.full(step.mode, step.age - stretch.waits, step.age)
-        after = self.full(step.after, 0, stretch.follows)
+        after = self._following(step, stretch.follows)
         steps = plant_rows(self.setting, step, instants or step.instants)
         periods = [loop_matrix(self.setting, E, step.row) for E in steps]
         return [Leap(stretch, after @ M @ before) for M in periods]
@@ -70,9 +71,24 @@ class Leaps:
             self.known[key] = product
         return self.known[key]
 
+    def _following(self, step: Transition, follows: int) -> np.ndarray:
+        """The product of the full steps after a step, the first of which go by what was before."""
+        rows = tuple(self.setting.transitions.rows_after(step, follows))
+        if not rows:
+            return self.full(step.after, 0, follows)
+        key = step.after, rows
+        if key not in self.followed:
+            product = np.eye(self.setting.order)
+            for row in rows:
+                product = self._step(step.after, row) @ product
+            self.followed[key] = product
+        return self.full(step.after, len(rows), follows) @ self.followed[key]
+
     def _full_step(self, mode: int, age: int) -> np.ndarray:
-        row = self.setting.transitions.row(mode, age)
-        E = plant_rows(self.setting, Transition(mode, age, row, mode, age + 1), (0.0,))[0]
+        return self._step(mode, self.setting.transitions.row(mode, age))
+
+    def _step(self, mode: int, row: int) -> np.ndarray:
+        E = plant_rows(self.setting, Transition(mode, 0, row, mode, 0), (0.0,))[0]
         return loop_matrix(self.setting, E, row)
 
 

@@ -70,6 +70,8 @@ class StretchSearch:
         graph = setting.transitions
         if graph.bucket is not None or graph.modes == 1:
             return False
+        if graph.lag > graph.first or (graph.lag and _unknown(setting)):
+            return False  # at a node it would matter what was before
         d, modes = setting.order, graph.modes
         if d > WHOLE and (_unknown(setting) or 2 * (graph.first + 1) < setting.past):
             return False  # over two stretches the delay line is not yet emptied

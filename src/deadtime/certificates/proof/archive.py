@@ -35,7 +35,7 @@ _BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*+"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays",
-    "law": "context ages step F G",
+    "law": "context ages step F G mode_lag",
     "signals": "dwell_time maximum_dwell chatter clock_tolerance",
 }
 LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P"}
@@ -68,6 +68,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "step": setting.step,
             "F": _pack(setting.F),
             "G": _pack(setting.G),
+            **({"mode_lag": setting.mode_lag} if setting.mode_lag else {}),
         },
         "signals": {
             "dwell_time": setting.dwell_time,
@@ -189,6 +190,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         None if maximum is None else _float(maximum),
         signals["chatter"],
         _float(signals["clock_tolerance"]),
+        _lag(law),
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":
@@ -212,6 +214,14 @@ def claims_too_much(archived: Archived) -> str:
     if claimed is not None and not 0.0 <= claimed <= proved:
         return f"it claims a decay rate of {claimed!r} 1/s, its numbers prove {proved!r} at most"
     return ""
+
+
+def _lag(law: dict[str, Any]) -> int:
+    """The lag of the mode; left out where there is none, so that no loop has two files."""
+    lag = law.get("mode_lag", 0)
+    if "mode_lag" in law and lag == 0:
+        raise ValueError("law.mode_lag 0 must be left out")
+    return lag
 
 
 def _text(value: Any) -> Any:

@@ -60,6 +60,9 @@ class Setting(Frozen):
         1, dwell_time is an average dwell time.
     clock_tolerance : float
         δ: sojourns last from (1 − δ) dwell_time to (1 + δ) maximum_dwell.
+    mode_lag : int
+        L: the law is told the mode of L samples ago, and goes by its age there; 0 where no row
+        reads the mode, or there is one mode.
 
     Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
@@ -76,6 +79,7 @@ class Setting(Frozen):
     maximum_dwell: float | None = None
     chatter: int = 1
     clock_tolerance: float = CLOCK_TOLERANCE
+    mode_lag: int = 0
 
     @cached_property
     def family(self) -> Family | Box:
@@ -94,6 +98,7 @@ class Setting(Frozen):
             self.clock_tolerance,
             self.context,
             self.ages,
+            self.mode_lag,
         )
 
     @property

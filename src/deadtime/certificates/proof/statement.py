@@ -85,6 +85,9 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         "mode": "the sampled mode",
         "mode_age": f"the sampled mode and its age in samples, {setting.ages} ages",
     }[setting.context]
+    late = ""
+    if setting.mode_lag:
+        late = f", which it is told {setting.mode_lag} periods late"
     kind, parts = _how(evidence)
     how = (
         f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
@@ -97,7 +100,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",
-        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}. "
+        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}{late}. "
         "Plant entries, delay and period are all reals within half a unit in the last place of the "
         "stored ones: the decimals that were written and the binary64 numbers alike. By the "
         "controller's clock a sojourn may be shorter than the dwell time"

@@ -6,6 +6,10 @@ node the loop goes along one of these stretches to the next node that it meets:
     full steps to the next knot; from the last one, where a mode may last, one full step to it;
     full steps to an age at which the plant may switch, a mixed step to j, a_0 full steps there.
 
+A law that is told the mode of L samples ago acts in the first L of these a_0 ≥ L steps by what i
+was, at ages that are known, and is told j from the node on: so nothing before a node matters
+after it.
+
 With M the product of the matrices of the L periods of a stretch, what is proved is
 
     P_here − Mᵀ P_next M/ρ^{2L} ≻ 0    for every stretch and every instant of its switch,
@@ -31,7 +35,7 @@ from deadtime.certificates.proof.covering import Covering, Form
 from deadtime.certificates.proof.definite import congruent
 from deadtime.certificates.proof.enclosure import cells_of
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.transitions import Stretch
+from deadtime.certificates.proof.transitions import Stretch, Transition
 from deadtime.numerics.precision import precision
 
 
@@ -59,6 +63,11 @@ class StretchEvidence(Frozen):
         Between nodes it may be singular, and need not fall over a period with a switch.
         """
         knot = bisect_left(self.knots, age)
+        if age < self.setting.mode_lag:
+            raise ArgumentError(
+                f"age must be at least the mode's lag, {self.setting.mode_lag}, got {age}: before "
+                "that the Lyapunov function depends on the mode before."
+            )
         if knot == len(self.knots):
             raise ArgumentError(
                 f"age must be at most {self.knots[-1]}, got {age}: after it the mode has to be "
@@ -117,6 +126,7 @@ class StretchInequalities:
         self.covering = Covering(self.setting.family)
         self.rows = [Period.of(self.setting, row) for row in self.setting.rows]
         self.known: dict[tuple[int, int, int], Any] = {}
+        self.followed: dict[tuple[int, tuple[int, ...]], Any] = {}
 
     def positive(self) -> bool:
         """Whether V ≻ 0 at every node."""
@@ -130,7 +140,7 @@ class StretchInequalities:
         """
         P, n, step = self.evidence.P, self.setting.states, stretch.step
         before = self.full(step.mode, step.age - stretch.waits, step.age)
-        after = self.full(step.after, 0, stretch.follows)
+        after = self._following(step, stretch.follows)
         period = self.rows[step.row]
         there = balls.exact(P[step.after, stretch.next_knot]) * self.rho ** (-2 * stretch.periods)
         Q = after.transpose() * there * after
@@ -148,7 +158,7 @@ class StretchInequalities:
         on at which the rows no longer change all steps are one, and a product is known by its
         length.
         """
-        same = self.setting.ages - 1
+        same = self.setting.ages - 1 + self.setting.mode_lag
         late = max(0, start - same)
         key = mode, start - late, end - late
         if key not in self.known:
@@ -162,7 +172,28 @@ class StretchInequalities:
             self.known[key] = product
         return self.known[key]
 
+    def _following(self, step: Transition, follows: int) -> Any:
+        """The product of the full steps after a step, which begin as if the mode were the last."""
+        rows = tuple(self.setting.transitions.rows_after(step, follows))
+        if not rows:
+            return self.full(step.after, 0, follows)
+        return self.full(step.after, len(rows), follows) * self._under(step.after, rows)
+
+    def _under(self, mode: int, rows: tuple[int, ...]) -> Any:
+        """The product of full steps under these rows, by halves."""
+        key = mode, rows
+        if key not in self.followed:
+            half = len(rows) // 2
+            self.followed[key] = (
+                self._under(mode, rows[half:]) * self._under(mode, rows[:half])
+                if half
+                else self._step(mode, rows[0])
+            )
+        return self.followed[key]
+
     def _full_step(self, mode: int, age: int) -> Any:
+        return self._step(mode, self.setting.transitions.row(mode, age))
+
+    def _step(self, mode: int, row: int) -> Any:
         (whole,) = cells_of(self.setting.family, mode, mode)
-        E = self.covering.enclosure(whole).centre
-        return self.rows[self.setting.transitions.row(mode, age)].loop(E)
+        return self.rows[row].loop(self.covering.enclosure(whole).centre)

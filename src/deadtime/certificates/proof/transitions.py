@@ -25,6 +25,12 @@ An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
 switch per period is not described.
+
+A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) where a ≥ L. Else it goes
+by what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
+so that the k-th sojourn back is told only if b > (k − 1) p, and then at an age of at least k p − b.
+Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In the
+graph any row that may be told may act: V knows the mode and its age and not what was before.
 """
 
 from __future__ import annotations
@@ -138,6 +144,8 @@ class Transitions:
     earliest, latest : float
         The first instant of a switch at the age `first`, and the last at `last` where a mode must
         be left then: fractions of the period.
+    lag : int
+        L, how many samples ago the mode was that the law is told.
     """
 
     modes: int
@@ -149,6 +157,7 @@ class Transitions:
     ages: int
     earliest: float = 0.0
     latest: float = 1.0
+    lag: int = 0
 
     @classmethod
     def of(
@@ -160,6 +169,7 @@ class Transitions:
         tolerance: float,
         context: Context,
         ages: int,
+        lag: int = 0,
     ) -> Transitions:
         """The graph of a (dwell time, maximum dwell time) at a period, in seconds."""
         dwell_time, maximum_dwell = times
@@ -168,23 +178,54 @@ class Transitions:
         first, earliest = shortest(dwell_time, step, tolerance)
         if chatter > 1:
             last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
-            return cls(modes, first, last, False, first, context, ages)
+            return cls(modes, first, last, False, first, context, ages, lag=lag)
         if maximum_dwell is not None:
             last, latest = longest(maximum_dwell, step, tolerance)
-            return cls(modes, first, last, True, None, context, ages, earliest, latest)
+            return cls(modes, first, last, True, None, context, ages, earliest, latest, lag)
         # The last age stands for all later ones, at which a mode may be left at any instant.
-        last = max(first + 1, ages - 1)
-        return cls(modes, first, last, False, None, context, ages, earliest)
+        last = max(first + 1, ages - 1 + lag)
+        return cls(modes, first, last, False, None, context, ages, earliest, lag=lag)
 
     def row(self, mode: int, age: int) -> int:
-        """The row of the table at (mode, age)."""
-        return row_of(self.context, self.ages, mode, age)
+        """The row of the table at (mode, age), where that is what the law is told."""
+        return row_of(self.context, self.ages, mode, max(0, age - self.lag))
 
     def rows(self, mode: int, age: int) -> list[int]:
-        """The rows that may apply: a bucket's level does not tell the true age."""
+        """The rows that may apply: of what may be told, and of any age at a bucket's level."""
+        if self.bucket is not None and self.lag:
+            return list(range(self.modes * self.ages))
         if self.bucket is not None and self.context == "mode_age":
             return list(range(mode * self.ages, (mode + 1) * self.ages))
-        return [self.row(mode, age)]
+        if age >= self.lag:
+            return [self.row(mode, age)]
+        told = self._before(mode, self.lag - age).items()
+        return [i * self.ages + a for i, least in sorted(told) for a in range(least, self.ages)]
+
+    def _before(self, mode: int, samples: int) -> dict[int, int]:
+        """Which modes may have been seen so many samples before one was, and their least ages."""
+        shortest, least = self.first + 1, dict[int, int]()
+        for back in range(1, -(-samples // shortest) + 1):
+            age = max(0, back * shortest - samples)
+            for i in self._sojourns_back(mode, back):
+                least[i] = min(age, self.ages - 1, least.get(i, age))
+        return least
+
+    def _sojourns_back(self, mode: int, back: int) -> list[int]:
+        """The modes that may have been so many sojourns before one."""
+        if self.modes == 2:
+            return [(mode + back) % 2]
+        return self.others(mode) if back == 1 else list(range(self.modes))
+
+    def rows_after(self, step: Transition, follows: int) -> list[int]:
+        """The rows of the first periods after a switch, as far as the mode before it is told.
+
+        For a step that begins at an age of `lag` − 1 or more.
+        """
+        if not step.switches:
+            return []
+        first = step.age + 1 - self.lag
+        ages = range(first, first + min(self.lag, follows))
+        return [row_of(self.context, self.ages, step.mode, age) for age in ages]
 
     def all(self, knots: tuple[int, ...] = (0,)) -> list[Transition]:
         """The transitions to check.
@@ -194,19 +235,26 @@ class Transitions:
         segment imply the others.
         """
         changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
-        marks = {*knots, self.first, self.first + 1, self.last, 0, changing}
+        marks = {*knots, self.first, self.first + 1, self.last, 0, changing + self.lag}
+        if self.lag:
+            marks |= self._changes()
         marks |= {knot + (self.bucket or 0) for knot in knots}
         ends = {a for mark in marks for a in (mark - 1, mark)}
         transitions = []
         for i in range(self.modes):
             for a in range(self.last + 1):
-                if not (a < changing or a in ends):
+                if not (self.lag <= a < self.lag + changing or a in ends):
                     continue
                 for row in self.rows(i, a):
                     if a < self.last or not self.ends:
                         transitions.append(Transition(i, a, row, i, min(a + 1, self.last)))
                     transitions += self.switches(i, a, row)
         return transitions
+
+    def _changes(self) -> set[int]:
+        """The ages up to the lag at which what may be told is not what it is a sample before."""
+        told = [[self.rows(i, a) for i in range(self.modes)] for a in range(self.lag + 1)]
+        return {a for a in range(1, self.lag + 1) if told[a] != told[a - 1]}
 
     def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""

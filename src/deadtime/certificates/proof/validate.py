@@ -19,6 +19,7 @@ from deadtime.certificates.proof.stretches import StretchEvidence
 SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
 MOST_AGES = 100_000
 MOST_STRETCHES = 5_000
+MOST_TOLD = 1_000_000  # rows of the table, times the lag of the mode
 
 
 def why_malformed(evidence: Evidence | StretchEvidence) -> str:
@@ -54,6 +55,9 @@ def _numbers(setting: Setting) -> str:
         value = getattr(setting, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             return f"{name} is not a whole number of at least 1"
+    lag = setting.mode_lag
+    if not isinstance(lag, int) or isinstance(lag, bool) or lag < 0:
+        return "mode_lag is not a whole number of at least 0"
     tolerance = setting.clock_tolerance
     if not (isinstance(tolerance, float) and clock.LEAST <= tolerance <= clock.MOST):
         return f"clock_tolerance is not in [{clock.LEAST:g}, {clock.MOST:g}]"
@@ -87,6 +91,10 @@ def _context(setting: Setting) -> str:
         return "context is none of none, mode, mode_age"
     if setting.context != "mode_age" and setting.ages != 1:
         return "ages is not 1, though the rows do not depend on the age"
+    if setting.mode_lag and (setting.context == "none" or modes == 1):
+        return "mode_lag is not 0, though the rows do not depend on the mode"
+    if setting.mode_lag * len(setting.F) > MOST_TOLD:
+        return "mode_lag is too long for a table of so many rows"
     return "" if len(setting.F) == rows else f"the table has {len(setting.F)} rows, not {rows}"
 
 
@@ -159,6 +167,8 @@ def _stretches(evidence: StretchEvidence) -> str:
         return "P is not symmetric"
     if graph.bucket is not None:
         return "an average dwell time has no stretches"
+    if setting.mode_lag > knots[0]:
+        return f"knots must begin at the lag of the mode, {setting.mode_lag}, or later"
     if knots[0] > graph.first or knots[-1] > graph.last:
         return f"knots must begin at {graph.first} or before, and end at {graph.last}"
     if not graph.ends and knots[-1] != graph.last:

@@ -54,7 +54,7 @@ def candidates(
     floor = max(growth.rate for _, growth in constants) - loop.shift
     floor = -math.inf if math.isfinite(dwell.most) else floor * step
     late, mixed = dwell.late
-    kinds = Kinds.of(loop.feedback, modes, mixed)
+    kinds = Kinds.of(loop.feedback, modes, mixed, loop.lag)
     sojourns = compress(loop, lengths, kinds)
     letters = _letters(lengths, max(3, LETTERS // modes))
     searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.past, budget // 2)

@@ -8,10 +8,16 @@ import numpy as np
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.clock import CLOCK_TOLERANCE, clock_tolerance_in_range, require_periods
+from deadtime.certificates.clock import (
+    CLOCK_TOLERANCE,
+    clock_tolerance_in_range,
+    lag_in_range,
+    require_periods,
+)
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.runs import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.selection import Rated, improve, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
 from deadtime.feedback import Feedback, Law
@@ -29,6 +35,7 @@ def falsify(
     *,
     maximum_dwell: float | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
+    mode_lag: int = 0,
     budget: int = 80_000,
 ) -> WorstCase:
     """The worst admissible switching signal found for a digital loop, and its growth rate.
@@ -43,7 +50,8 @@ def falsify(
     plant : SwitchedSystem
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
-        A law that is a table and does not foresee the signal.
+        A law that does not foresee the signal. One that is no table is run instead: growth is then
+        measured, to about 1 % of 1/D where the slowest motion stands out, and never proved.
     dwell_time : float
         τ_d > 0, seconds, at least one period: the shortest sojourn.
     step : float
@@ -55,8 +63,12 @@ def falsify(
         How far the controller's clock may be off, relative, from 0 to 0.1: sojourns of
         `dwell_time` (1 − tolerance) are admissible, and of `maximum_dwell` (1 + tolerance). So a
         mode that begins just after a sample may end at the sample a dwell time later.
+    mode_lag : int
+        L, in periods: the law is told the mode of L samples ago, as in a run with
+        `imperfections.ModeDelay(L)`.
     budget : int
-        How many cycles and beginnings of cycles may be looked at on the compressed loop, about.
+        How many cycles and beginnings of cycles may be looked at on the compressed loop, about; for
+        a law that is no table, 400 times the number of runs.
 
     Returns
     -------
@@ -66,9 +78,9 @@ def falsify(
     Raises
     ------
     ArgumentError
-        If the law and the plant do not belong together, the law is an oracle or no table, the
-        dwell time is below one period, `clock_tolerance` is out of range, or `maximum_dwell`
-        leaves no periodic signal.
+        If the law and the plant do not belong together, the law is an oracle, the dwell time is
+        below one period, `clock_tolerance` is out of range, or `maximum_dwell` leaves no periodic
+        signal.
 
     Notes
     -----
@@ -87,12 +99,17 @@ def falsify(
     >>> worst.simulate(cycles=5).diverged
     False
     """
-    feedback = _require_table(plant, law, dwell_time, maximum_dwell, step)
+    _require(plant, law, dwell_time, maximum_dwell, step)
     count("budget", budget)
-    tolerance = clock_tolerance_in_range(clock_tolerance, least=0.0)
+    mode_lag, tolerance = lag_in_range(mode_lag), clock_tolerance_in_range(clock_tolerance, 0.0)
     bounded = maximum_dwell is not None and plant.modes > 1
     dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step, tolerance)
-    constants, loop = _constants(plant, feedback)
+    if not isinstance(law, TableLaw):
+        run = RunLoop(plant, law, step, mode_lag, dwell_time)
+        return worst_in_runs(run, dwell, not bounded, budget)
+    feedback = _table(law, step)
+    lag = mode_lag if plant.modes > 1 and feedback.context != "none" else 0
+    constants, loop = _constants(plant, feedback, lag)
     known = [] if bounded else constants
     evaluated, upper = len(constants), None
     if plant.modes > 1:
@@ -113,19 +130,17 @@ def falsify(
     return result
 
 
-def _require_table(
+def _require(
     plant: SwitchedSystem, law: Law, dwell_time: float, maximum_dwell: float | None, step: float
-) -> Feedback:
-    """The law's table, when the arguments belong together."""
+) -> None:
+    """Refuse arguments that do not belong together."""
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    if law.foresees or not isinstance(law, TableLaw):
-        kind = type(law).__name__
+    if law.foresees:
         raise ArgumentError(
-            f"law must be a table whose rows do not depend on the future, got {kind}: it "
-            "foresees the signal, decides it by a rule or remembers an estimate, so no signal can "
-            "be chosen against it."
+            f"law must not depend on the future, got {type(law).__name__}: it foresees the signal, "
+            "so no signal can be chosen against it."
         )
     step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
     require_periods(dwell_time, step)
@@ -139,13 +154,19 @@ def _require_table(
             f"maximum_dwell must be at least dwell_time = {dwell_time:g} s, got "
             f"{maximum_dwell:g} s."
         )
+
+
+def _table(law: TableLaw, step: float) -> Feedback:
+    """The law's table."""
     feedback = law.digital(step, SwitchingSignal.constant(0), 1)
     if feedback.context == "step":
         raise ArgumentError("law must have rows that do not depend on the step's index.")
     return feedback
 
 
-def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], SampledLoop]:
+def _constants(
+    plant: SwitchedSystem, feedback: Feedback, lag: int
+) -> tuple[list[Rated], SampledLoop]:
     """The constant modes, and the loop weighted by about the largest of their rates."""
     step = feedback.step
     rates = [
@@ -153,7 +174,7 @@ def _constants(plant: SwitchedSystem, feedback: Feedback) -> tuple[list[Rated], 
         for mode in range(plant.modes)
     ]
     longest = max(plant.longest_delay, feedback.taps * step)
-    loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest))
+    loop = SampledLoop.of(plant, feedback, max(*rates, -5.0 / longest), lag)
     constants = []
     for mode, rate in enumerate(rates):
         cycle = Cycle((mode,), (float(loop.past),))

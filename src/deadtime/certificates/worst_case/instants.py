@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
-from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.loop import Growing, Growth, SampledLoop
 
 REACH = 1.0 / 40.0  # of the longest sojourn: where the search begins
 FINEST = 1.0 / 64.0  # of a period
@@ -27,7 +27,7 @@ GAIN = 1e-9  # per period; a smaller gain is none
 
 
 def polish(
-    loop: SampledLoop,
+    loop: Growing,
     dwell: Dwell,
     cycle: Cycle,
     growth: Growth,

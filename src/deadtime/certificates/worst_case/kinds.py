@@ -5,6 +5,10 @@ period late: at that sample the law still acts for the mode before. Every switch
 either. A sojourn is cut from sample to sample, so a late one has, at its first sample, the row
 of the mode before, which is taken to have lasted for the shortest sojourn (exact where rows do not
 depend on the age by then; what is found is evaluated on the loop itself).
+
+A law that is told the mode L samples late acts for the mode before at the first L samples of every
+sojourn, and at one more of a late one. For a lag longer than sojourns last that is a guess; it
+ranks cycles, and is not trusted.
 """
 
 from __future__ import annotations
@@ -26,29 +30,32 @@ class Kinds:
     mode : (kinds,)
         The mode.
     before : (kinds,)
-        The mode before where the switch is seen late, else −1.
+        The mode before where the law acts for it at first, else −1.
+    wait : (kinds,)
+        At how many samples it does.
+    late : (kinds,)
+        Whether the switch falls just after its sample.
     follows : (kinds, kinds)
         Whether the second may follow the first.
     """
 
     mode: Int[np.ndarray, " kind"]
     before: Int[np.ndarray, " kind"]
+    wait: Int[np.ndarray, " kind"]
+    late: Bool[np.ndarray, " kind"]
     follows: Bool[np.ndarray, "kind kind"]
 
     @classmethod
-    def of(cls, feedback: Feedback, modes: int, mixed: bool) -> Kinds:
+    def of(cls, feedback: Feedback, modes: int, mixed: bool, lag: int = 0) -> Kinds:
         """For a law's table; `mixed` where late switches and others may alternate."""
-        pairs = [(i, -1) for i in range(modes)]
+        each = [(i, p) for i in range(modes) for p in range(modes) if p != i]
+        found = [(i, -1, 0, 0) for i in range(modes)]
         if feedback.context != "none":
-            pairs += [(i, p) for i in range(modes) for p in range(modes) if p != i]
-        mode, before = np.array(pairs).T
+            found = [(i, p, lag, 0) for i, p in each] if lag else found
+            found += [(i, p, lag + 1, 1) for i, p in each]
+        mode, before, wait, late = np.array(found).T
         follows = mode[:, None] != mode
         follows &= (before == -1) | (before == mode[:, None])
         if not mixed:
-            follows &= (before[:, None] == -1) == (before == -1)
-        return cls(mode, before, follows)
-
-    @property
-    def late(self) -> Bool[np.ndarray, " kind"]:
-        """Whether the switch is seen late."""
-        return self.before >= 0
+            follows &= late[:, None] == late
+        return cls(mode, before, wait, late > 0, follows)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -69,6 +69,19 @@ class Growth(NamedTuple):
     vector: np.ndarray
 
 
+class Growing(Protocol):
+    """A loop whose growth along cycles can be told."""
+
+    @property
+    def step(self) -> float:
+        """The period h, seconds."""
+        ...
+
+    def growth(self, cycle: Cycle, tolerance: float = ...) -> Growth | None:
+        """The growth rate of a cycle and the direction that grows; None where it is not found."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class SampledLoop:
     """A plant under a law's table, weighted by e^{−shift·t} (immutable).
@@ -79,6 +92,8 @@ class SampledLoop:
         The table's taps, weighted, the oldest input first.
     shift : float
         1/s; a rate near those that are sought, so that numbers stay near 1.
+    lag : int
+        How many samples ago the mode was that the law is told.
     """
 
     plant: SwitchedSystem
@@ -86,14 +101,17 @@ class SampledLoop:
     sampled: SampledPlant
     G: Float[np.ndarray, "context m window"]
     shift: float
+    lag: int = 0
 
     @classmethod
-    def of(cls, plant: SwitchedSystem, feedback: Feedback, shift: float) -> SampledLoop:
+    def of(
+        cls, plant: SwitchedSystem, feedback: Feedback, shift: float, lag: int = 0
+    ) -> SampledLoop:
         """The loop; without a weight where `shift` is 0."""
         decay = math.exp(-shift * feedback.step) ** np.arange(1, feedback.taps + 1)
         weighted = (feedback.input_gain * decay[:, None, None])[:, ::-1]
         G = np.ascontiguousarray(side_by_side(weighted))
-        return cls(plant, feedback, SampledPlant(plant, feedback.step), G, shift)
+        return cls(plant, feedback, SampledPlant(plant, feedback.step), G, shift, lag)
 
     @property
     def weight(self) -> float:
@@ -123,7 +141,7 @@ class SampledLoop:
             rows = np.full(periods, aged_row(feedback, cycle.modes[0]))
         else:
             seen = modes_at(signal, np.arange(periods) * step, step)
-            rows = feedback.rows(np.tile(seen, 2))[periods:]
+            rows = np.roll(feedback.rows(np.tile(seen, 2))[periods:], self.lag)
         pieces = self.sampled.along(cuts_of(signal, self.sampled), periods)
         first = pieces.lag[:, :1]
         power, others = self.weight ** first[:, 0], self.weight ** (pieces.lag - first)

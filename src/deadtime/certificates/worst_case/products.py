@@ -68,8 +68,8 @@ def compress(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kind
     """The sojourns of all kinds and these lengths, in samples."""
     n, m, W = loop.plant.states, loop.plant.inputs, loop.past
     longest = int(lengths[-1])
-    entries = zip(kinds.mode.tolist(), kinds.before.tolist(), strict=True)
-    tables = [_entry_table(loop, i, p, int(lengths[0]), longest) for i, p in entries]
+    entries = zip(kinds.mode.tolist(), kinds.before.tolist(), kinds.wait.tolist(), strict=True)
+    tables = [_entry_table(loop, *entry, int(lengths[0]), longest) for entry in entries]
     V, U = _projection(loop, tables, lengths, kinds)
     rank = V.shape[1]
     matrix = np.empty((len(tables), lengths.size, rank, rank))
@@ -85,12 +85,14 @@ def compress(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kind
     return Sojourns(lengths, matrix / np.maximum(size, 1e-300)[:, :, None, None], log, kinds)
 
 
-def _entry_table(loop: SampledLoop, mode: int, before: int, shortest: int, periods: int) -> Table:
-    """The periods of a mode that has just been entered; see `Kinds` for `before`."""
+def _entry_table(
+    loop: SampledLoop, mode: int, before: int, wait: int, shortest: int, periods: int
+) -> Table:
+    """The periods of a mode that has just been entered; see `Kinds` for `before` and `wait`."""
     rows = loop.feedback.rows(np.full(periods, mode))
     if before >= 0:
-        old = loop.feedback.rows(np.full(shortest + 1, before))[-1:]
-        rows = np.concatenate((old, rows[:-1]))
+        old = loop.feedback.rows(np.full(max(shortest + 1, wait), before))[-wait:]
+        rows = np.concatenate((old, rows[:-wait]))[:periods]
     return loop.table(Cycle((mode,), (float(periods),)))._replace(rows=rows)
 
 

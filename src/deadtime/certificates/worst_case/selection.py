@@ -8,7 +8,7 @@ from dataclasses import replace
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.worst_case.cycles import Cycle, Dwell
 from deadtime.certificates.worst_case.instants import COARSE, polish, refine
-from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.loop import Growing, Growth, SampledLoop
 
 TRIED = 12  # cycles evaluated on the loop itself
 POLISHED = 3  # of them, cycles whose switches leave the grid
@@ -71,7 +71,7 @@ def _starts(rated: list[Rated], loop: SampledLoop) -> tuple[list[Rated], int]:
     return [*best, *others], evaluated
 
 
-def worst_of(found: list[Rated], loop: SampledLoop) -> Rated:
+def worst_of(found: list[Rated], loop: Growing) -> Rated:
     """The fastest growth: a constant signal, or the simplest cycle, where little is lost."""
     step = loop.step
     cycles = sorted((pair for pair in found if not pair[0].constant), key=lambda p: -p[1].rate)
@@ -94,7 +94,7 @@ def worst_of(found: list[Rated], loop: SampledLoop) -> Rated:
     return fastest
 
 
-def _exact(pair: Rated, loop: SampledLoop, floor: float) -> Rated | None:
+def _exact(pair: Rated, loop: Growing, floor: float) -> Rated | None:
     """A cycle with its growth to the last digit; None if it is not above the floor."""
     cycle, growth = pair
     if growth.rate <= floor:

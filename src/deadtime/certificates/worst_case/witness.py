@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.feedback import Law
+from deadtime.imperfections import ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal
@@ -69,6 +71,7 @@ class WorstCase(Frozen):
     dwell_time: float = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
+    mode_lag: int = field(default=0, repr=False)
 
     @property
     def proven(self) -> bool:
@@ -86,12 +89,26 @@ class WorstCase(Frozen):
         return self.cycle.periods * self.step
 
     def simulate(self, cycles: int = CYCLES) -> Trajectory:
-        """Run the loop along some cycles of the signal, from x0 and u0."""
+        """Run the loop along some cycles of the signal, from x0 and u0.
+
+        A law that is told the mode late is told that of time 0 at first, not the cycle's before it:
+        the run needs some cycles to come to the growth.
+        """
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
             signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
-        return simulate(self.plant, self.law, signal, self.x0, horizon, self.step, self.u0)
+        late = [ModeDelay(self.mode_lag)] if self.mode_lag else []
+        return simulate(
+            self.plant,
+            self.law,
+            signal,
+            self.x0,
+            horizon,
+            self.step,
+            self.u0,
+            imperfections=late,
+        )
 
     def __repr__(self) -> str:
         return (
@@ -109,11 +126,39 @@ def worst_case(
     evaluated: int,
     upper_estimate: float | None,
 ) -> WorstCase:
-    """The result for the worst cycle."""
-    plant, feedback, step = loop.plant, loop.feedback, loop.step
-    x0, u0 = _direction(growth.vector, plant.states, plant.inputs)
+    """The result for the worst cycle of a table."""
+    plant, feedback = loop.plant, loop.feedback
+    aged = feedback.ages * loop.step if feedback.context == "mode_age" else 0.0
+    start = _direction(growth.vector, plant.states, plant.inputs)
+    proof = prove(loop, cycle, growth.rate)
+    kept = Kept(plant, law, dwell_time, loop.step, loop.lag)
+    return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)
+
+
+class Kept(NamedTuple):
+    """The loop that a result is about."""
+
+    plant: SwitchedSystem
+    law: Law
+    dwell_time: float
+    step: float
+    lag: int
+
+
+def of_cycle(
+    loop: Kept,
+    cycle: Cycle,
+    rate: float,
+    proof: GrowthProof,
+    start: tuple[np.ndarray, np.ndarray],
+    aged: float,
+    evaluated: int,
+    upper_estimate: float | None,
+) -> WorstCase:
+    """The result for a cycle, its rate, its start (x0, u0), and the age of a constant mode, s."""
+    plant, law, dwell_time, step, lag = loop
+    x0, u0 = start
     if cycle.constant:
-        aged = feedback.ages * step if feedback.context == "mode_age" else 0.0
         signal = SwitchingSignal([0.0], [cycle.modes[0]], initial_age=aged)
         sojourns = (math.inf,)
     else:
@@ -122,11 +167,10 @@ def worst_case(
         missing = [dwell_time - gap * step for gap in cycle.gaps]
         sojourns = tuple(dwell_time if 0.0 < t < SLACK * step else dwell_time - t for t in missing)
     modes, sojourns = _pattern(cycle.modes, sojourns)
-    proof = prove(loop, cycle, growth.rate)
-    message = _message(growth.rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
+    message = _message(rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
     return WorstCase(
-        signal, growth.rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, dwell_time, step, cycle,
+        signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
+        plant, law, dwell_time, step, cycle, lag,
     )  # fmt: skip
 
 

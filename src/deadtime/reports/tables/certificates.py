@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive
+from deadtime.base.checks import count, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.record import record
 from deadtime.base.threads import in_order
@@ -71,6 +71,7 @@ def judge(
     decay_rate: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
     delays: tuple[ArrayLike, ArrayLike] | None = None,
+    mode_lag: int = 0,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -88,6 +89,8 @@ def judge(
         Called with a few words after each law's certificate.
     delays : (low, high), optional
         Ranges of the true delays, as `certify` takes them.
+    mode_lag : int
+        How many periods late the laws are told the mode.
 
     Raises
     ------
@@ -98,6 +101,7 @@ def judge(
     from deadtime.certificates import certify
 
     dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
+    count("mode_lag", mode_lag, 0)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
     names = list(problem.laws) if laws is None else list(laws)
@@ -109,14 +113,20 @@ def judge(
         law = problem.laws[name]
         try:
             found = certify(
-                problem.plant, law, dwell_time, step, decay_rate=decay_rate, delays=delays
+                problem.plant,
+                law,
+                dwell_time,
+                step,
+                decay_rate=decay_rate,
+                delays=delays,
+                mode_lag=mode_lag,
             )
             certified[name].set_result(found)
         except BaseException as error:
             certified[name].set_exception(error)
 
     def search(name: str) -> Judged:
-        return _judge(problem, name, certified[name], dwell_time, step)
+        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag))
 
     # A solver leaves Python to the other threads, a search for signals does not: the solver of the
     # law that takes longest works beside the searches of the others.
@@ -129,7 +139,7 @@ def judge(
 
 
 def _judge(
-    problem: Problem, name: str, certified: Future[Certificate], dwell_time: float, step: float
+    problem: Problem, name: str, certified: Future[Certificate], asked: tuple[float, float, int]
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
@@ -137,6 +147,7 @@ def _judge(
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
+    dwell_time, step, lag = asked
     try:
         certificate = certified.result()
     except ArgumentError as error:
@@ -144,7 +155,7 @@ def _judge(
     worst, margin, reason = certificate.witness, None, ""
     try:
         if worst is None and certificate.stable:
-            worst = falsify(plant, law, dwell_time, step)
+            worst = falsify(plant, law, dwell_time, step, mode_lag=lag)
         too_long = why_left_out("delay margin", plant, law, step)
         if too_long:
             return Judged(name, certificate, worst, None, sentence_of(too_long))

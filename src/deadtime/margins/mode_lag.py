@@ -1,0 +1,245 @@
+"""The longest lag of the mode: how late a law may be told it, proved and refuted.
+
+A longer lag is not a harsher one: stability need not be lost once and for all as it grows. So what
+is proved is proved lag by lag, and the bracket is about the lags that were asked about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from deadtime.base.checks import count, instance, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw, require_match
+from deadtime.plant import SwitchedSystem
+from deadtime.plant.steps import snap
+from deadtime.spectrum import GROWS
+
+if TYPE_CHECKING:
+    from deadtime.certificates import Certificate, WorstCase
+
+DELAYS = 2.0  # and as many dwell times: lags that are tried
+
+
+@dataclass(frozen=True, eq=False)
+class LongestModeLag:
+    """How late a law may be told the mode, as `longest_mode_lag` found it; lags are in periods.
+
+    Attributes
+    ----------
+    certified : int or None
+        With this lag, and with every shorter one that was asked about, the loop is proved stable
+        for every admissible signal. None where not even without a lag.
+    refuted : int or None
+        The shortest lag asked about with which a signal is known that grows.
+    step : float
+        The period, seconds.
+    reads_mode : bool
+        Whether the law reads the mode at all; if not any lag is as good as none, and `certified` is
+        the longest that was allowed.
+    certificate : Certificate or None
+        The proof at `certified`, of no particular decay rate.
+    witness : WorstCase or None
+        The growing signal at `refuted`.
+    message : str
+        The same in a sentence or two.
+    evaluations : tuple of (int, bool or None)
+        Every lag asked about, ascending, and the answer: None where there is none.
+    """
+
+    certified: int | None
+    refuted: int | None
+    step: float
+    reads_mode: bool
+    certificate: Certificate | None
+    witness: WorstCase | None
+    message: str
+    evaluations: tuple[tuple[int, bool | None], ...]
+
+    @property
+    def certified_seconds(self) -> float | None:
+        """`certified`, in seconds."""
+        return None if self.certified is None else self.certified * self.step
+
+    @property
+    def refuted_seconds(self) -> float | None:
+        """`refuted`, in seconds."""
+        return None if self.refuted is None else self.refuted * self.step
+
+
+def longest_mode_lag(
+    plant: SwitchedSystem,
+    law: Law,
+    dwell_time: float,
+    step: float = 0.01,
+    *,
+    upto: int | None = None,
+) -> LongestModeLag:
+    """The longest lag with which the law may be told the mode, proved, and the shortest refuted.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth.
+    law : Law
+        A law that is a table, as `certify` takes it.
+    dwell_time : float
+        Shortest sojourn, seconds.
+    step : float
+        Sampling period h > 0, seconds.
+    upto : int, optional
+        The longest lag to ask about, in periods; by default twice the delay and twice the dwell
+        time together.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is malformed, law and plant do not belong together, or the law is no table.
+
+    Notes
+    -----
+    Lags 0, 1, 2, 4, … until one is not proved, then by halves; so with a gap that is asked about
+    at both ends `certified` + 1 was not proved. The same for signals. A few certificates
+    (`certify`) and a few searches (`falsify`).
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.problems.paper().plant.apart(0.5)
+    >>> gains, model = dt.place(plant, [-1.0, -2.0]), dt.Markov([[0.0, 1.0], [1.0, 0.0]])
+    >>> law = dt.ExpectedPredictor(plant, gains, model)
+    >>> found = longest_mode_lag(plant, law, dwell_time=0.5, step=0.25)
+    >>> found.certified, found.refuted, found.certified_seconds
+    (1, 2, 0.25)
+    """
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    require_match(plant, law)
+    step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
+    if not isinstance(law, TableLaw) or law.foresees:
+        raise ArgumentError(
+            "law must be a table whose rows do not depend on the future, got "
+            f"{type(law).__name__}: no lag of its mode can be certified."
+        )
+    table = law.digital(step)
+    most = round(snap(DELAYS * (max(plant.longest_delay, table.taps * step) + dwell_time) / step))
+    most = most if upto is None else count("upto", upto)
+    asked = _Asked.of(plant, law, dwell_time, step)
+    if plant.modes == 1 or table.context == "none":
+        return _without_mode(asked, most, step)
+    certified, beyond = _edge(lambda lag: asked.proof(lag).stable is True, most)
+    if certified is None:
+        refuted = 0 if asked.grows(0) else None
+        return _result(asked, None, refuted, step, most)
+    refuted = None
+    if beyond is not None:
+        first = lambda lag: not asked.grows(beyond + lag)  # noqa: E731
+        _, more = _edge(first, most - beyond)
+        refuted = None if more is None else beyond + more
+    return _result(asked, certified, refuted, step, most)
+
+
+def _edge(holds: Callable[[int], bool], most: int) -> tuple[int | None, int | None]:
+    """A number up to which something held where asked, and one, right after it, where it did not.
+
+    The first is None where it does not hold at 0, the second where it holds at `most`.
+
+    Examples
+    --------
+    >>> _edge(lambda k: k < 7, 20), _edge(lambda k: True, 20), _edge(lambda k: False, 20)
+    ((6, 7), (20, None), (None, 0))
+    """
+    if not holds(0):
+        return None, 0
+    good, stride = 0, 1
+    while good < most:
+        tried = min(good + stride, most)
+        if not holds(tried):
+            bad = tried
+            break
+        good, stride = tried, 2 * stride
+    else:
+        return good, None
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        good, bad = (middle, bad) if holds(middle) else (good, middle)
+    return good, bad
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """The two questions about a lag; answers are remembered."""
+
+    proof: Callable[[int], Certificate]
+    worst: Callable[[int], WorstCase]
+    answers: dict[int, bool | None]
+
+    @classmethod
+    def of(cls, plant: SwitchedSystem, law: Law, dwell_time: float, step: float) -> _Asked:
+        from deadtime.certificates import certify, falsify
+
+        answers: dict[int, bool | None] = {}
+
+        @cache
+        def proof(lag: int) -> Certificate:
+            found = certify(
+                plant, law, dwell_time, step,
+                decay_rate=0.0, mode_lag=lag, search_signals=False,
+            )  # fmt: skip
+            answers[lag] = found.stable
+            return found
+
+        @cache
+        def worst(lag: int) -> WorstCase:
+            found = falsify(plant, law, dwell_time, step, mode_lag=lag)
+            answers[lag] = False if _grows(found) else answers.get(lag)
+            return found
+
+        return cls(proof, worst, answers)
+
+    def grows(self, lag: int) -> bool:
+        """Whether a signal is known along which the loop provably grows."""
+        return _grows(self.worst(lag))
+
+
+def _grows(found: WorstCase) -> bool:
+    return found.growth_rate > GROWS and found.proven
+
+
+def _without_mode(asked: _Asked, most: int, step: float) -> LongestModeLag:
+    """Of a law that is not told the mode, or of one mode."""
+    proof, answers = asked.proof(0), tuple(asked.answers.items())
+    text = "The law does not read the mode, so that no lag of it matters"
+    if proof.stable:
+        text += "; without one the loop is proved stable."
+        return LongestModeLag(most, None, step, False, proof, None, text, answers)
+    text += f". {proof.message}"
+    return LongestModeLag(None, None, step, False, None, None, text, answers)
+
+
+def _result(
+    asked: _Asked, certified: int | None, refuted: int | None, step: float, most: int
+) -> LongestModeLag:
+    proof = None if certified is None else asked.proof(certified)
+    witness = None if refuted is None else asked.worst(refuted)
+    if certified is None:
+        text = f"Not proved even where the mode is told at once: {asked.proof(0).message}"
+    else:
+        text = f"Proved stable with the mode told {_in_words(certified, step)} late"
+    if certified == most:
+        text += ", the longest lag that was asked about"
+    if refuted is not None:
+        text += f"; with {_in_words(refuted, step)} a growing signal is known."
+    elif certified is not None:
+        text += "." if certified == most else "; no longer lag was refuted."
+    answers = tuple(sorted(asked.answers.items()))
+    return LongestModeLag(certified, refuted, step, True, proof, witness, text, answers)
+
+
+def _in_words(lag: int, step: float) -> str:
+    return f"{number_of(lag, 'period')} ({lag * step:.4g} s)"

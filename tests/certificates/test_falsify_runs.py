@@ -1,0 +1,105 @@
+"""The search by runs against that by tables: the same laws, with their table hidden."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+import plants
+import worst_case_laws as laws
+from deadtime.feedback import Law
+
+QUICK = 40_000  # 100 runs
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Hidden(Law):
+    """A law that is called once a period and shows no table."""
+
+    law: Law
+
+    @property
+    def label(self):
+        return "hidden"
+
+    def digital(self, step, signal=None, steps=None):
+        raise dt.ArgumentError("hidden has no table.")
+
+    def ideal(self, signal, horizon):
+        raise dt.ArgumentError("step must be given.")
+
+    def online(self, step, signal=None, steps=None):
+        return self.law.online(step, signal, steps)
+
+
+def hide(law):
+    return Hidden(law.plant, law.gains, law=law)
+
+
+def paper(alpha=1.0):
+    plant = dt.problems.paper().plant.apart(alpha)
+    gains = dt.place(plant, [-1.0, -2.0])
+    return plant, gains
+
+
+def averaged():
+    plant, gains = paper()
+    return plant, dt.AveragedPredictor(plant, gains)
+
+
+def expected():
+    plant, gains = paper()
+    return plant, dt.ExpectedPredictor(plant, gains, dt.Markov([[0.0, 1.0], [1.0, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    ("loop", "dwell_time", "lag"),
+    [
+        (averaged, 0.2, 0),  # a constant mode
+        (lambda: laws.free(laws.TURNING), 0.2, 0),  # two modes that alternate
+        (laws.drifting, 0.2, 0),  # a sojourn between dwell time and clock
+        (expected, 0.4, 3),  # told late
+    ],
+)
+def test_runs_find_the_growth_that_the_table_search_finds(loop, dwell_time, lag):
+    plant, law = loop()
+    known = dt.falsify(plant, law, dwell_time, laws.H, mode_lag=lag, budget=laws.QUICK)
+    found = dt.falsify(plant, hide(law), dwell_time, laws.H, mode_lag=lag)
+    assert known.proven
+    assert found.growth_rate == pytest.approx(known.growth_rate, abs=5e-3)
+    assert len(found.modes) == len(known.modes)
+    assert not found.proven
+    assert found.proof.rate is None
+    assert "the law is no table, and growth was measured in a run" in found.message
+    shortest = dwell_time * (1.0 - 1e-5)
+    assert min(found.sojourns) >= shortest
+
+
+def test_runs_that_all_decay_refute_nothing():
+    plant = dt.problems.paper().plant.apart(0.3)
+    law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
+    found = dt.falsify(plant, hide(law), 0.3, laws.H, budget=QUICK)
+    assert found.growth_rate < 0.0
+    assert not found.proven
+    assert found.message.startswith("No admissible signal was found that grows; the worst decays")
+
+
+def test_a_law_by_a_rule_and_one_with_an_observer_are_searched():
+    plant = plants.paper()
+    ruled = dt.StateDependentPredictor(plant, plants.gains(plant), dt.HalfSpace([1.0, 0.0]))
+    law = dt.AveragedPredictor(plant, plants.gains(plant))
+    observer = dt.OutputFeedback(law, dt.Observer.place(plant, [[1.0, 0.0]], [-3.0, -4.0], 0.1))
+    for one in (ruled, observer):
+        found = dt.falsify(plant, one, 0.4, 0.1, budget=QUICK)
+        assert found.growth_rate > 0.1
+        assert not found.proven
+        run = found.simulate(cycles=30)
+        assert np.abs(run.states[:, -10:]).max() > np.abs(run.states[:, :10]).max()
+
+
+def test_a_maximum_dwell_time_keeps_sojourns_below_it():
+    plant, law = expected()
+    found = dt.falsify(plant, hide(law), 0.4, laws.H, maximum_dwell=0.7, budget=QUICK)
+    assert len(found.modes) >= 2
+    assert max(found.sojourns) <= 0.7 * (1.0 + 1e-5)
