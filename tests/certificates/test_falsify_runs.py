@@ -89,9 +89,9 @@ def test_a_law_by_a_rule_and_one_with_an_observer_are_searched():
     plant = plants.paper()
     ruled = dt.StateDependentPredictor(plant, plants.gains(plant), dt.HalfSpace([1.0, 0.0]))
     law = dt.AveragedPredictor(plant, plants.gains(plant))
-    observer = dt.OutputFeedback(law, dt.Observer.place(plant, [[1.0, 0.0]], [-3.0, -4.0], 0.1))
-    for one in (ruled, observer):
-        found = dt.falsify(plant, one, 0.4, 0.1, budget=QUICK)
+    observer = dt.luenberger(plant, [[1.0, 0.0]], poles=[-4.0, -5.0], step=0.1)
+    for one in (ruled, dt.OutputFeedback(law, observer)):
+        found = dt.falsify(plant, one, 0.4, 0.1, budget=8000)
         assert found.growth_rate > 0.1
         assert not found.proven
         run = found.simulate(cycles=30)

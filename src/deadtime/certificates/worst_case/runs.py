@@ -30,7 +30,7 @@ from deadtime.certificates.worst_case.selection import Rated, worst_of
 from deadtime.certificates.worst_case.witness import Kept, WorstCase, of_cycle, repeat
 from deadtime.feedback import Law
 from deadtime.imperfections import ModeDelay
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal
 
@@ -125,7 +125,9 @@ def worst_in_runs(loop: RunLoop, dwell: Dwell, constants: bool, budget: int) -> 
         evaluated += looked
     cycle, growth = worst_of(known, loop)
     proof = GrowthProof(False, reason=NO_PROOF if growth.rate > 0.0 else "no growth was measured")
-    u0 = np.zeros((loop.plant.inputs, loop.window))
+    plants = loop.plant, loop.law.plant
+    past = max(SampledPlant.of(plant, loop.step).longest_lag for plant in plants)
+    u0 = np.zeros((loop.plant.inputs, past))
     kept = Kept(loop.plant, loop.law, loop.dwell_time, loop.step, loop.lag)
     return of_cycle(kept, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated, None)
 
