@@ -160,6 +160,20 @@ def kernel(
     return Kernel(function, eager, options, plain, large)
 
 
+def inner_kernel(function: Callable[..., Any]) -> Kernel:
+    """A kernel that becomes a part of those that call it, and makes no arrays.
+
+    For what is done again and again within a loop of a large kernel. A call that hands over arrays
+    in tuples costs more than a few lines of vectors, and so does counting how often each array is
+    in use, with every look into a tuple; who makes none need not count.
+    """
+    return Kernel(
+        function,
+        eager=True,
+        options={"nogil": True, "no_cpython_wrapper": True, "forceinline": True, "_nrt": False},
+    )
+
+
 def expect_many_calls() -> None:
     """Say that kernels will run for long: what this machine has compiled is used from now on."""
     Kernel.spent = max(Kernel.spent, START)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,
     first_of,
@@ -138,7 +138,7 @@ def turn(model, ahead, k, soon):
     return soon
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def enter(shape, ahead, acting, slot):
     """Put the period that enters, under its inputs, into `back`, and by itself into a slot."""
     n = len(shape.x)
@@ -171,7 +171,7 @@ def sum_up(shape, length, ahead):
     clear(shape, ahead)
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def foresee(shape, length, ahead, slot, x, latest):
     """The input: x predicted through a slot, `back` and the tail."""
     size = len(shape.x) * len(shape.x) * LANES

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,
     choose,
@@ -59,7 +59,7 @@ def recent_of(shape, relayed, sight):
     return Recent(states, slot, places, np.zeros(LANES), np.zeros(LANES), row, own)
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def hear(shape, relayed, recent, x, at):
     """What was measured as long before x_k as is said at `at`."""
     n, slots, slot = len(shape.seen), relayed.reach + 1, recent.slot[0]
@@ -69,7 +69,7 @@ def hear(shape, relayed, recent, x, at):
     return gather(recent.states, recent.places, shape.seen)
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def see(shape, relayed, sight, recent, x, at):
     """The same within a period; its inputs follow by `go_on`."""
     size, slots = len(shape.z), relayed.reach + 1
@@ -85,7 +85,7 @@ def see(shape, relayed, sight, recent, x, at):
     return x
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _lay_out(sight, recent, at):
     """Lay out what is new of scenarios whose row is another one."""
     several, cut_size = len(sight.series), sight.cuts.shape[1]
@@ -102,7 +102,7 @@ def _lay_out(sight, recent, at):
                 recent.own[i * LANES + lane] = value
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def go_on(shape, relayed, recent, acting):
     """Put the inputs that act in this period beside its x."""
     size, slots, slot = len(shape.z), relayed.reach + 1, recent.slot[0]
@@ -110,7 +110,7 @@ def go_on(shape, relayed, recent, acting):
     recent.slot[0] = 0 if slot + 1 == slots else slot + 1
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def _look_back(relayed, recent, at, slots, size):
     """Note where what is heard lies, and where nothing is."""
     slot = recent.slot[0]
@@ -122,34 +122,34 @@ def _look_back(relayed, recent, at, slots, size):
         recent.places[lane] = (lane * slots + place) * size
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def add_noise(shape, relayed, x, at):
     """What the law takes x to be."""
     return times(same(1.0, shape.seen), x, load(relayed.noise, at * len(shape.seen), shape.seen))
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def hear_rows(relayed, recent, at):
     """Note the row of the law's table in every scenario."""
     for lane in range(LANES):
         recent.number[lane] = relayed.row[at + lane]
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def hear_modes(relayed, mode, at):
     """Note the mode that is told in every scenario."""
     for lane in range(LANES):
         mode[lane] = relayed.told[at + lane]
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def told_rows(recent, row):
     """Put the rows of the modes told in place of those of the plant's."""
     for lane in range(LANES):
         row[lane] = np.int64(recent.number[lane])
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def command(shape, recent, u, before):
     """What is asked for: u, or what was asked for before where nothing was heard."""
     both = first_of(u, before, before, shape.pair)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,
     block_product,
@@ -123,7 +123,7 @@ def _work(n, m, wide, plant, run, start, count, period):
     )
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def _switch(plant, work, k, soon):
     """Apply the records of period k; which comes next, or a number that no period reaches."""
     size = work.own.size // LANES
@@ -145,7 +145,7 @@ def _switch(plant, work, k, soon):
     return soon
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def _clip(shape, clip, u, before):
     """The input after the actuators, the one before given."""
     m, one = len(shape.u), same(1.0, _ONE)
@@ -156,7 +156,7 @@ def _clip(shape, clip, u, before):
     return u
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def _turn_around(places, m, size):
     """The places of the next inputs in a ring."""
     for p in range(places.size):

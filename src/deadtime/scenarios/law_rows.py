@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import LANES, first_of, load, product, same, store, times, total
 
 _ONE = (0.0,)
@@ -31,7 +31,7 @@ def _dot(a, i, b, j, length):
     return total(first_of(sums, rest, rest, _FIVE))
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def refill(shape, factored, ring, period, now, carry):
     """What the previous block of inputs adds to each sum of the coming one.
 
@@ -71,7 +71,7 @@ def window_of(shape, dense):
     return Window(line, np.empty(m * LANES), row, row.copy())
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def choose_rows(dense, work, window, k):
     """The row of every scenario by its mode and age."""
     for lane in range(LANES):
@@ -83,7 +83,7 @@ def choose_rows(dense, work, window, k):
         window.row[lane] = row
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def sum_dense(shape, dense, window, place):
     """Sums of all inputs but the latest, scenario by scenario.
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.kernels import inner_kernel, kernel
 from deadtime.numerics.lanes import (
     LANES,
     choose,
@@ -86,7 +86,7 @@ def kept_of(shape, memory, samples, period):
     )
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def predict(shape, kept, ring):
     """Take the estimates over the period that ends."""
     acting = load_each(ring, kept.acting, shape.u, shape.reaching)
@@ -95,19 +95,19 @@ def predict(shape, kept, ring):
     store(kept.estimate, 0, own_product(kept.own, 0, z, same(0.0, shape.estimate)))
 
 
-@kernel(eager=True, nogil=True)
+@inner_kernel
 def follow_modes(memory, kept, mode):
     """Lay out the matrices of modes that are new."""
     _lay_out(memory.matrices, kept.own, kept.mode, mode)
 
 
-@kernel(eager=True, nogil=True)
+@inner_kernel
 def follow_outputs(memory, kept, mode):
     """Lay out the outputs of the plant's modes that are new."""
     _lay_out(memory.outputs, kept.outputs, kept.seen, mode)
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _lay_out(table, own, known, mode):
     for lane in range(LANES):
         if mode[lane] != known[lane]:
@@ -116,7 +116,7 @@ def _lay_out(table, own, known, mode):
                 own[i * LANES + lane] = table[mode[lane], i]
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def correct(shape, memory, kept, y, lost):
     """The estimates by what is heard, where anything is; and y, or what it should be."""
     x = load(kept.estimate, 0, shape.estimate)
@@ -127,7 +127,7 @@ def correct(shape, memory, kept, y, lost):
     return choose(first_of(y, assumed, assumed, shape.outputs), lost, shape.output)
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def sum_up_errors(shape, memory, kept, y, k, limited):
     """Add the errors of the period that ends to q, and note H y."""
     value, none = product(memory.tracked, 0, y, same(0.0, shape.tracked)), same(0.0, shape.tracked)
@@ -145,7 +145,7 @@ def sum_up_errors(shape, memory, kept, y, k, limited):
     store(kept.value, 0, value)
 
 
-@kernel(eager=True, nogil=True)
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _stop(shape, memory, kept):
     """Note where q is to grow: not where it asks for more of what an input was refused."""
     m, q = len(shape.u), len(shape.sums)
@@ -163,7 +163,7 @@ def _stop(shape, memory, kept):
         kept.on[lane] = 0.0 if further > 0.0 else 1.0
 
 
-@kernel(eager=True, nogil=True, inline="always")
+@inner_kernel
 def remembered(shape, memory, kept, k):
     """What the law's rows are multiplied with, (x̂, q, r)."""
     at = k * memory.tracked_count

@@ -10,7 +10,7 @@ period has its own M.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -138,16 +138,14 @@ def sight_series(
     """The M_d of a plant's modes, in each part of a period (`Acting.edges`) cell by cell."""
     plant, acting = sampled.plant, acting_of(sampled, forced)
 
-    def moves(mode: int) -> Callable[[float], np.ndarray]:
-        def at(t: float) -> np.ndarray:
-            return compose(parts_of(plant, acting, mode, 0.0, t), acting.wide)[0].ravel()
-
-        return at
+    def along(mode: int, times: Float[np.ndarray, "cell node"]) -> np.ndarray:
+        periods = [parts_of(plant, acting, mode, 0.0, t) for t in times.ravel()]
+        return compose(plant, acting, periods, acting.wide).move.reshape(*times.shape, -1)
 
     size = plant.states * acting.wide
     values = stack(
         [
-            series_through(np.array([[moves(i)(t) for t in row] for row in nodes(*span, cells)]))
+            series_through(along(i, nodes(*span, cells)))
             for i in range(plant.modes)
             for span in itertools.pairwise(acting.edges)
         ]
