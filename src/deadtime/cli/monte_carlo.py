@@ -102,6 +102,7 @@ def monte_carlo(
         progress=sys.stderr.isatty() and not json_output,
         imperfections=chosen.imperfections,
         weight=chosen.weight,
+        share_compiling=True,
     )
     if result.scenarios == 0:
         raise KeyboardInterrupt  # no block of scenarios was whole: nothing to print

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import os
+import pickle
 import threading
 import time
+from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -24,13 +27,38 @@ _LONG = 1.0  # seconds of compiling after which it is said
 
 
 class _CacheFile(IndexDataCacheFile):
-    """What is on disk of a kernel; nothing where it cannot be read."""
+    """What is on disk of a kernel: a file for each of its signatures, which name themselves.
+
+    Numba keeps an index of a kernel's files, which it reads, adds to and writes. Where two
+    processes compile at the same time, one would lose what it added, or find the other's code under
+    its own signature. Here the index only says that there is something.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        content = self._dump((key, data))
+        self._save_data(self._file_of(key), (self._version, self._source_stamp, content))
+        if not self._load_index():
+            self._save_index({"any": True})
+
+    def load(self, key: Any) -> Any:
+        try:
+            version, stamp, content = self._load_data(self._file_of(key))
+            if (version, stamp) != (self._version, self._source_stamp):
+                return None
+            found, data = pickle.loads(content)
+        except (OSError, AttributeError, ImportError):  # none, or about types that have moved since
+            return None
+        return data if found == key else None
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
         except (AttributeError, ImportError):  # it is about types that have moved since
             return {}
+
+    def _file_of(self, key: Any) -> str:
+        digest = hashlib.sha256(repr(key).encode()).hexdigest()
+        return self._data_name(int(digest[:12], 16))
 
 
 def dispatcher_of(kernel: Any) -> Any:
@@ -57,6 +85,31 @@ def is_cached(dispatcher: Any) -> bool:
         return bool(dispatcher._cache._cache_file._load_index())
     except AttributeError:  # nothing is kept, or Numba names it otherwise
         return False
+
+
+def is_kept(dispatcher: Any) -> bool:
+    """Whether what is compiled is there for other processes, too."""
+    return isinstance(getattr(dispatcher._cache, "_cache_file", None), _CacheFile)
+
+
+class _Listener(event.Listener):
+    """Does something whenever compiling starts, with what is compiled."""
+
+    def __init__(self, do: Callable[[Any], None]) -> None:
+        self._do = do
+
+    def on_start(self, event: Any) -> None:
+        self._do(event.data["dispatcher"])
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@contextlib.contextmanager
+def where_compiling_starts(do: Callable[[Any], None]) -> Iterator[None]:
+    """Call do(dispatcher) whenever something has to be compiled; what is found on disk has not."""
+    with event.install_listener("numba:compile", _Listener(do)):
+        yield
 
 
 def _stamp(kernel: Any) -> tuple[Any, ...]:

@@ -21,11 +21,13 @@ from deadtime.scenarios.records import Laid
 from deadtime.scenarios.side_by_side import from_scenario
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
-from deadtime.switching import SignalBatch, SwitchingSignal
+from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 
 if TYPE_CHECKING:
     from deadtime.scenarios.engine import Engine, Table
+    from deadtime.scenarios.helper import Helper
+    from deadtime.scenarios.prepare import Runnable
 
 _FEW = 8  # scenarios whose trajectories the engine takes at a time
 
@@ -39,8 +41,10 @@ class Block:
     Attributes
     ----------
     tables : mapping
-        From the name of a law to a function that makes its table along signals for the engine.
-        Laws without an entry are run one by one by `simulate`.
+        From the name of a law to what the engine takes it for. Laws without an entry are run one
+        by one by `simulate`.
+    helper : Helper
+        Who compiles the loop of some laws: these are run last.
     weighed : pair of Loop and Engine, or None
         Of the cost's weight, where that is not the identity: runs are run again to measure it.
     """
@@ -48,11 +52,12 @@ class Block:
     loop: Loop
     source: Source
     laws: Mapping[str, Law]
-    tables: Mapping[str, Callable[[SignalBatch], Table]]
+    tables: Mapping[str, Runnable]
     engine: Engine
     imperfections: Sequence[Imperfection]
     seed: int
     results: Results
+    helper: Helper
     weighed: tuple[Loop, Engine] | None = None
 
     def run(self, first: int, count: int, stopped: Stopped) -> int:
@@ -61,7 +66,8 @@ class Block:
         Where `stopped` says so in between, the block is left and counts as not done.
         """
         signals = self.source.batch(first, count)
-        laid, tables = None, {name: table(signals) for name, table in self.tables.items()}
+        along = self.engine.along
+        laid, tables = None, {name: along(law, signals) for name, law in self.tables.items()}
         if tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
@@ -80,7 +86,10 @@ class Block:
                 )
                 for size in {table.measured for table in tables.values()}
             }
-        for row, (name, law) in enumerate(self.laws.items()):
+        rows = list(enumerate(self.laws.items()))
+        for row, (name, law) in sorted(rows, key=lambda one: one[1][0] in self.helper.laws):
+            if name in self.helper.laws:
+                self.helper.wait(stopped)
             left: Sequence[int] = range(count)
             if laid is not None and name in tables:
                 left = self._at_once(row, tables[name], laid, heard, force, first, stopped)

@@ -60,8 +60,8 @@ class Engine:
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        root = loop.root.ravel()
-        self._run = Run(loop.whole + 1, loop.rest / loop.step, loop.late, loop.x0, root)
+        x0, root = read_only(loop.x0), read_only(loop.root.ravel())  # one type
+        self._run = Run(loop.whole + 1, loop.rest / loop.step, loop.late, x0, root)
         rate, low, high = loop.limits
         self._clip = Clip(rate, low.ravel(), high.ravel()) if rate.size else None
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
@@ -99,7 +99,19 @@ class Engine:
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
         """What a law that knows these signals does, of each of them."""
-        model, n = ahead.lay(signals), self._loop.plant.states
+        return self._foreseeing(ahead, ahead.lay(signals))
+
+    def along(self, law: Table | ModelAhead, signals: SignalBatch) -> Table:
+        """What a law does, along signals."""
+        return law if isinstance(law, Table) else self.foresee(law, signals)
+
+    def compile(self, law: Table | ModelAhead) -> None:
+        """Compile the loop under a law that hears everything: run it along no signals."""
+        table = law if isinstance(law, Table) else self._foreseeing(law, law.lay_nothing())
+        self.run(table, self._loop.lay_nothing())
+
+    def _foreseeing(self, ahead: ModelAhead, model: Model) -> Table:
+        n = self._loop.plant.states
         entering = model.lags.size * self._loop.plant.inputs
         shape = self._shape._replace(
             square=_size(n * n), entering=_size(entering), model=_size(n + entering)

@@ -12,6 +12,7 @@ from deadtime.plant import SampledPlant
 from deadtime.scenarios.cut_periods import WIDE, compose, parts_of
 from deadtime.scenarios.foreseen import Model, fill_tails
 from deadtime.scenarios.loop import Loop
+from deadtime.scenarios.records import Laid
 from deadtime.switching import SignalBatch, SwitchingSignal
 
 
@@ -63,8 +64,15 @@ class ModelAhead:
             tables.pieces,
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
-        first, step, which = records.first, records.step, records.map
-        return Model(self._length, loop.acting.lags, laid.maps, first, step, which, tails)
+        return self._model(laid, tails)
+
+    def lay_nothing(self) -> Model:
+        """The model along no signals, without a compiler."""
+        return self._model(self.loop.lay_nothing(), np.zeros((0, self._own_tails.shape[1])))
+
+    def _model(self, laid: Laid, tails: np.ndarray) -> Model:
+        (first, step, _, which), lags = laid.records[:4], self.loop.acting.lags
+        return Model(self._length, lags, laid.maps, first, step, which, tails)
 
     def _ask(self, signal: SwitchingSignal) -> Foresight:
         found = self._law.foresight(self._step, signal, self._samples)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,22 +13,18 @@ from deadtime.base.checks import instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.threads import processors
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw, require_match
-from deadtime.feedback.memory import WithMemory, tables_of
+from deadtime.feedback.law import require_match
 from deadtime.imperfections import (
     Disturbance,
     Imperfection,
-    Limiting,
     Relaying,
     TimingImperfection,
     streams,
 )
-from deadtime.imperfections.known import is_batched
-from deadtime.plant import SampledPlant, SwitchedSystem
+from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
 from deadtime.scenarios.dataset import METRICS, Comparison, Results, dataset_of
-from deadtime.scenarios.figures import few_late
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory import require_memory
 from deadtime.scenarios.named import named_laws
@@ -39,8 +35,6 @@ from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from deadtime.scenarios.engine import Engine, Table
 
     Laws = Sequence[Law] | Mapping[str, Law]
     Model = SwitchingModel | Sequence[SwitchingSignal] | SignalBatch
@@ -182,9 +176,15 @@ def compare(
     trajectories: bool = False,
     threads: int | None = None,
     weight: Weight | None = None,
+    share_compiling: bool = False,
 ) -> Comparison:
-    """`monte_carlo` before its results are labelled: xarray takes as long as the run to load."""
+    """`monte_carlo` before its results are labelled: xarray takes as long as the run to load.
+
+    Where `share_compiling`, a second process compiles for some of the laws.
+    """
     from deadtime.scenarios.engine import Engine
+    from deadtime.scenarios.helper import Helper
+    from deadtime.scenarios.prepare import Request, prepare
 
     horizon, step = positive("horizon", horizon), positive("step", step)
     instance("plant", plant, SwitchedSystem)
@@ -200,18 +200,19 @@ def compare(
     require_steps(horizon, delay, step)
     source, scenarios = source_of(model, scenarios, seed, horizon + delay, plant.modes)
     streams(imperfections, seed)
-    forced = any(isinstance(one, Disturbance) for one in imperfections)
-    loop = Loop(SampledPlant.of(plant, step), x0, horizon, _actuators(imperfections), forced=forced)
+    request = Request(plant, named, x0, horizon, step, imperfections)
+    loop, engine, tables = prepare(request)
     results = _room(loop, len(named), scenarios, trajectories)
-    engine = Engine(loop)
-    tables = _tables(engine, loop, named, imperfections)
     weight, weighed = weight_of(weight, plant), None
     if weight is not None:
         other = replace(loop, weight=weight)
         weighed = other, Engine(other)
-    block = Block(loop, source, named, tables, engine, imperfections, seed, results, weighed)
+    helper = Helper(request, tables if share_compiling else {})
+    block = Block(
+        loop, source, named, tables, engine, imperfections, seed, results, helper, weighed
+    )
     size = _block(loop, imperfections) if tables else 1
-    with show_progress(progress, scenarios) as report:
+    with show_progress(progress, scenarios) as report, helper.at_hand():
         workers = min(threads, -(-scenarios // size)) if tables else 1
         continued, interrupted = run_blocks(block.run, scenarios, size, workers, report)
     attributes = {
@@ -239,11 +240,6 @@ def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 
-def _actuators(imperfections: Sequence[Imperfection]) -> Sequence[Limiting]:
-    """What engines know of imperfections: limits of the inputs."""
-    return [one for one in imperfections if isinstance(one, Limiting)]
-
-
 def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:
     """Arrays for the results, where there is memory for them."""
     plant, samples = loop.plant, loop.whole + 1
@@ -259,65 +255,6 @@ def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:
         "simulate",
     )
     return Results.empty(laws, scenarios, (plant.states, plant.inputs, samples))
-
-
-def _tables(
-    engine: Engine,
-    loop: Loop,
-    laws: Mapping[str, Law],
-    imperfections: Sequence[Imperfection],
-) -> dict[str, Callable[[SignalBatch], Table]]:
-    """The laws that the engine can run: what makes a table of each along signals."""
-    n, wide = loop.plant.states, loop.acting.wide
-    if loop.tables is None or not all(map(is_batched, imperfections)):
-        return {}
-    if loop.forced and not (loop.plant.delays == loop.plant.delays[0]).all():
-        return {}
-    if n * wide + wide * (wide + 1) // 2 > _MOST_TERMS or few_late(loop):
-        return {}
-    timed = any(isinstance(one, TimingImperfection) for one in imperfections)
-    tables = {name: _table(engine, loop, law, timed) for name, law in laws.items()}
-    return {name: table for name, table in tables.items() if table is not None}
-
-
-def _table(
-    engine: Engine, loop: Loop, law: Law, timed: bool
-) -> Callable[[SignalBatch], Table] | None:
-    """What makes a table of a law along signals; None for one that the engine cannot run."""
-    from deadtime.scenarios.model_ahead import ModelAhead
-
-    step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
-    if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
-        return _with_memory(engine, loop, law, timed)
-    if not isinstance(law, TableLaw):
-        return None
-    if law.foresight(step, anything, samples) is not None:
-        ahead = ModelAhead(law, law.sampled_plant(step), samples)
-        if ahead.loop.tables is None or loop.plant.states**3 > _MOST_TERMS:
-            return None
-        return lambda signals: engine.foresee(ahead, signals)
-    feedback = law.digital(step, anything, 1)
-    if feedback.context == "step":
-        return None
-    table = engine.table(feedback)
-    return lambda signals: table
-
-
-def _with_memory(
-    engine: Engine, loop: Loop, law: Law, timed: bool
-) -> Callable[[SignalBatch], Table] | None:
-    """The same of a law that remembers; with measurements within periods, of one C for all modes.
-
-    Its memory is filled for one run, but for what the modes of a run do to it.
-    """
-    tables, C = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1), law.outputs
-    if tables is None or tables.memory is None or tables.feedback is None or C is None:
-        return None
-    wide = max(part.shape[-1] for part in (tables.memory.Phi, tables.memory.Gamma))
-    if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:
-        return None
-    table = engine.remember(tables.feedback, tables.memory, C)
-    return lambda signals: table
 
 
 def _whole(name: str, value: object, least: int) -> int:
