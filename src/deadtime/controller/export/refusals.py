@@ -38,6 +38,11 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
             f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
             "which has no C: export its law, and run the observer before it."
         )
+    if controller.believing is not None:
+        raise ArgumentError(
+            f"law must be a table of the state; {type(controller.law).__name__} keeps a belief, "
+            "which has no C: run it as a Controller."
+        )
 
 
 def require_limits(controller: RunningLaw, most: float) -> None:
