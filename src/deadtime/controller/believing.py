@@ -50,6 +50,11 @@ class ModeBelief:
 
         push(u, self._place, self._ring)
 
+    @property
+    def inputs(self) -> Float[np.ndarray, "lag m"]:
+        """The last inputs as applied, the oldest first; a view that changes."""
+        return self._ring[self._place[0] :][: self._count]
+
     def require(self, belief: ArrayLike) -> Float[np.ndarray, "mode age"]:
         """Probabilities that are given from elsewhere, or an error that says why they are none."""
         return belief_of("belief", belief, self.now)

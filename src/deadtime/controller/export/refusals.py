@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.controller.export.belief_code import require_bounded
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
@@ -39,10 +40,12 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
             "which has no C: export its law, and run the observer before it."
         )
     if controller.believing is not None:
-        raise ArgumentError(
-            f"law must be a table of the state; {type(controller.law).__name__} keeps a belief, "
-            "which has no C: run it as a Controller."
-        )
+        if precision == "float":
+            raise ArgumentError(
+                f"precision must be 'double' of {type(controller.law).__name__}: its filter tells modes "
+                "apart by small differences of states, which single precision rounds away."
+            )
+        require_bounded(controller.believing.form)
 
 
 def require_limits(controller: RunningLaw, most: float) -> None:
