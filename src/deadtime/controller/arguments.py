@@ -45,7 +45,8 @@ def require_state(state: Any, own: dict[str, Any], modes: int) -> None:
                 f"state[{name!r}] must have shape {np.shape(value)}: pass what "
                 "`Controller.state` gave."
             )
-        if name in ("law", "clock"):  # a clock that has not begun is NaN
+        # A clock that has not begun is NaN, as is a state that was missing.
+        if name in ("law", "clock", "belief_x"):
             continue
         if not np.isfinite(as_floats(f"state[{name!r}]", state[name], "finite")).all():
             raise ArgumentError(f"state[{name!r}] must be finite, got {state[name]}.")

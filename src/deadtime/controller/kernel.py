@@ -119,3 +119,37 @@ def factored_row(F, H, last, x, q, place, ring, u):
     _add_product(F, x, u)
     _add_product(H, q, u)
     _add_product(last, ring[place[0]], u)
+
+
+@kernel(eager=True, fastmath={"reassoc", "contract"})
+def mean_of_dense(F, G, share, x, place, ring, u):
+    """u = Σ_c share_c (F_c x + G_c (the past inputs)), G_c (m, N m) with the oldest first."""
+    m = ring.shape[1]
+    count = ring.shape[0] // 2
+    past = ring.reshape(-1)[place[0] * m : (place[0] + count) * m]
+    _clear(u)
+    for c in range(share.size):
+        for i in range(m):
+            total = 0.0
+            for j in range(past.size):
+                total += G[c, i, j] * past[j]
+            for j in range(x.size):
+                total += F[c, i, j] * x[j]
+            u[i] += share[c] * total
+
+
+@kernel(eager=True)
+def mean_of_factored(F, H, last, share, x, q, place, ring, u):
+    """u = Σ_c share_c (F_c x + H_c q + (last tap of c) u_{k−N})."""
+    _clear(u)
+    oldest = ring[place[0]]
+    for c in range(share.size):
+        for i in range(u.size):
+            total = 0.0
+            for j in range(x.size):
+                total += F[c, i, j] * x[j]
+            for j in range(q.size):
+                total += H[c, i, j] * q[j]
+            for j in range(oldest.size):
+                total += last[c, i, j] * oldest[j]
+            u[i] += share[c] * total

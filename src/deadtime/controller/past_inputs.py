@@ -42,6 +42,17 @@ class DensePast:
 
         dense_row(self.table.state_gain[row], self.G[row], x, self.place, self.ring, u)
 
+    def mean(
+        self,
+        share: Float[np.ndarray, " row"],
+        x: Float[np.ndarray, " n"],
+        u: Float[np.ndarray, " m"],
+    ) -> None:
+        """Write into u the inputs that the rows ask for, weighed by their shares."""
+        from deadtime.controller.kernel import mean_of_dense
+
+        mean_of_dense(self.table.state_gain, self.G, share, x, self.place, self.ring, u)
+
     def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""
         return {name: getattr(self, name).copy() for name in self.arrays}
@@ -96,7 +107,27 @@ class FactoredPast(DensePast):
         )
 
     def row(self, row: int, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " m"]) -> None:
-        from deadtime.controller.kernel import factored_row, window_sum
+        from deadtime.controller.kernel import factored_row
+
+        self._sum_window()
+        F, H, last = self.table.state_gain[row], self.factor.H[row], self.factor.last[row]
+        factored_row(F, H, last, x, self.q, self.place, self.ring, u)
+
+    def mean(
+        self,
+        share: Float[np.ndarray, " row"],
+        x: Float[np.ndarray, " n"],
+        u: Float[np.ndarray, " m"],
+    ) -> None:
+        from deadtime.controller.kernel import mean_of_factored
+
+        self._sum_window()
+        F, H, last = self.table.state_gain, self.factor.H, self.factor.last
+        mean_of_factored(F, H, last, share, x, self.q, self.place, self.ring, u)
+
+    def _sum_window(self) -> None:
+        """q, which all rows read."""
+        from deadtime.controller.kernel import window_sum
 
         window_sum(
             self.window,
@@ -108,8 +139,6 @@ class FactoredPast(DensePast):
             self.spare,
             self.q,
         )
-        F, H, last = self.table.state_gain[row], self.factor.H[row], self.factor.last[row]
-        factored_row(F, H, last, x, self.q, self.place, self.ring, u)
 
 
 def past_inputs(table: Feedback) -> DensePast:

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.controller.arguments import limits_of, require_state, vector
+from deadtime.controller.believing import ModeBelief
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.controller.status import Clock, Status
-from deadtime.estimation import OutputFeedback
+from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.simulation.initial_input import InitialInput, held_samples
@@ -33,20 +34,21 @@ class RunningLaw:
         mode_age: int = 0,
     ) -> None:
         instance("law", law, Law)
-        inner = law.law if isinstance(law, OutputFeedback) else law
+        inner = law.law if isinstance(law, OutputFeedback | BeliefPredictor) else law
         if not isinstance(inner, TableLaw) or inner.foresees:
             why = "foresees the signal" if isinstance(inner, TableLaw) else "is no table"
             raise ArgumentError(
                 f"law must be a table that a controller can run; {type(inner).__name__} {why}."
             )
         self.law, self.step = law, positive("step", step)
+        if isinstance(law, BeliefPredictor):
+            law.require_step(self.step)
         self.table = inner.digital(self.step)
-        self._observing = None
-        if isinstance(law, OutputFeedback):
-            self._observing = Observing(law, self.step)
+        self._observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
+        self.believing = ModeBelief(law, self.table) if isinstance(law, BeliefPredictor) else None
         self.low, self.high = limits_of(limits, law.plant.inputs)
         self._past = past_inputs(self.table)
-        self._reads_row = self.table.context != "none"
+        self._reads_row = self.table.context != "none" and self.believing is None
         self._reads_mode = self._reads_row or (self._observing is not None and law.plant.modes > 1)
         self._measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
         self._clock, self._nothing = Clock(self.step), np.full(self._measured, np.nan)
@@ -59,8 +61,10 @@ class RunningLaw:
         history = held_samples(u0, m, taps, self.step, self.law.plant.longest_delay)
         self._age, self._mode = count("mode_age", mode_age, 0), -1
         self._past.clear()
+        if self.believing:
+            self.believing.begin()
         for u in history[:-1]:
-            self._past.push(u)
+            self._push(u)
         self._u[:] = history[-1]
         if self._observing:
             self._observing.begin(history)
@@ -75,6 +79,7 @@ class RunningLaw:
         out: Float[np.ndarray, " m"] | None = None,
         reference: ArrayLike | None = None,
         time: float | None = None,
+        belief: ArrayLike | None = None,
     ) -> Float[np.ndarray, " m"]:
         """The input of this period, u_k.
 
@@ -83,7 +88,8 @@ class RunningLaw:
         x : array_like, shape (n,) or (p,)
             The state at t_k; of a law that measures outputs, y.
         mode : int, optional
-            The mode at t_k; laws whose rows depend on it need it.
+            The mode at t_k; laws whose rows depend on it need it. A `BeliefPredictor` does not
+            read it.
         applied : array_like, shape (m,), optional
             What the actuator was given in the period that ends, if it was not what `update`
             returned.
@@ -97,6 +103,10 @@ class RunningLaw:
             been served is refused; periods without a call are made up for: their input is taken to
             have been held, and `late` counts them. A time more than 100,000 periods ahead is
             refused like one out of order: the clock is not the same.
+        belief : array_like, shape (modes,) or (modes, ages), optional
+            Of a `BeliefPredictor`: what is known of the mode at t_k from elsewhere; it replaces
+            what the filter makes of x, and is not taken by a call out of order. Over modes alone,
+            each mode keeps the shares of its ages.
 
         Returns
         -------
@@ -108,11 +118,13 @@ class RunningLaw:
         Raises
         ------
         ArgumentError
-            If a shape is wrong, or the mode is missing where the law reads it.
+            If a shape is wrong, the mode is missing where the law reads it, or `belief` is not ≥ 0
+            with sum 1; nothing is changed then.
         """
         x = vector("x", x, self._measured)
         applied = None if applied is None else vector("applied", applied, self._u.size)
         self._require(mode, reference)
+        told = None if belief is None else self._require_belief(belief)
         periods = self._clock.periods(time)
         if not periods:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
@@ -120,6 +132,8 @@ class RunningLaw:
         self._pass(applied, periods - 1)
         status = self._remember(applied)
         status = self._see(mode) or status
+        if self.believing:
+            self._believe(x, told)
         if self._observing:
             status = self._observe(x, reference, status)
         else:
@@ -149,15 +163,26 @@ class RunningLaw:
             raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
         self._observing.require(reference)
 
+    def _require_belief(self, belief: ArrayLike) -> Float[np.ndarray, "mode age"]:
+        """Probabilities that are given from elsewhere, to a law that reads some."""
+        if self.believing is None:
+            raise ArgumentError(
+                f"belief needs a BeliefPredictor; {self.law.label} is told the mode: leave it out."
+            )
+        return self.believing.require(belief)
+
     def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
-        """Periods without a call: the observer runs over all of them, the window holds the last."""
-        for _ in range(missed if self._observing else min(missed, self.table.taps)):
+        """Periods without a call: observer and belief run over all, the window holds the last."""
+        follows = self._observing is not None or self.believing is not None
+        for _ in range(missed if follows else min(missed, self.table.taps)):
             self._remember(applied)
+            if self.believing:
+                self._believe(self._nothing, None)
             if self._observing:
                 self._observing.see(self._latest, self._nothing, self._mode, None, self.samples)
                 self._observing.note(self._u)
-                self.samples += 1
-        self.samples += 0 if self._observing else missed
+            self.samples += follows
+        self.samples += 0 if follows else missed
         self._age = min(self._age + missed, self.table.ages)
 
     def _remember(self, applied: Float[np.ndarray, " m"] | None) -> Status:
@@ -165,8 +190,22 @@ class RunningLaw:
         u = self._u if applied is None else applied
         finite = bool(np.isfinite(u).all())
         self._latest[:] = u if finite else self._u
-        self._past.push(self._latest)
+        self._push(self._latest)
         return Status.OK if finite else Status.BAD_APPLIED
+
+    def _push(self, u: Float[np.ndarray, " m"]) -> None:
+        self._past.push(u)
+        if self.believing:
+            self.believing.push(u)
+
+    def _believe(
+        self, x: Float[np.ndarray, " n"], told: Float[np.ndarray, "mode age"] | None
+    ) -> None:
+        """The belief at this sample: of what x says, or what was told."""
+        assert self.believing is not None
+        self.believing.see(x, self.samples > 0)
+        if told is not None:
+            self.believing.now[:] = told
 
     def _see(self, mode: int | None) -> Status:
         """Follow the sampled mode and its age."""
@@ -200,14 +239,20 @@ class RunningLaw:
 
     def _compute(self, x: np.ndarray) -> Status:
         """u_k within the limits, or the last one where it is not finite."""
-        row = 0
-        if self._reads_row:
-            row = self.table.row(self._mode, self._age)
-        self._past.row(row, x, self._asked)
+        if self.believing:
+            self.believing.ask(self._past, x, self._asked)
+        else:
+            row = self.table.row(self._mode, self._age) if self._reads_row else 0
+            self._past.row(row, x, self._asked)
         if not np.isfinite(self._asked).all():
             return Status.OVERFLOW
         np.clip(self._asked, self.low, self.high, out=self._u)
         return Status.OK if (self._u == self._asked).all() else Status.SATURATED
+
+    @property
+    def belief(self) -> Float[np.ndarray, " mode"] | None:
+        """How likely each mode is at the last sample; None of a law that keeps no belief."""
+        return None if self.believing is None else self.believing.now.sum(axis=1)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -225,6 +270,7 @@ class RunningLaw:
             "input": self._u.copy(),
             **self._past.snapshot(),
             **(self._observing.snapshot() if self._observing else {}),
+            **(self.believing.snapshot() if self.believing else {}),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -233,6 +279,8 @@ class RunningLaw:
         Raises `ArgumentError` for a state of another law or step.
         """
         require_state(state, self.state, self.law.plant.modes)
+        if self.believing:
+            self.believing.load(state)  # refuses what is no belief, before anything is changed
         self._past.load(state)
         if self._observing:
             self._observing.load(state)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.version import __version__
+from deadtime.controller.export import belief_code
 from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import Check, self_check
 from deadtime.controller.export.files import require_own
@@ -105,8 +106,7 @@ def export_c(
         folder,
         tuple(texts),
         description(form),
-        rom_bytes(table, form, precision),
-        ram_bytes(table, form, precision),
+        *_room(controller, form, precision),
         form.error,
         check,
     )
@@ -129,6 +129,9 @@ def c_sources(
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
+    # Of a belief's tables nothing can be spared: what is left of the budget is the law's.
+    if budget is not None and controller.believing:
+        budget = budget - belief_code.rom_bytes(controller.believing.form)
     form = form_of(controller.table, accuracy, precision, budget)
     require_budget(controller.table, form, precision, budget)
     made = vectors(controller)
@@ -181,7 +184,8 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
     import numpy as np
 
     table, plant = controller.table, controller.law.plant
-    limits = bounds(table, form, precision)
+    belief = None if controller.believing is None else controller.believing.form
+    limits = bounds(table, form, precision, len(table.state_gain) if belief else 1)
     require_limits(controller, limits["bound"])
     low = np.clip(controller.low, -limits["bound"], limits["bound"])
     high = np.clip(controller.high, -limits["bound"], limits["bound"])
@@ -190,6 +194,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         **form.arrays,
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
+        **({} if belief is None else belief_code.arrays(belief)),
     }
     tables = [
         {
@@ -200,6 +205,9 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         }
         for key, (array, comment) in arrays.items()
     ]
+    rom, ram = _room(controller, form, precision)
+    told = (tables, controller.step, table.ages, __version__)
+    filled = None if belief is None else belief_code.values(belief)
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
@@ -217,7 +225,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "n": plant.states,
         "m": plant.inputs,
         "modes": plant.modes,
-        "reads": int(table.context != "none"),
+        "reads": int(table.context != "none" and belief is None),
         "ages": table.ages,
         "rows": len(table.state_gain),
         "taps": table.taps,
@@ -225,12 +233,23 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "starts": np.cumsum([0, *form.windows])[:-1].tolist(),
         "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(name.upper()),
         "count": "count" if form.windows else "LENGTH",
-        "rom": rom_bytes(table, form, precision),
-        "ram": ram_bytes(table, form, precision),
-        "unroll": 2 * form.state + 10,
+        "rom": rom,
+        "ram": ram,
+        "unroll": 2 * form.state + 10 + (0 if belief is None else ram),
         "tables": tables,
-        "magic": _magic(repr((tables, controller.step, table.ages, __version__))),
+        "belief": filled,
+        "magic": _magic(repr(told if filled is None else (*told, filled))),
     }
+
+
+def _room(controller: RunningLaw, form: Form, precision: Precision) -> tuple[int, int]:
+    """Bytes of constants, and of one controller."""
+    rom = rom_bytes(controller.table, form, precision)
+    ram = ram_bytes(controller.table, form, precision)
+    if controller.believing is None:
+        return rom, ram
+    form_of_belief = controller.believing.form
+    return rom + belief_code.rom_bytes(form_of_belief), ram + belief_code.ram_bytes(form_of_belief)
 
 
 def _magic(told: str) -> str:

@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.controller.export.belief_code import require_bounded
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
@@ -38,6 +39,13 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
             f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
             "which has no C: export its law, and run the observer before it."
         )
+    if controller.believing is not None:
+        if precision == "float":
+            raise ArgumentError(
+                f"precision must be 'double' of {type(controller.law).__name__}: its filter tells modes "
+                "apart by small differences of states, which single precision rounds away."
+            )
+        require_bounded(controller.believing.form)
 
 
 def require_limits(controller: RunningLaw, most: float) -> None:

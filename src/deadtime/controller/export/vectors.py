@@ -7,14 +7,16 @@ compared as a sum, so that long windows and many rows are visited by a short tab
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from deadtime.base.version import __version__
+from deadtime.controller.export.belief_vectors import belief_calls
 from deadtime.controller.running import RunningLaw
 
+_SHARE = 1e-3  # of a row that counts as visited, where rows are weighed
 _HOSTILE, _MOST_LINES = 300, 800
 
 
@@ -64,13 +66,14 @@ def vectors(controller: RunningLaw) -> Vectors:
     ]
     lines = [f"# Written by deadtime {__version__}", ",".join(heading)]
     seen, calls, visited = amplitude, 0, set()
-    for skip, when, mode, x, applied in _calls(run, amplitude):
+    calls_of = _calls if run.believing is None else belief_calls
+    for skip, when, mode, x, applied in calls_of(run, amplitude):
         u = np.zeros(m)
         for _ in range(skip):
             u += run.update(draws(n), mode, draws(m))
-            visited.add(_row(run))
+            visited.update(_rows(run))
         u += run.update(x, mode, applied, time=when)
-        visited.add(_row(run))
+        visited.update(_rows(run))
         calls += skip + 1
         seen = max(seen, float(np.abs(u).max()) / (skip + 1))
         fields = [str(skip), "" if when is None else repr(when), str(mode), *map(repr, x.tolist())]
@@ -123,9 +126,12 @@ def _through_rows(
             yield skip, None, (last + 1 + i) % plant.modes, x, applied
 
 
-def _row(run: RunningLaw) -> int:
+def _rows(run: RunningLaw) -> Iterable[int]:
+    """The rows that had a say in the last answer."""
+    if run.believing is not None:
+        return np.flatnonzero(run.believing.weight > _SHARE).tolist()
     mode, age = run._mode, run._age  # `state` would copy the past at every call
-    return run.table.row(mode, age) if mode >= 0 else 0
+    return [run.table.row(mode, age) if mode >= 0 else 0]
 
 
 def _amplitude(run: RunningLaw) -> float:

@@ -1,0 +1,90 @@
+"""Calls for a controller with a mode filter: states that a plant of its model could have.
+
+Of states drawn at random no mode could be told: evidence must be of the plant. So x follows the model in
+a mode that lasts for a while, with noise, under the inputs that the controller or `applied` gives; before
+it is put elsewhere it is missing for a call, so that nobody takes the jump for a motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.controller.running import RunningLaw
+
+_HOSTILE, _MOST_STAY = 300, 400
+_FAR = 30.0  # amplitudes
+
+_Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None]
+
+
+class _Motion:
+    """A state that follows the filter's model, mode by mode."""
+
+    def __init__(self, run: RunningLaw, rng: np.random.Generator, amplitude: float) -> None:
+        assert run.believing is not None
+        self.belief, self.rng, self.amplitude = run.believing, rng, amplitude
+        self.roots = [_root(Q) for Q in run.believing.form.noise]
+        self.put()
+
+    def put(self) -> None:
+        """Anywhere within the amplitude."""
+        self.x = self.amplitude * self.rng.normal(size=self.belief.form.Phi.shape[1])
+
+    @property
+    def far(self) -> bool:
+        """Whether it has left where the controller works."""
+        return bool(np.abs(self.x).max() > _FAR * self.amplitude)
+
+    def next(self, mode: int, u: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
+        """x after a period in which u was sent."""
+        form = self.belief.form
+        sent = np.vstack((self.belief.inputs[1:], u))
+        x = form.Phi[mode] @ self.x + self.roots[mode] @ self.rng.normal(size=self.x.size)
+        for drive, lag in zip(form.Gamma[mode], form.lag, strict=True):
+            x += drive @ sent[-1 - lag]
+        return x
+
+
+def _root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """R with R Rᵀ = Q."""
+    U, values, _ = np.linalg.svd(Q)
+    return U * np.sqrt(values)
+
+
+def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
+    """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
+    rng = np.random.default_rng(0)
+    motion, time, modes = _Motion(run, rng, amplitude), 0.0, _modes(run, rng)
+    half, m = len(modes) // 2, run.law.plant.inputs
+    for k, mode in enumerate(modes):
+        clocked = k > half  # jitter, periods without a call, calls out of order
+        missed, early = (1 + k % 5) * (clocked and k % 29 == 7), clocked and k % 47 == 5
+        applied = rng.normal(size=m) * amplitude if k % 3 == 0 else None
+        usable = k % 61 != 30
+        if not usable:
+            applied = np.full(m, math.nan)
+        x = motion.next(mode, run._u if applied is None or not usable else applied)
+        if not early and k:
+            motion.x = x.copy()
+        if missed:
+            motion.put()
+            x = motion.x.copy()
+        elif motion.far or k % 53 == 20:
+            motion.put()
+            x[k % x.size] = (math.nan, math.inf, -math.inf)[k % 3]
+        time += run.step * (1 + missed) * (clocked and not early)
+        when = time + 0.3 * run.step * math.sin(k) if clocked else None
+        yield 0, when, k, x if k else motion.x.copy(), applied  # no mode is read: any number does
+
+
+def _modes(run: RunningLaw, rng: np.random.Generator) -> np.ndarray:
+    """A mode for every call: short ones, and each long enough for its oldest row."""
+    plant, stay = run.law.plant, min(run.table.ages + 12, _MOST_STAY)
+    stay = max(stay, -(-(2 * run.table.taps + 10) // plant.modes))
+    short = np.repeat(rng.integers(0, plant.modes, _HOSTILE), rng.integers(1, 30, _HOSTILE))
+    half = short[: _HOSTILE // 2]
+    return np.concatenate((half, np.repeat(np.arange(plant.modes), stay), half))
