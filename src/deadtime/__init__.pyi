@@ -29,6 +29,7 @@ from .estimation import (
     ModeFilter as ModeFilter,
     Observer as Observer,
     OutputFeedback as OutputFeedback,
+    OutputModeFilter as OutputModeFilter,
     Servo as Servo,
     kalman as kalman,
     luenberger as luenberger,

@@ -11,7 +11,7 @@ import math
 from deadtime.numerics.kernels import kernel
 
 ROUND_OFF = 1e-12  # of the size of what a prediction adds up: residuals below say nothing
-_SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
+SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
 _LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
 
 
@@ -25,7 +25,7 @@ def advance_belief(form, state, before, x, told, row):
     if seen:
         for i in range(form.Phi.shape[0]):
             seen &= _weigh(form, state, x, i)
-    _move(form, state, seen)
+    move(form, state, seen)
 
 
 @kernel
@@ -96,7 +96,7 @@ def root_of(noise, size, root):
             for c in range(b):
                 rest -= root[a, c] * root[b, c]
             if a == b:
-                root[a, a] = math.sqrt(max(rest, _SPENT * own))
+                root[a, a] = math.sqrt(max(rest, SPENT * own))
             else:
                 root[a, b] = rest / root[b, b] if root[b, b] > 0.0 else 0.0
         if root[a, a] > 0.0:
@@ -139,8 +139,11 @@ def _between(white, apart):
 
 
 @kernel
-def _move(form, state, seen):
-    """Let the chain go on for a period, weighed by the densities where they say something."""
+def move(form, state, seen):
+    """Let the chain go on for a period, weighed by the densities where they say something.
+
+    Of each pair of modes `state.mass` is then the probability before, `state.density` the factor.
+    """
     now, mass, hazard = state.now, state.mass, form.hazard
     modes, ages = now.shape
     for i in range(modes):

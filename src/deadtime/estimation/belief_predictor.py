@@ -8,10 +8,12 @@ import numpy as np
 
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
+from deadtime.estimation.bank import Bank, BankForm
 from deadtime.estimation.mode_filter import ModeFilter
+from deadtime.estimation.output_mode_filter import OutputModeFilter
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.belief import Belief, BeliefState, Believing
-from deadtime.feedback.law import TableLaw, Update
+from deadtime.feedback.law import Remembering, TableLaw, Update
 from deadtime.feedback.memory import Tables, WithMemory
 from deadtime.switching import SwitchingSignal
 
@@ -23,13 +25,15 @@ class BeliefPredictor(WithMemory, Law):
         u = Σ_c π_c (F_c x + Σ_j G_{c,j} u_{k−j}),    c = mode, or (mode, age)
 
     Of `ExpectedPredictor` under the filter's switching model this is the expectation over what is
-    not known, the present mode included. Of other laws with rows by mode it is their mean.
+    not known, the present mode included. Of other laws with rows by mode it is their mean. On an
+    `OutputModeFilter` it measures y in place of x and each row is given E[x | its mode]: as rows
+    are linear, that is the mean over both; then `run.estimates` is E[x].
 
     Parameters
     ----------
     law : Law
         A law with a table by mode or by mode and age.
-    filter : ModeFilter
+    filter : ModeFilter or OutputModeFilter
         For a plant of the same sizes; it fixes the period. Its matrices and delays may differ from
         those of the law's model, but no delay may be longer than the law's longest.
 
@@ -52,11 +56,13 @@ class BeliefPredictor(WithMemory, Law):
     """
 
     law: TableLaw
-    filter: ModeFilter
+    filter: ModeFilter | OutputModeFilter
 
-    def __init__(self, law: Law, filter: ModeFilter) -> None:
+    def __init__(self, law: Law, filter: ModeFilter | OutputModeFilter) -> None:
         instance("law", law, Law)
-        instance("filter", filter, ModeFilter)
+        outputs = filter.C if isinstance(filter, OutputModeFilter) else None
+        if outputs is None:
+            instance("filter", filter, ModeFilter)
         kind = type(law).__name__
         if not isinstance(law, TableLaw) or law.foresees:
             why = "foresees the signal" if law.foresees else "is no table"
@@ -82,11 +88,12 @@ class BeliefPredictor(WithMemory, Law):
                 f"filter must read inputs of the last {longest} periods, as the law does, got "
                 f"{filter.longest_lag}: give the law's model the longer delay, too."
             )
-        vars(self).update(plant=law.plant, gains=law.gains, outputs=None, law=law, filter=filter)
+        vars(self).update(plant=law.plant, gains=law.gains, outputs=outputs, law=law, filter=filter)
 
     @property
     def label(self) -> str:
-        return f"{self.law.label}, by belief"
+        observed = "" if self.outputs is None else ", observed"
+        return f"{self.law.label}{observed}, by belief"
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
@@ -111,19 +118,24 @@ class BeliefPredictor(WithMemory, Law):
             )
 
     def belief_of(self, feedback: Feedback) -> Belief:
-        """The filter as data, with as many ages as the table has, or more."""
-        return self.filter.belief(feedback.ages)
+        """The filter's chain as data, with as many ages as the table has, or more."""
+        chain = self.filter if isinstance(self.filter, ModeFilter) else self.filter.chain
+        return chain.belief(feedback.ages)
 
-    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables:
+    def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         self.require_step(step)
+        if isinstance(self.filter, OutputModeFilter):
+            return None
         feedback = self.law.digital(step)
         return Tables(feedback, belief=self.belief_of(feedback))
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
-    ) -> Update:
+    ) -> Update | Remembering:
         self.require_step(step)
         feedback = self.law.digital(step)
+        if isinstance(self.filter, OutputModeFilter):
+            return OutputBeliefUpdate(feedback, self.filter.bank(feedback.ages))
         return BeliefUpdate(feedback, self.belief_of(feedback))
 
 
@@ -149,3 +161,29 @@ class BeliefUpdate(Believing):
         recent = past[-self._feedback.taps :].ravel()
         rows = self._feedback.state_gain @ x + self._oldest_first @ recent
         return share @ rows
+
+
+class OutputBeliefUpdate(Believing, Remembering):
+    """The same on outputs: from y_k and the past inputs to u_k."""
+
+    def __init__(self, feedback: Feedback, form: BankForm) -> None:
+        self._feedback, self._oldest_first = feedback, feedback.oldest_first
+        self._bank = Bank(form, len(feedback.state_gain))
+        self.beliefs: list[np.ndarray] = []
+        self.estimates: list[np.ndarray] = []
+
+    def __call__(self, y: np.ndarray, past: np.ndarray, mode: int, age: int) -> np.ndarray:
+        from deadtime.estimation.belief_kernel import share_rows
+
+        bank, feedback = self._bank, self._feedback
+        if self.beliefs:
+            bank.advance(y, past, len(past) - 1)
+        else:
+            bank.begin(y)
+        share_rows(bank.state)
+        self.beliefs.append(bank.state.now.sum(axis=1))
+        self.estimates.append(bank.mean)
+        x = np.repeat(bank.x, len(feedback.state_gain) // len(bank.x), axis=0)
+        recent = past[-feedback.taps :].ravel()
+        rows = np.einsum("cma,ca->cm", feedback.state_gain, x) + self._oldest_first @ recent
+        return bank.state.weight @ rows

@@ -45,32 +45,69 @@ def require_distinct(plant: SwitchedSystem) -> None:
                 )
 
 
+def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"]) -> None:
+    """Refuse two modes in which the same x and u give the same outputs for ever.
+
+    By Cayley and Hamilton for the two together: C A^k, and C A^k B of inputs that are as late in
+    both, for k < 2n.
+    """
+    responses, n = [_responses(A, own) for A, own in zip(plant.A, C, strict=True)], plant.states
+    for i in range(plant.modes):
+        for j in range(i):
+            (one, size), (other, its) = responses[i], responses[j]
+            most = np.maximum(size, its)
+            same = (np.abs(one - other) <= _ALIKE * most).all()
+            acting = [one @ plant.B[i], other @ plant.B[j]]
+            least = _ALIKE * most @ np.maximum(np.abs(plant.B[i]), np.abs(plant.B[j]))
+            same &= (np.abs(acting[0] - acting[1]) <= least).all()
+            acts = (np.abs(acting[0]) > least).any(axis=0)
+            if same and _alike(plant.delays[i][acts], plant.delays[j][acts]):
+                raise ArgumentError(
+                    f"modes {j} and {i} cannot be told apart: the same state and inputs give the "
+                    f"same outputs in both, C A^k and C A^k B up to k = {2 * n - 1} and delays. "
+                    "Measure more, make one mode of them, or allow_alike = True: then they share "
+                    "what the switching model gives them."
+                )
+
+
+def _responses(
+    A: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """C A^k for k < 2n, one below the other, and the sizes of what these add up."""
+    rows, sizes = [C], [np.abs(C)]
+    for _ in range(2 * len(A) - 1):
+        rows.append(rows[-1] @ A)
+        sizes.append(sizes[-1] @ np.abs(A))
+    return np.concatenate(rows), np.concatenate(sizes)
+
+
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether all entries are the same, each by its own size, whatever its unit."""
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
 
 
-def intensity(value: ArrayLike, n: int) -> Float[np.ndarray, "n n"]:
-    """W as a matrix."""
-    given = as_floats("disturbance", value, "one, (n,) or (n, n)")
+def intensity(
+    value: ArrayLike, n: int, name: str = "disturbance"
+) -> Float[np.ndarray, "n n"]:
+    """W, or a covariance, as a matrix."""
+    given = as_floats(name, value, "one, (n,) or (n, n)")
     if given.ndim < 2:
         given = np.diag(np.full(n, given) if given.ndim == 0 else given)
-    W = require_shape(
-        "disturbance", real_array("disturbance", given, "(n, n)", 2), (n, n), "(n, n)"
-    )
+    W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
     size = np.abs(W).max()
     if np.abs(W - W.T).max() > _ROUND_OFF * size or np.linalg.eigvalsh(W)[0] < -_ROUND_OFF * size:
         raise ArgumentError(
-            f"disturbance must be symmetric and positive semidefinite, got {W.tolist()}."
+            f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
         )
     return W
 
 
-def deviation(value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
-    """A standard deviation per state."""
-    given = as_floats("noise", value, "one or (n,)")
-    whole = real_array("noise", np.full(n, given) if given.ndim == 0 else given, "(n,)", 1)
-    if require_shape("noise", whole, (n,), "(n,)").min() < 0.0:
+def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarray, " size"]:
+    """A standard deviation per state, or per output."""
+    form = f"({letter},)"
+    given = as_floats("noise", value, f"one or {form}")
+    whole = real_array("noise", np.full(size, given) if given.ndim == 0 else given, form, 1)
+    if require_shape("noise", whole, (size,), form).min() < 0.0:
         raise ArgumentError(f"noise must be ≥ 0, a standard deviation, got {whole.tolist()}.")
     return whole
 

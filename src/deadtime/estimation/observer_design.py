@@ -140,7 +140,7 @@ def _filter(
     """L, the covariance before a correction and after it; the Riccati equation put back."""
     from scipy.linalg import solve_discrete_are
 
-    _require_detectable(A, C, i)
+    require_detectable(A, C, i)
     identity = np.eye(len(A))
     Phi, noise = finite_discretisation(A, identity, step)[0], noise_covariance(A, W, step)
     try:
@@ -181,7 +181,7 @@ def _require_observable(A: np.ndarray, C: np.ndarray, i: int) -> None:
         )
 
 
-def _require_detectable(A: np.ndarray, C: np.ndarray, i: int) -> None:
+def require_detectable(A: np.ndarray, C: np.ndarray, i: int) -> None:
     """Refuse a mode that hides from C what does not decay."""
     value = unseen_pole(A, C)
     if value is not None:

@@ -1,0 +1,194 @@
+"""OutputModeFilter: how likely each mode is, and the state, from outputs alone.
+
+Derived in docs/theory/mode-filter.md. Signs, lags and pieces are those of `deadtime.plant`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import instance, real_array, require_shape
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.estimation.bank import BankForm
+from deadtime.estimation.filter_arguments import deviation, intensity, require_distinct_outputs
+from deadtime.estimation.mode_filter import ModeFilter
+from deadtime.estimation.observer import Observer, output_matrices
+from deadtime.estimation.observer_design import require_detectable
+from deadtime.estimation.running_filter import RunningOutputFilter
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import Markov, SemiMarkov
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class OutputModeFilter(Frozen):
+    """The belief over the modes of a plant, and its state, where y = C_σ x + noise is measured.
+
+    An interacting-multiple-model filter: a Kalman filter per mode, corrected by every output and
+    mixed at every sample as the switching model and the outputs say. It is an approximation, as
+    each mode keeps one normal density of x in place of one for every path of modes. With C = I it
+    is the filter for states that are measured with noise.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The filter's model of the plant; any delays. What a mode hides from C must decay.
+    model : Markov or SemiMarkov
+        How the mode switches.
+    step : float
+        Sampling period h, in seconds.
+    C : array_like, shape (p, n) or (modes, p, n), or Observer
+        What is measured. Of an `Observer` of this plant and period its C, and its gains in place
+        of Kalman's; a sample of which one output is missing then corrects nothing.
+    covariance : array_like
+        Of the first state about `estimate`, x²: a number for number·I, (n,) or (n, n).
+    disturbance : array_like
+        W of `imperfections.WhiteDisturbance(W)`: a number, (n,) or (n, n), x² per second.
+    noise : array_like
+        Standard deviation of `imperfections.Noise`, in units of y: a number or (p,).
+    estimate : array_like, shape (n,), optional
+        First estimate of the state; 0 by default.
+    switches, forgetting, initial, ages, allow_alike
+        As of `ModeFilter`.
+
+    Attributes
+    ----------
+    chain : ModeFilter
+        The same for states: its model, period, disturbance and options.
+
+    Raises
+    ------
+    ArgumentError
+        If two modes cannot be told apart by their outputs, a mode hides from C what does not
+        decay, or an argument is malformed.
+
+    References
+    ----------
+    Blom and Bar-Shalom, IEEE Trans. Automat. Control 33(8), 1988, for switches at samples and one
+    C; the rest is derived in docs/theory/mode-filter.md.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant, model = dt.problems.paper().plant, dt.Markov([[0.0, 2.0], [1.0, 0.0]])
+    >>> options = {"covariance": 1.0, "disturbance": 1e-4, "noise": 0.01}
+    >>> filt = dt.OutputModeFilter(plant, model, 0.02, [[1.0, 0.0]], **options)
+    >>> filt
+    OutputModeFilter(modes=2, states=2, outputs=1, step=0.02, switches='anywhere')
+    >>> running = filt.start()
+    >>> running.update([1.0]), running.estimate.round(3)
+    (array([0.5, 0.5]), array([1., 0.]))
+    """
+
+    chain: ModeFilter
+    C: Float[np.ndarray, "mode p n"]
+    gain: Float[np.ndarray, "mode n p"] | None
+    noise: Float[np.ndarray, " p"]
+    estimate: Float[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "n n"]
+
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        model: Markov | SemiMarkov,
+        step: float,
+        C: ArrayLike | Observer,
+        *,
+        covariance: ArrayLike,
+        disturbance: ArrayLike = 0.0,
+        noise: ArrayLike = 0.0,
+        estimate: ArrayLike | None = None,
+        switches: str = "anywhere",
+        forgetting: float = 1e-9,
+        initial: ArrayLike | None = None,
+        ages: int | None = None,
+        allow_alike: bool = False,
+    ) -> None:
+        chain = ModeFilter(
+            plant,
+            model,
+            step,
+            disturbance=disturbance,
+            switches=switches,
+            forgetting=forgetting,
+            initial=initial,
+            ages=ages,
+            allow_alike=True,
+        )
+        gain = None
+        if isinstance(C, Observer):
+            _require_same(C, chain)
+            C, gain = C.C, C.gain
+        C = output_matrices(C, plant)
+        for mode in range(plant.modes):
+            require_detectable(plant.A[mode], C[mode], mode)
+        if not allow_alike:
+            require_distinct_outputs(plant, C)
+        n = plant.states
+        first = real_array("estimate", np.zeros(n) if estimate is None else estimate, "(n,)", 1)
+        vars(self).update(
+            chain=chain,
+            C=C,
+            gain=gain,
+            noise=deviation(noise, C.shape[1], "p"),
+            estimate=require_shape("estimate", first, (n,), "(n,)"),
+            covariance=intensity(covariance, n, "covariance"),
+        )
+        self.__post_init__()
+
+    @property
+    def plant(self) -> SwitchedSystem:
+        """The filter's model of the plant."""
+        return self.chain.plant
+
+    @property
+    def step(self) -> float:
+        """Sampling period h, in seconds."""
+        return self.chain.step
+
+    @property
+    def longest_lag(self) -> int:
+        """N: no input older than u_{k−N} acts in period k of the model."""
+        return self.chain.longest_lag
+
+    def bank(self, ages: int = 1) -> BankForm:
+        """Its data for a bank, telling apart at least so many ages, as of `ModeFilter.belief`."""
+        belief = self.chain.belief(ages)
+        return BankForm(
+            belief, self.C, self.noise**2, self.gain, self.estimate, self.covariance
+        )
+
+    def start(self, u0: ArrayLike | None = None) -> RunningOutputFilter:
+        """The filter, ready to be called once a period.
+
+        Parameters
+        ----------
+        u0 : array_like, shape (m, N), optional
+            The inputs in flight at the first sample, oldest first, N = `longest_lag`; 0 by default.
+        """
+        return RunningOutputFilter(self.bank(), u0)
+
+    def __repr__(self) -> str:
+        return (
+            f"OutputModeFilter(modes={self.plant.modes}, states={self.plant.states}, "
+            f"outputs={self.C.shape[1]}, step={self.step:g}, switches={self.chain.switches!r})"
+        )
+
+
+def _require_same(observer: Observer, chain: ModeFilter) -> None:
+    """Refuse an observer of another plant or period."""
+    instance("C", observer, Observer)
+    mine, its = chain.plant, observer.plant
+    sizes = [(plant.modes, plant.states, plant.inputs) for plant in (mine, its)]
+    same = sizes[0] == sizes[1] and all(
+        (getattr(mine, name) == getattr(its, name)).all() for name in ("A", "B", "delays")
+    )
+    if not same or observer.step != chain.step:
+        raise ArgumentError(
+            f"C must be an observer of the filter's plant and step = {chain.step:g} s, got one of "
+            f"{its!r}, step = {observer.step:g} s: design it for these, or give its .C alone."
+        )
