@@ -76,8 +76,8 @@ def monte_carlo(
     any delay, a law whose model is not the plant.
 
     Laws that are tables run many scenarios at once, at a cost that does not depend on the delay
-    where their rows are factorised; so do those of what they remember (`OutputFeedback`). One by
-    one, by `simulate`, run: laws that are no table, all laws where the plant is disturbed and its
+    where their rows are factorised; so do those of what they remember (`OutputFeedback`) and those
+    that weigh rows by a belief (`BeliefPredictor`). One by one, by `simulate`, run: laws that are no table, all laws where the plant is disturbed and its
     delays differ between modes, or an imperfection is a function of the user's own, horizons
     of fewer than some 20 periods, plants beyond some 30 states (11 for a law that knows the signal)
     or a thousand times faster than the period; `attrs["one_by_one"]` names the laws. So do
@@ -255,6 +255,8 @@ def _table(
     step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
         return _with_memory(engine, loop, law, timed)
+    if isinstance(law, WithMemory) and not law.foresees:
+        return _with_belief(engine, loop, law)
     if not isinstance(law, TableLaw):
         return None
     if law.foresight(step, anything, samples) is not None:
@@ -283,6 +285,15 @@ def _with_memory(
     if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:
         return None
     table = engine.remember(tables.feedback, tables.memory, C)
+    return lambda signals: table
+
+
+def _with_belief(engine: Engine, loop: Loop, law: Law) -> Callable[[SignalBatch], Table] | None:
+    """The same of a law that weighs its rows by a belief."""
+    tables = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1)
+    if tables is None or tables.belief is None or tables.feedback is None:
+        return None
+    table = engine.believe(tables.feedback, tables.belief)
     return lambda signals: table
 
 
