@@ -1,5 +1,7 @@
 """Laws on a belief, in the batch engine: the runs of `simulate`."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -23,11 +25,11 @@ from shares import mostly_long
 MARKOV = plants.markov(3)
 SEMI = dt.SemiMarkov(stats.expon(loc=0.2, scale=0.3), modes=3)
 BELIEVED = plants.generic(0.3, seed=5)
-OWN = plants.generic([[0.3, 0.07], [0.21, 0.1], [0.3, 0.26]], seed=5)
+OWN = dt.SwitchedSystem(BELIEVED.A, BELIEVED.B, [[0.3, 0.07], [0.21, 0.1], [0.3, 0.26]])
 TRUTH = dt.SwitchedSystem(1.02 * BELIEVED.A, 0.97 * BELIEVED.B, 0.234)
 
 
-def believing(plant=BELIEVED, model=MARKOV, law=None, **options):
+def believing(plant=BELIEVED, model: Any = MARKOV, law=None, **options):
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model) if law is None else law
     filt = dt.ModeFilter(plant, model, H, **{"disturbance": 0.1, "noise": 0.05, **options})
     return dt.BeliefPredictor(law, filt)

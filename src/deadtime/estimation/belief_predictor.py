@@ -86,7 +86,8 @@ class BeliefPredictor(WithMemory, Law):
 
     @property
     def label(self) -> str:
-        return f"{self.law.label}, by belief"
+        label = self.law.label
+        return "belief" if label == "expected" else f"{label} by belief"
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

@@ -50,10 +50,7 @@ class Believed(NamedTuple):
 def believed_of(shape, belief, dense):
     """The memory at time 0; `dense` is None of factorised rows."""
     n, m = len(shape.x), len(shape.u)
-    if dense is None:
-        rows = len(shape.rows) // m
-    else:
-        rows = dense.head.size // len(shape.head)
+    rows = len(shape.rows) // m if dense is None else dense.head.size // len(shape.head)
     modes, ages = belief.start.shape
     now, length = np.empty((LANES, modes, ages)), belief.lag[0] + 1
     for lane in range(LANES):

@@ -364,8 +364,8 @@ def run_scenarios(
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
     it remembers, and `belief` what its rows are weighed by (`feedback.belief.Belief`). These may be
     None, and so may `clip`, `relayed` and `sight`, what the law hears (`layout.Hearing`), and
-    `force`, what the plant feels (`forces`). `path`, empty or for at most eight scenarios, gets x and u of every
-    sample from `keep` on.
+    `force`, what the plant feels (`forces`). `path`, empty or for at most eight scenarios, gets x
+    and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
