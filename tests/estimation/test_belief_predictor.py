@@ -118,7 +118,7 @@ def test_a_run_lays_its_belief_on_the_times_asked_for():
 def test_many_runs_are_single_runs():
     plant, model = plants.paper(), plants.markov(2)
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)
-    believing = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.1))
+    believing = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.1, disturbance=1e-4))
     signals = [model.sample(3.0, seed=seed) for seed in range(2)]
     data = dt.monte_carlo(plant, [believing], signals, [-1.0, 1.0], 3.0, 0.1, scenarios=2)
     for i, signal in enumerate(signals):

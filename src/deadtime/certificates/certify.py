@@ -35,6 +35,7 @@ from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.memory import WithMemory
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import GROWS, growth_rate
@@ -346,6 +347,12 @@ def _out_of_reach(
     plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float, tolerance: float
 ) -> str:
     """Why there can be no certificate, if so."""
+    if isinstance(law, WithMemory) and law.outputs is None:
+        return (
+            f"{type(law).__name__} weighs its rows by a belief, which no signal decides: there is "
+            "no table to certify. What can be proved is its .law, told the mode at once or, with "
+            "mode_lag, some periods late; falsify finds signals that even that does not survive."
+        )
     if not isinstance(law, TableLaw):
         kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
         return f"{type(law).__name__} is no table but {kind}: no certificate of this kind."

@@ -31,26 +31,29 @@ def advance_belief(form, state, before, x, told, row):
 @kernel
 def _predict(form, state, before, x, told, row):
     """What each mode makes of the period, and the size of its terms; whether that says anything."""
-    modes, n = form.Phi.shape[:2]
-    m = form.Gamma.shape[3]
+    # Taken out of their tuples first: in a loop, compiled code would count who holds them.
+    Phi, Gamma, lag = form.Phi, form.Gamma, form.lag
+    largest, predicted = state.size, state.predicted
+    modes, n = Phi.shape[:2]
+    m = Gamma.shape[3]
     finite, moving = True, False
     for a in range(n):
         finite &= math.isfinite(x[a]) and math.isfinite(before[a])
-        state.size[a] = abs(x[a])
+        largest[a] = abs(x[a])
     for i in range(modes):
         for a in range(n):
             total = size = 0.0
             for b in range(n):
-                term = form.Phi[i, a, b] * before[b]
+                term = Phi[i, a, b] * before[b]
                 total += term
                 size += abs(term)
-            for p in range(form.lag.size):
+            for p in range(lag.size):
                 for j in range(m):
-                    term = form.Gamma[i, p, a, j] * told[row - form.lag[p], j]
+                    term = Gamma[i, p, a, j] * told[row - lag[p], j]
                     total += term
                     size += abs(term)
-            state.predicted[i, a] = total
-            state.size[a] = max(state.size[a], size)
+            predicted[i, a] = total
+            largest[a] = max(largest[a], size)
             finite &= math.isfinite(size)
             moving |= size > 0.0
     return finite and moving
@@ -59,26 +62,27 @@ def _predict(form, state, before, x, told, row):
 @kernel
 def _weigh(form, state, x, i):
     """log p_ij of the periods that begin in mode i, up to a constant; whether they are finite."""
-    n = x.size
-    scale = root_of(form.noise[i], state.size, state.root)
+    n, root, white, apart = x.size, state.root, state.white, state.apart
+    predicted, density = state.predicted, state.density
+    scale = root_of(form.noise[i], state.size, root)
     for a in range(n):
-        state.white[a] = x[a] - state.predicted[i, a]
-    whiten(state.root, state.white)
+        white[a] = x[a] - predicted[i, a]
+    whiten(root, white)
     square = 0.0
     for a in range(n):
-        square += state.white[a] * state.white[a]
-    state.density[i, i] = -0.5 * square - scale
-    finite = math.isfinite(state.density[i, i])
-    for j in range(form.Phi.shape[0]):
+        square += white[a] * white[a]
+    density[i, i] = -0.5 * square - scale
+    finite = math.isfinite(density[i, i])
+    for j in range(predicted.shape[0]):
         if j == i:
             continue
-        state.density[i, j] = state.density[i, i]
+        density[i, j] = density[i, i]
         if form.within:
             for a in range(n):
-                state.apart[a] = state.predicted[j, a] - state.predicted[i, a]
-            whiten(state.root, state.apart)
-            state.density[i, j] = _between(state.white, state.apart) - scale
-        finite &= math.isfinite(state.density[i, j])
+                apart[a] = predicted[j, a] - predicted[i, a]
+            whiten(root, apart)
+            density[i, j] = _between(white, apart) - scale
+        finite &= math.isfinite(density[i, j])
     return finite
 
 
@@ -144,7 +148,7 @@ def move(form, state, seen):
 
     Of each pair of modes `state.mass` is then the probability before, `state.density` the factor.
     """
-    now, mass, hazard = state.now, state.mass, form.hazard
+    now, mass, hazard, jump, density = state.now, state.mass, form.hazard, form.jump, state.density
     modes, ages = now.shape
     for i in range(modes):
         leave = stay = 0.0
@@ -152,10 +156,10 @@ def move(form, state, seen):
             leave += hazard[i, a] * now[i, a]
             stay += (1.0 - hazard[i, a]) * now[i, a]
         for j in range(modes):
-            mass[i, j] = stay if i == j else leave * form.jump[i, j]
+            mass[i, j] = stay if i == j else leave * jump[i, j]
     _factors(state, seen)
     for i in range(modes):
-        factor, last = state.density[i, i], ages - 1
+        factor, last = density[i, i], ages - 1
         kept = (1.0 - hazard[i, last]) * now[i, last]
         for a in range(last, 0, -1):
             now[i, a] = (1.0 - hazard[i, a - 1]) * now[i, a - 1] * factor
@@ -165,7 +169,7 @@ def move(form, state, seen):
     for j in range(modes):
         for i in range(modes):
             if i != j:
-                now[j, 0] += mass[i, j] * state.density[i, j]
+                now[j, 0] += mass[i, j] * density[i, j]
         for a in range(ages):
             total += now[j, a]
     for j in range(modes):
@@ -177,20 +181,21 @@ def move(form, state, seen):
 @kernel
 def _factors(state, seen):
     """density = p over what makes the likeliest of all 1; 1 where nothing was seen."""
-    modes = state.mass.shape[0]
+    mass, density = state.mass, state.density
+    modes = mass.shape[0]
     top = -math.inf
     for i in range(modes):
         for j in range(modes):
-            if seen and state.mass[i, j] >= _LEAST:
-                top = max(top, state.density[i, j] + math.log(state.mass[i, j]))
+            if seen and mass[i, j] >= _LEAST:
+                top = max(top, density[i, j] + math.log(mass[i, j]))
     for i in range(modes):
         for j in range(modes):
             factor = 1.0
             if seen:
                 factor = 0.0
-                if state.mass[i, j] >= _LEAST:
-                    factor = math.exp(state.density[i, j] - top)
-            state.density[i, j] = factor
+                if mass[i, j] >= _LEAST:
+                    factor = math.exp(density[i, j] - top)
+            density[i, j] = factor
 
 
 @kernel

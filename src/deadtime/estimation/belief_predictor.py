@@ -92,8 +92,9 @@ class BeliefPredictor(WithMemory, Law):
 
     @property
     def label(self) -> str:
-        observed = "" if self.outputs is None else ", observed"
-        return f"{self.law.label}{observed}, by belief"
+        label = self.law.label
+        name = "belief" if label == "expected" else f"{label} by belief"
+        return name if self.outputs is None else f"{name}, observed"
 
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback, memory as memories
+from deadtime.feedback.belief import Belief
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
 from deadtime.scenarios.foreseen import Model
@@ -36,9 +37,10 @@ PERFECT = Hearing()
 
 
 class Table(NamedTuple):
-    """A law as `scenarios.kernel` takes it: one of three, its memory, and how many inputs it reads.
+    """A law as `scenarios.kernel` takes it: one of three, its memory or belief, its window.
 
-    `feedback` is what its rows are, where it has some.
+    `taps` is how many inputs it reads, and `feedback` what its rows are, where it has some and goes
+    by the modes that it is told.
     """
 
     shape: Shape
@@ -46,6 +48,7 @@ class Table(NamedTuple):
     dense: Dense | None
     model: Model | None
     memory: Memory | None
+    belief: Belief | None
     taps: int
     feedback: Feedback | None
 
@@ -75,11 +78,11 @@ class Engine:
         _, m, n = feedback.state_gain.shape
         if form is None:
             shape = self._shape._replace(head=_size(m * (n + m)))
-            return Table(shape, None, _dense(feedback), None, None, taps, feedback)
+            return Table(shape, None, _dense(feedback), None, None, None, taps, feedback)
         rows, _, q = form.out.shape
         block = _size(form.transition.shape[1])
         shape = self._shape._replace(b=_size(q), block=block, rows=_size(rows * m))
-        return Table(shape, _factored(feedback, form), None, None, None, taps, feedback)
+        return Table(shape, _factored(feedback, form), None, None, None, None, taps, feedback)
 
     def remember(
         self, feedback: Feedback, memory: memories.Memory, outputs: Float[np.ndarray, "mode p n"]
@@ -96,6 +99,10 @@ class Engine:
         shape = table.shape._replace(**{name: _size(size) for name, size in sizes.items()})
         taps = max(table.taps, int(form.lags.max()))
         return table._replace(shape=shape, memory=form, taps=taps)
+
+    def believe(self, feedback: Feedback, belief: Belief) -> Table:
+        """The rows of a law weighed by a belief."""
+        return self.table(feedback)._replace(belief=belief, feedback=None)
 
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
         """What a law that knows these signals does, of each of them."""
@@ -116,7 +123,7 @@ class Engine:
         shape = self._shape._replace(
             square=_size(n * n), entering=_size(entering), model=_size(n + entering)
         )
-        return Table(shape, None, None, model, None, ahead.loop.sampled.longest_lag, None)
+        return Table(shape, None, None, model, None, None, ahead.loop.sampled.longest_lag, None)
 
     def run(
         self,
@@ -163,7 +170,7 @@ class Engine:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
         loop = plant, self._run, self._clip, *hearing, force
-        return Figures(*run_scenarios(*table[:6], *loop, first, count, path, keep))
+        return Figures(*run_scenarios(*table[:7], *loop, first, count, path, keep))
 
 
 def _size(count: int) -> tuple[float, ...]:

@@ -41,6 +41,13 @@ from deadtime.numerics.lanes import (
     times,
     where_larger,
 )
+from deadtime.scenarios.believing import (
+    believe_again,
+    believed_of,
+    mean_dense_row,
+    mean_row,
+    remember_input,
+)
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
 from deadtime.scenarios.hearing import (
     add_noise,
@@ -166,8 +173,8 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
 def _run_eight(
-    shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force, start, count,
-    out, path, keep, first, taps,
+    shape, factored, dense, model, memory, belief, plant, run, clip, relayed, sight, force, start,
+    count, out, path, keep, first, taps,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
 
@@ -200,6 +207,9 @@ def _run_eight(
     if model is not None:
         ahead, enters = look_ahead(shape, model, start, count, period)
         r = model.length
+    if belief is not None:
+        mind = believed_of(shape, belief, dense)
+        nothing_lost = np.zeros(LANES)
     if relayed is not None:
         recent = recent_of(shape, relayed, sight)
         # Asked here, for what ends within a branch is counted by Numba in every period.
@@ -254,6 +264,12 @@ def _run_eight(
             sum_up_errors(shape, memory, kept, heard, k, clip is not None)
             z = remembered(shape, memory, kept, k)
         known = first_of(z, seen, seen, shape.known)
+        if belief is not None:
+            missing = nothing_lost
+            if relayed is not None:
+                missing = recent.lost
+            spread(mind.seen.reshape(-1), 0, n, seen)
+            believe_again(belief, mind, missing, k)
         if model is not None:
             if enters // LANES == k:
                 enters = turn(model, ahead, k, enters)
@@ -268,20 +284,26 @@ def _run_eight(
             sums = load(carry, r * sizes * LANES, shape.rows)
             sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
             sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
-            number = load(work.number, 0, _ONE)
-            if relayed is not None:  # noqa: SIM102
-                if by_told:
-                    number = load(recent.number, 0, _ONE)
-            u = choose(sums, number, shape.u)
+            if belief is not None:
+                u = mean_row(shape, mind, sums)
+            else:
+                number = load(work.number, 0, _ONE)
+                if relayed is not None:  # noqa: SIM102
+                    if by_told:
+                        number = load(recent.number, 0, _ONE)
+                u = choose(sums, number, shape.u)
         if dense is not None:
-            choose_rows(dense, work, window, k)
-            if relayed is not None:  # noqa: SIM102
-                if by_told:
-                    told_rows(recent, window.row)
-            sum_dense(shape, dense, window, place)
-            heads = gather(dense.head, window.head, shape.head)
-            sums = gather(window.sums, places, shape.u)
-            u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
+            if belief is not None:
+                u = mean_dense_row(shape, mind, dense, window, place, known, before)
+            else:
+                choose_rows(dense, work, window, k)
+                if relayed is not None:  # noqa: SIM102
+                    if by_told:
+                        told_rows(recent, window.row)
+                sum_dense(shape, dense, window, place)
+                heads = gather(dense.head, window.head, shape.head)
+                sums = gather(window.sums, places, shape.u)
+                u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
         if memory is not None:
             store(kept.asked, 0, u)
         elif relayed is not None:
@@ -290,6 +312,8 @@ def _run_eight(
         if clip is not None:
             u = _clip(shape, clip, u, before)
         store(ring, now * m * LANES, u)
+        if belief is not None:
+            remember_input(mind, u)
         if model is not None:  # noqa: SIM102
             if model.length > 0:
                 enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
@@ -332,23 +356,23 @@ def _run_eight(
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, memory, taps, plant, run, clip, relayed, sight, force, start,
-    count, path, keep,
+    shape, factored, dense, model, memory, belief, taps, plant, run, clip, relayed, sight, force,
+    start, count, path, keep,
 ):  # fmt: skip
     """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
 
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
-    it remembers. That may be None, and so may `clip`, and
-    `relayed` and `sight`, what the law hears (`layout.Hearing`), and `force`, what the plant feels
-    (`forces`), may be None. `path`, empty or for at most eight scenarios, gets x and u of every
-    sample from `keep` on.
+    it remembers, and `belief` what its rows are weighed by (`feedback.belief.Belief`). These may be
+    None, and so may `clip`, `relayed` and `sight`, what the law hears (`layout.Hearing`), and
+    `force`, what the plant feels (`forces`). `path`, empty or for at most eight scenarios, gets x
+    and u of every sample from `keep` on.
     """
     result = np.empty((FIGURES, count))
     out = np.empty((FIGURES + 2) * LANES)
     for at in range(0, count, LANES):
         few = min(LANES, count - at)
         _run_eight(
-            shape, factored, dense, model, memory, plant, run, clip, relayed, sight, force,
+            shape, factored, dense, model, memory, belief, plant, run, clip, relayed, sight, force,
             start + at, few, out, path, keep, at, taps,
         )  # fmt: skip
         for f in range(FIGURES):

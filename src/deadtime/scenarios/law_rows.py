@@ -17,7 +17,7 @@ _FOUR, _FIVE = (0.0,) * 4, (0.0,) * 5
 
 
 @kernel(eager=True, nogil=True)
-def _dot(a, i, b, j, length):
+def dot(a, i, b, j, length):
     """Σ a[i + k] b[j + k] over a length that is a multiple of 8."""
     sums = same(0.0, _FOUR)
     k = 0
@@ -97,4 +97,4 @@ def sum_dense(shape, dense, window, place):
         start = lane * width + (place + 1) * m
         for i in range(m):
             begin = (row * m + i) * dense.width
-            window.sums[lane * m + i] = _dot(dense.rest, begin, window.line, start, dense.width)
+            window.sums[lane * m + i] = dot(dense.rest, begin, window.line, start, dense.width)

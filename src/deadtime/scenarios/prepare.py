@@ -73,6 +73,8 @@ def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None
     step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
     if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
         return _with_memory(engine, loop, law, timed)
+    if isinstance(law, WithMemory) and not law.foresees:
+        return _with_belief(engine, loop, law)
     if not isinstance(law, TableLaw):
         return None
     if law.foresight(step, anything, samples) is not None:
@@ -98,3 +100,11 @@ def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> Table | N
     if (timed and (C[0] != C).any()) or wide**2 * 4 > _MOST_TERMS:
         return None
     return engine.remember(tables.feedback, tables.memory, C)
+
+
+def _with_belief(engine: Engine, loop: Loop, law: Law) -> Table | None:
+    """The same of a law that weighs its rows by a belief."""
+    tables = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1)
+    if tables is None or tables.belief is None or tables.feedback is None:
+        return None
+    return engine.believe(tables.feedback, tables.belief)

@@ -31,6 +31,8 @@ class Run(Protocol):
     def plant(self) -> SwitchedSystem: ...
     @property
     def record(self) -> Any: ...
+    @property
+    def belief(self) -> np.ndarray | None: ...
 
 
 def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
@@ -38,6 +40,16 @@ def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[s
     axes.step(time, mode, where="post", color=COLOURS[6], linewidth=1.0)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(-0.35, len(names) - 0.65)
+    axes.grid(False)
+
+
+def belief_strip(axes: Axes, time: np.ndarray, belief: np.ndarray, names: Sequence[str]) -> None:
+    """How likely each mode is from sample to sample, the darker the likelier."""
+    edges = np.arange(len(names) + 1) - 0.5
+    grey = {"cmap": "Greys", "vmin": 0.0, "vmax": 1.0, "rasterized": True}
+    axes.pcolormesh(time, edges, belief[:, : time.size - 1], **grey)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylabel("belief")
     axes.grid(False)
 
 
@@ -55,7 +67,7 @@ def plot_run(
     modes: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
 ) -> Figure:
-    """States, inputs and mode of a run over time."""
+    """States, inputs and mode of a run over time, and what it believed of the modes."""
     n, m = run.states.shape[0], run.inputs.shape[0]
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
     count = run.plant.modes
@@ -63,10 +75,13 @@ def plot_run(
     inputs = input_names(m) if inputs is None else inputs
     states, modes, inputs = (list(map(plain, names)) for names in (states, modes, inputs))
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 4.0))
-        upper, middle, lower = figure.subplots(
-            3, 1, sharex=True, height_ratios=(3.0, 2.2, 0.5 + 0.25 * count)
+        strip, belief = 0.5 + 0.25 * count, run.belief if run.time.size > 1 else None
+        heights = (3.0, 2.2, *([strip] if belief is None else [strip, strip]))
+        figure = Figure(figsize=(WIDTH, 4.0 if belief is None else 4.0 + 0.7 * strip))
+        upper, middle, *strips = figure.subplots(
+            len(heights), 1, sharex=True, height_ratios=heights
         )
+        lower = strips[-1]
         for i, name in enumerate(states):
             upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
         for i, name in enumerate(inputs):
@@ -77,6 +92,8 @@ def plot_run(
         middle.set_ylabel("input")
         # A run that ended at once still needs an axis.
         end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
+        if belief is not None:
+            belief_strip(strips[0], run.time, belief, modes)
         mode_strip(lower, *signal_steps(run.signal, end), modes)
         lower.set_xlabel("time (s)")
         lower.set_xlim(run.time[0], end)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -11,6 +12,7 @@ import numpy as np
 
 from deadtime.base.checks import positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.estimation import ModeFilter
 from deadtime.feedback import Law
 from deadtime.gains import lqr, place
 from deadtime.gains.checked import check_gains
@@ -20,6 +22,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.imperfections import build_imperfections
+from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.observer import add_observers
 from deadtime.problems.file.switching import build_model, build_rule, build_signal
 from deadtime.problems.law_registry import LAWS, Model, Setting, build_law
@@ -45,16 +48,20 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         if rule is not None:
             rule.require(plant)
     weight = _weight(file, plant)
-    laws = _laws(file, plant, gains, model, rule, weight)
+    run = file.run
     with _section("run"):
-        run = file.run
+        step = None if run.step == "ideal" else positive("step", run.step)
+    with _section("mode_filter"):
+        observed = file.observer is not None
+        mode_filter = build_mode_filter(file.mode_filter, plant, model, step, observed)
+    laws = _laws(file, plant, gains, model, rule, weight, mode_filter)
+    with _section("run"):
         x0 = require_shape("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
         u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
         if u0.size == 1:
             u0 = np.full(plant.inputs, u0[0])
         require_shape("u0", u0, (plant.inputs,), "(m,)")
         horizon = positive("horizon", run.horizon)
-        step = None if run.step == "ideal" else positive("step", run.step)
     with _section("observer"):
         laws = add_observers(laws, file.observer, step, as_numbers)
     with _section("truth"):
@@ -163,6 +170,7 @@ def _laws(
     model: Model | None,
     rule: Rule | None,
     weight: Weight | None,
+    mode_filter: Callable[[SwitchedSystem], ModeFilter] | None,
 ) -> dict[str, Law]:
     """The laws of the file by name, or all that apply if it lists none."""
     design = file.gains.lqr
@@ -176,6 +184,7 @@ def _laws(
         model=model,
         rule=rule,
         weight=weight,
+        mode_filter=mode_filter,
         allow_unstable=file.gains.allow_unstable,
     )
     laws: dict[str, Law] = {}

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 from pydantic import ConfigDict, Field, model_validator
 
 from deadtime.problems.file.imperfections import ImperfectionEntry
+from deadtime.problems.file.mode_filter import ModeFilterSection
 from deadtime.problems.file.observer import ObserverSection
 from deadtime.problems.law_registry import ENTRIES, LawSection
 from deadtime.problems.law_registry.entry import (
@@ -291,6 +292,9 @@ class ProblemFile(Section):
     )
     switching: Switching | None = Field(
         None, description="A stochastic model of the switching, for laws and signals that use one."
+    )
+    mode_filter: ModeFilterSection | None = Field(
+        None, description="How laws on a belief tell the modes, where nobody measures them."
     )
     observer: ObserverSection | None = Field(
         None, description="Run every law on what an observer makes of measured outputs."

@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.estimation import ModeFilter
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.switching import Markov, Rule, SemiMarkov
 
 Model = Markov | SemiMarkov
-Need = Literal["model", "rule", "signal"]
+Need = Literal["model", "rule", "signal", "mode_filter"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,9 @@ class Setting:
         By which the state decides the mode; None where a signal does.
     weight : Weight or None
         Of the cost, for laws that minimise it; None: the identity.
+    mode_filter : callable or None
+        What makes the filter of a law that believes in a plant, for laws that are not told the
+        mode.
     allow_unstable : bool
         Whether gains may leave a mode unstable.
     """
@@ -46,13 +50,14 @@ class Setting:
     model: Model | None = None
     rule: Rule | None = None
     weight: Weight | None = None
+    mode_filter: Callable[[SwitchedSystem], ModeFilter] | None = None
     allow_unstable: bool = False
 
     def has(self, need: Need) -> bool:
         """Whether something that a law may need is there."""
         if need == "signal":
             return self.rule is None
-        return (self.model if need == "model" else self.rule) is not None
+        return getattr(self, need) is not None
 
     def require(self, need: Need, kind: str) -> None:
         """Refuse a law of some kind that needs what is not there."""
@@ -63,6 +68,10 @@ class Setting:
 # What a law may need, and what a file is told that lacks it.
 NEEDS: Mapping[Need, str] = {
     "model": "kind = '{kind}' needs a [switching] section: a model to rely on.",
+    "mode_filter": (
+        'kind = "{kind}" needs a [mode_filter] section, by which it tells the modes: '
+        "disturbance and noise say what to expect of the states."
+    ),
     "rule": (
         'kind = "{kind}" needs a [signal] of kind "half-space", "polyhedra" or "quadratic": that '
         "is the rule it runs forward."

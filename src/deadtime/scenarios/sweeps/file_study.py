@@ -18,6 +18,7 @@ from deadtime.problems import Problem
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import as_numbers, build_problem
 from deadtime.problems.file.lenient import build_what_can
+from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.switching import build_model
 from deadtime.problems.law_registry import Model, Setting
 from deadtime.problems.toml import require_valid, section
@@ -126,6 +127,9 @@ class FileStudy(Study):
             period=max(problem.step or 0.0, plant.longest_delay / COARSE),
             model=model,
             weight=problem.weight or Weight(1.0, INPUT_WEIGHT),
+            mode_filter=build_mode_filter(
+                file.mode_filter, plant, model, problem.step, file.observer is not None
+            ),
         )
         laws, reasons = {}, {}
         kinds = kinds_of(plant.modes)
