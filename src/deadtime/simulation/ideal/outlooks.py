@@ -185,6 +185,31 @@ def _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place):
     kept.done[place, q] = 1
 
 
+@kernel
+def _close(branch, i, flying, r, S):
+    """A of system i, with the inputs that are not in flight in interval r under their feedback."""
+    m, n = branch.K.shape[1:]
+    for a in range(n):
+        for o in range(n):
+            S[a, o] = branch.A[i, a, o]
+            for j in range(m):
+                if flying[r, j] == 0:
+                    S[a, o] += branch.B[i, a, j] * branch.K[i, j, o]
+
+
+@kernel
+def _carry(rows, flows, q, moved):
+    """rows times flows[q], in place."""
+    n = moved.size
+    for k in range(rows.shape[0]):
+        for a in range(n):
+            moved[a] = 0.0
+            for o in range(n):
+                moved[a] += rows[k, o] * flows[q, o, a]
+        for a in range(n):
+            rows[k, a] = moved[a]
+
+
 @kernel(eager=True)
 def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, matrix, right):
     """Add a branch at node t of segment g, rows `row` on, to matrix u = right; whether it can.
@@ -208,12 +233,8 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
             place += 0 if into.flying[r, j] else bit
             bit *= 2
         place += first + i * bit
-        for a in range(n):
-            for o in range(n):
-                S[a, o] = branch.A[i, a, o]
-                for j in range(m):
-                    if into.flying[r, j] == 0:
-                        S[a, o] += branch.B[i, a, j] * branch.K[i, j, o]
+        _close(branch, i, into.flying, r, S)
+        passed = kept.passed[place]
         for j in range(m):
             if into.flying[r, j] == 0:
                 continue
@@ -244,16 +265,10 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                             line, g, q, begin, length, j, carried, flow, row, nodes, panel,
                             branch.B[i], u, use, matrix, right,
                         )  # fmt: skip
-                    for k in range(m):
-                        for a in range(n):
-                            moved[a] = 0.0
-                            for o in range(n):
-                                if whole:
-                                    moved[a] += carried[k, o] * kept.passed[place, q, o, a]
-                                else:
-                                    moved[a] += carried[k, o] * flow[panel.points.size, o, a]
-                        for a in range(n):
-                            carried[k, a] = moved[a]
+                    if whole:
+                        _carry(carried, passed, q, moved)
+                    else:
+                        _carry(carried, flow, panel.points.size, moved)
                 q -= 1
         # An input that is not read yet is in flight: R was carried over the interval with it.
         for k in range(m):
