@@ -191,22 +191,25 @@ def _follow_many(std, kept, fresh, numbers, draws):
     c starts at std times the first numbers of the first stretch.
     """
     stretches, runs, steps, width = draws.shape
-    q = std.size
-    c, more = np.empty(q), width - q
+    q, count = std.size, numbers.shape[2]
+    more = width - q
     given, filled = numbers.reshape(-1), draws.reshape(-1)
     for run in range(runs):
         for j in range(q):
-            c[j] = std[j] * numbers[0, run, j]
-        for k in range(steps):
-            for s in range(stretches):
-                at = (s * runs + run) * numbers.shape[2] + q + k * more
-                to = ((s * runs + run) * steps + k) * width
-                for j in range(q):
-                    filled[to + j] = c[j]
-                    c[j] = kept[s, j] * c[j] + fresh[s, j] * given[at + j]
-                    filled[to + q + j] = c[j]
-                for i in range(q, more):
-                    filled[to + q + i] = given[at + i]
+            c = std[j] * given[run * count + j]
+            for k in range(steps):
+                for s in range(stretches):
+                    at = (s * runs + run) * count + q + k * more + j
+                    to = ((s * runs + run) * steps + k) * width + j
+                    filled[to] = c
+                    c = kept[s, j] * c + fresh[s, j] * given[at]
+                    filled[to + q] = c
+        for s in range(stretches):
+            at, to = (s * runs + run) * count + 2 * q, (s * runs + run) * steps * width + 2 * q
+            for _ in range(steps):
+                for i in range(more - q):
+                    filled[to + i] = given[at + i]
+                at, to = at + more, to + width
 
 
 def _follow_one(

@@ -167,5 +167,7 @@ def forces_of(
         few = min(_FEW, count - begin)
         for each, T in zip(kinds, along, strict=True):
             draws = each.draws(begin, few, sizes, lengths, run)
-            lay_forces(laid, begin, few, draws, T, *records[:2], records.map, samples)
+            states, numbers = ((0.0,) * size for size in T.shape[2:])
+            given = *records[:2], records.map, samples, states, numbers
+            lay_forces(laid, begin, few, draws, T, *given)
     return laid

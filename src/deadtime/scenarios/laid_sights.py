@@ -72,28 +72,34 @@ def lay_places(
     """
     samples, parts, noted = heard.shape[1], edges.size - 1, 0
     step_of, map_of = records.step, records.map
+    cell_of = np.empty(parts)
+    for part in range(parts):
+        cell_of[part] = (edges[part + 1] - edges[part]) / cells
     for f in range(few + -few % LANES):
         s = min(f, few - 1)
-        which, told = min(s, offset.shape[0] - 1), min(s, heard.shape[0] - 1)
+        times, told = offset[min(s, offset.shape[0] - 1)], heard[min(s, heard.shape[0] - 1)]
         first, last = records.first[begin + s], records.first[begin + s + 1] - 1
         at = (begin + f) // LANES * samples * LANES + f % LANES
+        group = (begin + f) // LANES * samples
         r, known, time, now_row, part = first, -1, -1.0, 0, 0
+        e, since, until = map_of[r], np.int64(step_of[r]), _until(step_of, r, last)
         for k in range(samples):
             late, delta, before = lag[at], 0.0, now_row
             if late >= 0:
-                t, now = offset[which, heard[told, k]], k - late
-                while r < last and step_of[r + 1] <= now:
-                    r += 1
-                while step_of[r] > now:
-                    r -= 1
-                e = map_of[r]
+                t, now = times[told[k]], k - late
+                if now >= until or now < since:
+                    while r < last and step_of[r + 1] <= now:
+                        r += 1
+                    while step_of[r] > now:
+                        r -= 1
+                    e, since, until = map_of[r], np.int64(step_of[r]), _until(step_of, r, last)
                 if e < modes:
                     part = 0
                     while part + 1 < parts and t >= edges[part + 1]:
                         part += 1
-                    cell = (edges[part + 1] - edges[part]) / cells
-                    c = min(np.int64((t - edges[part]) / cell), cells - 1)
-                    delta = 2.0 * ((t - edges[part]) / cell - c) - 1.0
+                    place_in = (t - edges[part]) / cell_of[part]
+                    c = min(np.int64(place_in), cells - 1)
+                    delta = 2.0 * (place_in - c) - 1.0
                     now_row = (e * parts + part) * cells + c
                 elif e != known or t != time:
                     cut[noted], when[noted], now_row = e - modes, t, count + noted
@@ -101,9 +107,15 @@ def lay_places(
                 known, time = e, t
             row[at], place[at] = now_row, delta
             if k == 0 or now_row != before:
-                news[at // LANES] = True
+                news[group + k] = True
             at += LANES
     return noted
+
+
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
+def _until(step, r, last):
+    """The period with which the record after r begins, or one that no run reaches."""
+    return np.int64(step[r + 1]) if r < last else np.int64(2**62)
 
 
 @kernel(eager=True, nogil=True)

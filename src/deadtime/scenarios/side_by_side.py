@@ -54,14 +54,16 @@ def lay_numbers(numbers, begin, laid):
 
 
 @kernel(eager=True, nogil=True)
-def lay_forces(laid, begin, few, draws, maps, first, step, which, samples):
+def lay_forces(laid, begin, few, draws, maps, first, step, which, samples, states, numbers):
     """Add to `laid`, from scenario `begin` on, what a disturbance's draws make for `few` of them.
 
     draws : (stretch, few or 1, sample, r);  maps : (map, stretch, n, r)
     first, step, which : of `Records`, `which` being its `map`
+    states, numbers : n and r as the lengths of tuples, so that sums over them are unrolled
     """
-    stretches, runs, _, r = draws.shape
-    n = maps.shape[2]
+    stretches, runs, periods, _ = draws.shape
+    n, r = len(states), len(numbers)
+    drawn, flat = draws.reshape(-1), maps.reshape(-1)
     for f in range(few + -few % LANES):
         run = min(f, few - 1, runs - 1)
         at = (begin + f) // LANES * samples * stretches * n * LANES + f % LANES
@@ -69,14 +71,16 @@ def lay_forces(laid, begin, few, draws, maps, first, step, which, samples):
         for k in range(samples):
             while record < last and step[record + 1] <= k:
                 record += 1
-            e = which[record]
+            entry = which[record] * stretches * n * r
             for s in range(stretches):
+                of = ((s * runs + run) * periods + k) * r
                 for i in range(n):
-                    total = laid[at]
+                    total = laid[at + i * LANES]
                     for j in range(r):
-                        total += maps[e, s, i, j] * draws[s, run, k, j]
-                    laid[at] = total
-                    at += LANES
+                        total += flat[entry + i * r + j] * drawn[of + j]
+                    laid[at + i * LANES] = total
+                entry += n * r
+                at += n * LANES
 
 
 @kernel(eager=True, nogil=True)
