@@ -249,6 +249,32 @@ def test_what_is_compiled_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
         assert run(code, tmp_path / "cache", **path) == ["3.0"]
 
 
+def kept_amid(kind, folder):
+    """What is found of two things, the second kept by another while the first is."""
+    folder.mkdir()
+    first, second = (kind(str(folder), "total", ("stamp",)) for _ in range(2))
+    load_index = first._load_index
+
+    def interrupted():
+        found, first._load_index = load_index(), load_index
+        second.save("b", 2)
+        return found
+
+    first._load_index = interrupted
+    first.save("a", 1)
+    return [kind(str(folder), "total", ("stamp",)).load(key) for key in "ab"]
+
+
+def test_two_processes_that_compile_one_kernel_lose_nothing(tmp_path):
+    from numba.core.caching import IndexDataCacheFile
+
+    from deadtime.numerics.compiling import _CacheFile
+
+    assert kept_amid(_CacheFile, tmp_path / "own") == [1, 2]
+    assert kept_amid(IndexDataCacheFile, tmp_path / "numba") == [1, None]
+    assert _CacheFile(str(tmp_path / "own"), "total", ("later",)).load("a") is None
+
+
 def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.numerics.compiling import _stamp
     from deadtime.scenarios.laid import fill_maps

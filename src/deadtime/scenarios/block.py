@@ -66,9 +66,11 @@ class Block:
         Where `stopped` says so in between, the block is left and counts as not done.
         """
         signals = self.source.batch(first, count)
-        along = self.engine.along
-        laid, tables = None, {name: along(law, signals) for name, law in self.tables.items()}
-        if tables:
+        laid, later, along = None, self.helper.laws, self.engine.along
+        tables = {
+            name: along(law, signals) for name, law in self.tables.items() if name not in later
+        }
+        if self.tables:
             loops = [self.loop, *([] if self.weighed is None else self.weighed[:1])]
             laid = [loop.lay(signals) for loop in loops]
         heard = force = None
@@ -87,9 +89,12 @@ class Block:
                 for size in {table.measured for table in tables.values()}
             }
         rows = list(enumerate(self.laws.items()))
-        for row, (name, law) in sorted(rows, key=lambda one: one[1][0] in self.helper.laws):
-            if name in self.helper.laws:
+        for row, (name, law) in sorted(rows, key=lambda one: one[1][0] in later):
+            if name in later:
                 self.helper.wait(stopped)
+                if stopped():
+                    return 0
+                tables[name] = along(self.tables[name], signals)
             left: Sequence[int] = range(count)
             if laid is not None and name in tables:
                 left = self._at_once(row, tables[name], laid, heard, force, first, stopped)

@@ -170,4 +170,4 @@ class Loop:
         few = np.zeros(0, np.int32)
         cuts = few, few, np.zeros(0, np.bool_), np.zeros(0)
         records = Records(np.zeros(1, np.int64), few, few, few, *cuts)
-        return Laid(records, np.zeros((0, self.tables.width)), np.zeros(0, np.int64))
+        return Laid(records, np.zeros((self.plant.modes, self.tables.width)), np.zeros(0, np.int64))

@@ -5,7 +5,9 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Int
 
+from deadtime.base.checks import read_only
 from deadtime.feedback import Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.plant import SampledPlant
@@ -45,9 +47,15 @@ class ModelAhead:
         assert self._law.foreseen is not None
         return self._lay(SignalBatch.of([self._law.foreseen]))
 
+    def lay_nothing(self) -> Model:
+        """The model along no signals, which compiles what `lay` needs but for the laying itself."""
+        return self._model(self.loop.lay_nothing(), read_only(np.zeros(0, np.int64)))
+
     def _lay(self, signals: SignalBatch) -> Model:
-        loop, laid = self.loop, self.loop.lay(signals)
-        records, tables = laid.records, loop.tables
+        return self._model(self.loop.lay(signals), signals.modes)
+
+    def _model(self, laid: Laid, sampled: Int[np.ndarray, " sojourn"]) -> Model:
+        loop, records, tables = self.loop, laid.records, self.loop.tables
         assert tables is not None
         modes = len(self._own_tails)
         tails = np.empty((laid.maps.shape[0], self._own_tails.shape[1]))
@@ -57,22 +65,15 @@ class ModelAhead:
             self._foresight.gains,
             self._foresight.latest,
             records,
-            signals.modes,
+            sampled,
             self._rest,
             loop.step,
             loop.acting,
             tables.pieces,
             (0.0,) * (tables.pieces.shape[-1] // WIDE),
         )
-        return self._model(laid, tails)
-
-    def lay_nothing(self) -> Model:
-        """The model along no signals, without a compiler."""
-        return self._model(self.loop.lay_nothing(), np.zeros((0, self._own_tails.shape[1])))
-
-    def _model(self, laid: Laid, tails: np.ndarray) -> Model:
-        (first, step, _, which), lags = laid.records[:4], self.loop.acting.lags
-        return Model(self._length, lags, laid.maps, first, step, which, tails)
+        first, step, which = records.first, records.step, records.map
+        return Model(self._length, loop.acting.lags, laid.maps, first, step, which, tails)
 
     def _ask(self, signal: SwitchingSignal) -> Foresight:
         found = self._law.foresight(self._step, signal, self._samples)
