@@ -130,9 +130,9 @@ class Controller(RunningLaw):
 
         Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
         outputs u and the status. Of a `BeliefPredictor` no mode comes in, and the belief goes out,
-        the probability of every mode. Samples fall on the start and every period after it; a sample at
-        the beginning of a step is taken in that step, with the inputs that hold there. The FMU has
-        sources and, where there is a compiler, a binary for this machine.
+        the probability of every mode. Samples fall on the start and every period after it; a sample
+        at the beginning of a step is taken in that step, with the inputs that hold there. The FMU
+        has sources and, where there is a compiler, a binary for this machine.
 
         Parameters
         ----------
