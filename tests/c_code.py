@@ -38,9 +38,9 @@ void drive(NAME_controller *c, int count, const double *x, const int *mode, cons
 class Library:
     """A controller in C; every instance has a state of its own."""
 
-    def __init__(self, folder, plant, name="controller", options=("-O1",)):
+    def __init__(self, folder, plant, name="controller", options=("-O1",), more=""):
         source = folder / "drive.c"
-        text = _DRIVER.replace("NAME", name).replace("BIG", name.upper())
+        text = (_DRIVER + more).replace("NAME", name).replace("BIG", name.upper())
         source.write_text(text, encoding="utf-8")
         target = folder / "library.so"
         files = [str(folder / f"{name}.c"), str(source)]

@@ -11,6 +11,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from believing_laws import LAWS, STEP, record
 from c_code import needs_compiler
 from deadtime.controller.export import Names, export_plant_fmu
 from deadtime.controller.export.compiler import compiler
@@ -339,3 +340,25 @@ def test_a_plant_whose_input_changes_too_often_names_the_argument(tmp_path):
     export_plant_fmu(plants.scalar([-0.7], delay=1.0), path, changes=4, version="2.0")
     with zipfile.ZipFile(path) as archive:
         assert b"with more `changes`" in archive.read("sources/model.c")
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_law_on_a_belief_reads_no_mode_and_tells_how_likely_each_is(tmp_path, version):
+    law = LAWS["ages"]()
+    exported = dt.Controller(law, STEP).export_fmu(tmp_path / "law.fmu", version=version)
+    assert "binaries/" in str(exported)
+    assert validate_fmu(str(exported.path)) == []
+    slave = Slave(exported.path, tmp_path / "law")
+    assert not {"mode", "mode_age"} & set(slave.variables)
+    assert slave.get("belief", 3) == pytest.approx([1 / 3] * 3, abs=1e-15)
+    controller = dt.Controller(law, STEP)
+    for k, x in enumerate(record(law, 3.0).measured.T):
+        slave.set(x=x.tolist())
+        slave.step(k * STEP, STEP)
+        u = controller.update(x)
+        np.testing.assert_allclose(slave.get("u", 2), u, rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(slave.get("belief", 3), controller.belief, atol=1e-11)
+        assert slave.get("status") == 0
+    assert controller.belief.max() < 1.0
+    assert slave.variables["belief[2]"].description == "probability of mode 1"
+    slave.close()

@@ -25,7 +25,7 @@ class Controller(RunningLaw):
     ----------
     law : Law
         A law that is a table, and not one that must know the future; or an `OutputFeedback` of
-        such a law, at its observer's period.
+        such a law, at its observer's period, or a `BeliefPredictor`, at its filter's.
     step : float
         Sampling period h, in seconds.
     limits : (low, high), optional
@@ -45,6 +45,8 @@ class Controller(RunningLaw):
         How many periods went by without a call, as the times of the calls tell.
     samples : int
         How many periods have run, those without a call included.
+    belief : (modes,) array or None
+        How likely each mode is at the last sample, of a `BeliefPredictor`.
 
     Raises
     ------
@@ -85,7 +87,7 @@ class Controller(RunningLaw):
             Made if it is not there. Files of the same names are replaced if deadtime wrote
             them; one that lacks "Written by deadtime" is refused.
         precision : "double" or "float"
-            Of all numbers but times.
+            Of all numbers but times; of a `BeliefPredictor` "double" alone.
         accuracy : float
             What a dense table may lose to take less room, of the sum of the moduli of a row's taps;
             1e-13 by default, 1e-7 in `float`; 0 loses nothing.
@@ -127,9 +129,10 @@ class Controller(RunningLaw):
         """Write this controller as an FMU for co-simulation, around the C of `export_c`.
 
         Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
-        outputs u and the status. Samples fall on the start and every period after it; a sample at
-        the beginning of a step is taken in that step, with the inputs that hold there. The FMU has
-        sources and, where there is a compiler, a binary for this machine.
+        outputs u and the status. Of a `BeliefPredictor` no mode comes in, and the belief goes out,
+        the probability of every mode. Samples fall on the start and every period after it; a sample
+        at the beginning of a step is taken in that step, with the inputs that hold there. The FMU
+        has sources and, where there is a compiler, a binary for this machine.
 
         Parameters
         ----------

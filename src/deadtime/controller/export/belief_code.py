@@ -1,7 +1,7 @@
 """The mode filter of a controller in C: its tables, its room and its bounds.
 
-The C does what `estimation/belief_kernel.py` does in the same order, so that both agree to the round-off
-of exp, log and the square root, of which it has its own.
+The C does what `estimation/belief_kernel.py` does in the same order, so that both agree to the
+round-off of exp, log and the square root, of which it has its own.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Calls for a controller with a mode filter: states that a plant of its model could have.
 
-Of states drawn at random no mode could be told: evidence must be of the plant. So x follows the model in
-a mode that lasts for a while, with noise, under the inputs that the controller or `applied` gives; before
-it is put elsewhere it is missing for a call, so that nobody takes the jump for a motion.
+Of states drawn at random no mode could be told: evidence must be of the plant. So x follows the
+model in a mode that lasts for a while, with noise, under the inputs that the controller or
+`applied` gives; before it is put elsewhere it is missing for a call, so that nobody takes the jump
+for a motion.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     rng = np.random.default_rng(0)
     motion, time, modes = _Motion(run, rng, amplitude), 0.0, _modes(run, rng)
     half, m = len(modes) // 2, run.law.plant.inputs
-    for k, mode in enumerate(modes):
+    for k, mode in enumerate(modes.tolist()):
         clocked = k > half  # jitter, periods without a call, calls out of order
         missed, early = (1 + k % 5) * (clocked and k % 29 == 7), clocked and k % 47 == 5
         applied = rng.normal(size=m) * amplitude if k % 3 == 0 else None

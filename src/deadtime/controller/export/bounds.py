@@ -18,9 +18,7 @@ def largest(precision: Precision) -> float:
     return _LARGEST[precision]
 
 
-def bounds(
-    table: Feedback, form: Form, precision: Precision, rows: int = 1
-) -> dict[str, float]:
+def bounds(table: Feedback, form: Form, precision: Precision, rows: int = 1) -> dict[str, float]:
     """Of every number that comes in or goes out, and of the sums over past inputs.
 
     `rows` is how many rows of the table are added up.

@@ -101,7 +101,6 @@ def export_c(
             raise unwritable("folder", folder, error) from None
         check = self_check(place, name)
     check = check._replace(message=check.message.replace(str(place), str(folder)))
-    table = controller.table
     return Exported(
         folder,
         tuple(texts),
@@ -129,11 +128,11 @@ def c_sources(
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
-    # Of a belief's tables nothing can be spared: what is left of the budget is the law's.
-    if budget is not None and controller.believing:
-        budget = budget - belief_code.rom_bytes(controller.believing.form)
-    form = form_of(controller.table, accuracy, precision, budget)
-    require_budget(controller.table, form, precision, budget)
+    # Of a filter's tables nothing can be spared: what they leave of the budget is the law's.
+    beside = 0 if controller.believing is None else belief_code.rom_bytes(controller.believing.form)
+    left = None if budget is None else budget - beside
+    form = form_of(controller.table, accuracy, precision, left)
+    require_budget(controller.table, form, precision, budget, beside)
     made = vectors(controller)
     values = (
         _values(controller, form, precision, name)

@@ -41,6 +41,7 @@ def export_fmu(
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
     values = {
         "p": name,
+        "belief": controller.believing is not None,
         "begun": initializer(past, "double"),
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
@@ -51,7 +52,7 @@ def export_fmu(
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
-    variables = controller_variables(plant, names, past)
+    variables = controller_variables(plant, names, past, controller.believing is not None)
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
     )

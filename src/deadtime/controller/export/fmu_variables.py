@@ -13,18 +13,30 @@ from deadtime.plant import SwitchedSystem
 _TIME = Variable("time", "Real", "independent", "time, s")
 
 
-def controller_variables(plant: SwitchedSystem, names: Names, past: np.ndarray) -> list[Variable]:
-    """What a controller of a plant reads and writes; `past` (m,) is the input before the start."""
+def controller_variables(
+    plant: SwitchedSystem, names: Names, past: np.ndarray, belief: bool = False
+) -> list[Variable]:
+    """What a controller of a plant reads and writes; `past` (m,) is the input before the start.
+
+    With a `belief` it is not told the mode: it tells how likely each mode is.
+    """
     n, m = plant.states, plant.inputs
+    status = Variable(
+        "status", "Integer", "output", "what became of the last sample, 0: all is well"
+    )
+    told = [
+        _mode("mode at the sample, from 0", names),
+        status,
+        Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
+    ]
     return [
         _TIME,
         *_read("x", _each("state at the sample", names.state, n)),
         *_read("applied", _each("what the actuator had", names.input, m)),
         *_written("u", _each("input, held", names.input, m)),
         *_at_start("u", "input before the start", past),
-        _mode("mode at the sample, from 0", names),
-        Variable("status", "Integer", "output", "what became of the last sample, 0: all is well"),
-        Variable("mode_age", "Integer", "parameter", "age of the first mode, samples", 0),
+        *(_believed(names, plant.modes) if belief else []),
+        *([status] if belief else told),
         Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
     ]
 
@@ -51,6 +63,14 @@ def _written(symbol: str, texts: Iterable[str]) -> list[Variable]:
     return [
         Variable(f"{symbol}[{i}]", "Real", "output", text, follows=f"{symbol}0[{i}]")
         for i, text in enumerate(texts, 1)
+    ]
+
+
+def _believed(names: Names, modes: int) -> list[Variable]:
+    called = names.modes or [str(i) for i in range(modes)]
+    return [
+        Variable(f"belief[{i}]", "Real", "output", f"probability of mode {one}")
+        for i, one in enumerate(called, 1)
     ]
 
 

@@ -153,32 +153,38 @@ def ram_bytes(table: Feedback, form: Form, precision: Precision) -> int:
     return BYTES[precision] * (form.state + table.input_gain.shape[2]) + _COUNTERS
 
 
-def require_budget(table: Feedback, form: Form, precision: Precision, budget: int | None) -> None:
-    """Refuse tables beyond the budget, and say what would fit it."""
-    needed = rom_bytes(table, form, precision)
+def require_budget(
+    table: Feedback, form: Form, precision: Precision, budget: int | None, beside: int = 0
+) -> None:
+    """Refuse tables beyond the budget, and say what would fit it.
+
+    `beside` are the bytes of a mode filter, which are there in any form, and in double precision.
+    """
+    needed = rom_bytes(table, form, precision) + beside
     if budget is None or needed <= budget:
         return
-    fits = []
-    if precision == "double" and rom_bytes(table, form, "float") <= budget:
+    fits, room = [], budget - beside
+    if precision == "double" and not beside and rom_bytes(table, form, "float") <= room:
         fits.append(f'precision="float" ({rom_bytes(table, form, "float")} bytes)')
     if form.kind != "factorised":
         kept = [
             one
             for one in low_ranks(table)
-            if rom_bytes(table, one, precision) <= budget and one.error <= _MOST_ERROR
+            if rom_bytes(table, one, precision) <= room and one.error <= _MOST_ERROR
         ]
         if kept:
             best = min(kept, key=lambda one: one.error)
             fits.append(
                 f"accuracy={_round_up(best.error):.0e} (rank {best.sizes['rank']}, "
-                f"{rom_bytes(table, best, precision)} bytes)"
+                f"{rom_bytes(table, best, precision) + beside} bytes)"
             )
-        taps = _fewer_taps(table, precision, budget)
+        taps = _fewer_taps(table, precision, room)
         if taps:
             fits.append(f"{taps} past inputs, a period of {_period(table, taps)} s")
     raise ArgumentError(
         f"rom_budget = {budget} bytes is too small: the tables take {needed} ({form.kind}, "
-        f"{table.taps} past inputs, {len(table.state_gain)} rows); "
+        f"{table.taps} past inputs, {len(table.state_gain)} rows"
+        + (f"; {beside} of them the mode filter); " if beside else "); ")
         + (f"what fits: {', or '.join(fits)}." if fits else "nothing of this law fits.")
     )
 

@@ -42,8 +42,8 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
     if controller.believing is not None:
         if precision == "float":
             raise ArgumentError(
-                f"precision must be 'double' of {type(controller.law).__name__}: its filter tells modes "
-                "apart by small differences of states, which single precision rounds away."
+                f"precision must be 'double' of {type(controller.law).__name__}: its filter tells "
+                "modes apart by small differences of states, which single precision rounds away."
             )
         require_bounded(controller.believing.form)
 
