@@ -1,4 +1,4 @@
-"""Laws on a belief from outputs: the law's definition, that no mode is read, observers, refusals."""
+"""Laws on a belief from outputs: their definition, that no mode is read, observers, refusals."""
 
 import numpy as np
 import pytest
