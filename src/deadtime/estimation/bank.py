@@ -117,7 +117,8 @@ class Bank:
         """log p(y), x̂ and P after y, of normal densities whose last axis of many is the mode.
 
         One output after the other, those that are missing left out. Beside its noise each has the
-        round-off of its prediction, so that nothing is divided by 0.
+        round-off of its prediction, so that nothing is divided by 0; and of a variance 1e-14 is
+        left, as no less is told from round-off.
         """
         from deadtime.estimation.belief_kernel import ROUND_OFF, SPENT
 
@@ -126,14 +127,15 @@ class Bank:
         for a in np.flatnonzero(np.isfinite(y)):
             c, r = C[:, a], self.form.variance[a] + (ROUND_OFF * size[a]) ** 2
             toward = np.einsum("...ab,...b->...a", P, c)
-            least = SPENT * np.einsum("...ab,...a,...b->...", before[1], c, c)
-            s = np.maximum((toward * c).sum(axis=-1), least) + r
+            s = (toward * c).sum(axis=-1) + r
             if (s <= 0.0).any():
                 continue  # nothing moves: 0 is what every mode expects
             gain, wrong = toward / s[..., None], y[a] - (x * c).sum(axis=-1)
             log -= 0.5 * (wrong * wrong / s + np.log(s))
             x = x + gain * wrong[..., None]
+            left = SPENT * np.diagonal(P, axis1=-2, axis2=-1)
             P = _after(P, gain[..., None], c[..., None, :], np.array([r]))
+            P = P + left[..., None] * np.eye(len(c[0]))
         if self.form.gain is not None:
             x, P = self._observe(*before, y)
         return log, x, P

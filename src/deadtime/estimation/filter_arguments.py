@@ -86,9 +86,7 @@ def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
 
 
-def intensity(
-    value: ArrayLike, n: int, name: str = "disturbance"
-) -> Float[np.ndarray, "n n"]:
+def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.ndarray, "n n"]:
     """W, or a covariance, as a matrix."""
     given = as_floats(name, value, "one, (n,) or (n, n)")
     if given.ndim < 2:

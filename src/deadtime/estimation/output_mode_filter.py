@@ -158,9 +158,7 @@ class OutputModeFilter(Frozen):
     def bank(self, ages: int = 1) -> BankForm:
         """Its data for a bank, telling apart at least so many ages, as of `ModeFilter.belief`."""
         belief = self.chain.belief(ages)
-        return BankForm(
-            belief, self.C, self.noise**2, self.gain, self.estimate, self.covariance
-        )
+        return BankForm(belief, self.C, self.noise**2, self.gain, self.estimate, self.covariance)
 
     def start(self, u0: ArrayLike | None = None) -> RunningOutputFilter:
         """The filter, ready to be called once a period.
