@@ -92,7 +92,7 @@ def test_an_entry_that_is_whole_is_taken():
         ({"law": None}, r"lacks law\(self, setting\): define it"),
         ({"names": None}, "lacks names: give names"),
         ({"names": ()}, "lacks names: give names"),
-        ({"needs": ("luck",)}, "needs 'luck': it must be one of model, rule, signal, mode_filter"),
+        ({"needs": ("luck",)}, "needs 'luck': it must be one of model, mode_filter, rule, signal"),
         ({"names": names({"name": "z"}, {"name": "z"})}, "has a name twice"),
         (
             {"names": names({"name": "z", "knows": "all"})},
