@@ -28,12 +28,14 @@ from deadtime.scenarios.sweeps.laws import DEFAULT, KINDS
 
 PAPER = dt.problems.paper()
 GAIN = dt.place(PAPER.plant.mean(), [-1.0, -2.0])[0]
+MODEL = dt.Markov([[0.0, 1.0], [2.0, 0.0]])
 SETTING = Setting(
     plant=PAPER.plant,
     gains=PAPER.gains,
     mean_gain=lambda _: GAIN,
     period=0.05,
-    model=dt.Markov([[0.0, 1.0], [2.0, 0.0]]),
+    model=MODEL,
+    mode_filter=lambda plant: dt.ModeFilter(plant, MODEL, 0.05),
 )
 
 
@@ -90,7 +92,7 @@ def test_an_entry_that_is_whole_is_taken():
         ({"law": None}, r"lacks law\(self, setting\): define it"),
         ({"names": None}, "lacks names: give names"),
         ({"names": ()}, "lacks names: give names"),
-        ({"needs": ("luck",)}, "needs 'luck': it must be one of model, rule, signal"),
+        ({"needs": ("luck",)}, "needs 'luck': it must be one of model, mode_filter, rule, signal"),
         ({"names": names({"name": "z"}, {"name": "z"})}, "has a name twice"),
         (
             {"names": names({"name": "z", "knows": "all"})},
@@ -167,7 +169,7 @@ def test_laws_of_files_studies_and_pages_come_in_their_order():
     assert list(DEFAULT) == ["averaged", "mean", *aware, "expected", "oracle"]
     minimax = ["averaged, minimax", "averaged, one-gain minimax"]
     start = ["averaged", "mean", "delay ignored", *minimax]
-    assert list(KINDS) == [*start, *aware, "expected", "optimal", "oracle"]
+    assert list(KINDS) == [*start, *aware, "expected", "optimal", "belief", "oracle"]
 
 
 def test_laws_in_sentences():

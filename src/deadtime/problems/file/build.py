@@ -48,20 +48,16 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         if rule is not None:
             rule.require(plant)
     weight = _weight(file, plant)
-    run = file.run
+    laws = _laws(file, plant, gains, model, rule, weight)
     with _section("run"):
-        step = None if run.step == "ideal" else positive("step", run.step)
-    with _section("mode_filter"):
-        observed = file.observer is not None
-        mode_filter = build_mode_filter(file.mode_filter, plant, model, step, observed)
-    laws = _laws(file, plant, gains, model, rule, weight, mode_filter)
-    with _section("run"):
+        run = file.run
         x0 = require_shape("x0", real_array("x0", run.x0, "(n,)", 1), (plant.states,), "(n,)")
         u0 = real_array("u0", np.atleast_1d(run.u0), "(m,)", 1)
         if u0.size == 1:
             u0 = np.full(plant.inputs, u0[0])
         require_shape("u0", u0, (plant.inputs,), "(m,)")
         horizon = positive("horizon", run.horizon)
+        step = None if run.step == "ideal" else positive("step", run.step)
     with _section("observer"):
         laws = add_observers(laws, file.observer, step, as_numbers)
     with _section("truth"):
@@ -170,7 +166,6 @@ def _laws(
     model: Model | None,
     rule: Rule | None,
     weight: Weight | None,
-    mode_filter: Callable[[SwitchedSystem], ModeFilter] | None,
 ) -> dict[str, Law]:
     """The laws of the file by name, or all that apply if it lists none."""
     design = file.gains.lqr
@@ -184,7 +179,7 @@ def _laws(
         model=model,
         rule=rule,
         weight=weight,
-        mode_filter=mode_filter,
+        mode_filter=_mode_filter(file, plant, model),
         allow_unstable=file.gains.allow_unstable,
     )
     laws: dict[str, Law] = {}
@@ -198,6 +193,17 @@ def _laws(
                 raise ArgumentError(f"name {name!r} is used twice: give the law another name.")
             laws[name] = law
     return laws or _all_laws(file, setting)
+
+
+def _mode_filter(
+    file: schema.ProblemFile, plant: SwitchedSystem, model: Model | None
+) -> Callable[[SwitchedSystem], ModeFilter] | None:
+    """What makes the filter of a law that believes in a plant, where the file has one."""
+    with _section("run"):
+        step = None if file.run.step == "ideal" else positive("step", file.run.step)
+    with _section("mode_filter"):
+        observed = file.observer is not None
+        return build_mode_filter(file.mode_filter, plant, model, step, observed)
 
 
 def _with_belief(setting: Setting, file: schema.ProblemFile, own: ModelSection) -> Setting:
