@@ -234,7 +234,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
             bit *= 2
         place += first + i * bit
         _close(branch, i, into.flying, r, S)
-        passed = kept.passed[place]
+        passed, B = kept.passed[place], branch.B[i]
         for j in range(m):
             if into.flying[r, j] == 0:
                 continue
@@ -250,9 +250,7 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                     whole = q < g and begin == edges[q] and high >= edges[q + 1]
                     if whole:
                         if not kept.done[place, q]:
-                            _keep(
-                                line, q, length, S, branch.B[i], flow, nodes, panel, u, kept, place
-                            )
+                            _keep(line, q, length, S, B, flow, nodes, panel, u, kept, place)
                             known = -1.0
                         for k in range(m):
                             for a in range(n):
@@ -262,8 +260,8 @@ def _add(line, g, t, branch, row, x, nodes, few, short, into, kept, first, use, 
                             flows(S, length, panel.points, flow, none)
                             known = length
                         _hear(
-                            line, g, q, begin, length, j, carried, flow, row, nodes, panel,
-                            branch.B[i], u, use, matrix, right,
+                            line, g, q, begin, length, j, carried, flow, row, nodes, panel, B, u,
+                            use, matrix, right,
                         )  # fmt: skip
                     if whole:
                         _carry(carried, passed, q, moved)
