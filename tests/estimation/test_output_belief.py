@@ -35,7 +35,8 @@ def test_inputs_are_the_rows_of_each_mode_on_its_estimate_weighed_by_the_belief(
     run = dt.simulate(PLANT, dt.BeliefPredictor(law, filt), *args, imperfections=kinds)
     assert run.measured.shape == (2, 21)
     assert np.isnan(run.measured).any()
-    table, running = law.digital(STEP), filt.start()
+    table = law.digital(STEP)
+    running = dt.estimation.RunningOutputFilter(filt.bank(table.ages))
     past = np.zeros((table.taps + 30, 2))
     for k in range(21):
         plants.close(running.update(run.measured[:, k], past[-1]), run.belief[:, k], 1e-12)
@@ -98,13 +99,14 @@ def test_a_bank_of_one_observer_is_output_feedback_on_it():
         plants.close(one.estimates, other.estimates, 1e-10)
 
 
-def test_a_bank_of_kalman_observers_has_their_covariance_where_a_mode_lasts():
-    observer = dt.kalman(MODEL, C, 0.1 * np.eye(3), 0.01 * np.eye(2), STEP)
-    still = dt.Markov(np.zeros((3, 3)))
-    options = {"covariance": 1.0, "noise": 0.1, "disturbance": 0.1, "forgetting": 1e-30}
+@pytest.mark.parametrize("i", range(3))
+def test_a_bank_of_kalman_observers_has_their_covariance_where_a_mode_lasts(i):
+    plant = dt.SwitchedSystem(MODEL.A[[i]], MODEL.B[[i]], MODEL.delays[[i]])
+    observer = dt.kalman(plant, C, 0.1 * np.eye(3), 0.01 * np.eye(2), STEP)
+    options = {"covariance": 1.0, "noise": 0.1, "disturbance": 0.1}
     for given in (observer, C):
-        running = dt.OutputModeFilter(MODEL, still, STEP, given, **options).start()
-        for _ in range(400):
+        running = dt.OutputModeFilter(plant, dt.Markov([[0.0]]), STEP, given, **options).start()
+        for _ in range(300):
             running.update([0.0, 0.0])
         plants.close(running.covariances, observer.covariance, 1e-9)
 
