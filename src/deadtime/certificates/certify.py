@@ -351,7 +351,7 @@ def _out_of_reach(
         return (
             f"{type(law).__name__} weighs its rows by a belief, which no signal decides: there is "
             "no table to certify. What can be proved is its .law, told the mode at once or, with "
-            "mode_lag, some periods late; falsify searches in runs for a signal under which this grows."
+            "mode_lag, some periods late; falsify searches in runs for signals that it grows under."
         )
     if not isinstance(law, TableLaw):
         kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
