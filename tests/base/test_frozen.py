@@ -16,6 +16,7 @@ PAPER = dt.problems.paper()
 PLANT, GAINS, H = PAPER.plant, PAPER.gains, 0.1
 SIGNAL = dt.SwitchingSignal([0.0, 0.33, 0.9], [0, 1, 0], end=3.0, initial_age=0.2)
 LAW = dt.AveragedPredictor(PLANT, GAINS)
+SWITCHING = dt.Markov([[0.0, 1.0], [2.0, 0.0]])
 ONE = dt.SwitchedSystem([[[-1.0, 1.0], [0.0, -2.0]]], [[[0.0], [1.0]]], 0.25)
 HALF = dt.HalfSpace([1.0, 0.0], 0.0)
 STABLE = dt.MeanPredictor(ONE, [[0.0, -0.5]])
@@ -28,6 +29,10 @@ def observer():
 def disturbed():
     wave = [StepDisturbance([0.0, 1.0], 0.3), Noise([0.1, 0.2]), Saturation(-50.0, 50.0)]
     return dt.simulate(PLANT, LAW, SIGNAL, [-1, 1], 2.0, step=H, imperfections=wave)
+
+
+def mode_filter():
+    return dt.ModeFilter(PLANT, SWITCHING, H, disturbance=1e-3)
 
 
 # What users hold: one of each kind, made in as little time as possible.
@@ -54,6 +59,13 @@ OBJECTS = {
     ),
     "Observer": observer,
     "OutputFeedback": lambda: dt.OutputFeedback(LAW, observer()),
+    "ModeFilter": mode_filter,
+    "OutputModeFilter": lambda: dt.OutputModeFilter(
+        PLANT, SWITCHING, H, [[1.0, 0.0]], covariance=1.0, disturbance=1e-3, noise=0.1
+    ),
+    "BeliefPredictor": lambda: dt.BeliefPredictor(
+        dt.ExpectedPredictor(PLANT, GAINS, SWITCHING), mode_filter()
+    ),
     "Feedback": lambda: LAW.digital(H),
     "Feedback of a user": lambda: dt.Feedback(np.ones((1, 1, 2)), np.ones((1, 3, 1, 1)), "none", H),
     "Problem": lambda: dataclasses.replace(

@@ -45,7 +45,7 @@ def made_up(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     asked = []
 
-    def certify(plant, law, dwell_time, step, decay_rate, delays=None):
+    def certify(plant, law, dwell_time, step, decay_rate, delays=None, mode_lag=0):
         asked.append((law.label, dwell_time, step, decay_rate))
         if law.label not in ANSWERS:
             raise dt.ArgumentError("this law cannot be asked about.")

@@ -162,7 +162,7 @@ def test_misuse_is_refused_by_name():
     one = controller()
     with pytest.raises(dt.ArgumentError, match=r"state\['belief'\] must be probabilities"):
         one.restore({**one.state, "belief": np.full((3, 1), 0.5)})
-    with pytest.raises(dt.ArgumentError, match="of the same law = expected, by belief"):
+    with pytest.raises(dt.ArgumentError, match="of the same law = belief"):
         one.restore(plain.state)
 
 
@@ -172,7 +172,8 @@ def test_a_period_allocates_nothing_but_what_the_check_of_x_does():
     kept = []
     for one in (dt.Controller(law, 0.02), dt.Controller(law.law, 0.02)):
         x, u = np.array([1.0, -1.0]), np.empty(1)
-        one.update(x, 0, out=u)
+        for _ in range(3):  # the filter looks back from the second call on
+            one.update(x, 0, out=u)
         tracemalloc.start()
         for _ in range(200):
             one.update(x, 0, out=u)

@@ -115,7 +115,11 @@ def test_python_of_the_page_on_output_feedback_runs(capsys):
 
 def test_python_of_the_page_on_robustness_runs(capsys):
     page, names = run_page("robustness.md")
-    assert capsys.readouterr().out.splitlines() == list(names["result"].sentences)
+    sentences, printed = list(names["result"].sentences), capsys.readouterr().out.splitlines()
+    assert printed[: len(sentences)] == sentences
+    states, lag = printed[len(sentences) :]
+    assert states.split()[0] == states.split()[1] == str(names["L"].nstates)
+    assert 0.0 < float(lag) < 180.0
     paper = dt.problems.paper().plant
     alone = dt.SwitchedSystem(paper.A[:1], paper.B[:1], paper.delay)
     law = dt.SingleModePredictor(alone, dt.place(alone, [-1.0, -2.0]), 0)

@@ -152,8 +152,11 @@ def test_fixed_sojourns_are_a_known_future_expected_equals_oracle(small):
 def test_every_law_that_a_study_can_name_runs_and_knows_what_its_name_says(small):
     study, _ = small
     laws = tuple(
-        name for name in kinds_of(2) if "minimax" not in name
-    )  # tests/laws/test_minimax.py
+        name
+        for name in kinds_of(2)
+        if "minimax" not in name  # tests/laws/test_minimax.py
+        and "belief" not in name  # which needs a [mode_filter]
+    )
     run = study.problem["run"] | {"horizon": 2.0, "step": 0.1}
     study = replace(study, laws=laws, scenarios=2, problem=study.problem | {"run": run})
     outcome = run_cell(study, next(iter(study.cells())))
