@@ -64,7 +64,7 @@ def made_up(monkeypatch, tmp_path):
     margin = SimpleNamespace(lower=0.99, upper=1.012, differ=False, message=text)
     for place, function in {
         "certificates.certify": certify,
-        "certificates.falsify": lambda plant, law, dwell_time, step: CALM,
+        "certificates.falsify": lambda plant, law, dwell_time, step, mode_lag=0: CALM,
         "margins.constant_modes.constant_delay_margin": lambda plant, law, step: margin,
     }.items():
         module, _, name = f"deadtime.{place}".rpartition(".")
@@ -333,7 +333,7 @@ def test_ranges_that_do_not_fit_the_plant_are_a_wrong_request(capsys):
 def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, monkeypatch):
     asked = []
 
-    def judge(problem, dwell_time, step, laws, decay_rate, progress, delays):
+    def judge(problem, dwell_time, step, laws, decay_rate, progress, delays, mode_lag):
         asked.append(delays)
         return []
 

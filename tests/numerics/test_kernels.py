@@ -90,6 +90,7 @@ def test_what_numpy_does_runs_in_place_of_python_however_large(monkeypatch):
 
 
 def test_a_kernel_is_python_until_it_has_cost_its_patience(monkeypatch):
+    monkeypatch.setattr(kernels, "START", np.inf)  # whatever other tests have run
     own = kernel(mean_square.function)
     a = np.ones(10)
     assert own(a) == 1.0

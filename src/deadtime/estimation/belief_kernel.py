@@ -15,7 +15,7 @@ SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
 _LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
 
 
-@kernel
+@kernel(eager=True)
 def advance_belief(form, state, before, x, told, row):
     """π_k in `state.now`, from π_{k−1}, x_{k−1} `before`, x_k and the inputs, u_{k−1} in row `row`.
 
@@ -198,7 +198,7 @@ def _factors(state, seen):
             density[i, j] = factor
 
 
-@kernel
+@kernel(eager=True)
 def share_rows(state):
     """The share of every row of a table: ages past the table's count as its last."""
     now, weight = state.now, state.weight

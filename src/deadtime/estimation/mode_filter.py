@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count, instance, number, real_array, require_shape
+from deadtime.base.checks import count, instance, number, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.estimation.filter_arguments import (
@@ -144,7 +144,7 @@ class ModeFilter(Frozen):
             noise=deviation(noise, plant.states),
             switches=switches,
             forgetting=forgetting,
-            initial=first_belief(initial, plant.modes, own),
+            initial=read_only(first_belief(initial, plant.modes, own)),
             ages=own,
         )
 
