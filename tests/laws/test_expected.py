@@ -10,7 +10,7 @@ from scipy import stats
 import deadtime as dt
 import plants
 import reference
-from deadtime.laws.expected import require_model
+from deadtime.switching.models.checked import require_model
 from reference import LONG
 
 H = 0.1

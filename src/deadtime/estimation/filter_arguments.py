@@ -9,24 +9,10 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
-from deadtime.switching import Markov, SemiMarkov
 
 _ALIKE = 1e-9  # of an entry: modes whose entries all differ by less are the same
 _ROUND_OFF = 1e-9
 _SUM = 1e-9
-
-
-def require_model(model: object, modes: int) -> None:
-    """Refuse what is no switching model, or one for another number of modes."""
-    if not isinstance(model, Markov | SemiMarkov):
-        raise ArgumentError(
-            f"model must be a Markov or a SemiMarkov model, got {type(model).__name__}."
-        )
-    if model.modes != modes:
-        raise ArgumentError(
-            f"model must have the plant's {modes} modes, got {model.modes}: give it one sojourn "
-            "and one row of transition (or rates) per mode."
-        )
 
 
 def require_distinct(plant: SwitchedSystem) -> None:
@@ -46,7 +32,7 @@ def require_distinct(plant: SwitchedSystem) -> None:
 
 
 def require_distinct_outputs(plant: SwitchedSystem, C: Float[np.ndarray, "mode p n"]) -> None:
-    """Refuse two modes in which the same x and u give the same outputs for ever.
+    """Refuse two modes in which the same x and u give the same outputs at all times.
 
     By Cayley and Hamilton for the two together: C A^k, and C A^k B of inputs that are as late in
     both, for k < 2n.

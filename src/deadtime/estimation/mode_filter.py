@@ -19,13 +19,13 @@ from deadtime.estimation.filter_arguments import (
     first_belief,
     intensity,
     require_distinct,
-    require_model,
 )
 from deadtime.estimation.running_filter import RunningFilter
 from deadtime.feedback.belief import Belief, frozen
 from deadtime.numerics.covariance import noise_covariances, transition
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov
+from deadtime.switching.models.checked import require_model
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

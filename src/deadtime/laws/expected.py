@@ -15,6 +15,7 @@ from deadtime.feedback.law import TableLaw, remember_table, require_room, room
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
+from deadtime.switching.models.checked import require_model
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -169,16 +170,3 @@ def table_ages(model: SemiMarkov, step: float, asked: int | None, most: int) -> 
             "tell apart."
         )
     return ages
-
-
-def require_model(model: object, modes: int) -> None:
-    """Refuse what is no switching model, or one for another number of modes."""
-    if not isinstance(model, Markov | SemiMarkov):
-        raise ArgumentError(
-            f"model must be a Markov or a SemiMarkov model, got {type(model).__name__}."
-        )
-    if model.modes != modes:
-        raise ArgumentError(
-            f"model must have the plant's {modes} modes, got {model.modes}: give it one sojourn "
-            "and one row of transition (or rates) per mode."
-        )

@@ -12,10 +12,11 @@ from deadtime.base.checks import count, index, read_only, real_array, require_sh
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast
 from deadtime.feedback.law import TableLaw, require_room, room
-from deadtime.laws.expected import require_model, table_ages
+from deadtime.laws.expected import table_ages
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.plant.weight import Weight, weight_matrix
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
+from deadtime.switching.models.checked import require_model
 
 MOST_MEMORY = 4e9
 
