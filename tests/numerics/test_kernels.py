@@ -278,9 +278,9 @@ def test_two_processes_that_compile_one_kernel_lose_nothing(tmp_path):
 
 def test_the_cache_follows_intrinsics_and_what_makes_them():
     from deadtime.numerics.compiling import _stamp
-    from deadtime.scenarios.laid import fill_maps
+    from deadtime.scenarios.laid import fill_switched
 
-    files = {part[0] for part in _stamp(fill_maps)}
+    files = {part[0] for part in _stamp(fill_switched)}
     assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
 
 

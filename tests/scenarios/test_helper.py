@@ -8,14 +8,13 @@ import subprocess
 import sys
 import textwrap
 
-import numpy as np
 import pytest
 from numba import typeof
 
 import deadtime as dt
 import plants
 from deadtime.imperfections import Noise, Saturation
-from deadtime.scenarios import engine as engines, foreseen, helper, model_ahead
+from deadtime.scenarios import engine as engines, helper, laid
 from deadtime.scenarios.helper import Helper, share_of
 from deadtime.scenarios.kernel import run_scenarios
 from deadtime.scenarios.prepare import Request, prepare
@@ -26,8 +25,8 @@ X0 = PAPER.x0
 KERNEL = run_scenarios.function
 
 
-def request(laws=PAPER.laws, imperfections=()):
-    return Request(PAPER.plant, dict(laws), X0, 3.0, 0.1, imperfections)
+def request(laws=PAPER.laws, imperfections=(), step=0.1):
+    return Request(PAPER.plant, dict(laws), X0, 3.0, step, imperfections)
 
 
 @pytest.fixture
@@ -37,34 +36,31 @@ def asked(monkeypatch):
 
     def note(*arguments):
         types.append(tuple(map(typeof, arguments)))
-        return np.zeros((len(engines.Figures._fields), 0))
-
-    def note_and_fill(*arguments):
-        note(*arguments)
-        foreseen.fill_tails(*arguments)
 
     monkeypatch.setattr(engines, "run_scenarios", note)
-    monkeypatch.setattr(model_ahead, "fill_tails", note_and_fill)
+    monkeypatch.setattr(laid, "fill_composed", note)
     return types
 
 
-@pytest.mark.parametrize("limits", [(), (Saturation(-2.0, 2.0),)])
-def test_what_is_compiled_elsewhere_is_what_runs_here(asked, limits):
+@pytest.mark.parametrize(("limits", "step"), [((), 0.1), ((Saturation(-2.0, 2.0),), 0.15)])
+def test_what_is_compiled_elsewhere_is_what_runs_here(asked, limits, step):
     """Another process has the same types, whatever has become of the arrays on their way to it."""
     laws = {name: make(PAPER.plant) for name, make in plants.LAWS.items()}
-    loop, engine, tables = prepare(request(laws, limits))
+    loop, engine, tables = prepare(request(laws, limits, step))
     signals = SignalBatch.of([dt.SwitchingSignal.random(2, 9.0, dwell_time=0.3, seed=0)])
     for table in tables.values():
         engine.run(engine.along(table, signals), loop.lay(signals))
     here = asked.copy()
     asked.clear()
-    _, there, others = prepare(pickle.loads(pickle.dumps(request(laws, limits))))
+    _, there, others = prepare(pickle.loads(pickle.dumps(request(laws, limits, step))))
     for table in others.values():
         there.compile(table)
     assert list(others) == list(tables)
     assert asked == here
     loops = {types for types in here if len(types) == len(inspect.signature(KERNEL).parameters)}
     assert len({helper._kind(table) for table in tables.values()}) == len(loops) > 4
+    # A delay of whole periods has no rest to compose.
+    assert (len(loops) < len(set(here))) == (step == 0.15)
 
 
 def test_a_weight_of_the_cost_asks_for_no_loop_of_its_own(asked):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,8 @@ from deadtime.feedback import Feedback, memory as memories
 from deadtime.feedback.belief import Belief
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
-from deadtime.scenarios.foreseen import Model
-from deadtime.scenarios.kernel import run_scenarios
+from deadtime.scenarios.foreseen import Model, stacks_of
+from deadtime.scenarios.kernel import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.layout import (
     KINDS,
     Clip,
@@ -55,7 +56,7 @@ class Table(NamedTuple):
     @property
     def measured(self) -> int:
         """How many numbers the law measures."""
-        return len(self.shape.seen)
+        return self.shape.seen
 
 
 class Engine:
@@ -70,18 +71,18 @@ class Engine:
         n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
         inputs = loop.acting.lags.size * m
         sizes = n, m, n + m, inputs, wide - n, wide, 2 * m, wide - n - inputs, n, n
-        self._shape = Shape(*map(_size, sizes))
+        self._shape = Shape(*sizes)
 
     def table(self, feedback: Feedback) -> Table:
         """A law's rows as the compiled loop reads them."""
         form, taps = window_form(feedback), feedback.taps
         _, m, n = feedback.state_gain.shape
         if form is None:
-            shape = self._shape._replace(head=_size(m * (n + m)))
+            shape = replace(self._shape, head=m * (n + m))
             return Table(shape, None, _dense(feedback), None, None, None, taps, feedback)
         rows, _, q = form.out.shape
-        block = _size(form.transition.shape[1])
-        shape = self._shape._replace(b=_size(q), block=block, rows=_size(rows * m))
+        block = form.transition.shape[1]
+        shape = replace(self._shape, b=q, block=block, rows=rows * m)
         return Table(shape, _factored(feedback, form), None, None, None, None, taps, feedback)
 
     def remember(
@@ -96,7 +97,7 @@ class Engine:
             "sums": q, "two_sums": 2 * q, "tracked": r, "output": p, "outputs": 2 * p,
             "reaching": reaching, "watched": n + reaching,
         }  # fmt: skip
-        shape = table.shape._replace(**{name: _size(size) for name, size in sizes.items()})
+        shape = replace(table.shape, **sizes)
         taps = max(table.taps, int(form.lags.max()))
         return table._replace(shape=shape, memory=form, taps=taps)
 
@@ -120,9 +121,7 @@ class Engine:
     def _foreseeing(self, ahead: ModelAhead, model: Model) -> Table:
         n = self._loop.plant.states
         entering = model.lags.size * self._loop.plant.inputs
-        shape = self._shape._replace(
-            square=_size(n * n), entering=_size(entering), model=_size(n + entering)
-        )
+        shape = replace(self._shape, square=n * n, entering=entering, model=n + entering)
         return Table(shape, None, None, model, None, None, ahead.loop.sampled.longest_lag, None)
 
     def run(
@@ -149,7 +148,7 @@ class Engine:
         force: np.ndarray | None = None,
     ) -> tuple[Figures, Path]:
         """The same for up to eight of them, with states and inputs from sample `keep` on."""
-        n, m = len(table.shape.x), len(table.shape.u)
+        n, m = table.shape.x, table.shape.u
         samples = self._run.samples - keep
         path = np.empty(samples * (n + m) * LANES)
         figures = self._run_kernel(table, laid, first, count, hearing, force, path, keep)
@@ -170,12 +169,13 @@ class Engine:
         records, lags = laid.records, self._loop.acting.lags
         plant = Plant(lags, laid.maps, *records[:4], laid.age)
         loop = plant, self._run, self._clip, *hearing, force
-        return Figures(*run_scenarios(*table[:7], *loop, first, count, path, keep))
-
-
-def _size(count: int) -> tuple[float, ...]:
-    """A number as a type (`layout.Shape`)."""
-    return (0.0,) * count
+        law, shape, samples = table.factored, table.shape, self._run.samples
+        carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
+        work = work_of(shape, plant, self._run, table.taps, carry, count)
+        ahead = None if table.model is None else stacks_of(shape, table.model)
+        run_scenarios(*table[:7], *loop, first, count, path, keep, work, ahead)
+        figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
+        return Figures(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 
 
 def _factored(feedback: Feedback, form: WindowForm) -> Factored:

@@ -31,7 +31,7 @@ from deadtime.numerics.lanes import (
     store,
     table_product,
 )
-from deadtime.scenarios.laid import compose_period
+from deadtime.scenarios.layout import Shape
 
 _NEVER = np.int64(2**62)
 
@@ -72,38 +72,34 @@ class Stacks(NamedTuple):
     acting: np.ndarray
 
 
+def stacks_of(shape: Shape, model: Model) -> Stacks:
+    """Room for eight scenarios."""
+    n, m, wide = shape.x, shape.u, shape.model
+    slot = (n * n + n) * LANES
+    sizes = max(1, model.length) * slot, slot, n * wide * LANES, m * (n + m) * LANES
+    row = wide * LANES * np.arange(n)
+    lanes = [np.empty(LANES, np.int64) for _ in range(3)]
+    return Stacks(*map(np.empty, sizes), row, *lanes, np.empty(model.lags.size, np.int64))
+
+
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def look_ahead(shape, model, start, count, period):
-    """The stacks at time 0, when the first W periods are in, and when the next records enter.
+def look_ahead(shape, model, ahead, start, count, period):
+    """The stacks at time 0, when the first W periods are in; when the next records enter.
 
     Inputs from before time 0 are 0.
     """
-    n, m, wide = len(shape.x), len(shape.u), len(shape.model)
-    at, stop = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
-    acting = np.empty(model.lags.size, np.int64)
+    m, soon = len(shape.u), -np.int64(model.length) * LANES
     for p in range(model.lags.size):
-        acting[p] = (period + model.length - model.lags[p]) % period * m * LANES
-    slot = (n * n + n) * LANES
-    ahead = Stacks(
-        np.empty(max(1, model.length) * slot),
-        np.empty(slot),
-        np.empty(n * wide * LANES),
-        np.empty(m * (n + m) * LANES),
-        wide * LANES * np.arange(n),
-        at,
-        stop,
-        np.arange(LANES) - np.int64(model.length) * LANES,
-        acting,
-    )
+        ahead.acting[p] = (period + model.length - model.lags[p]) % period * m * LANES
     for lane in range(LANES):
         scenario = 0 if model.first.size == 2 else start + min(lane, count - 1)
-        at[lane], stop[lane] = model.first[scenario], model.first[scenario + 1]
+        ahead.at[lane], ahead.stop[lane] = model.first[scenario], model.first[scenario + 1]
+        ahead.coming[lane] = soon + lane
     clear(shape, ahead)
-    soon = -np.int64(model.length) * LANES
     for k in range(-model.length, 0):
         soon = turn(model, ahead, k, soon)
         enter(shape, ahead, same(0.0, shape.entering), k + model.length)
-    return ahead, soon
+    return soon
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
@@ -183,35 +179,3 @@ def foresee(shape, length, ahead, slot, x, latest):
         x = matrix_product(load(ahead.back, 0, shape.square), x, v)
     z = first_of(x, latest, latest, shape.both)
     return own_product(ahead.tail, 0, z, same(0.0, shape.u))
-
-
-@kernel(eager=True, nogil=True)
-def fill_tails(tails, gains, latest, records, modes, rest, step, acting, pieces, width):
-    """Fill tails[modes + c] for every cut period c: over its first `rest` seconds, then a gain.
-
-    An input u_{k−1} acts until t_k + D, the gain is that of the mode there; `latest` is added.
-    """
-    count, m, n = gains.shape
-    cell = step / pieces.shape[1]
-    scratch, move = np.empty(pieces.shape[3]), np.empty(_flat_size(acting.wide, n))
-    for c in range(records.sojourn.size):
-        i = last = np.int64(records.sojourn[c])
-        while last + 1 < records.until[c] and records.at[last + 1] <= rest:
-            last += 1
-        compose_period(
-            i, last + 1, modes, records.at, rest, acting, pieces, cell, move, scratch, width
-        )
-        K, at = gains[modes[last]], 0
-        for a in range(m):
-            for b in range(n + m):
-                total = latest[a, b - n] if b >= n else 0.0
-                for j in range(n):
-                    total += K[a, j] * move[j * acting.wide + b]
-                tails[count + c, at] = total
-                at += 1
-
-
-@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _flat_size(wide, n):
-    """Of a map, as `laid.compose_period` fills it."""
-    return n * wide + wide * (wide + 1) // 2

@@ -61,6 +61,7 @@ from deadtime.scenarios.hearing import (
     told_rows,
 )
 from deadtime.scenarios.law_rows import choose_rows, refill, sum_dense, window_of
+from deadtime.scenarios.layout import Plant, Run, Shape
 from deadtime.scenarios.remembering import (
     correct,
     follow_modes,
@@ -80,19 +81,22 @@ _GROUP = 32  # samples whose |x|² are multiplied before exponents are taken out
 
 
 class Work(NamedTuple):
-    """Memory of eight scenarios.
+    """Memory of eight scenarios, made before the loop: what makes arrays is dear to compile.
 
-    ring : inputs, of `period` samples;  own : maps;  xs : x₀
+    figures : of all scenarios, by groups of eight, FIGURES + 2 vectors each
+    ring : inputs, of `period` samples;  own : maps;  xs : x₀;  carry : of factorised rows
     mode, its number as one that `choose` reads, when it began
     at, stop, coming : the next record, the end of records, 8·period + place of the next one
     acting : where in `ring` the inputs that act lie, lag by lag
     """
 
+    figures: np.ndarray
     ring: np.ndarray
     own: np.ndarray
     xs: np.ndarray
-    mode: np.ndarray
+    carry: np.ndarray
     number: np.ndarray
+    mode: np.ndarray
     began: np.ndarray
     at: np.ndarray
     stop: np.ndarray
@@ -100,34 +104,37 @@ class Work(NamedTuple):
     acting: np.ndarray
 
 
-@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _work(n, m, wide, plant, run, start, count, period):
-    """The memory at time 0; sizes are numbers here, so that laws of all kinds share it."""
-    at, stop = np.empty(LANES, np.int64), np.empty(LANES, np.int64)
-    mode, number = np.empty(LANES, np.int64), np.zeros(LANES)
-    began, xs = np.empty(LANES, np.int64), np.empty(n * LANES)
-    acting = np.empty(plant.lags.size, np.int64)
+def work_of(shape: Shape, plant: Plant, run: Run, taps: int, carry: int, scenarios: int) -> Work:
+    """Room for a loop whose law reads `taps` inputs and carries so many vectors."""
+    n, m, wide = shape.x, shape.u, shape.z
+    # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
+    period = min(max(int(plant.lags[0]), taps), run.samples) + 1
+    figures = -(-scenarios // LANES) * (FIGURES + 2)
+    sizes = figures, period * m, n * wide + wide * (wide + 1) // 2, n, carry, 1
+    vectors = [np.empty(size * LANES) for size in sizes]
+    lanes = [np.empty(LANES, np.int64) for _ in range(5)]
+    return Work(*vectors, *lanes, np.empty(plant.lags.size, np.int64))
+
+
+@kernel(eager=True, nogil=True, no_cpython_wrapper=True, _nrt=False)
+def _begin(n, m, work, plant, run, start, count):
+    """Fill the memory as it is at time 0; sizes are numbers here, so that all laws share it."""
+    size = work.ring.size
+    period = size // (m * LANES)
+    for i in range(size):
+        work.ring[i] = 0.0
+    for i in range(work.carry.size):
+        work.carry[i] = 0.0
     for p in range(plant.lags.size):
-        acting[p] = (period - min(plant.lags[p], run.samples)) % period * m * LANES
+        work.acting[p] = (period - min(plant.lags[p], run.samples)) % period * m * LANES
     for lane in range(LANES):
         scenario = start + min(lane, count - 1)
-        at[lane], stop[lane] = plant.first[scenario], plant.first[scenario + 1]
-        mode[lane] = number[lane] = plant.mode[at[lane]]
-        began[lane] = -plant.age[scenario]
+        record = plant.first[scenario]
+        work.at[lane], work.stop[lane] = record, plant.first[scenario + 1]
+        work.mode[lane] = work.number[lane] = plant.mode[record]
+        work.began[lane], work.coming[lane] = -plant.age[scenario], lane
         for i in range(n):
-            xs[i * LANES + lane] = run.x0[i]
-    return Work(
-        np.zeros(period * m * LANES),
-        np.empty((n * wide + wide * (wide + 1) // 2) * LANES),
-        xs,
-        mode,
-        number,
-        began,
-        at,
-        stop,
-        np.arange(LANES),
-        acting,
-    )
+            work.xs[i * LANES + lane] = run.x0[i]
 
 
 @inner_kernel
@@ -171,211 +178,192 @@ def _turn_around(places, m, size):
         places[p] = 0 if after == size else after
 
 
-@kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _run_eight(
-    shape, factored, dense, model, memory, belief, plant, run, clip, relayed, sight, force, start,
-    count, out, path, keep, first, taps,
-):  # fmt: skip
-    """Run the scenarios start, …, start + count − 1, at most eight; the last fills the rest.
-
-    The first of them is number `first` of those that `relayed` and `force` are about, a multiple of
-    eight.
-    """
-    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
-    # Inputs from before time 0 are 0: what lies further back than the run is a row never written.
-    period = min(max(plant.lags[0], taps), run.samples) + 1
-    work = _work(n, m, wide, plant, run, start, count, period)
-    ring, own = work.ring, work.own
-    none, one = same(0.0, _ONE), same(1.0, _ONE)
-    small = same(OUTSIDE, _ONE)
-    x, u, asked = load(work.xs, 0, shape.x), same(0.0, shape.u), same(0.0, shape.u)
-    ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
-    # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
-    P, Q, EP, EQ = one, one, none, none
-    felt, y, z = same(0.0, shape.force), same(0.0, shape.output), same(0.0, shape.kept)
-    if memory is not None:
-        kept = kept_of(shape, memory, run.samples, period)
-    # A plain 0 is a type of its own, for which what is called would be compiled once more.
-    soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
-    older = period - min(taps, run.samples)
-    if factored is not None:
-        sizes, b = len(shape.rows), same(0.0, shape.b)
-        carry = np.zeros(max(1, min(factored.length, run.samples)) * sizes * LANES)
-    if dense is not None:
-        window, places = window_of(shape, dense), m * np.arange(LANES)
-        width = window.line.size // LANES
-    if model is not None:
-        ahead, enters = look_ahead(shape, model, start, count, period)
-        r = model.length
-    if belief is not None:
-        mind = believed_of(shape, belief, dense)
-        nothing_lost = np.zeros(LANES)
-    if relayed is not None:
-        recent = recent_of(shape, relayed, sight)
-        # Asked here, for what ends within a branch is counted by Numba in every period.
-        late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
-        by_told = relayed.row.size > 0
-    for k in range(run.samples):
-        if soon // LANES == k:
-            soon = _switch(plant, work, k, soon)
-        norm = squares(x, none)
-        peak = larger(norm, peak)
-        last = where_larger(norm, times(small, peak, none), float(k), last)
-        if k >= run.late:
-            least = smaller(norm, least)
-            P, EP = times(P, mantissa(norm), none), times(one, exponent(norm), EP)
-            Q, EQ = times(Q, P, none), times(one, EP, EQ)
-            if (k - run.late) % _GROUP == _GROUP - 1:
-                EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
-                P, Q = mantissa(P), mantissa(Q)
-        before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
-        if memory is not None:
-            if k > 0:
-                predict(shape, kept, ring)
-                _turn_around(kept.acting, m, ring.size)
-            follow_outputs(memory, kept, work.mode)
-            y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
-        seen = first_of(y, x, x, shape.seen)
-        if relayed is not None:
-            at = first * run.samples + k * LANES
-            if sight is not None:
-                there = see(shape, relayed, sight, recent, x, at)
-                if memory is not None:
-                    y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
-                seen = first_of(y, there, there, shape.seen)
-            elif late:
-                seen = hear(shape, relayed, recent, seen, at)
-            if noisy:
-                seen = add_noise(shape, relayed, seen, at)
-            if by_told:
-                hear_rows(relayed, recent, at)
-        if memory is not None:
-            lost, told = none, work.mode
-            if relayed is not None:
-                lost = load(recent.lost, 0, _ONE)
-                if relayed.told.size > 0:
-                    hear_modes(relayed, kept.told, at)
-                    told = kept.told
-            follow_modes(memory, kept, told)
-            heard = first_of(seen, seen, seen, shape.output)
-            heard = correct(shape, memory, kept, heard, lost)
-            if clip is not None:
-                store(kept.before, 0, before)
-            sum_up_errors(shape, memory, kept, heard, k, clip is not None)
-            z = remembered(shape, memory, kept, k)
-        known = first_of(z, seen, seen, shape.known)
-        if belief is not None:
-            missing = nothing_lost
-            if relayed is not None:
-                missing = recent.lost
-            spread(mind.seen.reshape(-1), 0, n, seen)
-            believe_again(belief, mind, missing, k)
-        if model is not None:
-            if enters // LANES == k:
-                enters = turn(model, ahead, k, enters)
-            if r == model.length:
-                sum_up(shape, model.length, ahead)
-                r = np.int64(0)
-            u = foresee(shape, model.length, ahead, r, known, before)
-        if factored is not None:
-            if r == factored.length:
-                refill(shape, factored, ring, period, now, carry)
-                b, r = same(0.0, shape.b), np.int64(0)
-            sums = load(carry, r * sizes * LANES, shape.rows)
-            sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
-            sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
-            if belief is not None:
-                u = mean_row(shape, mind, sums)
-            else:
-                number = load(work.number, 0, _ONE)
-                if relayed is not None:  # noqa: SIM102
-                    if by_told:
-                        number = load(recent.number, 0, _ONE)
-                u = choose(sums, number, shape.u)
-        if dense is not None:
-            if belief is not None:
-                u = mean_dense_row(shape, mind, dense, window, place, known, before)
-            else:
-                choose_rows(dense, work, window, k)
-                if relayed is not None:  # noqa: SIM102
-                    if by_told:
-                        told_rows(recent, window.row)
-                sum_dense(shape, dense, window, place)
-                heads = gather(dense.head, window.head, shape.head)
-                sums = gather(window.sums, places, shape.u)
-                u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
-        if memory is not None:
-            store(kept.asked, 0, u)
-        elif relayed is not None:
-            u = command(shape, recent, u, asked)
-            asked = u
-        if clip is not None:
-            u = _clip(shape, clip, u, before)
-        store(ring, now * m * LANES, u)
-        if belief is not None:
-            remember_input(mind, u)
-        if model is not None:  # noqa: SIM102
-            if model.length > 0:
-                enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
-                r += 1
-                _turn_around(ahead.acting, m, ring.size)
-        if factored is not None:
-            entered = product(factored.enter, 0, u, same(0.0, shape.b))
-            b = block_product(factored.transition, 0, b, entered, shape.block)
-            r += 1
-        if dense is not None:
-            place = dense.taps - 1 if place == 0 else place - 1
-            spread(window.line, place * m, width, u)
-            spread(window.line, (place + dense.taps) * m, width, u)
-        if path.size and k >= keep:
-            store(path, (k - keep) * (n + m) * LANES, x)
-            store(path, ((k - keep) * (n + m) + n) * LANES, u)
-        acting = load_each(ring, work.acting, shape.u, shape.acting)
-        if force is not None:
-            at = (first * run.samples + k * LANES) * len(shape.force)
-            felt = load(force, at, shape.force)
-        if sight is not None:
-            go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
-        moved = first_of(x, acting, felt, shape.z)
-        ise = own_form(own, n * wide * LANES, moved, ise)
-        x = own_product(own, 0, moved, same(0.0, shape.x))
-        weight = run.rest if k == run.samples - 1 else 1.0
-        weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
-        energy = times(same(weight, _ONE), squares(weighed, none), energy)
-        now = 0 if now + 1 == period else now + 1
-        _turn_around(work.acting, m, ring.size)
-        older = 0 if older + 1 == period else older + 1
-    figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
-    for f, figure in enumerate(figures):
-        store(out, f * LANES, figure)
-    for lane in range(LANES):
-        for f in (5, 6):
-            product_so_far, exponents = out[f * LANES + lane], out[(f + 3) * LANES + lane]
-            out[f * LANES + lane] = math.log(product_so_far) + exponents * _LOG_2
-
-
 @kernel(eager=True, nogil=True)
 def run_scenarios(
     shape, factored, dense, model, memory, belief, taps, plant, run, clip, relayed, sight, force,
-    start, count, path, keep,
+    start, count, path, keep, work, ahead,
 ):  # fmt: skip
-    """Figures (FIGURES, count) of the scenarios start, …, start + count − 1.
+    """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
     it remembers, and `belief` what its rows are weighed by (`feedback.belief.Belief`). These may be
     None, and so may `clip`, `relayed` and `sight`, what the law hears (`layout.Hearing`), and
     `force`, what the plant feels (`forces`). `path`, empty or for at most eight scenarios, gets x
-    and u of every sample from `keep` on.
+    and u of every sample from `keep` on. The last scenario fills the last group of eight.
+    `ahead` is the memory of a model, None without one.
     """
-    result = np.empty((FIGURES, count))
-    out = np.empty((FIGURES + 2) * LANES)
-    for at in range(0, count, LANES):
-        few = min(LANES, count - at)
-        _run_eight(
-            shape, factored, dense, model, memory, belief, plant, run, clip, relayed, sight, force,
-            start + at, few, out, path, keep, at, taps,
-        )  # fmt: skip
-        for f in range(FIGURES):
-            for lane in range(few):
-                result[f, at + lane] = out[f * LANES + lane]
-    return result
+    n, m, wide = len(shape.x), len(shape.u), len(shape.z)
+    ring, own, carry, sizes = work.ring, work.own, work.carry, len(shape.rows)
+    period = ring.size // (m * LANES)
+    none, one = same(0.0, _ONE), same(1.0, _ONE)
+    small = same(OUTSIDE, _ONE)
+    for first in range(0, count, LANES):
+        begin, few = start + first, min(LANES, count - first)
+        _begin(n, m, work, plant, run, begin, few)
+        x, u, asked = load(work.xs, 0, shape.x), same(0.0, shape.u), same(0.0, shape.u)
+        ise, energy, peak, last, least = none, none, none, same(-1.0, _ONE), same(np.inf, _ONE)
+        # Π |x|² and Π of these products so far: mantissas, and sums of exponents.
+        P, Q, EP, EQ = one, one, none, none
+        felt, y, z = same(0.0, shape.force), same(0.0, shape.output), same(0.0, shape.kept)
+        if memory is not None:
+            kept = kept_of(shape, memory, run.samples, period)
+        # A plain 0 is a type of its own, for which what is called would be compiled once more.
+        soon, now, r, place = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+        older = period - min(taps, run.samples)
+        if factored is not None:
+            b = same(0.0, shape.b)
+        if dense is not None:
+            window, places = window_of(shape, dense), m * np.arange(LANES)
+            width = window.line.size // LANES
+        if model is not None:
+            enters = look_ahead(shape, model, ahead, begin, few, period)
+            r = model.length
+        if belief is not None:
+            mind = believed_of(shape, belief, dense)
+            nothing_lost = np.zeros(LANES)
+        if relayed is not None:
+            recent = recent_of(shape, relayed, sight)
+            # Asked here, for what ends within a branch is counted by Numba in every period.
+            late, noisy = relayed.lag.size > 0, relayed.noise.size > 0
+            by_told = relayed.row.size > 0
+        for k in range(run.samples):
+            if soon // LANES == k:
+                soon = _switch(plant, work, k, soon)
+            norm = squares(x, none)
+            peak = larger(norm, peak)
+            last = where_larger(norm, times(small, peak, none), float(k), last)
+            if k >= run.late:
+                least = smaller(norm, least)
+                P, EP = times(P, mantissa(norm), none), times(one, exponent(norm), EP)
+                Q, EQ = times(Q, P, none), times(one, EP, EQ)
+                if (k - run.late) % _GROUP == _GROUP - 1:
+                    EP, EQ = times(one, exponent(P), EP), times(one, exponent(Q), EQ)
+                    P, Q = mantissa(P), mantissa(Q)
+            before = load(ring, (period - 1 if now == 0 else now - 1) * m * LANES, shape.u)
+            if memory is not None:
+                if k > 0:
+                    predict(shape, kept, ring)
+                    _turn_around(kept.acting, m, ring.size)
+                follow_outputs(memory, kept, work.mode)
+                y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
+            seen = first_of(y, x, x, shape.seen)
+            if relayed is not None:
+                at = first * run.samples + k * LANES
+                if sight is not None:
+                    there = see(shape, relayed, sight, recent, x, at)
+                    if memory is not None:
+                        y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
+                    seen = first_of(y, there, there, shape.seen)
+                elif late:
+                    seen = hear(shape, relayed, recent, seen, at)
+                if noisy:
+                    seen = add_noise(shape, relayed, seen, at)
+                if by_told:
+                    hear_rows(relayed, recent, at)
+            if memory is not None:
+                lost, told = none, work.mode
+                if relayed is not None:
+                    lost = load(recent.lost, 0, _ONE)
+                    if relayed.told.size > 0:
+                        hear_modes(relayed, kept.told, at)
+                        told = kept.told
+                follow_modes(memory, kept, told)
+                heard = first_of(seen, seen, seen, shape.output)
+                heard = correct(shape, memory, kept, heard, lost)
+                if clip is not None:
+                    store(kept.before, 0, before)
+                sum_up_errors(shape, memory, kept, heard, k, clip is not None)
+                z = remembered(shape, memory, kept, k)
+            known = first_of(z, seen, seen, shape.known)
+            if belief is not None:
+                missing = nothing_lost
+                if relayed is not None:
+                    missing = recent.lost
+                spread(mind.seen.reshape(-1), 0, n, seen)
+                believe_again(belief, mind, missing, k)
+            if model is not None:
+                if enters // LANES == k:
+                    enters = turn(model, ahead, k, enters)
+                if r == model.length:
+                    sum_up(shape, model.length, ahead)
+                    r = np.int64(0)
+                u = foresee(shape, model.length, ahead, r, known, before)
+            if factored is not None:
+                if r == factored.length:
+                    refill(shape, factored, ring, period, now, carry)
+                    b, r = same(0.0, shape.b), np.int64(0)
+                sums = load(carry, r * sizes * LANES, shape.rows)
+                sums = product(factored.last, 0, load(ring, older * m * LANES, shape.u), sums)
+                sums = product(factored.out, 0, b, product(factored.state, 0, known, sums))
+                if belief is not None:
+                    u = mean_row(shape, mind, sums)
+                else:
+                    number = load(work.number, 0, _ONE)
+                    if relayed is not None:  # noqa: SIM102
+                        if by_told:
+                            number = load(recent.number, 0, _ONE)
+                    u = choose(sums, number, shape.u)
+            if dense is not None:
+                if belief is not None:
+                    u = mean_dense_row(shape, mind, dense, window, place, known, before)
+                else:
+                    choose_rows(dense, work, window, k)
+                    if relayed is not None:  # noqa: SIM102
+                        if by_told:
+                            told_rows(recent, window.row)
+                    sum_dense(shape, dense, window, place)
+                    heads = gather(dense.head, window.head, shape.head)
+                    sums = gather(window.sums, places, shape.u)
+                    u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
+            if memory is not None:
+                store(kept.asked, 0, u)
+            elif relayed is not None:
+                u = command(shape, recent, u, asked)
+                asked = u
+            if clip is not None:
+                u = _clip(shape, clip, u, before)
+            store(ring, now * m * LANES, u)
+            if belief is not None:
+                remember_input(mind, u)
+            if model is not None:  # noqa: SIM102
+                if model.length > 0:
+                    enter(shape, ahead, load_each(ring, ahead.acting, shape.u, shape.entering), r)
+                    r += 1
+                    _turn_around(ahead.acting, m, ring.size)
+            if factored is not None:
+                entered = product(factored.enter, 0, u, same(0.0, shape.b))
+                b = block_product(factored.transition, 0, b, entered, shape.block)
+                r += 1
+            if dense is not None:
+                place = dense.taps - 1 if place == 0 else place - 1
+                spread(window.line, place * m, width, u)
+                spread(window.line, (place + dense.taps) * m, width, u)
+            if path.size and k >= keep:
+                store(path, (k - keep) * (n + m) * LANES, x)
+                store(path, ((k - keep) * (n + m) + n) * LANES, u)
+            acting = load_each(ring, work.acting, shape.u, shape.acting)
+            if force is not None:
+                at = (first * run.samples + k * LANES) * len(shape.force)
+                felt = load(force, at, shape.force)
+            if sight is not None:
+                go_on(shape, relayed, recent, first_of(acting, felt, felt, shape.driving))
+            moved = first_of(x, acting, felt, shape.z)
+            ise = own_form(own, n * wide * LANES, moved, ise)
+            x = own_product(own, 0, moved, same(0.0, shape.x))
+            weight = run.rest if k == run.samples - 1 else 1.0
+            weighed = product(run.root, 0, u, same(0.0, shape.u)) if run.root.size else u
+            energy = times(same(weight, _ONE), squares(weighed, none), energy)
+            now = 0 if now + 1 == period else now + 1
+            _turn_around(work.acting, m, ring.size)
+            older = 0 if older + 1 == period else older + 1
+        figures = ise, energy, peak, last, least, P, Q, squares(x, none), EP, EQ
+        at = first * (FIGURES + 2)
+        for f, figure in enumerate(figures):
+            store(work.figures, at + f * LANES, figure)
+        for lane in range(at, at + LANES):
+            for f in (5, 6):
+                product_so_far, exponents = (
+                    work.figures[lane + f * LANES],
+                    work.figures[lane + (f + 3) * LANES],
+                )
+                work.figures[lane + f * LANES] = math.log(product_so_far) + exponents * _LOG_2

@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.numerics.kernels import kernel
-from deadtime.numerics.lanes import load, same, store, times
+from deadtime.numerics.lanes import LANES, load, same, store, times
+from deadtime.scenarios.acting import Acting
 from deadtime.scenarios.records import Records
 
 TOLERANCE = 1e-9
@@ -25,57 +26,74 @@ def _snap(ratio):
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _place(time, step, acting, rate):
+def _place(time, step, arrival, arriving, rate):
     """The period that a switch falls in, and when in it; `rate` is 1/step."""
     ratio = _snap(time * rate)
     k = np.floor(ratio)
     if ratio == k:
         return np.int64(k), 0.0
-    for a in range(acting.arrival.size):
-        lag, arrival = acting.arriving[a], acting.arrival[a]
-        late = _snap((time - lag * step - arrival) * rate)
+    for a in range(arrival.size):
+        late = _snap((time - arriving[a] * step - arrival[a]) * rate)
         if late == np.floor(late):
-            return np.int64(late) + lag, arrival
+            return np.int64(late) + arriving[a], arrival[a]
     return np.int64(k), time - k * step
 
 
-@kernel(eager=True, nogil=True)
-def lay(offset, times, modes, samples, step, acting, plants):
+def lay(
+    offset: np.ndarray,
+    times: np.ndarray,
+    modes: np.ndarray,
+    samples: int,
+    step: float,
+    acting: Acting,
+    plants: int,
+) -> Records:
     """The records of every scenario for the periods 0, …, samples − 1.
 
     Scenario s has the sojourns offset[s], …, offset[s + 1] − 1; `plants` is the number of modes.
     """
-    scenarios, most = offset.size - 1, 2 * modes.size + 2 * (offset.size - 1)
-    first = np.empty(scenarios + 1, np.int64)
-    step_of, mode_of = np.empty(most, np.int32), np.empty(most, np.int32)
-    map_of, last = np.empty(most, np.int32), np.empty(most, np.bool_)
-    sojourn, until = np.empty(most, np.int32), np.empty(most, np.int32)
-    rate = 1.0 / step
-    at = np.empty(modes.size)
+    most = 2 * (modes.size + offset.size - 1)
+    step_of, mode_of, map_of, sojourn, until = (np.empty(most, np.int32) for _ in range(5))
+    first, last, at = (
+        np.empty(offset.size, np.int64),
+        np.empty(most, np.bool_),
+        np.empty(modes.size),
+    )
+    room = Records(first, step_of, mode_of, map_of, sojourn, until, last, at)
+    arrivals = acting.arrival, acting.arriving
+    r, c = fill_records(room, offset, times, modes, samples, step, *arrivals, plants)
+    records, cuts = (part[:r] for part in room[1:4]), (part[:c] for part in room[4:7])
+    return Records(first, *records, *cuts, at)
+
+
+@kernel(eager=True, nogil=True)
+def fill_records(room, offset, times, modes, samples, step, arrival, arriving, plants):
+    """Fill the room for records as `lay` has it: how many there are, and how many cut periods."""
+    scenarios, rate = offset.size - 1, 1.0 / step
     final, r, c = samples - 1, 0, 0
     for s in range(scenarios):
-        first[s] = r
+        room.first[s] = r
         i, stop = offset[s], offset[s + 1]  # i: the sojourn that is going on
         k = 0
         while True:
             # Switches at the sample come first: they are what the law sees.
             ahead, within = final + 1, 0.0
             while i + 1 < stop:
-                ahead, within = _place(times[i + 1], step, acting, rate)
+                ahead, within = _place(times[i + 1], step, arrival, arriving, rate)
                 if ahead != k or within > 0.0:
                     break
                 i += 1
                 ahead = final + 1
-            step_of[r], mode_of[r], map_of[r] = k, modes[i], modes[i]
+            room.step[r], room.mode[r], room.map[r] = k, modes[i], modes[i]
             if k == final or ahead == k:
-                map_of[r], sojourn[c], last[c] = plants + c, i, k == final
+                room.map[r], room.sojourn[c], room.last[c] = plants + c, i, k == final
                 while i + 1 < stop and ahead == k:
                     i += 1
-                    at[i] = within
+                    room.at[i] = within
                     ahead = final + 1
                     if i + 1 < stop:
-                        ahead, within = _place(times[i + 1], step, acting, rate)
-                until[c] = i + 1
+                        ahead, within = _place(times[i + 1], step, arrival, arriving, rate)
+                room.until[c] = i + 1
                 c += 1
                 r += 1
                 if k == final:
@@ -84,10 +102,8 @@ def lay(offset, times, modes, samples, step, acting, plants):
             else:
                 r += 1
                 k = min(ahead, final)
-    first[scenarios] = r
-    return Records(
-        first, step_of[:r], mode_of[:r], map_of[:r], sojourn[:c], until[:c], last[:c], at
-    )
+    room.first[scenarios] = r
+    return r, c
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
@@ -115,6 +131,27 @@ def fill_series(found, row, time, edges, table, width):
         low, cell = edges[part], (edges[part + 1] - edges[part]) / cells
         value = series(flat, row[c] * parts + part, cells, degrees, size, low, cell, time[c], width)
         store(place, c * size, value)
+
+
+@kernel(eager=True, nogil=True)
+def fill_switched(maps, sojourn, alone, modes, at, edges, table, count, width):
+    """Fill maps[c] of the cut periods that are `alone`, one switch in each, from series.
+
+    table : (mode·count + mode, part, cell, degree, size)
+    """
+    _, parts, cells, degrees, size = table.shape
+    flat, place = table.reshape(-1), maps.reshape(-1)
+    for c in range(sojourn.size):
+        if alone[c]:
+            i = sojourn[c]
+            t = at[i + 1]
+            part = 0
+            while part + 1 < parts and t >= edges[part + 1]:
+                part += 1
+            low, cell = edges[part], (edges[part + 1] - edges[part]) / cells
+            index = (modes[i] * count + modes[i + 1]) * parts + part
+            value = series(flat, index, cells, degrees, size, low, cell, t, width)
+            store(place, c * size, value)
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
@@ -147,14 +184,16 @@ def _compose(piece, column, move, energy, own):
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def compose_period(first, last, modes, at, end, acting, pieces, cell, result, scratch, width):
+def _compose_period(first, last, modes, at, end, acting, pieces, cell, result, room, width):
     """The map over [0, end) of a period with the sojourns first, …, last − 1."""
     cells, degrees, size = pieces.shape[1:]
-    flat, n, wide, m = pieces.reshape(-1), acting.states, acting.wide, acting.column.shape[1]
-    move, energy = np.zeros((n, wide)), np.zeros((wide, wide))
-    own = np.empty((n + m, wide))
-    for i in range(n):
-        move[i, i] = 1.0
+    flat, n, wide = pieces.reshape(-1), acting.states, acting.wide
+    move, energy, own, scratch = room
+    for a in range(wide):
+        for i in range(n):
+            move[i, a] = 1.0 if i == a else 0.0
+        for b in range(wide):
+            energy[a, b] = 0.0
     start = 0.0
     for i in range(first, last):
         stop = end if i + 1 == last else min(at[i + 1], end)
@@ -178,52 +217,33 @@ def compose_period(first, last, modes, at, end, acting, pieces, cell, result, sc
 
 
 @kernel(eager=True, nogil=True)
-def fill_maps(
-    maps,
-    records,
-    modes,
-    step,
-    rest,
-    acting,
-    switched,
-    pieces,
-    width,
-    piece_width,
-):
-    """Fill maps[modes + c] for every cut period c.
+def fill_composed(maps, which, first, stop, end, modes, at, acting, pieces, step, room, width):
+    """Fill maps[which[c]] with what the sojourns first[c], …, stop[c] − 1 do until end[c].
 
-    A period with one switch is read from `switched` (mode·modes + mode, part, cell, degree, size),
-    the others are composed from `pieces` (mode, cell, degree, size).
+    pieces : (mode, cell, degree, size)
     """
-    count, edges = pieces.shape[0], acting.edges
-    _, parts, cells, degrees, size = switched.shape
-    flat, place = switched.reshape(-1), maps.reshape(-1)
-    scratch = np.empty(pieces.shape[3])
     cell = step / pieces.shape[1]
-    sojourn, until, last, at = records.sojourn, records.until, records.last, records.at
-    for c in range(sojourn.size):
-        i = sojourn[c]
-        if cells > 0 and until[c] == i + 2 and not last[c]:
-            t = at[i + 1]
-            part = 0
-            while part + 1 < parts and t >= edges[part + 1]:
-                part += 1
-            low, high = edges[part], edges[part + 1]
-            index = (modes[i] * count + modes[i + 1]) * parts + part
-            value = series(flat, index, cells, degrees, size, low, (high - low) / cells, t, width)
-            store(place, (count + c) * size, value)
-        else:
-            end = rest if last[c] else step
-            compose_period(
-                np.int64(i),  # as other callers have it: each type is compiled anew
-                np.int64(until[c]),
-                modes,
-                at,
-                end,
-                acting,
-                pieces,
-                cell,
-                maps[count + c],
-                scratch,
-                piece_width,
-            )
+    for c in range(which.size):
+        _compose_period(
+            first[c], stop[c], modes, at, end[c], acting, pieces, cell, maps[which[c]], room, width
+        )
+
+
+def compose_cuts(
+    maps: np.ndarray,
+    which: np.ndarray,
+    stop: np.ndarray,
+    end: np.ndarray,
+    records: Records,
+    modes: np.ndarray,
+    acting: Acting,
+    pieces: np.ndarray,
+    step: float,
+) -> None:
+    """Fill maps[which[c]] with what cut period which[c] does until `end`, before sojourn `stop`."""
+    n, wide, size = acting.states, acting.wide, pieces.shape[-1]
+    shapes = (n, wide), (wide, wide), (acting.column.shape[1] + n, wide), (size,)
+    room, width = tuple(np.empty(shape) for shape in shapes), (0.0,) * (size // LANES)
+    first = records.sojourn[which].astype(np.int64)
+    given = first, stop.astype(np.int64), end, modes, records.at, acting, pieces, step, room, width
+    fill_composed(maps, which, *given)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
 
 
-class Shape(NamedTuple):
-    """The sizes of a loop as the lengths of tuples, so that they are types.
+@dataclass(frozen=True)
+class Shape:
+    """The sizes of a loop, which compiled code knows as types: the lengths of tuples.
 
     x : states;  u : inputs;  both : states and the inputs of one sample;  pair : two inputs
     acting : the inputs that act over a period;  driving : these and the forces;  z : and the state
@@ -25,33 +28,39 @@ class Shape(NamedTuple):
     square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
     """
 
-    x: tuple
-    u: tuple
-    both: tuple
-    acting: tuple
-    driving: tuple
-    z: tuple
-    pair: tuple
-    force: tuple = ()
-    seen: tuple = ()
-    known: tuple = ()
-    kept: tuple = ()
-    estimate: tuple = ()
-    estimates: tuple = ()
-    sums: tuple = ()
-    two_sums: tuple = ()
-    tracked: tuple = ()
-    output: tuple = ()
-    outputs: tuple = ()
-    reaching: tuple = ()
-    watched: tuple = ()
-    b: tuple = ()
-    block: tuple = ()
-    rows: tuple = ()
-    head: tuple = ()
-    square: tuple = ()
-    entering: tuple = ()
-    model: tuple = ()
+    x: int
+    u: int
+    both: int
+    acting: int
+    driving: int
+    z: int
+    pair: int
+    force: int = 0
+    seen: int = 0
+    known: int = 0
+    kept: int = 0
+    estimate: int = 0
+    estimates: int = 0
+    sums: int = 0
+    two_sums: int = 0
+    tracked: int = 0
+    output: int = 0
+    outputs: int = 0
+    reaching: int = 0
+    watched: int = 0
+    b: int = 0
+    block: int = 0
+    rows: int = 0
+    head: int = 0
+    square: int = 0
+    entering: int = 0
+    model: int = 0
+
+    @cached_property
+    def _numba_type_(self) -> Any:
+        from deadtime.numerics.lanes.code import Sizes
+
+        return Sizes(asdict(self))
 
 
 class Factored(NamedTuple):

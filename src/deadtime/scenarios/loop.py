@@ -140,8 +140,6 @@ class Loop:
 
     def lay(self, signals: SignalBatch) -> Laid:
         """Signals laid on the periods up to the horizon."""
-        from deadtime.scenarios.laid import fill_maps
-
         records, tables = self.place(signals), self.tables
         assert tables is not None
         modes = self.plant.modes
@@ -149,20 +147,32 @@ class Loop:
         maps = np.empty((modes + records.sojourn.size, tables.width))
         maps[:modes] = 0.0
         maps[:modes, : own.shape[1]] = own
-        fill_maps(
-            maps,
-            records,
-            signals.modes,
-            self.step,
-            self.rest,
-            self.acting,
-            tables.switched,
-            tables.pieces,
-            (0.0,) * (tables.width // WIDE),
-            (0.0,) * (tables.pieces.shape[-1] // WIDE),
-        )
+        self._fill_cuts(maps[modes:], records, signals.modes, tables)
         ages = np.floor(snap_all(np.minimum(signals.initial_age / self.step, OLDEST)))
         return Laid(records, maps, ages.astype(np.int64))
+
+    def _fill_cuts(
+        self, maps: np.ndarray, records: Records, modes: np.ndarray, tables: Tables
+    ) -> None:
+        """Fill in the cut periods: with one switch from series, the others step by step."""
+        from deadtime.scenarios.laid import compose_cuts, fill_switched
+
+        last, series, acting = records.last, tables.switched, self.acting
+        alone = ~last & (records.until - records.sojourn == 2) & (series.shape[2] > 0)
+        given = records.sojourn, alone, modes, records.at, acting.edges, series
+        width = (0.0,) * (tables.width // WIDE)
+        fill_switched(maps, *given, self.plant.modes, width)
+        left = ~alone
+        if self.rest == 0.0:
+            left &= ~last
+            n = acting.states * acting.wide
+            maps[last] = 0.0
+            maps[last, :n] = np.eye(acting.states, acting.wide).ravel()
+        if left.any():
+            which = np.flatnonzero(left)
+            end = np.where(last[which], self.rest, self.step)
+            given = end, records, modes, acting, tables.pieces, self.step
+            compose_cuts(maps, which, records.until[which], *given)
 
     def lay_nothing(self) -> Laid:
         """No signals, as `lay` lays them, but without a compiler."""

@@ -5,16 +5,17 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Foresight
 from deadtime.feedback.law import TableLaw
 from deadtime.plant import SampledPlant
-from deadtime.scenarios.cut_periods import WIDE, compose, parts_of
-from deadtime.scenarios.foreseen import Model, fill_tails
+from deadtime.scenarios.cut_periods import compose, parts_of
+from deadtime.scenarios.foreseen import Model
+from deadtime.scenarios.laid import compose_cuts
 from deadtime.scenarios.loop import Loop
-from deadtime.scenarios.records import Laid
+from deadtime.scenarios.records import Laid, Records
 from deadtime.switching import SignalBatch, SwitchingSignal
 
 
@@ -55,25 +56,39 @@ class ModelAhead:
         return self._model(self.loop.lay(signals), signals.modes)
 
     def _model(self, laid: Laid, sampled: Int[np.ndarray, " sojourn"]) -> Model:
-        loop, records, tables = self.loop, laid.records, self.loop.tables
-        assert tables is not None
-        modes = len(self._own_tails)
-        tails = np.empty((laid.maps.shape[0], self._own_tails.shape[1]))
-        tails[:modes] = self._own_tails
-        fill_tails(
-            tails,
-            self._foresight.gains,
-            self._foresight.latest,
-            records,
-            sampled,
-            self._rest,
-            loop.step,
-            loop.acting,
-            tables.pieces,
-            (0.0,) * (tables.pieces.shape[-1] // WIDE),
-        )
+        loop, records = self.loop, laid.records
+        tails = np.concatenate((self._own_tails, self._tails_of_cuts(records, sampled)))
         first, step, which = records.first, records.step, records.map
         return Model(self._length, loop.acting.lags, laid.maps, first, step, which, tails)
+
+    def _tails_of_cuts(
+        self, records: Records, sampled: Int[np.ndarray, " sojourn"]
+    ) -> Float[np.ndarray, "cut tail"]:
+        """Those of cut periods: over the first seconds, up to t_k + D, then by the gain there."""
+        loop, tables = self.loop, self.loop.tables
+        assert tables is not None
+        n, m, wide = loop.plant.states, loop.plant.inputs, loop.acting.wide
+        last, cuts = records.sojourn.astype(np.int64), records.sojourn.size
+        begun = last + 1 < records.until
+        while begun.any():
+            begun[begun] = records.at[last[begun] + 1] <= self._rest
+            last += begun
+            begun &= last + 1 < records.until
+        moves = np.eye(n, wide)[None]
+        if self._rest > 0.0:
+            maps, which, end = (
+                np.empty((cuts, tables.width)),
+                np.arange(cuts),
+                np.full(cuts, self._rest),
+            )
+            given = end, records, sampled, loop.acting, tables.pieces, loop.step
+            compose_cuts(maps, which, last + 1, *given)
+            moves = maps[:, : n * wide].reshape(cuts, n, wide)
+        gains, tails = self._foresight.gains[sampled[last]], np.zeros((cuts, m, n + m))
+        tails[:, :, n:] += self._foresight.latest
+        for j in range(n):
+            tails += gains[:, :, j, None] * moves[:, None, j, : n + m]
+        return tails.reshape(cuts, m * (n + m))
 
     def _ask(self, signal: SwitchingSignal) -> Foresight:
         found = self._law.foresight(self._step, signal, self._samples)

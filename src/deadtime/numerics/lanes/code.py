@@ -1,5 +1,4 @@
-"""Instructions on vectors of eight, and how an intrinsic is made of them."""
-
+"""Instructions on vectors of eight, how an intrinsic is made of them, and sizes as a type."""
 
 # Types of Numba are called to make signatures.
 # pyright: reportCallIssue=false
@@ -12,7 +11,15 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import models, register_model
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    models,
+    register_model,
+    unbox,
+)
 
 LANES = 8
 
@@ -32,6 +39,43 @@ class _LanesModel(models.PrimitiveModel):
 
 
 _LANES = _Lanes()
+
+
+class Sizes(types.Type):
+    """The type of an object whose fields compiled code reads as tuples of so many numbers.
+
+    Only the lengths are there, so it takes no room: tuples of numbers would be unpacked from
+    Python's one by one, and handed on at every call, which costs seconds of compiling.
+    """
+
+    def __init__(self, fields: dict[str, int]) -> None:
+        self.fields = fields
+        super().__init__(name=f"Sizes({', '.join(f'{n}={k}' for n, k in fields.items() if k)})")
+
+
+@register_model(Sizes)
+class _SizesModel(models.OpaqueModel):
+    pass
+
+
+@unbox(Sizes)
+def _unbox(kind: Any, given: Any, c: Any) -> NativeValue:
+    return NativeValue(c.context.get_dummy_value())
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = Sizes
+
+    def generic_resolve(self, kind: Any, name: str) -> Any:
+        if name in kind.fields:
+            return types.UniTuple(types.float64, kind.fields[name])
+        return None
+
+
+@lower_getattr_generic(Sizes)
+def _zeros(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
+    return context.get_constant_null(types.UniTuple(types.float64, kind.fields[name]))
 
 
 def vectors(count: int) -> types.UniTuple:
