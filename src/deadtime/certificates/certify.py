@@ -239,7 +239,7 @@ def _evidence(
     for level in _levels(setting):
         search: Any = StretchSearch(setting) if level is None else Search(setting, level)
         rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
-        slowest = search.propose(rhos[-1])
+        slowest = search.glance(rhos[-1]) if len(rhos) > 1 else search.propose(rhos[-1])
         if slowest is None:
             continue
         for rho in rhos:

@@ -102,13 +102,13 @@ def bands(response: Response, delay: float) -> list[Band]:
 
 def _levels(response: Response, samples: Samples) -> tuple[np.ndarray, ...]:
     """The least and the largest ln|λ| over all delays, moduli in order; rate of change; lag."""
-    levels, rates, lags = [], [], []
-    for delay in response.cuts:
-        gain = loop_gain(response, samples, np.array([delay]))
-        levels.append(np.sort(np.log(np.abs(gain.value)), axis=1))
-        rates.append(np.abs(gain.by_frequency + 1j * delay).max(axis=1))
-        lags.append(np.abs(1.0 + np.imag(gain.by_delay) / samples.omega[:, None]).max(axis=1))
-    level = np.stack(levels)
+    cuts, points = response.cuts, samples.omega.size
+    delay = np.repeat(cuts, points)
+    gain = loop_gain(response, samples.repeat(cuts.size), delay)
+    level = np.sort(np.log(np.abs(gain.value)), axis=1).reshape(cuts.size, points, -1)
+    rates = np.abs(gain.by_frequency + 1j * delay[:, None]).max(axis=1).reshape(cuts.size, points)
+    turns = np.imag(gain.by_delay).reshape(level.shape) / samples.omega[:, None]
+    lags = np.abs(1.0 + turns).max(axis=2)
     # Between two of these delays it may go on by half of what it changed; the first follows the
     # last, for a delay of a whole period is one of none.
     slack = 0.5 * np.abs(np.diff(level, axis=0, prepend=level[-1:])).max(axis=0)

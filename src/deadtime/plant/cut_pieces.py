@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
 from deadtime.base.checks import read_only
@@ -14,9 +17,11 @@ from deadtime.numerics.exponential import (
 )
 from deadtime.numerics.kernels import kernel
 from deadtime.numerics.stacked import discretise_all
-from deadtime.plant.laid_cuts import lay_cuts
+from deadtime.plant.laid_cuts import LaidCuts, lay_cuts
 from deadtime.plant.parts import consecutive, gramians_at_once, transitions_at_once
 from deadtime.plant.pieces import PieceTable, Stretches
+
+FEW = 24  # entries and switches, of which the transitions are kept
 
 
 def pieces_along(
@@ -39,8 +44,7 @@ def pieces_along(
     laid = lay_cuts(stretches, cut_step, cut_offset, cut_mode, switches)
     cut = np.concatenate((np.zeros((stretches.start.size, 2), np.int64), laid.cut))
     known = whole_stretches(A, B, stretches) if whole is None else whole
-    entries = map(read_only, (laid.start, laid.stop, laid.mode, laid.cut))
-    own = transitions(A, B, *entries, cut_offset, cut_mode)
+    own = _transitions_of(A, B, laid, cut_offset, cut_mode)
     Phi, Gamma = (np.concatenate(both) for both in zip(known, own, strict=True))
     mode = cut_mode[np.searchsorted(cut_step[:switches], np.arange(periods))]
     counts = np.diff(stretches.first)[mode]
@@ -59,6 +63,26 @@ def pieces_along(
         np.concatenate((_modes_of(stretches), laid.mode)),
         cut,
     )
+
+
+def _transitions_of(
+    A: np.ndarray, B: np.ndarray, laid: LaidCuts, cut_offset: np.ndarray, cut_mode: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Φ and Γ of the entries that are no whole stretch; few of them are kept."""
+    if not laid.mode.size:
+        return np.empty((0, *A.shape[1:])), np.empty((0, *B.shape[1:]))
+    entries = map(read_only, (laid.start, laid.stop, laid.mode, laid.cut))
+    given = A, B, *entries, cut_offset, cut_mode
+    if laid.mode.size > FEW or cut_mode.size > FEW:
+        return transitions(*given)
+    return _kept_transitions(tuple((one.dtype.char, one.shape, one.tobytes()) for one in given))
+
+
+@lru_cache(maxsize=256)  # searches move one switch of a few at a time, and go back
+def _kept_transitions(given: tuple[tuple[str, Any, bytes], ...]) -> tuple[np.ndarray, np.ndarray]:
+    arrays = [np.frombuffer(data, kind).reshape(shape) for kind, shape, data in given]
+    Phi, Gamma = transitions(*arrays)
+    return read_only(Phi), read_only(Gamma)
 
 
 def whole_stretches(

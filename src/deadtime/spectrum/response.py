@@ -41,6 +41,10 @@ class Samples(NamedTuple):
     r: np.ndarray
     r_slope: np.ndarray
 
+    def repeat(self, times: int) -> Samples:
+        """The same frequencies again and again."""
+        return Samples(*(np.concatenate([part] * times) for part in self))
+
 
 class Response(ABC):
     """A loop in one mode as a function of frequency and true delay: what margins read.

@@ -11,6 +11,11 @@ import numpy as np
 
 from deadtime.numerics.lmi import library, packing, settings_of
 
+CLEAR = 0.5  # of the maximum: the gap to it within which it is positive for sure,
+CLEAR_RESIDUAL = 1e-6  # with such a residual
+LEAST = 1e-7  # below it nothing is sure
+STOPPED = "CallbackTerminated"  # what the solver says then
+
 
 def squares(left: np.ndarray) -> np.ndarray:
     """left* E left for every basis matrix E of a packed symmetric matrix: (entries, k, k)."""
@@ -20,10 +25,12 @@ def squares(left: np.ndarray) -> np.ndarray:
     return np.where((rows == columns)[:, None, None], product, both)
 
 
-def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] | None:
+def maximise(
+    A: Any, b: np.ndarray, sizes: list[int], *, roughly: bool = False
+) -> tuple[np.ndarray, str] | None:
     """Maximise the last unknown subject to b − A x in the cones; None if that fails.
 
-    A is an array or a sparse matrix.
+    A is an array or a sparse matrix. `roughly`: stop where the unknown is positive for sure.
     """
     from scipy.sparse import csc_matrix
 
@@ -35,10 +42,23 @@ def maximise(A: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, str] 
     cones = [solver.PSDTriangleConeT(size) for size in sizes]
     nothing = csc_matrix((unknowns, unknowns))
     try:
-        solution = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings).solve()
+        ready = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings)
+        if roughly and hasattr(ready, "set_termination_callback"):
+            ready.set_termination_callback(_is_clear)
+        solution = ready.solve()
     except (KeyboardInterrupt, SystemExit):
         raise
     except BaseException:  # a panic in compiled code is no Exception
         return None
     x = np.array(solution.x)
     return (x, str(solution.status)) if np.isfinite(x).all() else None
+
+
+def _is_clear(progress: Any) -> bool:
+    """Whether the maximum is known to be positive, after some of the solver's iterations."""
+    reached = -progress.cost_primal
+    return (
+        reached > LEAST
+        and progress.gap_abs < CLEAR * reached
+        and progress.res_primal < CLEAR_RESIDUAL
+    )

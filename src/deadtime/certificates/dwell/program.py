@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.certificates.dwell.centre import Model
-from deadtime.certificates.dwell.cones import maximise, squares
+from deadtime.certificates.dwell.cones import STOPPED, maximise, squares
 from deadtime.certificates.dwell.response import Response
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack
@@ -77,6 +77,11 @@ class Solution:
     S: np.ndarray
     status: str
 
+    @property
+    def rough(self) -> bool:
+        """Whether the solver was stopped when it was clear that the margin is positive."""
+        return self.status == STOPPED
+
 
 def solve(
     model: Model,
@@ -85,8 +90,13 @@ def solve(
     units: Units,
     knots: tuple[int, ...],
     rho: float,
+    *,
+    roughly: bool = False,
 ) -> Solution | None:
-    """Solve the program; None if the solver has no answer."""
+    """Solve the program; None if the solver has no answer.
+
+    `roughly`: only so far that a positive margin is told from none.
+    """
     v, w = len(units.v), len(units.w)
     s = len(model.centre.Psi)
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
@@ -105,7 +115,7 @@ def solve(
     rows, columns, _ = packing(v + w)
     eye = (rows == columns).astype(float)
     b = np.concatenate([np.zeros(len(A) - 2 * len(eye)), eye, eye])
-    answer = maximise(-A, b, [*cones, 1, v + w, v + w])
+    answer = maximise(-A, b, [*cones, 1, v + w, v + w], roughly=roughly)
     if answer is None:
         return None
     x, status = answer

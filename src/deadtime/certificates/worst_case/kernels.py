@@ -8,18 +8,23 @@ overflows nor underflows when w is near 1/(growth over a period):
     x̃_{k+1} = w x̃.
 
 A period begins with its sample. A `loop` is a `Table` of `deadtime.certificates.worst_case.loop`:
-its pieces, and the rows of the law, weighted, the oldest input first. Searches
-run these loops for long, so Python never does.
+its pieces, and the rows of the law, weighted, the oldest input first. Searches run these loops for
+long, so Python never does. They make no arrays, which halves what compiling them takes.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from deadtime.numerics.kernels import kernel
 
 
-@kernel(eager=True, fastmath={"reassoc", "contract"})
+@kernel(
+    eager=True,
+    fastmath={"reassoc", "contract"},
+    nogil=True,
+    no_cpython_wrapper=True,
+    forceinline=True,
+    _nrt=False,
+)
 def _dot(a, b):
     """Σ a_i b_i, summed in any order (so that it vectorises)."""
     total = 0.0
@@ -28,108 +33,69 @@ def _dot(a, b):
     return total
 
 
-@kernel(eager=True)
-def _control(F, G, x, line, now):
-    """u = F x + G (past inputs), into its place in the delay line."""
-    m, window = G.shape
-    for i in range(m):
-        line[now + i] = _dot(G[i], line[now - window : now]) + _dot(F[i], x)
+@kernel(eager=True, nogil=True, _nrt=False)
+def forward(loop, x, line, states):
+    """Run cycle after cycle from x and the inputs at the beginning of `line`, in place.
 
-
-@kernel(eager=True)
-def forward(loop, repeats, x, inputs, states):
-    """Run `repeats` cycles from x and the first rows of `inputs` (W + samples, m), in place.
-
-    `states` (samples, n) gets x̃ at the end of every period.
+    `line` ((W + samples)·m,) has the inputs of one period after those of another, and `states`
+    (samples, n) gets x̃ at the end of every period.
     """
-    weight = loop.weight
-    n, m, cycle = x.size, loop.G.shape[1], loop.rows.size
-    past = inputs.shape[0] - repeats * cycle
-    line = inputs.reshape(-1)
-    moved, acting = np.empty(n), np.empty(m)
-    power, others = loop.power, loop.others
-    for k in range(repeats * cycle):
+    F, G, Phi, Gamma = loop.F, loop.G, loop.Phi, loop.Gamma
+    n, m, window, cycle = x.size, G.shape[1], G.shape[2], loop.rows.size
+    samples = states.shape[0]
+    past = line.size // m - samples
+    for k in range(samples):
         step = k % cycle
-        row, now = loop.rows[step], past + k
-        _control(loop.F[row], loop.G[row], x, line, now * m)
+        row, now = loop.rows[step], (past + k) * m
+        for i in range(m):
+            line[now + i] = _dot(G[row, i], line[now - window : now]) + _dot(F[row, i], x)
         for q in range(loop.first[step], loop.first[step + 1]):
             e = loop.entry[q]
-            for j in range(m):
-                acting[j] = others[e, j] * inputs[now - loop.lag[e, j], j]
             for i in range(n):
                 total = 0.0
                 for j in range(m):
-                    total += loop.Gamma[e, i, j] * acting[j]
-                total *= power[e]
+                    acting = loop.others[e, j] * line[now - loop.lag[e, j] * m + j]
+                    total += Gamma[e, i, j] * acting
+                total *= loop.power[e]
                 for j in range(n):
-                    total += loop.Phi[e, i, j] * x[j]
-                moved[i] = total
+                    total += Phi[e, i, j] * x[j]
+                states[k, i] = total
             for i in range(n):
-                x[i] = moved[i]
+                x[i] = states[k, i]
         for i in range(n):
-            x[i] *= weight
+            x[i] *= loop.weight
             states[k, i] = x[i]
 
 
-@kernel(eager=True)
-def after(loop, repeats, held, z):
-    """The lifted state z = (x, the `held` last inputs, the oldest first) after some cycles."""
-    m, n = loop.F.shape[1:]
-    samples = repeats * loop.rows.size
-    x, result = np.empty(n), np.empty(z.size)
-    inputs, states = np.empty((held + samples, m)), np.empty((samples, n))
-    for i in range(n):
-        x[i] = z[i]
-    for j in range(held):
-        for i in range(m):
-            inputs[j, i] = z[n + j * m + i]
-    forward(loop, repeats, x, inputs, states)
-    for i in range(n):
-        result[i] = x[i]
-    for j in range(held):
-        for i in range(m):
-            result[n + j * m + i] = inputs[samples + j, i]
-    return result
-
-
-@kernel(eager=True)
-def _control_adjoint(F, G, p, line, now):
-    """`_control`, transposed."""
-    m, window = G.shape
-    for i in range(m):
-        u = line[now + i]
-        for j in range(p.size):
-            p[j] += F[i, j] * u
-        for j in range(window):
-            line[now - window + j] += G[i, j] * u
-
-
-@kernel(eager=True)
-def carry_back(loop, p, inputs):
+@kernel(eager=True, nogil=True, _nrt=False)
+def carry_back(loop, p, line, moved):
     """Carry a functional of the lifted state back over one cycle, in place.
 
-    It is (p, the last W rows of `inputs` (W + samples, m)) at the end, and (p, the first W) at
-    the start; the other rows of `inputs` must be 0 at first.
+    It is (p, the last W inputs of `line`) at the end, and (p, the first W) at the start, `line`
+    ((W + samples)·m,) as in `forward`; the others must be 0 at first. `moved` (n,) is overwritten.
     """
-    weight = loop.weight
-    n, m, cycle = p.size, loop.G.shape[1], loop.rows.size
-    past = inputs.shape[0] - cycle
-    line = inputs.reshape(-1)
-    moved = np.empty(n)
-    power, others = loop.power, loop.others
+    F, G, Phi, Gamma = loop.F, loop.G, loop.Phi, loop.Gamma
+    n, m, window, cycle = p.size, G.shape[1], G.shape[2], loop.rows.size
+    past = line.size // m - cycle
     for k in range(cycle - 1, -1, -1):
-        row, now = loop.rows[k], past + k
+        row, now = loop.rows[k], (past + k) * m
         for q in range(loop.first[k + 1] - 1, loop.first[k] - 1, -1):
             e = loop.entry[q]
-            end = weight if q == loop.first[k + 1] - 1 else 1.0
+            end = loop.weight if q == loop.first[k + 1] - 1 else 1.0
             for j in range(m):
-                acts, own = now - loop.lag[e, j], end * power[e] * others[e, j]
+                acts = now - loop.lag[e, j] * m + j
+                own = end * loop.power[e] * loop.others[e, j]
                 for i in range(n):
-                    inputs[acts, j] += own * loop.Gamma[e, i, j] * p[i]
+                    line[acts] += own * Gamma[e, i, j] * p[i]
             for j in range(n):
                 moved[j] = 0.0
                 for i in range(n):
-                    moved[j] += end * loop.Phi[e, i, j] * p[i]
+                    moved[j] += end * Phi[e, i, j] * p[i]
             for j in range(n):
                 p[j] = moved[j]
-        _control_adjoint(loop.F[row], loop.G[row], p, line, now * m)
+        for i in range(m):
+            u = line[now + i]
+            for j in range(n):
+                p[j] += F[row, i, j] * u
+            for j in range(window):
+                line[now - window + j] += G[row, i, j] * u

@@ -155,42 +155,39 @@ class SampledLoop:
 
         n, m, W = self.plant.states, self.plant.inputs, self.past
         samples = repeats * table.periods
-        inputs, states = np.empty((W + samples, m)), np.empty((samples, n))
-        inputs[:W] = z[n:].reshape(W, m)
-        forward(table, repeats, z[:n].copy(), inputs, states)
-        return states, inputs
+        line, states = np.empty((W + samples) * m), np.empty((samples, n))
+        line[: W * m] = z[n:]
+        forward(table, z[:n].copy(), line, states)
+        return states, line.reshape(-1, m)
 
     def after(self, table: Table, repeats: int, z: np.ndarray) -> np.ndarray:
         """ζ (order,) after some cycles, weighted."""
-        from deadtime.certificates.worst_case.kernels import after
-
-        return after(table, repeats, self.past, z)
+        states, inputs = self.run(table, repeats, z)
+        return np.concatenate((states[-1], inputs[-self.past :].ravel()))
 
     def before(self, table: Table, y: np.ndarray) -> np.ndarray:
         """The functional (order,) of ζ at the start of a cycle that is `y` at its end, weighted."""
         from deadtime.certificates.worst_case.kernels import carry_back
 
-        n, W = self.plant.states, self.past
-        inputs = np.zeros((W + table.periods, self.plant.inputs))
-        inputs[-W:] = y[n:].reshape(W, -1)
+        n, held = self.plant.states, self.past * self.plant.inputs
+        line = np.zeros(held + table.periods * self.plant.inputs)
+        line[-held:] = y[n:]
         p = y[:n].copy()
-        carry_back(table, p, inputs)
-        return np.concatenate((p, inputs[:W].ravel()))
+        carry_back(table, p, line, np.empty(n))
+        return np.concatenate((p, line[:held]))
 
     def growth(self, cycle: Cycle, tolerance: float = TOLERANCE) -> Growth | None:
         """The growth rate of a cycle and the direction that grows; None where it is not found.
 
         `tolerance` is relative, of the eigenvalue.
         """
-        from deadtime.certificates.worst_case.kernels import after
-
         table = self.table(cycle)
         start = np.random.default_rng(0).normal(size=self.order)
         spanning = max(1, -(-WINDOWS * self.past // table.periods))
         dominant, repeats = None, 1
         with np.errstate(over="ignore", invalid="ignore"):
             for repeats in (spanning, 3 * spanning, 1):
-                apply = partial(after, table, repeats, self.past)
+                apply = partial(self.after, table, repeats)
                 dominant = _largest(apply, start, tolerance)
                 if dominant is not None:
                     break
