@@ -132,6 +132,18 @@ def test_diverging_loop_is_reported_not_raised(folder, capsys):
     assert "diverged: |x| left 1e100 after t =" in out.replace("\n", " ")
 
 
+ODD_NAMES = "# states = ", 'states = ["$x", "$\\\\foo$"] # '
+
+
+def test_names_that_are_no_mathematics_are_drawn_as_they_are(folder, capsys):
+    run(capsys, "init")
+    text = (folder / "problem.toml").read_text()
+    assert ODD_NAMES[0] in text
+    (folder / "problem.toml").write_text(text.replace(*ODD_NAMES, 1))
+    code, _, err = run(capsys, "simulate", "problem.toml")
+    assert (code, err) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -139,7 +151,7 @@ def test_diverging_loop_is_reported_not_raised(folder, capsys):
         ("step = 0.01 ", "step = 1e-320 ", "step = 9.99989e-321 s is too short"),
         ("horizon = 15.0", "horizon = 1e18", "horizon = 1e+18 s would hold about"),
         pytest.param("x0 = [-1.0, 1.0]", "x0 = [0.0, 0.0]", None, marks=pytest.mark.long),
-        ("# states = ", 'states = ["$x", "$\\\\foo$"] # ', None),
+        pytest.param(*ODD_NAMES, None, marks=pytest.mark.long),
     ],
 )
 def test_odd_files_get_a_verdict_or_one_line(folder, capsys, old, new, message):

@@ -73,8 +73,9 @@ def test_a_warm_restart_changes_no_bit(name):
     for one in x[71:]:
         assert first.update(one).tolist() == second.update(one).tolist()
         assert (second.belief == first.belief).all()
-    again = [second.update(one).tolist() for one in x if second.reset() is None]
-    assert again == [controller(name, limits=(-4.0, 3.0)).update(one).tolist() for one in x]
+    few = x[::15]  # each beside a controller that nothing has happened to
+    again = [second.update(one).tolist() for one in few if second.reset() is None]
+    assert again == [controller(name, limits=(-4.0, 3.0)).update(one).tolist() for one in few]
 
 
 def test_the_filter_predicts_with_the_inputs_as_applied():

@@ -253,7 +253,7 @@ def test_sources_build_without_deadtime(tmp_path):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize(("begin", "count"), [(1e3, 300), (1e6, 3000)])
+@pytest.mark.parametrize(("begin", "count"), [(1e3, 300), (1e6, 1000)])
 def test_a_master_that_adds_up_its_time_gets_a_sample_a_step(tmp_path, version, begin, count):
     """Round-off of the sum is far above that of k h, and at 1e6 s above 1e-7 h."""
     law, path, step = plants.LAWS["averaged"](GENERIC), tmp_path / "law.fmu", 0.001

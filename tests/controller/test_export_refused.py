@@ -56,9 +56,9 @@ def spoilt(tmp_path, name, factor=1.01):
 @needs_compiler
 @pytest.mark.parametrize(("ages", "tables"), [(0, ["LAST", "WHOLE"]), (1, ["G"])])
 def test_a_spoilt_number_is_found_however_long_the_window_and_whichever_row(tmp_path, ages, tables):
-    """Of 2,500 past inputs the oldest; of the ages the last, within tight limits."""
+    """Of 1,000 past inputs the oldest; of the ages the last, within tight limits."""
     plant = plants.paper(0.5)
-    law, step = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0])), 0.0002
+    law, step = dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0])), 0.0005
     if ages:
         law, step = plants.LAWS["averaged, dwell-aware"](GENERIC), 0.002
     run = dt.Controller(law, step, limits=(-0.1, 0.1))

@@ -15,6 +15,7 @@ import plants
 from deadtime.cli.entry import main
 from deadtime.controller.export import Staging, compiler, export_c, export_fmu
 from deadtime.problems.file import load_problem
+from shares import mostly_long
 
 TWO_INPUTS = """
 [plant]
@@ -172,7 +173,7 @@ def test_python_m_deadtime_is_the_command():
     assert (done.returncode, done.stdout.strip()) == (0, dt.__version__)
 
 
-@pytest.mark.parametrize("source", ["", "A handbook"])
+@pytest.mark.parametrize("source", mostly_long(["", "A handbook"], ""))
 def test_a_report_ends_a_source_that_is_there_and_sends_nobody_to_the_repository(folder, source):
     text = (folder / "two.toml").read_text()
     (folder / "two.toml").write_text(f'source = "{source}"\n{text}', encoding="utf-8")

@@ -115,6 +115,7 @@ def test_a_run_lays_its_belief_on_the_times_asked_for():
     assert dt.simulate(PLANT, LAWS["mode"], *args[2:]).belief is None
 
 
+@pytest.mark.long  # with imperfections in `test_believing_batches`
 def test_many_runs_are_single_runs():
     plant, model = plants.paper(), plants.markov(2)
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)

@@ -101,10 +101,9 @@ def test_the_cost_of_every_kind_of_run_is_the_integral_of_its_states_and_inputs(
     assert run.metrics(weight)["cost"] == pytest.approx(parts @ density, rel=1e-3)
 
 
-# Each case compiles a loop with and one without a weight.
 @pytest.mark.parametrize(
     ("name", "limited"),
-    mostly_long(itertools.product(LAWS, (False, True)), ("averaged", False), ("oracle", True)),
+    mostly_long(itertools.product(LAWS, (False, True)), ("averaged", False)),
 )
 def test_a_batch_has_the_costs_of_runs_one_by_one(name, limited):
     laws, actuators = {name: LAWS[name]}, [Saturation(-0.8, 0.8)] if limited else []

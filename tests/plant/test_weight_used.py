@@ -176,7 +176,9 @@ def test_a_study_measures_the_problem_s_cost_or_its_own(tmp_path):
     written(tmp_path)
     own = "[cost]\nQ = 2.0\nR = 3.0\n"
     paths = [written(tmp_path, STUDY + more, f"{len(more)}.toml") for more in ("", own)]
-    problems, its = (dt.sweep(load_study(path), path.with_suffix(".zarr")) for path in paths)
+    problems, its = (
+        dt.sweep(load_study(path), path.with_suffix(".zarr"), workers=1) for path in paths
+    )
     assert problems.cost.attrs["formula"] == "∫xᵀQx + uᵀRu, Q = diag(4, 1), R = 0.1"
     assert its.cost.attrs["formula"] == "∫xᵀQx + uᵀRu, Q = 2 I, R = 3"
     assert problems.ise.equals(its.ise)
@@ -189,7 +191,7 @@ def test_a_study_measures_the_problem_s_cost_or_its_own(tmp_path):
 def test_a_study_sweeps_a_weight_by_its_path(tmp_path):
     written(tmp_path)
     path = written(tmp_path, STUDY.replace("delay = [0.2, 0.3]", "cost.R = [0.0, 2.0]"), "s.toml")
-    data = dt.sweep(load_study(path), tmp_path / "s.zarr")
+    data = dt.sweep(load_study(path), tmp_path / "s.zarr", workers=1)
     assert data.cost.attrs["formula"] == "∫xᵀQx + uᵀRu, Q and R by cell"
     more = data.cost.sel({"cost.R": 2.0}) - data.cost.sel({"cost.R": 0.0})
     assert more.values == pytest.approx(2.0 * data.energy.isel({"cost.R": 0}).values, rel=1e-8)
@@ -222,6 +224,7 @@ def test_a_study_in_python_takes_a_weight(tmp_path):
     data = dt.sweep(
         dt.function_study(loop, {"gain": [1.0, 2.0]}, scenarios=3),
         tmp_path / "python.zarr",
+        workers=1,
     )
     wanted = (2.0 * data.ise + 0.5 * data.energy).values
     assert data.cost.values == pytest.approx(wanted, rel=1e-9)

@@ -35,10 +35,11 @@ def believing(plant=BELIEVED, model: Any = MARKOV, law=None, **options):
     return dt.BeliefPredictor(law, filt)
 
 
+LIMITED = [Noise(0.02), Dropout(0.2), RateLimit([3.0, 4.0]), Saturation(-1.0, 1.2)]
 AWARE = dt.AveragedPredictor(BELIEVED, plants.gains(BELIEVED), None, 0.31)
 CASES = {
     "of another model": (TRUTH, believing(), []),
-    "delays of every mode and input": (OWN, believing(OWN), [Noise(0.02), Saturation(-1.0, 1.2)]),
+    "delays of every mode and input": (OWN, believing(OWN), LIMITED),
     "disturbed": (
         TRUTH,
         believing(switches="samples", forgetting=1e-4),
@@ -48,7 +49,8 @@ CASES = {
     "ages of the table alone": (BELIEVED, believing(law=AWARE), [LateSamples(2, 0.2)]),
     "measured within periods": (TRUTH, believing(), [Jitter(0.05), ModeDelay(2), Noise(0.02)]),
 }
-FEW = ("delays of every mode and input", "disturbed", "ages")
+# Rows by the mode, behind limits; rows by the mode and its age, under a force.
+FEW = ("delays of every mode and input", "ages")
 
 
 @pytest.mark.parametrize("case", mostly_long(list(CASES), *FEW))
@@ -59,6 +61,6 @@ def test_scenarios_on_a_belief_are_those_of_single_runs(case):
 
 def test_no_scenario_reads_a_mode():
     args = OWN, {"belief": believing(OWN)}, MARKOV, [0.3, -0.6, 0.9], 6.0, H, 20
-    told = dt.monte_carlo(*args, imperfections=[Noise(0.0)])
-    deceived = dt.monte_carlo(*args, imperfections=[WrongMode(0.9), Noise(0.0)])
+    told = dt.monte_carlo(*args, imperfections=LIMITED)
+    deceived = dt.monte_carlo(*args, imperfections=[WrongMode(0.9), *LIMITED])
     assert np.array_equal(told.cost.values, deceived.cost.values)

@@ -53,23 +53,13 @@ CASES = {
 }  # fmt: skip
 
 
-BESIDE = "beside other imperfections"
+@pytest.mark.long  # two of them are beside other imperfections in `test_imperfect_batches`
+@pytest.mark.parametrize("case", CASES)
+def test_disturbed_scenarios_are_those_of_single_runs(case):
+    require_single_runs(plants.generic(0.234), LAWS, CASES[case])
 
 
-@pytest.mark.parametrize(
-    ("case", "names"),
-    mostly_long(
-        [*((case, tuple(LAWS)) for case in CASES), ("white", ("averaged",))],
-        ("white", ("averaged",)),
-        (BESIDE, tuple(LAWS)),
-    ),
-)
-def test_disturbed_scenarios_are_those_of_single_runs(case, names):
-    laws = {name: LAWS[name] for name in names}
-    require_single_runs(plants.generic(0.234), laws, CASES[case])
-
-
-@pytest.mark.parametrize("case", mostly_long(["white", BESIDE], "white"))
+@pytest.mark.parametrize("case", mostly_long(["white", "beside other imperfections"], "white"))
 def test_so_are_they_with_a_delay_per_input(case):
     plant, own = plants.generic([0.234, 0.11]), plants.generic([0.3, 0.07], seed=5)
     require_single_runs(plant, {"averaged": plants.LAWS["averaged"](own)}, CASES[case])

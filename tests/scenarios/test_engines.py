@@ -71,15 +71,17 @@ def check_as_simulated(loop, law, scenarios=(3, 6)):
 # -- against simulate --------------------------------------------------------------------------
 
 
-# A kind of rows each: factored, by mode, of a signal. Batches of other tests have the others.
-@pytest.mark.parametrize("name", mostly_long(plants.LAWS, "averaged", "expected", "exact"))
+# Factored rows, and rows by mode. Batches of other tests have the others; of a law that knows its
+# signal so do the tests below.
+@pytest.mark.parametrize("name", mostly_long(plants.LAWS, "averaged", "expected"))
 def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name):
     assert TRUTH.delay % H > 0.0
     assert HORIZON % H > 0.0
     check_as_simulated(loop_of(), plants.LAWS[name](BELIEVED))
 
 
-@pytest.mark.parametrize("name", mostly_long(["averaged", "mean, dwell-aware"], "averaged"))
+@pytest.mark.long  # limits are beside other imperfections in `test_imperfect_batches`
+@pytest.mark.parametrize("name", ["averaged", "mean, dwell-aware"])
 def test_limited_inputs_are_as_simulated(name):
     check_as_simulated(loop_of(actuators=LIMITS), plants.LAWS[name](BELIEVED))
 
@@ -88,7 +90,7 @@ def test_limited_inputs_are_as_simulated(name):
 def test_a_window_longer_than_the_run_is_as_simulated(name):
     loop = loop_of(plants.generic(8.04))
     assert loop.sampled.longest_lag > loop.whole + 1
-    check_as_simulated(loop, plants.LAWS[name](plants.generic(8.5, seed=5)), scenarios=(3,))
+    check_as_simulated(loop, plants.LAWS[name](plants.generic(8.54, seed=5)), scenarios=(3,))
 
 
 @pytest.mark.long  # as longer windows are; a kernel of its own
@@ -114,7 +116,7 @@ def predicted(plant, signal, x, inputs, start):
     return x
 
 
-@pytest.mark.parametrize("delay", mostly_long([0.06, 0.1, 0.234, 0.3, 8.54], 0.1, 0.234))
+@pytest.mark.parametrize("delay", mostly_long([0.06, 0.1, 0.234, 0.3, 8.54], 0.234))
 def test_an_oracle_predicts_along_its_signal(delay):
     loop, law = loop_of(), plants.LAWS["exact"](plants.generic(delay, seed=5))
     engine = Engine(loop)

@@ -15,7 +15,9 @@ from deadtime.imperfections import (
     Noise,
     RateLimit,
     Saturation,
+    StepDisturbance,
     TimingImperfection,
+    WhiteDisturbance,
     WrongMode,
 )
 from deadtime.plant import SampledPlant
@@ -64,6 +66,8 @@ CASES = {
         WrongMode(0.05),
         Dropout(0.1),
         RateLimit([9.0, 12.0]),
+        WhiteDisturbance([0.05, 0.1, 0.0]),
+        StepDisturbance([0.1, -0.2, 0.1], 0.55, 4.0),
     ],
 }
 

@@ -34,6 +34,7 @@ def test_every_cell_is_monte_carlo_on_the_problem_with_its_values(own):
 
 def test_equal_signals_are_run_once_and_counted_as_often_as_they_come(tmp_path):
     text = STUDY.split("plant.delay")[0] + 'dwell_time = 0.3\nsojourn = "fixed"\n'
+    text = text.replace("seed = 3", 'seed = 3\nlaws = ["averaged", "oracle"]')
     study = load(tmp_path, text.replace("12", "40"))
     outcome = run_cell(study, next(study.cells()))
     loop = study.loop(next(study.cells()))
@@ -57,7 +58,7 @@ def test_a_law_that_cannot_be_built_in_a_cell_leaves_its_reason_and_the_others_r
 
 def test_a_diverging_loop_is_counted_in_its_reason(tmp_path):
     text = STUDY.split("plant.delay")[0] + "gain_error = [0.0, 8.0]\n"
-    study = load(tmp_path, text.replace("seed = 3", "horizon = 200.0"))
+    study = load(tmp_path, text.replace("seed = 3", 'horizon = 200.0\nlaws = ["averaged"]'))
     data = filled(study, tmp_path / "x.zarr").load()
     assert (data.reason.isel(gain_error=0) == "").all()
     count = int(data.diverged.isel(gain_error=1).sel(law="averaged").sum())

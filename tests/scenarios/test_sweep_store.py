@@ -33,11 +33,9 @@ def test_a_store_made_anew_under_the_same_name_is_not_taken_for_the_old_one(tmp_
         old.ise.load()
 
 
-def test_a_store_opens_with_plain_xarray_and_carries_the_study(own, tmp_path):
-    study, data = own
-    filled(study, tmp_path / "plain.zarr")
-    with xr.open_zarr(tmp_path / "plain.zarr") as plain:
-        np.testing.assert_array_equal(plain.ise, data.ise)
+def test_a_store_opens_with_plain_xarray_and_carries_the_study(own, own_store):
+    with xr.open_zarr(own_store[1]) as plain:
+        np.testing.assert_array_equal(plain.ise, own[1].ise)
         assert plain.ise.attrs == {"units": "x^2 s", "long_name": "integral of |x|^2"}
         assert plain.delay_error.attrs["long_name"] == "delay error"
         assert plain.diverged.dtype == bool
@@ -137,11 +135,13 @@ def test_what_is_no_store_is_refused(tmp_path):
         dt.open_sweep(tmp_path / "other.zarr")
 
 
-def test_a_damaged_chunk_is_named_and_computed_again_on_request(own, tmp_path, monkeypatch, capsys):
-    study, data = own
+def test_a_damaged_chunk_is_named_and_computed_again_on_request(
+    own_store, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     load(tmp_path)
-    whole = filled(study, tmp_path / "x.zarr").load()
+    shutil.copytree(own_store[1], "x.zarr")
+    whole = dt.open_sweep("x.zarr").load()
     before = tree("x.zarr")
     chunk = next(p for p in Path("x.zarr/energy/c").rglob("0") if p.is_file())
     damaged = bytearray(chunk.read_bytes())
@@ -149,7 +149,7 @@ def test_a_damaged_chunk_is_named_and_computed_again_on_request(own, tmp_path, m
     chunk.write_bytes(damaged)
     with pytest.raises(dt.StoreError, match=rf"damaged chunk, .*{chunk}.*--verify"):
         dt.open_sweep("x.zarr").energy.load()
-    np.testing.assert_array_equal(dt.open_sweep("x.zarr").ise, data.ise)
+    np.testing.assert_array_equal(dt.open_sweep("x.zarr").ise, whole.ise)
     for name in ("peak", "diverged", "reason"):
         gone = next(p for p in Path(f"x.zarr/{name}/c").rglob("0") if p.is_file())
         kept = gone.read_bytes()

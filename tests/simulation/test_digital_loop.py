@@ -143,7 +143,7 @@ def random_loops(count):
     )
 
 
-@random_loops(100)
+@random_loops(60)
 @given(loops())
 def test_simulate_equals_an_independent_propagation_to_round_off(case):
     require_agreement(case)
