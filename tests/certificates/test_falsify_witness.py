@@ -30,23 +30,27 @@ def test_a_mode_that_begins_after_a_sample_may_end_at_one_as_clocks_drift():
     assert 1e-9 < worst.phase / H < 1e-3  # more than what counts as at the sample
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-4, 0.01])
+@pytest.mark.parametrize("tolerance", mostly_long([1e-6, 1e-4, 0.01], 0.01))
 def test_any_tolerance_of_the_clock_lets_it_grow(tolerance):
-    worst = dt.falsify(*drifting(), 2.0 * H, H, clock_tolerance=tolerance)
+    worst = dt.falsify(*drifting(), 2.0 * H, H, clock_tolerance=tolerance, budget=QUICK)
     assert worst.growth_rate > 0.36
     assert worst.signal.dwell_time >= 2.0 * H * (1.0 - tolerance)
 
 
 def test_without_a_tolerance_it_decays():
-    worst = dt.falsify(*drifting(), 2.0 * H, H, clock_tolerance=0.0)
+    worst = dt.falsify(*drifting(), 2.0 * H, H, clock_tolerance=0.0, budget=QUICK)
     assert worst.growth_rate == pytest.approx(-0.352, abs=2e-3)
     assert worst.signal.dwell_time >= 2.0 * H
 
 
 @pytest.mark.parametrize(
-    "name", mostly_long(["delayed", "expected", "mean, dwell-aware"], "delayed")
+    ("name", "most"),
+    mostly_long(
+        [("delayed", 6), ("delayed", 12), ("expected", 12), ("mean, dwell-aware", 12)],
+        ("delayed", 6),
+    ),
 )
-def test_no_cycle_of_two_is_worse_whatever_is_seen_late(name):
+def test_no_cycle_of_two_is_worse_whatever_is_seen_late(name, most):
     plant = plants.generic()
     law = plants.LAWS[name](plant)
     worst = dt.falsify(plant, law, 2.0 * H, H)
@@ -54,7 +58,7 @@ def test_no_cycle_of_two_is_worse_whatever_is_seen_late(name):
     best = max(
         loop.growth(Cycle.on_grid([(i, a, s), (j, b, e)], late)).rate
         for i, j in itertools.combinations(range(3), 2)
-        for a, b in itertools.product(range(2, 12), repeat=2)
+        for a, b in itertools.product(range(2, most), repeat=2)
         for s, e in itertools.product((False, True), repeat=2)
     )
     assert worst.growth_rate >= best - 1e-4
@@ -63,7 +67,10 @@ def test_no_cycle_of_two_is_worse_whatever_is_seen_late(name):
 # -- the witness -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [name for name in plants.LAWS if name != "exact"])
+@pytest.mark.parametrize(
+    "name",
+    mostly_long([n for n in plants.LAWS if n != "exact"], "expected", "mean, dwell-aware"),
+)
 def test_every_witness_is_admissible_and_grows_as_it_says(name):
     plant = plants.generic()
     law = plants.LAWS[name](plant)
@@ -75,7 +82,10 @@ def test_every_witness_is_admissible_and_grows_as_it_says(name):
     assert worst.u0.shape == (2, law.digital(H).taps)
 
 
-@pytest.mark.parametrize("name", ["averaged", "delayed", "averaged, dwell-aware"])
+@pytest.mark.parametrize(
+    "name",
+    mostly_long(["averaged", "delayed", "averaged, dwell-aware"], "averaged, dwell-aware"),
+)
 def test_the_witness_grows_in_an_independent_simulation_of_another_plant(name):
     delay, model_delay, dwell = Fraction(31, 100), Fraction(234, 1000), Fraction(1634, 10000)
     model = plants.generic(float(model_delay))

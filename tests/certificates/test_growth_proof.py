@@ -85,7 +85,7 @@ def test_bounds_hold_the_growth_rate_of_fifty_digits_and_are_close(name, mode):
     assert dt.growth_rate(plant, law, mode, H) == pytest.approx(rate, abs=1e-9)
 
 
-@pytest.mark.parametrize("step", [0.1, 0.01, 0.001])
+@pytest.mark.parametrize("step", mostly_long([0.1, 0.01, 0.001], 0.1, 0.01))
 def test_bounds_agree_with_the_spectrum_at_any_order(step):
     plant = plants.paper()
     law = plants.LAWS["averaged"](plant)
@@ -117,7 +117,9 @@ def test_a_loop_whose_growth_cannot_be_bounded_is_refused_by_name(monkeypatch):
 # -- loops that seem to grow -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("n", "seed"), list(itertools.product((3, 4, 5, 6), (0, 1))))
+@pytest.mark.parametrize(
+    ("n", "seed"), mostly_long(itertools.product((3, 4, 5, 6), (0, 1)), (3, 0), (6, 1))
+)
 def test_a_stable_loop_of_a_multiple_eigenvalue_is_never_refuted(n, seed):
     plant, law = defective(n, seed)
     worst = dt.falsify(plant, law, 0.2, H)
@@ -128,7 +130,7 @@ def test_a_stable_loop_of_a_multiple_eigenvalue_is_never_refuted(n, seed):
         assert certificate.stable is not False
 
 
-@pytest.mark.parametrize("n", [3, 4, 5, 6])
+@pytest.mark.parametrize("n", mostly_long([3, 4, 5, 6], 4))
 def test_an_unstable_loop_of_a_multiple_eigenvalue_is_refuted(n):
     plant, law = defective(n, 1, rate=DECAY)
     certificate = dt.certify(plant, law, 0.2, H)
@@ -171,7 +173,7 @@ def assert_refuted(plant, law, dwell_time, step):
 
 
 @pytest.mark.parametrize(
-    "name", mostly_long([n for n in plants.LAWS if n != "exact"], "averaged", "expected", "delayed")
+    "name", mostly_long([n for n in plants.LAWS if n != "exact"], "averaged", "expected")
 )
 def test_growth_under_every_law_of_the_paper_s_plant_is_proved(name):
     plant = plants.paper()
@@ -185,7 +187,7 @@ def test_growth_over_a_hundred_periods_of_delay_is_proved(name):
     assert_refuted(plant, plants.LAWS[name](plant), 0.2, 0.01)
 
 
-@pytest.mark.parametrize("name", ["averaged", "expected", "delayed"])
+@pytest.mark.parametrize("name", mostly_long(["averaged", "expected", "delayed"], "expected"))
 def test_growth_of_the_three_mode_plant_is_proved(name):
     plant = dt.problems.three_mode().plant
     law = {
@@ -198,7 +200,7 @@ def test_growth_of_the_three_mode_plant_is_proved(name):
     assert_refuted(plant, law, 0.9, 0.1)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", mostly_long(range(6), 1, 2))
 def test_growth_of_random_plants_is_proved(seed):
     plant = plants.generic(delay=0.13 + 0.05 * seed, seed=seed)
     assert_refuted(plant, plants.LAWS["delayed"](plant), 0.2, H)

@@ -47,8 +47,8 @@ def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
 
 
 def test_a_common_lyapunov_function_proves_every_dwell_time_above_a_period():
-    plant = dt.SwitchedSystem(-np.eye(2) * [[[1.0]], [[2.0]]], np.ones((2, 2, 1)), 0.3)
-    law = dt.AveragedPredictor(plant, np.zeros((2, 1, 2)), allow_unstable=True)
+    plant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], np.ones((2, 1, 1)), 0.1)
+    law = dt.AveragedPredictor(plant, np.zeros((2, 1, 1)), allow_unstable=True)
     found = dt.least_dwell_time(plant, law, 0.1)
     assert found.certified == pytest.approx(0.1, rel=1e-3)
     assert (found.refuted, found.ratio, found.witness) == (None, None, None)

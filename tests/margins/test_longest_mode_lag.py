@@ -8,6 +8,7 @@ import deadtime as dt
 import plants
 from deadtime.cli import main
 from deadtime.margins.mode_lag import _edge
+from shares import mostly_long
 
 
 def expecting(plant, poles):
@@ -18,14 +19,17 @@ def expecting(plant, poles):
 PAPER = dt.problems.paper().plant
 LOOPS = {
     "paper": (*expecting(PAPER.apart(0.5), [-1.0, -2.0]), 0.5, 0.1),
-    "follower": (*expecting(dt.problems.follower().plant, [-1.5, -2.0, -2.5]), 1.0, 0.1),
+    "coarse": (*expecting(PAPER.apart(0.5), [-1.0, -2.0]), 0.75, 0.25),
 }
 
 
-@pytest.mark.parametrize(("name", "certified", "refuted"), [("paper", 4, 11)])
-def test_what_is_proved_and_what_grows(name, certified, refuted):
+@pytest.mark.parametrize(
+    ("name", "upto", "certified", "refuted"),
+    mostly_long([("paper", None, 4, 11), ("coarse", 2, 1, 2)], ("coarse", 2, 1, 2)),
+)
+def test_what_is_proved_and_what_grows(name, upto, certified, refuted):
     plant, law, dwell_time, step = LOOPS[name]
-    found = dt.longest_mode_lag(plant, law, dwell_time, step)
+    found = dt.longest_mode_lag(plant, law, dwell_time, step, upto=upto)
     assert (found.certified, found.refuted, found.reads_mode) == (certified, refuted, True)
     assert found.certificate.evidence.setting.mode_lag == certified
     assert (found.witness.proven, found.witness.mode_lag) == (True, refuted)
@@ -35,12 +39,12 @@ def test_what_is_proved_and_what_grows(name, certified, refuted):
     assert answers[certified] is True
     assert answers[certified + 1] is not True
     assert answers[refuted] is False
-    assert f"{certified} periods" in found.message
-    assert f"{refuted} periods" in found.message
+    assert f"{certified} period" in found.message
+    assert f"{refuted} period" in found.message
 
 
 def test_a_lag_asked_about_up_to_a_bound():
-    plant, law, dwell_time, step = LOOPS["paper"]
+    plant, law, dwell_time, step = LOOPS["coarse"]
     found = dt.longest_mode_lag(plant, law, dwell_time, step, upto=1)
     assert (found.certified, found.refuted) == (1, None)
     assert found.message.endswith("the longest lag that was asked about.")
@@ -89,11 +93,12 @@ def test_the_command_line_certifies_and_verifies_with_a_lag(capsys, tmp_path):
     with pytest.raises(SystemExit):
         main(["certify", *about, "--mode-lag", "3", "--longest-mode-lag"])
     assert "leave out --mode-lag" in "".join(capsys.readouterr())
-    path = dt.certify(*LOOPS["paper"], mode_lag=2).save(tmp_path / "late.json")
-    assert run(capsys, "verify", str(path), "--mode-lag", "2")[0] == 0
-    code, out, _ = run(capsys, "verify", str(path), "--mode-lag", "1")
+    options = {"decay_rate": 0.0, "search_signals": False}
+    path = dt.certify(*LOOPS["coarse"], mode_lag=1, **options).save(tmp_path / "late.json")
+    assert run(capsys, "verify", str(path), "--mode-lag", "1")[0] == 0
+    code, out, _ = run(capsys, "verify", str(path), "--mode-lag", "2")
     assert code == 1
-    assert "told the mode 2 periods late, not 1" in out
+    assert "late, not 2" in out
 
 
 def test_the_command_line_looks_for_the_longest_lag(capsys):

@@ -46,7 +46,8 @@ def test_inputs_are_called_by_their_names():
     assert " of input 1 " in dt.delay_margin(plant, law, STEP, input=1).message
 
 
-@pytest.mark.parametrize("seed", mostly_long(range(40), 4, 18, 21, 26, 33))
+# Delays by mode; by input, of one mode; by both.
+@pytest.mark.parametrize("seed", mostly_long(range(40), 18, 21, 33))
 def test_loops_are_lost_at_the_shifts_that_growth_rates_say(seed):
     plant, law = drawn(seed)
     for input in (None, *range(plant.inputs)):
