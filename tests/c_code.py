@@ -16,18 +16,31 @@ _DRIVER = """
 #include "NAME.h"
 #include <stdlib.h>
 int size(void) { return (int)sizeof(NAME_controller); }
-/* Bit 0 of `given`: applied is reported; bit 1: a time is. */
+#ifdef BIG_OUTPUTS
+#define MEASURED BIG_OUTPUTS
+#else
+#define MEASURED BIG_STATES
+#endif
+#ifdef BIG_TRACKED
+#define REFERENCE given[k] & 4 ? rs : 0,
+#else
+#define REFERENCE
+#define BIG_TRACKED 0
+#endif
+/* Bit 0 of `given`: applied is reported; bit 1: a time is; bit 2: a reference is. */
 void drive(NAME_controller *c, int count, const double *x, const int *mode, const double *applied,
-           const double *time, const unsigned char *given, double *u, int *status);
+           const double *r, const double *time, const unsigned char *given, double *u, int *status);
 void drive(NAME_controller *c, int count, const double *x, const int *mode, const double *applied,
-           const double *time, const unsigned char *given, double *u, int *status)
+           const double *r, const double *time, const unsigned char *given, double *u, int *status)
 {
-    NAME_real xs[BIG_STATES], as[BIG_INPUTS], us[BIG_INPUTS];
+    NAME_real xs[MEASURED], as[BIG_INPUTS], us[BIG_INPUTS], rs[BIG_TRACKED + 1];
     int k, i;
+    (void)rs;
     for (k = 0; k < count; k++) {
-        for (i = 0; i < BIG_STATES; i++) xs[i] = (NAME_real)x[k * BIG_STATES + i];
+        for (i = 0; i < MEASURED; i++) xs[i] = (NAME_real)x[k * MEASURED + i];
         for (i = 0; i < BIG_INPUTS; i++) as[i] = (NAME_real)applied[k * BIG_INPUTS + i];
-        status[k] = (int)NAME_update(c, xs, mode[k], given[k] & 1 ? as : 0,
+        for (i = 0; i < BIG_TRACKED; i++) rs[i] = (NAME_real)r[k * BIG_TRACKED + i];
+        status[k] = (int)NAME_update(c, xs, mode[k], given[k] & 1 ? as : 0, REFERENCE
                                      given[k] & 2 ? &time[k] : 0, us);
         for (i = 0; i < BIG_INPUTS; i++) u[k * BIG_INPUTS + i] = (double)us[i];
     }
@@ -60,8 +73,8 @@ class Library:
             u0 = (real * u0.size)(*u0.ravel())
         return self.call("reset", u0, mode_age)
 
-    def run(self, x, modes, applied=None, times=None):
-        """Inputs and statuses; rows of `applied` or entries of `times` that are None are not given.
+    def run(self, x, modes, applied=None, times=None, references=None):
+        """Inputs and statuses; what is None of `applied`, `times`, `references` is not given.
 
         `applied[k]` is reported at call k.
         """
@@ -73,9 +86,14 @@ class Library:
                 told[k], given[k] = applied[k], 1
             if times is not None and times[k] is not None:
                 when[k], given[k] = times[k], given[k] | 2
+        r = np.zeros((count, 1))
+        if references is not None:
+            given |= np.array([4 * (one is not None) for one in references], np.uint8)
+            size = next((np.size(one) for one in references if one is not None), 1)
+            r = np.array([np.zeros(size) if one is None else one for one in references], float)
         u, status = np.empty((count, self.m)), np.empty(count, np.int32)
         x, modes = np.ascontiguousarray(x, float), np.ascontiguousarray(modes, np.int32)
-        arrays = (x, modes, told, when, given, u, status)
+        arrays = (x, modes, told, r, when, given, u, status)
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
         self.library.drive(self.state, count, *pointers)
         return u, status

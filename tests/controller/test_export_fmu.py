@@ -1,5 +1,6 @@
 """FMUs: valid, and in co-simulation the loop that `simulate` gives."""
 
+import math
 import shutil
 import subprocess
 import zipfile
@@ -15,6 +16,8 @@ from believing_laws import LAWS, STEP, record
 from c_code import needs_compiler
 from deadtime.controller.export import Names, export_plant_fmu
 from deadtime.controller.export.compiler import compiler
+from observed_laws import hostile, servo
+from shares import mostly_long
 
 fmpy = pytest.importorskip("fmpy")
 fmi2, fmi3 = pytest.importorskip("fmpy.fmi2"), pytest.importorskip("fmpy.fmi3")
@@ -362,3 +365,26 @@ def test_a_law_on_a_belief_reads_no_mode_and_tells_how_likely_each_is(tmp_path, 
     assert controller.belief.max() < 1.0
     assert slave.variables["belief[2]"].description == "probability of mode 1"
     slave.close()
+
+
+@pytest.mark.parametrize("version", mostly_long(VERSIONS, "3.0"))
+def test_a_servo_is_given_outputs_and_a_reference_and_tells_its_estimate(tmp_path, version):
+    """Half of the samples with its own reference, half with one that comes in."""
+    law, path = servo(), tmp_path / "law.fmu"
+    controller = dt.Controller(law, STEP, limits=(-2.0, 2.5))
+    controller.export_fmu(path, version=version)
+    assert validate_fmu(str(path)) == []
+    for reports in (False, True):
+        controller.reset()
+        slave = Slave(path, tmp_path / f"law{reports}", {"report_reference": reports})
+        y, modes, *_ = hostile(law, 80)
+        for k, (y_k, mode) in enumerate(zip(y, modes.tolist(), strict=True)):
+            r = [np.sin(0.1 * k), math.nan if k == 50 else 0.5]
+            slave.set(y=y_k, mode=mode, reference=r)
+            slave.step(k * STEP, STEP)
+            u = controller.update(y_k, mode, reference=r if reports else None)
+            np.testing.assert_allclose(slave.get("u", 2), u, rtol=1e-12, atol=1e-13)
+            assert slave.get("status") == controller.status
+            x, found = controller.observing.z[:4], slave.get("estimate", 4)
+            np.testing.assert_allclose(found, x, rtol=1e-12, atol=1e-13)
+        slave.close()

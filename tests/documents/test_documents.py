@@ -89,7 +89,12 @@ def test_python_of_the_page_on_the_export_runs(tmp_path, monkeypatch, capsys):
         assert f"CONTROLLER_{name} = {number}," in header or f"_{name} = {number} " in header
     for name in re.findall(r"^\| `(\S+)` \|", page, re.M):
         assert (tmp_path / "out" / name).exists(), name
-    assert f"ROM {names['exported'].rom} bytes" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"ROM {names['exported'].rom} bytes" in printed
+    axis = (tmp_path / "axis" / "axis.h").read_text()
+    for line in ("AXIS_BAD_REFERENCE = 6,", "AXIS_TRACKED 1", "AXIS_SUMS 1", "AXIS_ESTIMATES 3"):
+        assert line in axis
+    assert printed.count(" 0 differ") == 2
 
 
 def test_python_of_the_page_on_imperfections_runs_and_names_them_all():

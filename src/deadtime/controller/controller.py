@@ -78,8 +78,9 @@ class Controller(RunningLaw):
         """Write this controller as self-contained C99, with a check of itself.
 
         The C does what `update` does: limits, applied inputs, modes and their age, refusals, clock
-        and status. It begins anew : u0 and mode_age are not written, its `reset`
-        takes the inputs before the first call and the age.
+        and status; of an `OutputFeedback` its observer, sums and references, too. It begins anew:
+        u0 and mode_age are not written, its `reset` takes the inputs before the first call and the
+        age.
 
         Parameters
         ----------
@@ -101,8 +102,8 @@ class Controller(RunningLaw):
         Raises
         ------
         ArgumentError
-            If the folder cannot be written, the tables exceed the budget (it says what fits), or
-            the law measures outputs: observers have no C.
+            If the folder cannot be written, the tables exceed the budget (it says what fits), the
+            law runs on an `OutputModeFilter`, or its reference is a function of time.
         """
         from deadtime.controller.export import export_c
 
@@ -130,9 +131,11 @@ class Controller(RunningLaw):
 
         Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
         outputs u and the status. Of a `BeliefPredictor` no mode comes in, and the belief goes out,
-        the probability of every mode. Samples fall on the start and every period after it; a sample
-        at the beginning of a step is taken in that step, with the inputs that hold there. The FMU
-        has sources and, where there is a compiler, a binary for this machine.
+        the probability of every mode. Of an `OutputFeedback` y comes in instead of x, and the
+        reference if `report_reference` says so; the estimate goes out. Samples fall on the start
+        and every period after it; a sample at the beginning of a step is taken in that step, with
+        the inputs that hold there. The FMU has sources and, where there is a compiler, a binary for
+        this machine.
 
         Parameters
         ----------
@@ -147,7 +150,7 @@ class Controller(RunningLaw):
         Raises
         ------
         ArgumentError
-            If the file cannot be written, or the law measures outputs.
+            If the file cannot be written, or the law has no C (`export_c`).
         """
         from deadtime.controller.export import export_fmu
 

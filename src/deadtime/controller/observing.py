@@ -11,20 +11,27 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import OutputFeedback
+from deadtime.feedback.memory import Memory
 
 
 class Observing:
-    """An observer that runs, and the reference that goes with it."""
+    """An observer that runs, and the reference that goes with it.
+
+    Attributes
+    ----------
+    reference : Reference or None
+        The law's own.
+    """
 
     def __init__(self, law: OutputFeedback, step: float) -> None:
-        self._estimator, self._reference, self._step = law.estimator(step), law.reference, step
+        self._estimator, self.reference, self._step = law.estimator(step), law.reference, step
         self._r = np.zeros(law.reference.size if law.reference else 0)
 
     def begin(self, history: Float[np.ndarray, "N m"]) -> None:
         """Start anew after these inputs, the oldest first."""
         self._estimator.begin(history)
-        if self._reference:
-            self._r[:] = self._reference(0.0)
+        if self.reference:
+            self._r[:] = self.reference(0.0)
 
     def see(
         self,
@@ -44,10 +51,10 @@ class Observing:
         return z, not self._estimator.corrected, astray
 
     def _follow(self, reference: ArrayLike | None, samples: int) -> bool:
-        if self._reference is None:
+        if self.reference is None:
             return False
         if reference is None:
-            self._r[:] = self._reference(samples * self._step)
+            self._r[:] = self.reference(samples * self._step)
             return False
         r = self.require(reference)
         if not np.isfinite(r).all():
@@ -57,7 +64,7 @@ class Observing:
 
     def require(self, reference: ArrayLike) -> Float[np.ndarray, " r"]:
         """A reference of the right shape; its entries need not be finite."""
-        if self._reference is None:
+        if self.reference is None:
             raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
         r = as_floats("reference", reference, f"shape {self._r.shape}")
         return require_shape("reference", r, self._r.shape, "(tracked,)")
@@ -65,6 +72,21 @@ class Observing:
     def note(self, asked: Float[np.ndarray, " m"]) -> None:
         """What the law asked for, to be compared with what is applied."""
         self._estimator.asked[:] = asked
+
+    @property
+    def memory(self) -> Memory:
+        """The observer as data, with the reference of the first sample alone."""
+        return self._estimator.memory(self.reference, 1)
+
+    @property
+    def tracked(self) -> int:
+        """Size of the reference."""
+        return self._r.size
+
+    @property
+    def z(self) -> Float[np.ndarray, " z"]:
+        """What the law was given last; a view that changes."""
+        return self._estimator.z
 
     def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""

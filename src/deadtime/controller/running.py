@@ -44,14 +44,14 @@ class RunningLaw:
         if isinstance(law, BeliefPredictor):
             law.require_step(self.step)
         self.table = inner.digital(self.step)
-        self._observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
+        self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
         self.believing = ModeBelief(law, self.table) if isinstance(law, BeliefPredictor) else None
         self.low, self.high = limits_of(limits, law.plant.inputs)
         self._past = past_inputs(self.table)
         self._reads_row = self.table.context != "none" and self.believing is None
-        self._reads_mode = self._reads_row or (self._observing is not None and law.plant.modes > 1)
-        self._measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
-        self._clock, self._nothing = Clock(self.step), np.full(self._measured, np.nan)
+        self.reads_mode = self._reads_row or (self.observing is not None and law.plant.modes > 1)
+        self.measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
+        self._clock, self._nothing = Clock(self.step), np.full(self.measured, np.nan)
         self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
         self.reset(u0, mode_age)
 
@@ -66,8 +66,8 @@ class RunningLaw:
         for u in history[:-1]:
             self._push(u)
         self._u[:] = history[-1]
-        if self._observing:
-            self._observing.begin(history)
+        if self.observing:
+            self.observing.begin(history)
         self._clock.reset()
         self.status, self.refused, self.late, self.samples = Status.OK, 0, 0, 0
 
@@ -121,7 +121,7 @@ class RunningLaw:
             If a shape is wrong, the mode is missing where the law reads it, or `belief` is not ≥ 0
             with sum 1; nothing is changed then.
         """
-        x = vector("x", x, self._measured)
+        x = vector("x", x, self.measured)
         applied = None if applied is None else vector("applied", applied, self._u.size)
         self._require(mode, reference)
         told = None if belief is None else self._require_belief(belief)
@@ -134,7 +134,7 @@ class RunningLaw:
         status = self._see(mode) or status
         if self.believing:
             self._believe(x, told)
-        if self._observing:
+        if self.observing:
             status = self._observe(x, reference, status)
         else:
             if not status and not np.isfinite(x).all():
@@ -155,13 +155,13 @@ class RunningLaw:
 
     def _require(self, mode: int | None, reference: ArrayLike | None) -> None:
         """Refuse a call that lacks or misshapes something, before anything is changed."""
-        if self._reads_mode and mode is None:
+        if self.reads_mode and mode is None:
             raise ArgumentError("mode must be given: the rows of this law depend on it.")
         if reference is None:
             return
-        if self._observing is None:
+        if self.observing is None:
             raise ArgumentError("reference needs a law with a servo; this one tracks nothing.")
-        self._observing.require(reference)
+        self.observing.require(reference)
 
     def _require_belief(self, belief: ArrayLike) -> Float[np.ndarray, "mode age"]:
         """Probabilities that are given from elsewhere, to a law that reads some."""
@@ -173,14 +173,14 @@ class RunningLaw:
 
     def _pass(self, applied: Float[np.ndarray, " m"] | None, missed: int) -> None:
         """Periods without a call: observer and belief run over all, the window holds the last."""
-        follows = self._observing is not None or self.believing is not None
+        follows = self.observing is not None or self.believing is not None
         for _ in range(missed if follows else min(missed, self.table.taps)):
             self._remember(applied)
             if self.believing:
                 self._believe(self._nothing, None)
-            if self._observing:
-                self._observing.see(self._latest, self._nothing, self._mode, None, self.samples)
-                self._observing.note(self._u)
+            if self.observing:
+                self.observing.see(self._latest, self._nothing, self._mode, None, self.samples)
+                self.observing.note(self._u)
             self.samples += follows
         self.samples += 0 if follows else missed
         self._age = min(self._age + missed, self.table.ages)
@@ -209,7 +209,7 @@ class RunningLaw:
 
     def _see(self, mode: int | None) -> Status:
         """Follow the sampled mode and its age."""
-        if not self._reads_mode:
+        if not self.reads_mode:
             return Status.OK
         number = int(mode) if isinstance(mode, (int, np.integer)) else -1
         known = 0 <= number < self.law.plant.modes
@@ -224,7 +224,7 @@ class RunningLaw:
 
     def _observe(self, y: np.ndarray, reference: ArrayLike | None, status: Status) -> Status:
         """Let the observer follow; then u_k from what it estimates, unless something is unknown."""
-        observing = self._observing
+        observing = self.observing
         assert observing is not None
         known = -1 if status == Status.BAD_MODE else self._mode
         z, lost, astray = observing.see(self._latest, y, known, reference, self.samples)
@@ -269,7 +269,7 @@ class RunningLaw:
             "clock": self._clock.state.copy(),
             "input": self._u.copy(),
             **self._past.snapshot(),
-            **(self._observing.snapshot() if self._observing else {}),
+            **(self.observing.snapshot() if self.observing else {}),
             **(self.believing.snapshot() if self.believing else {}),
         }
 
@@ -282,8 +282,8 @@ class RunningLaw:
         if self.believing:
             self.believing.load(state)  # refuses what is no belief, before anything is changed
         self._past.load(state)
-        if self._observing:
-            self._observing.load(state)
+        if self.observing:
+            self.observing.load(state)
         self._mode, self._age = int(state["mode"]), int(state["age"])
         self.samples, self.refused = int(state["samples"]), int(state["refused"])
         self.late, self._clock.state[:] = int(state["late"]), state["clock"]

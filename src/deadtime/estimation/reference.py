@@ -75,7 +75,12 @@ class Schedule:
     def __call__(self, time: float) -> Float[np.ndarray, " size"]:
         return self.along(np.array([time]))[0]
 
+    @property
+    def slack(self) -> float:
+        """Seconds by which a sample may come before a change, and is taken to be at it."""
+        return TOLERANCE * max(1.0, float(np.abs(self.times).max()))
+
     def along(self, time: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T size"]:
         """The values at many times."""
-        slack = TOLERANCE * max(1.0, float(np.abs(self.times).max()))
-        return self.values[np.maximum(np.searchsorted(self.times, time + slack, "right") - 1, 0)]
+        late = np.searchsorted(self.times, time + self.slack, "right") - 1
+        return self.values[np.maximum(late, 0)]

@@ -18,10 +18,13 @@ def largest(precision: Precision) -> float:
     return _LARGEST[precision]
 
 
-def bounds(table: Feedback, form: Form, precision: Precision, rows: int = 1) -> dict[str, float]:
+def bounds(
+    table: Feedback, form: Form, precision: Precision, rows: int = 1, more: float = 1.0
+) -> dict[str, float]:
     """Of every number that comes in or goes out, and of the sums over past inputs.
 
-    `rows` is how many rows of the table are added up.
+    `rows` is how many rows of the table are added up, and `more` by how much what runs beside the
+    table may multiply a number.
 
     Sums within their bounds never overflow on the way; the bounds of sums are at least twice what
     inputs within theirs can reach. All are powers of two, which C and its contracts read alike.
@@ -30,7 +33,7 @@ def bounds(table: Feedback, form: Form, precision: Precision, rows: int = 1) -> 
         gains = _most(table.state_gain) * table.state_gain.shape[2]
         for array, _ in form.arrays.values():
             gains = max(gains, 1.0) * max(_most(array) * array.shape[-1], 1.0)
-        return {"bound": _bound(gains * rows, precision)}
+        return {"bound": _bound(max(gains * rows, more), precision)}
     S, gamma, whole, H, last = (array for array, _ in form.arrays.values())
     order, m = gamma.shape
     reach, column, power = np.zeros(order), gamma, H
@@ -44,7 +47,7 @@ def bounds(table: Feedback, form: Form, precision: Precision, rows: int = 1) -> 
     answer = order * (2.0 * powers * (1.0 + order * _most(whole)) + _most(H))
     terms = table.state_gain.shape[2] * _most(table.state_gain) + m * _most(last)
     worst = max(sums * max(step, 1.0, answer) + terms, 1.0)
-    bound = _bound(worst * rows, precision)
+    bound = _bound(max(worst * rows, more), precision)
     return {
         "bound": bound,
         "sum_bound": sums * bound,

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.version import __version__
-from deadtime.controller.export import belief_code
+from deadtime.controller.export import belief_code, observer_code
 from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import Check, self_check
 from deadtime.controller.export.files import require_own
 from deadtime.controller.export.forms import (
+    Beside,
     Form,
     Precision,
     form_of,
@@ -26,6 +27,7 @@ from deadtime.controller.export.forms import (
 )
 from deadtime.controller.export.literals import brackets, hexadecimal, initializer, literal
 from deadtime.controller.export.names import Names, in_comment
+from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.controller.export.refusals import require_exportable, require_limits
 from deadtime.controller.export.staging import Staging, unwritable
 
@@ -128,9 +130,9 @@ def c_sources(
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
-    # Of a filter's tables nothing can be spared: what they leave of the budget is the law's.
-    beside = 0 if controller.believing is None else belief_code.rom_bytes(controller.believing.form)
-    left = None if budget is None else budget - beside
+    # Of these tables nothing can be spared: what they leave of the budget is the law's.
+    beside = _beside(controller, precision)
+    left = None if budget is None else budget - beside.rom
     form = form_of(controller.table, accuracy, precision, left)
     require_budget(controller.table, form, precision, budget, beside)
     made = vectors(controller)
@@ -184,8 +186,14 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
 
     table, plant = controller.table, controller.law.plant
     belief = None if controller.believing is None else controller.believing.form
-    limits = bounds(table, form, precision, len(table.state_gain) if belief else 1)
+    observer = None if controller.observing is None else ObserverForm.of(controller.observing)
+    rows, more = len(table.state_gain) if belief else 1, 1.0
+    if observer is not None:
+        more = observer_code.gain(observer, largest(precision))
+    limits = bounds(table, form, precision, rows, more)
     require_limits(controller, limits["bound"])
+    if observer is not None:
+        observer_code.require_within(observer, limits["bound"])
     low = np.clip(controller.low, -limits["bound"], limits["bound"])
     high = np.clip(controller.high, -limits["bound"], limits["bound"])
     arrays = {
@@ -194,6 +202,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "LOW": (_inside(low, precision, np.inf), "limits of the inputs"),
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
         **({} if belief is None else belief_code.arrays(belief)),
+        **({} if observer is None else observer_code.arrays(observer)),
     }
     tables = [
         {
@@ -207,6 +216,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
     rom, ram = _room(controller, form, precision)
     told = (tables, controller.step, table.ages, __version__)
     filled = None if belief is None else belief_code.values(belief)
+    seen = None if observer is None else observer_code.values(observer, precision)
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
@@ -221,34 +231,65 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "step": literal(controller.step, "double"),
         "delay": literal(plant.longest_delay, "double"),
         "longest": "" if plant.has_one_delay else "longest ",
-        "n": plant.states,
+        **_sizes(controller, form, name.upper()),
+        "rom": rom,
+        "ram": ram,
+        "unroll": 2 * form.state + 10 + (0 if filled is None and seen is None else ram),
+        "tables": tables,
+        "belief": filled,
+        "observer": seen,
+        **given_of(observer),
+        "magic": _magic(repr((*told, *(one for one in (filled, seen) if one is not None)))),
+    }
+
+
+def _sizes(controller: RunningLaw, form: Form, prefix: str) -> dict[str, Any]:
+    """How many there are of everything, and what of it is read."""
+    import numpy as np
+
+    table, plant = controller.table, controller.law.plant
+    return {
+        "n": table.state_gain.shape[2],
         "m": plant.inputs,
         "modes": plant.modes,
-        "reads": int(table.context != "none" and belief is None),
+        "reads": int(controller.reads_mode),
+        "by_mode": table.context != "none" and controller.believing is None,
         "ages": table.ages,
         "rows": len(table.state_gain),
         "taps": table.taps,
         "windows": form.windows,
         "starts": np.cumsum([0, *form.windows])[:-1].tolist(),
-        "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(name.upper()),
+        "length": ("{0}_PAST" if form.windows else "{0}_TAPS * {0}_INPUTS").format(prefix),
         "count": "count" if form.windows else "LENGTH",
-        "rom": rom,
-        "ram": ram,
-        "unroll": 2 * form.state + 10 + (0 if belief is None else ram),
-        "tables": tables,
-        "belief": filled,
-        "magic": _magic(repr(told if filled is None else (*told, filled))),
     }
+
+
+def given_of(observer: ObserverForm | None) -> dict[str, Any]:
+    """What `update` is given in place of x where an observer runs, and what it tracks."""
+    if observer is None:
+        return {"given": "x", "size": "STATES", "tracked": 0}
+    return {"given": "y", "size": "OUTPUTS", "tracked": observer.sizes[-1]}
 
 
 def _room(controller: RunningLaw, form: Form, precision: Precision) -> tuple[int, int]:
     """Bytes of constants, and of one controller."""
-    rom = rom_bytes(controller.table, form, precision)
-    ram = ram_bytes(controller.table, form, precision)
-    if controller.believing is None:
-        return rom, ram
-    form_of_belief = controller.believing.form
-    return rom + belief_code.rom_bytes(form_of_belief), ram + belief_code.ram_bytes(form_of_belief)
+    beside = _beside(controller, precision)
+    rom = rom_bytes(controller.table, form, precision) + beside.rom
+    return rom, ram_bytes(controller.table, form, precision) + beside.ram
+
+
+def _beside(controller: RunningLaw, precision: Precision) -> Beside:
+    """What the law's table is not alone with."""
+    if controller.believing is not None:
+        belief = controller.believing.form
+        rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
+        return Beside("the mode filter", rom, ram)
+    if controller.observing is not None:
+        form = ObserverForm.of(controller.observing)
+        rom = observer_code.rom_bytes(form, precision)
+        ram = observer_code.ram_bytes(form, precision)
+        return Beside("the observer", rom, ram, observer_code.rom_bytes(form, "float"))
+    return Beside("nothing", 0, 0, 0)
 
 
 def _magic(told: str) -> str:
@@ -266,7 +307,9 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     return {
         "title": in_comment(f'Controller of the law "{law}"'),
         "limits": limits,
-        "state_names": in_comment(_element_names("x", names.states)),
+        "state_names": in_comment(
+            _element_names("z" if controller.observing else "x", names.states)
+        ),
         "input_names": in_comment(_element_names("u", names.inputs)),
         "mode_names": in_comment(names.all_modes()),
     }

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, real_array, require_shape
-from deadtime.controller.export.c_code import c_sources
+from deadtime.controller.export.c_code import c_sources, given_of
 from deadtime.controller.export.fmi_description import Version
 from deadtime.controller.export.fmu_file import ExportedFmu, render, write_fmu
 from deadtime.controller.export.fmu_variables import controller_variables, plant_variables
 from deadtime.controller.export.forms import Precision
 from deadtime.controller.export.literals import brackets, initializer, literal
 from deadtime.controller.export.names import Names
+from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.controller.export.staging import Staging
 from deadtime.plant import SwitchedSystem
 
@@ -39,9 +40,12 @@ def export_fmu(
     past, names = _finite(u0, plant.inputs), names or Names()
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
+    observer = None if controller.observing is None else ObserverForm.of(controller.observing)
     values = {
         "p": name,
         "belief": controller.believing is not None,
+        "observer": observer is not None,
+        **given_of(observer),
         "begun": initializer(past, "double"),
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
@@ -52,7 +56,7 @@ def export_fmu(
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
-    variables = controller_variables(plant, names, past, controller.believing is not None)
+    variables = controller_variables(plant, names, past, controller.believing is not None, observer)
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
     )

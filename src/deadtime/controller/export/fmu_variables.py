@@ -8,19 +8,34 @@ import numpy as np
 
 from deadtime.controller.export.fmi_description import Variable
 from deadtime.controller.export.names import Names
+from deadtime.controller.export.observer_code import ObserverForm
 from deadtime.plant import SwitchedSystem
 
 _TIME = Variable("time", "Real", "independent", "time, s")
 
 
 def controller_variables(
-    plant: SwitchedSystem, names: Names, past: np.ndarray, belief: bool = False
+    plant: SwitchedSystem,
+    names: Names,
+    past: np.ndarray,
+    belief: bool = False,
+    observer: ObserverForm | None = None,
 ) -> list[Variable]:
     """What a controller of a plant reads and writes; `past` (m,) is the input before the start.
 
-    With a `belief` it is not told the mode: it tells how likely each mode is.
+    With a `belief` it is not told the mode: it tells how likely each mode is. With an `observer` it
+    is told outputs and what is tracked, and tells the estimate.
     """
     n, m = plant.states, plant.inputs
+    given = _read("x", _each("state at the sample", names.state, n))
+    referred, told_r, estimated = [], [], []
+    if observer is not None:
+        size, p, _, r = observer.sizes
+        given = _read("y", ["output at the sample"] * p)
+        referred = _read("reference", ["what a tracked output is to follow"] * r)
+        estimated = _estimated(names, size, plant.states)
+        what = "whether reference is read, or the law's own followed"
+        told_r = [Variable("report_reference", "Boolean", "parameter", what, False)] * bool(r)
     status = Variable(
         "status", "Integer", "output", "what became of the last sample, 0: all is well"
     )
@@ -31,13 +46,16 @@ def controller_variables(
     ]
     return [
         _TIME,
-        *_read("x", _each("state at the sample", names.state, n)),
+        *given,
         *_read("applied", _each("what the actuator had", names.input, m)),
+        *referred,
         *_written("u", _each("input, held", names.input, m)),
         *_at_start("u", "input before the start", past),
         *(_believed(names, plant.modes) if belief else []),
+        *estimated,
         *([status] if belief else told),
         Variable("report_applied", "Boolean", "parameter", "whether applied is read", False),
+        *told_r,
     ]
 
 
@@ -72,6 +90,12 @@ def _believed(names: Names, modes: int) -> list[Variable]:
         Variable(f"belief[{i}]", "Real", "output", f"probability of mode {one}")
         for i, one in enumerate(called, 1)
     ]
+
+
+def _estimated(names: Names, size: int, states: int) -> list[Variable]:
+    texts = [_with_name("estimate of the state", names.state(i)) for i in range(states)]
+    texts += ["estimate of a disturbance"] * (size - states)
+    return [Variable(f"estimate[{i}]", "Real", "output", text) for i, text in enumerate(texts, 1)]
 
 
 def _at_start(symbol: str, text: str, values: np.ndarray) -> list[Variable]:

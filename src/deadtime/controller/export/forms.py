@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,6 +28,18 @@ BYTES = {"double": 8, "float": 4}
 DTYPE = {"double": np.float64, "float": np.float32}
 _MOST_ERROR = 1e-2  # that is offered
 _COUNTERS = 80  # bytes of integers and clock in a controller's state
+
+
+class Beside(NamedTuple):
+    """What is exported with a law's table, in any form of that: its name and bytes.
+
+    `single` is ROM in single precision, None where there is none.
+    """
+
+    name: str
+    rom: int
+    ram: int
+    single: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,18 +166,17 @@ def ram_bytes(table: Feedback, form: Form, precision: Precision) -> int:
 
 
 def require_budget(
-    table: Feedback, form: Form, precision: Precision, budget: int | None, beside: int = 0
+    table: Feedback, form: Form, precision: Precision, budget: int | None, beside: Beside
 ) -> None:
-    """Refuse tables beyond the budget, and say what would fit it.
-
-    `beside` are the bytes of a mode filter, which are there in any form, and in double precision.
-    """
-    needed = rom_bytes(table, form, precision) + beside
+    """Refuse tables beyond the budget, and say what would fit it."""
+    needed = rom_bytes(table, form, precision) + beside.rom
     if budget is None or needed <= budget:
         return
-    fits, room = [], budget - beside
-    if precision == "double" and not beside and rom_bytes(table, form, "float") <= room:
-        fits.append(f'precision="float" ({rom_bytes(table, form, "float")} bytes)')
+    fits, room = [], budget - beside.rom
+    if precision == "double" and beside.single is not None:
+        single = rom_bytes(table, form, "float") + beside.single
+        if single <= budget:
+            fits.append(f'precision="float" ({single} bytes)')
     if form.kind != "factorised":
         kept = [
             one
@@ -176,7 +187,7 @@ def require_budget(
             best = min(kept, key=lambda one: one.error)
             fits.append(
                 f"accuracy={_round_up(best.error):.0e} (rank {best.sizes['rank']}, "
-                f"{rom_bytes(table, best, precision) + beside} bytes)"
+                f"{rom_bytes(table, best, precision) + beside.rom} bytes)"
             )
         taps = _fewer_taps(table, precision, room)
         if taps:
@@ -184,7 +195,7 @@ def require_budget(
     raise ArgumentError(
         f"rom_budget = {budget} bytes is too small: the tables take {needed} ({form.kind}, "
         f"{table.taps} past inputs, {len(table.state_gain)} rows"
-        + (f"; {beside} of them the mode filter); " if beside else "); ")
+        + (f"; {beside.rom} of them {beside.name}); " if beside.rom else "); ")
         + (f"what fits: {', or '.join(fits)}." if fits else "nothing of this law fits.")
     )
 

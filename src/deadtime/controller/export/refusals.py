@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
 from deadtime.controller.export.belief_code import require_bounded
+from deadtime.controller.export.observer_code import require_schedule
 
 if TYPE_CHECKING:
     from deadtime.controller.running import RunningLaw
@@ -34,10 +35,12 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
         )
     if name in _TAKEN:
         raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
-    if controller.law.outputs is not None:
+    if controller.observing is not None:
+        require_schedule(controller.observing)
+    elif controller.law.outputs is not None:
         raise ArgumentError(
-            f"law must be a table of the state; {type(controller.law).__name__} has an observer, "
-            "which has no C: export its law, and run the observer before it."
+            "law must be given the state, or be an OutputFeedback: what "
+            f"{type(controller.law).__name__} makes of outputs has no C."
         )
     if controller.believing is not None:
         if precision == "float":

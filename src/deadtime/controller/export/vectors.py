@@ -14,6 +14,7 @@ import numpy as np
 
 from deadtime.base.version import __version__
 from deadtime.controller.export.belief_vectors import belief_calls
+from deadtime.controller.export.observer_vectors import Call, observer_calls
 from deadtime.controller.running import RunningLaw
 
 _SHARE = 1e-3  # of a row that counts as visited, where rows are weighed
@@ -53,36 +54,52 @@ def vectors(controller: RunningLaw) -> Vectors:
     """Run a copy of the controller from a random past, through every row, with all that is bad."""
     run = RunningLaw(controller.law, controller.step, limits=(controller.low, controller.high))
     plant, table = run.law.plant, run.table
-    n, m = plant.states, plant.inputs
+    n, m = run.measured, plant.inputs
     amplitude = _amplitude(run)
     draws, age = Draws(amplitude), 7 if plant.modes > 1 else 0
     run.reset(draws(table.taps * m).reshape(table.taps, m).T, age)
+    told = run.observing
     heading = [
         *("skip", "time", "mode"),
-        *(f"x{i}" for i in range(n)),
+        *(f"{'y' if told else 'x'}{i}" for i in range(n)),
+        *(f"r{i}" for i in range(told.tracked if told else 0)),
         *(f"applied{i}" for i in range(m)),
         "status",
         *(f"u{i}" for i in range(m)),
     ]
     lines = [f"# Written by deadtime {__version__}", ",".join(heading)]
     seen, calls, visited = amplitude, 0, set()
-    calls_of = _calls if run.believing is None else belief_calls
-    for skip, when, mode, x, applied in calls_of(run, amplitude):
+    widest = np.full(table.state_gain.shape[2], 5.0 * amplitude)
+    for skip, when, mode, x, applied, *rest in _calls_of(run, amplitude):
+        r = rest[0] if rest else None
         u = np.zeros(m)
         for _ in range(skip):
             u += run.update(draws(n), mode, draws(m))
             visited.update(_rows(run))
-        u += run.update(x, mode, applied, time=when)
+        u += run.update(x, mode, applied, time=when, reference=r)
         visited.update(_rows(run))
         calls += skip + 1
         seen = max(seen, float(np.abs(u).max()) / (skip + 1))
+        if told:
+            widest = np.maximum(widest, np.abs(told.z))
         fields = [str(skip), "" if when is None else repr(when), str(mode), *map(repr, x.tolist())]
+        if told:
+            fields += [""] * told.tracked if r is None else map(repr, r.tolist())
         fields += [""] * m if applied is None else map(repr, applied.tolist())
         lines.append(",".join([*fields, str(int(run.status)), *map(repr, u.tolist())]))
     scale = float(np.abs(table.state_gain).sum(axis=2).max()) * 5.0 * amplitude
+    if told:
+        scale = float((np.abs(table.state_gain) @ widest).max())
     scale += float(np.abs(table.input_gain).sum(axis=(1, 3)).max()) * max(seen, 5.0 * amplitude)
     csv, longest = "\n".join(lines) + "\n", max(map(len, lines))
     return Vectors(csv, scale, longest, amplitude, age, calls, len(visited))
+
+
+def _calls_of(run: RunningLaw, amplitude: float) -> Iterator[_Call | Call]:
+    """Calls that suit what a controller keeps."""
+    if run.observing is not None:
+        return observer_calls(run, amplitude)
+    return (_calls if run.believing is None else belief_calls)(run, amplitude)
 
 
 def _calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:

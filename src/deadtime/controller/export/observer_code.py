@@ -1,0 +1,157 @@
+"""The observer of a controller in C, and what a servo adds to it: tables, room and bounds.
+
+All of it comes from a `Memory` and the reference as a schedule. The C does what
+`estimation/estimator.py` does in the same order, so that both agree to round-off.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.controller.export.forms import BYTES, Precision
+from deadtime.controller.observing import Observing
+from deadtime.feedback.memory import Memory
+
+_COUNTERS = 8  # bytes of integers in a controller's state
+_NEVER = 2**63  # samples
+# Of the input asked for: less is not told from the one applied, `_ROUND_OFF` of the kernel.
+_ROUND_OFF = {"double": 1e-9, "float": 1e-5}
+
+
+class ObserverForm(NamedTuple):
+    """An observer as data: how z moves, and from which sample on each reference holds."""
+
+    memory: Memory
+    changes: list[int]
+    values: Float[np.ndarray, "change r"]
+
+    @classmethod
+    def of(cls, observing: Observing) -> ObserverForm:
+        """Of a controller's; its reference is a schedule (`require_schedule`)."""
+        memory, reference = observing.memory, observing.reference
+        if reference is None or reference.schedule is None:
+            return cls(memory, [0], memory.reference)
+        times, slack = reference.schedule.times, reference.schedule.slack
+        changes = [_first_sample(time, slack, memory.step) for time in times.tolist()]
+        return cls(memory, changes, reference.schedule.values)
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Of estimates, outputs, sums and tracked outputs."""
+        (n, p), r = self.memory.gain.shape[1:], len(self.memory.tracked)
+        return n, p, self.memory.start.size - n - r, r
+
+
+def _first_sample(time: float, slack: float, step: float) -> int:
+    """The first k ≥ 0 with k h + slack ≥ time, in floats as `Schedule` counts."""
+    if (time - slack) / step > 2.0**60:
+        return _NEVER
+    k = max(0, math.ceil((time - slack) / step) - 1)
+    while k > 0 and (k - 1) * step + slack >= time:
+        k -= 1
+    while k * step + slack < time:
+        k += 1
+    return k
+
+
+def require_schedule(observing: Observing) -> None:
+    """Refuse a reference that is known as a function alone."""
+    if observing.reference is not None and observing.reference.schedule is None:
+        raise ArgumentError(
+            "reference is a function of time, which has no C: make the loop with a constant or "
+            "(times, values), and hand the reference to the C at every call."
+        )
+
+
+def require_within(form: ObserverForm, most: float) -> None:
+    """Refuse a first estimate or a reference that the C cannot count."""
+    for name, value in (("estimate", form.memory.start), ("reference", form.values)):
+        if np.abs(value).max(initial=0.0) > most:
+            raise ArgumentError(
+                f"{name} must be within {most:.0e}, the bound of the C, got {value.tolist()}."
+            )
+
+
+def arrays(form: ObserverForm) -> dict[str, tuple[np.ndarray, str]]:
+    """What goes into ROM, with a comment each."""
+    memory, (n, _, q, r) = form.memory, form.sizes
+    start = memory.start.copy()
+    start[n + q :] = form.values[0]
+    found = {
+        "PREDICT_X": (memory.Phi, "the model over each piece of a period: the estimate"),
+        "PREDICT_U": (memory.Gamma, "an input, over each piece"),
+        "MEASURE": (memory.C, "outputs of the estimate, by mode"),
+        "CORRECT": (memory.gain, "the observer's gain, by mode"),
+        "BEGIN": (start, "z before anything is measured"),
+    }
+    if r:
+        found["TRACK"] = memory.tracked, "tracked outputs, of all outputs"
+        found["REFERENCE"] = form.values, "the reference, one value after the other"
+    if q:
+        found["ANSWER"] = memory.push, "how the law's input answers the sum, by mode"
+    return found
+
+
+def values(form: ObserverForm, precision: Precision) -> dict[str, Any]:
+    """What the templates are filled with."""
+    n, p, q, r = form.sizes
+    return {
+        "estimates": n,
+        "outputs": p,
+        "sums": q,
+        "tracked": r,
+        "first": form.memory.first.tolist(),
+        "lags": form.memory.lag.tolist(),
+        "sent": _sent(form),
+        "changes": form.changes,
+        "halvings": (len(form.changes) - 1).bit_length(),
+        "round_off": f"{_ROUND_OFF[precision]:g}",
+    }
+
+
+def rom_bytes(form: ObserverForm, precision: Precision) -> int:
+    """Of the observer's tables; integers take four bytes, samples eight."""
+    numbers = sum(array.size for array, _ in arrays(form).values())
+    integers = form.memory.first.size + form.memory.lag.size
+    samples = len(form.changes) if len(form.changes) > 1 else 0
+    return BYTES[precision] * numbers + 4 * integers + 8 * samples
+
+
+def ram_bytes(form: ObserverForm, precision: Precision) -> int:
+    """Of z, what was measured and asked for last, and the inputs that the observer reads."""
+    *_, r = form.sizes
+    m = form.memory.lag.shape[1]
+    return BYTES[precision] * (form.memory.start.size + r + m + _sent(form) * m) + _COUNTERS
+
+
+def gain(form: ObserverForm, largest: float) -> float:
+    """How many times a number sums in a period may exceed it: for `bounds`.
+
+    What an input was refused is multiplied with a change of it, so the square of the bound, times
+    the gain there, must not overflow either.
+    """
+    memory, (n, p, q, _) = form.memory, form.sizes
+    m = memory.lag.shape[1]
+    output = max(n * _most(memory.C), 1.0)
+    sums = [
+        n * _most(memory.Phi) + m * _most(memory.Gamma),
+        1.0 + p * _most(memory.gain) * (1.0 + output),
+        p * _most(memory.tracked) * output,
+        1.0 + 2.0 * memory.step,
+    ]
+    change = 2.0 * memory.step * q * _most(memory.push)
+    square = math.sqrt(largest) * math.sqrt(2.0 * m * change / 16.0)
+    return max(*sums, change, square)
+
+
+def _sent(form: ObserverForm) -> int:
+    return int(form.memory.lag.max()) + 1
+
+
+def _most(array: np.ndarray) -> float:
+    return float(np.abs(array).max(initial=0.0))
