@@ -170,9 +170,7 @@ def test_a_run_that_cannot_go_on_ends_when_the_last_input_is_not_known():
     one = dt.simulate(plant, law, rule, [-2.0, 1.0], 3.0, None)
     assert one.end == pytest.approx(1.5, abs=1e-12)
     assert "chattering at t = 2 s" in one.message
-    with pytest.raises(
-        dt.ArgumentError, match=r"x0 leads to no ideal loop, chattering at t = 0\.3"
-    ):
+    with pytest.raises(dt.ArgumentError, match=r"x0 leads to no .* chattering at t = 0\.3"):
         dt.simulate(plant, law, rule, [-0.3, 1.0], 3.0, None)
 
 

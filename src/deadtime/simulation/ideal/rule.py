@@ -12,9 +12,9 @@ t + D_j reaches it likewise, and there is one plant more for every further delay
     x' = A_σ x + Σ_{j: D_j ≤ t} b_σ,j K_σ,j x + Σ_{j: D_j > t} b_σ,j u₀,j(t − D_j).
 
 (Where an input's delay differs between modes a mode may read once more what was read already, as
-K x of then: a delay equation, see `rule_rereading`.) Along a boundary at which both closed loops point σ jumps without end,
-u with it, and x follows Filippov's mean of the two; the mode and the input that are reported there
-are those of the mode it came from.
+K x of then: a delay equation, see `rule_rereading`.) Along a boundary at which both closed loops
+point σ jumps without end, u with it, and x follows Filippov's mean of the two; the mode and the
+input that are reported there are those of the mode it came from.
 States are kept as polynomials on segments, as those of every ideal loop.
 """
 

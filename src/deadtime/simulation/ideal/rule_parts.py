@@ -1,4 +1,4 @@
-"""What ideal loops under a rule are made of, parts in one motion each, and what a run is by them."""
+"""What ideal loops under a rule are made of, parts in one motion each, and a run made of them."""
 
 from __future__ import annotations
 
