@@ -158,14 +158,6 @@ def test_a_mode_that_is_never_left_is_the_single_mode_law():
     assert np.abs(one - other).max() < 1e-12 * np.abs(other).max()
 
 
-def test_an_input_whose_delay_differs_between_modes_is_refused_by_name():
-    plant = dt.SwitchedSystem(np.zeros((2, 1, 1)), np.ones((2, 1, 2)), [[0.3, 0.2], [0.3, 0.4]])
-    law = dt.ExpectedPredictor(plant, np.full((2, 2, 1), -0.5), dt.Markov(RATES[2]))
-    constant = dt.SwitchingSignal.constant(0)
-    with pytest.raises(dt.ArgumentError, match=r"step must be given: .* input 1 does, 0.2, 0.4 s"):
-        dt.simulate(plant, law, constant, [1.0], 1.0, step=None)
-
-
 def test_switching_many_times_per_delay_is_refused_by_name():
     plant = dt.SwitchedSystem(np.zeros((2, 1, 1)), np.ones((2, 1, 2)), [0.3, 0.2])
     fast = dt.Markov([[0, 200.0], [100.0, 0]])

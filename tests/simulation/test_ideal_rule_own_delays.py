@@ -5,7 +5,6 @@ inputs that have arrived, from one change of what is read to the next; it shares
 """
 
 import itertools
-import re
 
 import numpy as np
 import pytest
@@ -145,13 +144,6 @@ def test_energy_is_the_integral_of_the_inputs_on_segments_of_their_own():
     u = one.record.inputs_at((middles[:, None] + halves[:, None] * points).ravel())
     energy = np.sum((halves[:, None] * weights).ravel() * (u**2).sum(axis=1))
     assert one.metrics()["energy"] == pytest.approx(energy, rel=1e-11)
-
-
-def test_modes_with_other_delays_are_refused():
-    plant = plant_with([[0.3, 0.12], [0.3, 0.12], [0.3, 0.2]])
-    message = "step must be given where a rule switches a plant whose modes have other delays"
-    with pytest.raises(dt.ArgumentError, match=re.escape(message)):
-        ideal(plant, "wedge")
 
 
 def test_a_run_that_cannot_go_on_ends_the_longest_delay_earlier():

@@ -49,7 +49,7 @@ class ExpectedPredictor(TableLaw):
         If the model has another number of modes than the plant or is no switching model;
         `digital` raises it if the step is too long for the model's sojourns, or the table would
         take more than 1 GB; `simulate` with `step=None` if the model is semi-Markov or switches
-        many times per delay, or an input's delay differs between modes.
+        many times per delay.
 
     Notes
     -----
@@ -133,9 +133,11 @@ class ExpectedPredictor(TableLaw):
             )
         else:
             from deadtime.laws.tables.markov_windows import markov_functional
+            from deadtime.laws.tables.passage_windows import passage_functional
 
-            _require_delay_per_input(plant)
-            law = markov_functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
+            alike = (plant.delays == plant.delays[0]).all()
+            functional = markov_functional if alike else passage_functional
+            law = functional(plant, self.gains, model.generator, signal, CLOSED_FORM)
         if law is None:
             raise ArgumentError(
                 "step must be given: the closed form of ExpectedPredictor in continuous time "
@@ -143,18 +145,6 @@ class ExpectedPredictor(TableLaw):
                 f"rates up to {model.rates.max():g} 1/s and a delay of {plant.longest_delay:g} s."
             )
         return law
-
-
-def _require_delay_per_input(plant: SwitchedSystem) -> None:
-    """Refuse an input whose delay differs between modes: what it was read of is then unknown."""
-    differ = np.flatnonzero((plant.delays != plant.delays[0]).any(axis=0))
-    if differ.size:
-        j = differ[0]
-        raise ArgumentError(
-            "step must be given: ExpectedPredictor has no closed form in continuous time where an "
-            f"input's delay differs between modes, as that of input {j} does, "
-            f"{', '.join(f'{delay:g}' for delay in plant.delays[:, j])} s."
-        )
 
 
 def table_ages(model: SemiMarkov, step: float, asked: int | None, most: int) -> int:

@@ -37,9 +37,9 @@ class StateDependentPredictor(Law):
 
     It is the one law that is no table: not linear in the state, it runs its model once a period.
     The sampled mode tells it on which side of a boundary x is.
-    Updated continuously (`step=None`) it has a closed form where model and plant are the same:
-    from D on, x follows (A_σ + B_σ K_σ) x under the rule. There inputs may have delays of their
-    own, the same in all modes.
+    Updated continuously (`step=None`) its loop is known where model and plant are the same: from D
+    on, x follows (A_σ + B_σ K_σ) x under the rule, and, where an input's delay differs between
+    modes, a delay equation.
 
     Parameters
     ----------

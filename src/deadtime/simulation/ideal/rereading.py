@@ -48,8 +48,8 @@ class Predicted:
         """x̂ at times within one piece, (T, n, 1 + p m)."""
         place = int(np.searchsorted(self.edges, times.mean())) - 1
         begin, end = self.edges[place], self.edges[place + 1]
-        shares = _shares((times - begin) / (end - begin), nodes.support)
-        return np.tensordot(shares, self.values[place], 1)
+        weights = shares((times - begin) / (end - begin), nodes.support)
+        return np.tensordot(weights, self.values[place], 1)
 
     def append(self, end: float, S: np.ndarray, forcing: np.ndarray, nodes: Nodes) -> None:
         """Go on to `end` under dx̂/dt = S x̂ + forcing, (p, n, 1 + p m) at the nodes."""
@@ -138,9 +138,9 @@ def _sent_before(line, g: int, times: np.ndarray, j: int, nodes: Nodes) -> np.nd
     q = min(int(np.searchsorted(edges, times.mean())) - 1, g)
     c = (times - edges[q]) / (edges[q + 1] - edges[q])
     if q < g:
-        value[:, 0] = _shares(c, nodes.support) @ line.inputs[q, :, j]
+        value[:, 0] = shares(c, nodes.support) @ line.inputs[q, :, j]
     else:
-        value[:, 1 + j :: m] = _shares(c, nodes.points)
+        value[:, 1 + j :: m] = shares(c, nodes.points)
     return value
 
 
@@ -154,7 +154,7 @@ def _read_again(
     return np.einsum("n,knc->kc", part.gain, path.at(times + part.later, nodes))
 
 
-def _shares(c: np.ndarray, support: np.ndarray) -> np.ndarray:
+def shares(c: np.ndarray, support: np.ndarray) -> np.ndarray:
     """The polynomials that are 1 at one support node and 0 at the others, at c, (T, nodes)."""
     same = np.eye(support.size, dtype=bool)
     apart = np.where(same, 1.0, support[:, None] - support)

@@ -11,10 +11,10 @@ t + D_j reaches it likewise, and there is one plant more for every further delay
 
     x' = A_σ x + Σ_{j: D_j ≤ t} b_σ,j K_σ,j x + Σ_{j: D_j > t} b_σ,j u₀,j(t − D_j).
 
-(A mode with a longer delay than the one before would read once more what was read already, as K x
-of then: a delay equation.) Along a boundary at which both closed loops point σ jumps without end,
-u with it, and x follows Filippov's mean of the two; the mode and the input that are reported there
-are those of the mode it came from.
+(Where an input's delay differs between modes a mode may read once more what was read already, as
+K x of then: a delay equation, see `rule_rereading`.) Along a boundary at which both closed loops
+point σ jumps without end, u with it, and x follows Filippov's mean of the two; the mode and the
+input that are reported there are those of the mode it came from.
 States are kept as polynomials on segments, as those of every ideal loop.
 """
 
@@ -36,18 +36,18 @@ from deadtime.plant import SwitchedSystem
 from deadtime.simulation.digital import Outcome
 from deadtime.simulation.ideal.breakpoints import merge, subdivide
 from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
+from deadtime.simulation.ideal.rule_parts import Part, no_loop, outcome_of
 from deadtime.simulation.ideal.run import NODES, IdealRecord
 from deadtime.simulation.initial_input import InitialInput, input_function
-from deadtime.simulation.slides import Slide, join, slides_in_words
-from deadtime.switching import Rule, SwitchingSignal
-from deadtime.switching.rules.motion import Beside, Leg, Motion
+from deadtime.switching import Rule
+from deadtime.switching.rules.motion import Beside, Motion
 
 _PIECE, _SEGMENT = (
     4.0,
     1.0,
 )  # lengths, times the fastest rate: of what is moved over, of polynomials
 _MOST_PIECES = 1e6
-_SAME = 1e-12  # of the time: switches that close are one
+_SAME = 1e-12  # of the time: edges that close are one
 
 
 class _Stage(NamedTuple):
@@ -70,24 +70,10 @@ class _Stage(NamedTuple):
     held: np.ndarray
 
 
-class _Part(NamedTuple):
-    """A part of the run in one motion, seconds from its start, and the input held over it."""
-
-    begin: float
-    end: float
-    motion: Motion
-    leg: Leg
-    u: np.ndarray
-
-    @property
-    def mode(self) -> int:
-        return self.motion.mode_of(self.leg.place)
-
-
 class _March(NamedTuple):
     """Parts of a run; state, place and boundary at their end; and what keeps it from going on."""
 
-    parts: list[_Part]
+    parts: list[Part]
     x: np.ndarray
     place: int
     beside: Beside | None
@@ -103,16 +89,18 @@ def run_ideal_rule(
     u0: InitialInput,
 ) -> Outcome:
     """Solve the loop on [0, horizon]."""
-    delays, gains = _delays_of_inputs(plant), _exact_gains(plant, law, rule)
-    longest, arrivals = plant.longest_delay, np.unique(delays).tolist()
+    delays, gains = plant.delays[0], _exact_gains(plant, law, rule)
+    if not (plant.delays == delays).all():
+        from deadtime.simulation.ideal.rule_rereading import run_rereading_rule
+
+        rate = _rate(np.abs(plant.A) + np.abs(plant.B) @ np.abs(gains))
+        _require_room(plant, horizon, rate)
+        return run_rereading_rule(plant, gains, rule, x0, horizon, _line(plant, u0, rate), rate)
+    arrivals = np.unique(delays).tolist()
     arrived = [delays <= time for time in (0.0, *arrivals)]
     loops = [plant.A + plant.B @ (gains * own[:, None]) for own in arrived]
     rate = max(_rate(A) for A in loops)
-    if (horizon + longest) * rate > _PIECE * _MOST_PIECES:
-        raise ArgumentError(
-            f"horizon = {horizon:g} s is too long for the ideal loop, more than "
-            f"{_MOST_PIECES:.0e} pieces of {_PIECE / rate:.1e} s: shorten it, or give a step."
-        )
+    _require_room(plant, horizon, rate)
     line = _line(plant, u0, rate)
     stages = [
         *(_waiting(line, delays, *ends) for ends in pairwise((0.0, *arrivals))),
@@ -134,15 +122,13 @@ def run_ideal_rule(
     return _outcome(plant, gains, march, line, horizon, rate)
 
 
-def _delays_of_inputs(plant: SwitchedSystem) -> Float[np.ndarray, " m"]:
-    """The delay of every input; an error where modes differ in it."""
-    if not (plant.delays == plant.delays[0]).all():
+def _require_room(plant: SwitchedSystem, horizon: float, rate: float) -> None:
+    """Refuse a horizon that takes too many pieces."""
+    if (horizon + plant.longest_delay) * rate > _PIECE * _MOST_PIECES:
         raise ArgumentError(
-            "step must be given where a rule switches a plant whose modes have other delays, got "
-            f"delay={plant.delay_text}: a mode with a longer one reads again what has been read, "
-            "the feedback of a past state, so that the ideal loop is a delay equation."
+            f"horizon = {horizon:g} s is too long for the ideal loop, more than "
+            f"{_MOST_PIECES:.0e} pieces of {_PIECE / rate:.1e} s: shorten it, or give a step."
         )
-    return plant.delays[0]
 
 
 def _exact_gains(plant: SwitchedSystem, law: Law, rule: Rule) -> np.ndarray:
@@ -223,7 +209,7 @@ def _march(motion: Motion, stage: _Stage, x: np.ndarray, place: int) -> _March:
     from deadtime.simulation.kernel import LIMIT
 
     edges = stage.edges.tolist()
-    parts: list[_Part] = []
+    parts: list[Part] = []
     beside = None
     pieces = zip(edges[:-1], edges[1:], stage.kinds.tolist(), stage.held, strict=True)
     for a, b, kind, u in pieces:
@@ -237,7 +223,7 @@ def _march(motion: Motion, stage: _Stage, x: np.ndarray, place: int) -> _March:
         starts = [min(a + leg.time, b) for leg in move.legs]
         ends = [*starts[1:], b]
         parts += [
-            _Part(start, until, motion, leg, u)
+            Part(start, until, motion, leg, u)
             for start, until, leg in zip(starts, ends, move.legs, strict=True)
             if until > start
         ]
@@ -259,33 +245,16 @@ def _outcome(
     parts, longest, stop = march.parts, plant.longest_delay, march.stop
     reached = parts[-1].end if parts else 0.0
     if stop and reached <= longest:
-        raise ArgumentError(
-            f"x0 leads to no ideal loop, {stop}, before all inputs of the law have arrived, at "
-            f"{longest:g} s: give a step for a run up to there."
-        )
+        raise no_loop(stop, longest)
     end = reached - longest if stop else horizon
     edges, x, modes = _polynomials(parts, rate, end)
     sent = _sent(plant.delays[0], edges, np.einsum("smn,spn->spm", gains[modes], x), line)
     record = IdealRecord(plant, Piecewise(edges, x), sent)
-    signal = _signal(parts, reached)
-    slides = join(
-        [_slide(part, end) for part in parts if part.leg.beside and part.begin < end],
-        _SAME * max(1.0, reached),
-    )
-    diverged = stop.startswith("diverged")  # `simulate` says so itself
-    notes = [f"{stop}, a delay ahead: the run ends at t = {end:g} s."]
-    return Outcome(
-        record,
-        signal,
-        lambda time: signal(time + record.states.slack),
-        end if stop else None,
-        diverged,
-        " ".join(filter(None, [*notes[: bool(stop) and not diverged], slides_in_words(slides)])),
-    )
+    return outcome_of(record, parts, end, stop)
 
 
 def _polynomials(
-    parts: list[_Part], rate: float, cut: float
+    parts: list[Part], rate: float, cut: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges of segments, one of them at `cut`, x at the nodes of each, and its mode."""
     nodes = gauss(NODES)
@@ -312,26 +281,3 @@ def _sent(
         times = np.concatenate((before, edges[first + 1 :] - delay))
         each.append(Piecewise(times, np.concatenate((held, feedback[first:]))[..., j : j + 1]))
     return side_by_side(each)
-
-
-def _signal(parts: list[_Part], reached: float) -> SwitchingSignal:
-    """The switching signal that the parts are, known up to where they reach."""
-    times, modes = [0.0], [parts[0].mode]
-    for part in parts[1:]:
-        if part.mode == modes[-1]:
-            continue
-        if part.begin - times[-1] <= _SAME * max(1.0, reached):
-            modes[-1] = part.mode
-            if modes[-1] in modes[-2:-1]:
-                del times[-1], modes[-1]
-        else:
-            times.append(part.begin)
-            modes.append(part.mode)
-    return SwitchingSignal(times, modes, reached)
-
-
-def _slide(part: _Part, end: float) -> Slide:
-    """The sliding motion of a part, up to the end of the run."""
-    assert part.leg.beside is not None
-    mode, other = (part.motion.mode_of(p) for p in (part.leg.place, part.leg.beside.place))
-    return Slide(part.begin, min(part.end, end), (min(mode, other), max(mode, other)))

@@ -87,14 +87,21 @@ class QuadraticRegions(Rule):
             )
         return self
 
-    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> RegionMotion:
+    def motion(
+        self, plant: SwitchedSystem, lengths: tuple[float, ...], unseen: int = 0
+    ) -> RegionMotion:
         modes, n = self.S.shape[:2]
         others = [j for i in range(modes) for j in range(modes) if j != i]
         forms = self.S[others] - np.repeat(self.S, modes - 1, axis=0)
-        planes = np.zeros((len(others), n)), np.zeros(len(others))
+        forms = np.pad(forms, ((0, 0), (0, unseen), (0, unseen)))
+        planes = np.zeros((len(others), n + unseen)), np.zeros(len(others))
         first, named = (modes - 1) * np.arange(modes + 1), np.arange(modes)
         regions = Regions(forms, *planes, first, named)
-        return RegionMotion.of(self.modes_of, plant.A, plant.B, regions, lengths)
+
+        def regions_of(states: np.ndarray) -> np.ndarray:
+            return self.modes_of(states[:, :n])
+
+        return RegionMotion.of(regions_of, plant.A, plant.B, regions, lengths, unseen)
 
     def same(self, other: Rule) -> bool:
         return isinstance(other, QuadraticRegions) and np.array_equal(self.S, other.S)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.rules.motion import (
+    ROUND_OFF,
     Arrival,
     Beside,
     Chatter,
@@ -64,12 +65,18 @@ class RegionMotion(Motion):
         B: Float[np.ndarray, "mode n m"],
         regions: Regions,
         lengths: tuple[float, ...],
+        unseen: int = 0,
     ) -> RegionMotion:
-        """The motion among regions, `regions_of` saying which of them hold given states."""
+        """The motion among regions, `regions_of` saying which of them hold given states.
+
+        No boundary knows of the last `unseen` states: these keep their units, and are known as well
+        as the largest of all.
+        """
         from deadtime.numerics.exponential import balance, discretise_modes
         from deadtime.switching.rules.crossings import MOST_PARTS
 
-        unit = balance(np.abs(A).sum(axis=0))
+        seen = A.shape[1] - unseen
+        unit = np.append(balance(np.abs(A[:, :seen, :seen]).sum(axis=0)), np.ones(unseen))
         A, B = A * unit / unit[:, None], B / unit[:, None]
         rate, longest = float(np.abs(A).sum(axis=2).max()), max(lengths)
         if not rate * longest <= 0.25 * MOST_PARTS:
@@ -82,10 +89,12 @@ class RegionMotion(Motion):
         # All read-only: one type for the compiled functions, whatever the rule.
         scaled = Regions(*(read_only(part) for part in (forms, rows, *regions[2:])))
         tables = [discretise_modes(A, B, length) for length in lengths]
+        M, N = round_off(A, B, max(lengths))
+        M[:, seen:] = ROUND_OFF
         return cls(
             regions_of,
             unit,
-            (A, B, *round_off(A, B, max(lengths))),
+            (A, B, M, N),
             scaled,
             np.array(lengths),
             np.stack([Phi for Phi, _ in tables]),

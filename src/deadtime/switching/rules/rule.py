@@ -41,8 +41,11 @@ class Rule(Frozen, ABC):
         """The rule itself, when it fits the sizes of a plant; an error otherwise."""
 
     @abstractmethod
-    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
-        """A plant under the rule, made for pieces of these lengths under a held input."""
+    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...], unseen: int = 0) -> Motion:
+        """A plant under the rule, made for pieces of these lengths under a held input.
+
+        The rule knows nothing of the last `unseen` states of the plant.
+        """
 
     @abstractmethod
     def same(self, other: Rule) -> bool:
@@ -96,10 +99,15 @@ class PolyhedralRule(Rule):
             )
         return self
 
-    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
-        n = plant.states
-        planes = np.empty((0, n, n)), self.rows, self.offsets, self.first, self.region_modes
-        return RegionMotion.of(self.regions_of, plant.A, plant.B, Regions(*planes), lengths)
+    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...], unseen: int = 0) -> Motion:
+        size, n = plant.states, self.rows.shape[1]
+        rows = np.pad(self.rows, ((0, 0), (0, unseen)))
+        planes = np.empty((0, size, size)), rows, self.offsets, self.first, self.region_modes
+
+        def regions_of(states: np.ndarray) -> np.ndarray:
+            return self.regions_of(states[:, :n])
+
+        return RegionMotion.of(regions_of, plant.A, plant.B, Regions(*planes), lengths, unseen)
 
     def same(self, other: Rule) -> bool:
         return isinstance(other, PolyhedralRule) and all(
@@ -244,14 +252,14 @@ class FunctionRule(Rule):
     def require(self, plant: SwitchedSystem) -> Rule:
         return self
 
-    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...]) -> Motion:
-        function, modes = self.function, plant.modes
+    def motion(self, plant: SwitchedSystem, lengths: tuple[float, ...], unseen: int = 0) -> Motion:
+        function, modes, seen = self.function, plant.modes, plant.states - unseen
 
         def mode_at(x: np.ndarray) -> int:
-            mode = function(x)
+            mode = function(x[:seen])
             if (type(mode) is int or isinstance(mode, np.integer)) and 0 <= mode < modes:
                 return int(mode)
-            return index(f"rule({np.array2string(x, precision=4)})", mode, modes)
+            return index(f"rule({np.array2string(x[:seen], precision=4)})", mode, modes)
 
         return SampledMotion.of(mode_at, plant.A, plant.B, self.samples, lengths)
 

@@ -1,0 +1,280 @@
+"""The ideal loop under a rule where an input's delay differs between modes: a delay equation.
+
+The law knows the plant and its rule, so that what it sends to input j is K_i,j x of where it is
+first read, by the mode i of that instant. A mode with a longer delay than the one before reads once
+more what was read already, and one with a shorter delay finds samples that are overdue: they are
+K_i,j x of where it is entered. So x is marched by the method of steps. On a piece every mode i
+either reads input j anew, as K_i,j x, or reads what is known by now, a polynomial v of time,
+
+    x' = (A_i + Σ_{j anew} b_i,j K_i,j) x + Σ_{j known} b_i,j v_j(t − D_i,j),
+
+and a polynomial solves w₀' = w₁, w₁' = w₂, …, w₀ = v: with these as further states, which the rule
+does not see, the plant is one under no input, and a `Motion` finds where it crosses and slides.
+Pieces end where what any mode reads bends, and wherever the mode changes; a piece that is shorter
+than the motion's is cut off it. Along a boundary that x slides along both modes read.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.numerics.collocation import gauss
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation.digital import Outcome
+from deadtime.simulation.ideal.piecewise import Piecewise, side_by_side
+from deadtime.simulation.ideal.rule_parts import Part, no_loop, outcome_of
+from deadtime.simulation.ideal.run import NODES, IdealRecord
+from deadtime.simulation.ideal.sent import Sent, with_edge
+from deadtime.switching import Rule
+from deadtime.switching.rules.motion import Beside, Leg, Motion, Move
+
+_PIECE = 0.5  # longest, times the fastest rate
+_STRETCH = 4.0  # w_k = v⁽ᵏ⁾ (length/4)ᵏ, so that none is large
+_NEAR = 1e-13  # of the time
+_MOST_TURNS = 20  # of the mode, at one instant
+_MOST_PIECES = 100_000
+_ROUGH = 4  # nodes for what modes would read that are not in force
+_SHORTEST = 40  # halvings of the longest piece
+
+
+class _Known(NamedTuple):
+    """What some modes read of input j, `delay` seconds late: how many of the w it takes."""
+
+    j: int
+    delay: float
+    size: int
+
+
+class _Readings(NamedTuple):
+    """What is read on a piece.
+
+    anew : (modes, m), whether a mode reads what no mode has read before
+    reader : (m,), the mode in force that does, −1 where none does
+    """
+
+    anew: np.ndarray
+    reader: np.ndarray
+
+
+def run_rereading_rule(
+    plant: SwitchedSystem,
+    gains: Float[np.ndarray, "mode m n"],
+    rule: Rule,
+    x0: Float[np.ndarray, " n"],
+    horizon: float,
+    line: Float[np.ndarray, "piece m"],
+    rate: float,
+) -> Outcome:
+    """Solve the loop on [0, horizon]; `line` is what was sent before 0, over equal pieces."""
+    march = _March(plant, gains, rule, x0, horizon, line, _PIECE / rate)
+    while not march.stop and min(each.newest for each in march.sent) < horizon:
+        march.read()
+        march.advance()
+    end = min(horizon, min(each.newest for each in march.sent))
+    if march.stop and (not march.parts or end <= 0.0):
+        raise no_loop(march.stop, plant.longest_delay)
+    states = Piecewise(np.array(march.edges), np.array(march.states))
+    inputs = side_by_side([each.until(end) for each in march.sent])
+    record = IdealRecord(plant, with_edge(states, end), inputs)
+    return outcome_of(record, march.parts, end, march.stop)
+
+
+class _March:
+    """A run on its way: x at t and where it is, what has been sent, and what there is to report."""
+
+    def __init__(self, plant, gains, rule, x0, horizon, line, longest) -> None:
+        self.plant, self.gains, self.rule = plant, gains, rule
+        self.horizon, self.longest = horizon, longest
+        self.t, self.x, self.stop = 0.0, x0.copy(), ""
+        self.edges, self.states, self.parts = [0.0], [], []
+        self.sent = [Sent.before(each, plant.longest_delay) for each in line.T]
+        self._motions: dict[tuple, Motion] = {}
+        self._places = rule.motion(plant, (longest,))
+        self._turns, self._reader = 0, np.full(plant.inputs, -1)
+        self._unit = _units_of_inputs(plant, longest)
+        self._go(self._places.place_of(x0), None)
+
+    def _go(self, place: int, beside: Beside | None) -> None:
+        """Go on from t in a place; what is sent from there on bends."""
+        here = [place] if beside is None else [place, beside.place]
+        self.place, self.beside, self._order = place, beside, 1
+        self._modes = [self._places.mode_of(each) for each in here]
+
+    @property
+    def _near(self) -> float:
+        return _NEAR * (1.0 + self.t)
+
+    def read(self) -> None:
+        """Let the modes in force read what is overdue: it is K x of now."""
+        for i in self._modes:
+            for j, sent in enumerate(self.sent):
+                until = self.t - self.plant.delays[i, j]
+                if until > sent.newest + self._near:
+                    sent.bend(0)
+                    value = float(self.gains[i, j] @ self.x)
+                    sent.send(until, np.full(NODES + 2, value), held=True)
+                    self._reader[j] = -1
+
+    def _readings(self) -> _Readings:
+        """Who reads what from t on, for as long as the mode stays what it is."""
+        delays = self.plant.delays
+        newest = np.array([sent.newest for sent in self.sent]) + self._near
+        first = delays[self._modes].argmin(axis=0)
+        shortest = delays[self._modes].min(axis=0)
+        moves = self.t - shortest >= newest - 2.0 * self._near
+        anew = np.where(moves, delays <= shortest + self._near, self.t - delays >= newest)
+        return _Readings(anew, np.where(moves, np.array(self._modes)[first], -1))
+
+    def _until(self, readings: _Readings) -> tuple[float, int | None]:
+        """Where the piece from t on ends at the latest, and which derivative of x jumps there."""
+        cuts: list[tuple[float, int | None]] = [(self.t + self.longest, None), (self.horizon, None)]
+        for j, sent in enumerate(self.sent):
+            i = readings.reader[j]
+            if i >= 0:
+                cuts.append((self.horizon + self.plant.delays[i, j], None))
+            for delay in self._delays_of_known(readings, j, self._modes):
+                cuts.append((sent.newest + delay, None if i >= 0 else 1))
+                cuts += [(time + delay, order + 1) for time, order in sent.bends]
+        ahead = [cut for cut in cuts if cut[0] > self.t + self._near]
+        end = min(time for time, _ in ahead)
+        orders = [order for time, order in ahead if time <= end + self._near and order is not None]
+        return end, min(orders, default=None)
+
+    def advance(self) -> None:
+        """Move over one piece, or up to where the mode changes."""
+        if len(self.parts) > _MOST_PIECES:
+            raise ArgumentError(
+                "step must be given: the ideal loop under this rule takes more than "
+                f"{_MOST_PIECES} pieces; delays that differ so little between modes are better "
+                "made equal."
+            )
+        readings = self._readings()
+        end, order = self._until(readings)
+        known = self._known(readings, end)
+        length = self.longest
+        while length * 0.5 >= end - self.t and length > self.longest * 0.5**_SHORTEST:
+            length *= 0.5
+        motion = self._motion(readings, known, length)
+        z = np.concatenate([self.x, *(self._derivatives(each, end, length) for each in known)])
+        move = motion.advance(0, z, self.place, np.zeros(self.plant.inputs), self.beside)
+        self._take(motion, move, readings, end, order)
+
+    def _delays_of_known(self, readings: _Readings, j: int, modes: list[int]) -> list[float]:
+        """How late some modes read of input j what is known."""
+        own = self.plant.delays[modes, j]
+        return np.unique(own[~readings.anew[modes, j]]).tolist()
+
+    def _known(self, readings: _Readings, end: float) -> list[_Known]:
+        """What modes read up to `end` of what is known.
+
+        What others than those in force would read says on which side of a boundary they lead, no
+        more: when they are in force the piece begins anew.
+        """
+        known = []
+        for j, sent in enumerate(self.sent):
+            here = self._delays_of_known(readings, j, self._modes)
+            for delay in self._delays_of_known(readings, j, list(range(self.plant.modes))):
+                middle, half = 0.5 * (self.t + end) - delay, 0.49 * (end - self.t)
+                held = sent.is_held(middle - half, middle + half)
+                known.append(_Known(j, delay, 1 if held else NODES if delay in here else _ROUGH))
+        return known
+
+    def _derivatives(self, known: _Known, end: float, length: float) -> np.ndarray:
+        """The w of what is read, at t."""
+        points, size = gauss(known.size).points, end - self.t
+        values = self.sent[known.j].at(self.t + size * points - known.delay)
+        values = values / self._unit[known.j]
+        order = np.arange(known.size)
+        terms = np.linalg.solve(points[:, None] ** order, values)
+        factorials = np.array([math.factorial(k) for k in order.tolist()], dtype=float)
+        return terms * factorials * (length / size / _STRETCH) ** order
+
+    def _motion(self, readings: _Readings, known: list[_Known], length: float) -> Motion:
+        """The plant with what it reads as states of its own."""
+        key = readings.anew.tobytes(), tuple(known), length
+        if key not in self._motions:
+            (modes, n, m), extra = self.plant.B.shape, sum(each.size for each in known)
+            A, B = np.zeros((modes, n + extra, n + extra)), np.zeros((modes, n + extra, m))
+            own = self.plant.B * readings.anew[:, None]
+            A[:, :n, :n], B[:, :n] = self.plant.A + own @ self.gains, self.plant.B
+            at = n
+            for j, delay, size in known:
+                reads = ~readings.anew[:, j] & (self.plant.delays[:, j] == delay)
+                A[reads, :n, at] = self.plant.B[reads, :, j] * self._unit[j]
+                chain = np.arange(at, at + size - 1)
+                A[:, chain, chain + 1] = _STRETCH / length
+                at += size
+            self._motions[key] = self.rule.motion(self.plant.like(A, B), (length,), extra)
+        return self._motions[key]
+
+    def _take(
+        self, motion: Motion, move: Move, readings: _Readings, end: float, order: int | None
+    ) -> None:
+        """Take the first leg of a move, up to `end`."""
+        n, most = self.x.size, end - self.t
+        now = max(k for k, leg in enumerate(move.legs) if leg.time <= 0.1 * self._near)
+        leg, after = move.legs[now], move.legs[now + 1 : now + 2]
+        beyond = None if leg.beside is None else leg.beside.place
+        if (leg.place, beyond) != (
+            self.place,
+            None if self.beside is None else self.beside.place,
+        ):
+            self._turn(leg, n)
+            return
+        self._turns = 0
+        crosses = bool(after) and after[0].time <= most
+        lasts = after[0].time if crosses else most
+        if move.chatter is not None and move.chatter.time <= lasts:
+            lasts, crosses = move.chatter.time, False
+            self.stop = f"chattering at t = {self.t + lasts:.12g} s: {move.chatter.reason}"
+        if lasts > 0.0:
+            self._keep(motion, leg, readings, self.t + lasts if crosses or self.stop else end)
+        if crosses:
+            self.x = after[0].x[:n].copy()
+            self._go(after[0].place, after[0].beside)
+        else:
+            self._order = order
+            place = self._places.place_of(self.x)
+            if self.beside is None and self._places.mode_of(place) == self._modes[0]:
+                self.place = place
+
+    def _turn(self, leg: Leg, n: int) -> None:
+        """Change the mode at t itself."""
+        self._turns += 1
+        self.x = leg.x[:n].copy()
+        self._go(leg.place, leg.beside)
+        if self._turns > _MOST_TURNS:
+            self.stop = f"chattering at t = {self.t:.12g} s: modes change without end"
+
+    def _keep(self, motion: Motion, leg: Leg, readings: _Readings, end: float) -> None:
+        """Keep what x did from t to `end`, and what inputs were sent to make it so."""
+        from deadtime.simulation.kernel import LIMIT
+
+        n, support, none = self.x.size, gauss(NODES).support, np.zeros(self.plant.inputs)
+        times = (end - self.t) * support
+        x = np.array([motion.along(leg, none, time)[:n] for time in times.tolist()])
+        self.parts.append(Part(self.t, end, motion, leg, none))
+        self.edges.append(end)
+        self.states.append(x)
+        for j, (sent, i) in enumerate(zip(self.sent, readings.reader.tolist(), strict=True)):
+            if i >= 0:
+                sent.bend(0 if i != self._reader[j] else self._order)
+                sent.send(end - self.plant.delays[i, j], x @ self.gains[i, j])
+        self._reader = readings.reader
+        self.t, self.x = end, x[-1].copy()
+        if not np.abs(x[-1]).max() <= LIMIT:
+            self.stop = f"diverged: |x| leaves 1e100 before t = {end:g} s"
+
+
+def _units_of_inputs(plant: SwitchedSystem, time: float) -> Float[np.ndarray, " m"]:
+    """Powers of two in which what inputs make of the states within a time is like these."""
+    from deadtime.numerics.exponential import balance
+
+    units = balance(np.abs(plant.A).sum(axis=0))
+    moved = time * np.abs(plant.B / units[:, None]).max(axis=(0, 1))
+    return 2.0 ** np.rint(-np.log2(np.where(moved > 0.0, moved, 1.0)))
