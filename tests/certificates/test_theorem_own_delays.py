@@ -203,6 +203,18 @@ def test_modes_that_are_alike_need_no_distance():
     assert np.isfinite(bound.rho)
 
 
+def test_modes_of_the_same_matrices_grow_where_their_delays_differ():
+    problem = dt.problems.paper()
+    A, B, K = (
+        np.stack([part[1]] * 2) for part in (problem.plant.A, problem.plant.B, problem.gains)
+    )
+    for delay, grows in ((1.0, False), ([[1.0], [0.98]], True)):
+        plant = dt.SwitchedSystem(A, B, delay)
+        law = dt.AveragedPredictor(plant, K)
+        rates = [dt.growth_rate(plant, law, mode, step=None) for mode in range(2)]
+        assert [rate > 0.02 for rate in rates] == [grows] * 2
+
+
 def test_what_is_not_stated_is_refused():
     plant, gains = case("two")
     with pytest.raises(dt.ArgumentError, match=r"form must be 'sharp' where.*got 'corrected'"):

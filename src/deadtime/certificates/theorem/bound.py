@@ -182,14 +182,15 @@ def _require_stated(plant: SwitchedSystem, form: str) -> None:
     if not stated:
         raise ArgumentError(
             "plant must have the same delays in all modes for theorem_bound, got "
-            f"delay={plant.delay_text}: what a mode with another delay reads differs from what was "
-            "meant by no bound in the distance of the modes; certify proves a decay there."
+            f"delay={plant.delay_text}: it is a theorem in the distance ε of the modes' matrices, and "
+            "modes with the same matrices, ε = 0, may grow where their delays differ, so that no "
+            "ε* above 0 is due; certify proves a decay there."
         )
     if form not in stated:
         raise ArgumentError(
-            f"form must be 'sharp' where inputs have several delays, got {form!r}: Lemma 2.4 has "
-            "x(t + D) as a functional of X(t) and of what was sent, and with a second delay what "
-            "is still to be sent is part of it."
+            f"form must be 'sharp' where inputs have several delays, got {form!r}, which is a "
+            "theorem of one delay: its Lemma 2.4 has x(t + D) as a functional of X(t) and of what "
+            "was sent, and with a second delay what is still to be sent is part of it."
         )
 
 
