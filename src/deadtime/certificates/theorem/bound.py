@@ -182,9 +182,9 @@ def _require_stated(plant: SwitchedSystem, form: str) -> None:
     if not stated:
         raise ArgumentError(
             "plant must have the same delays in all modes for theorem_bound, got "
-            f"delay={plant.delay_text}: it is a theorem in the distance ε of the modes' matrices, and "
-            "modes with the same matrices, ε = 0, may grow where their delays differ, so that no "
-            "ε* above 0 is due; certify proves a decay there."
+            f"delay={plant.delay_text}: the theorem goes by the distance ε of the modes' matrices, "
+            "and modes with the same matrices, ε = 0, may grow where their delays differ; certify "
+            "proves a decay there."
         )
     if form not in stated:
         raise ArgumentError(
