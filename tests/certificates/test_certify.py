@@ -119,6 +119,17 @@ def test_the_lyapunov_function_falls_at_every_sample_of_runs(name):
         assert_runs_decrease(certificate, plant, law, signal, samples)
 
 
+def test_what_is_tried_is_told():
+    told = []
+    law = dt.AveragedPredictor(MILD, WEAK)
+    certificate = dt.certify(MILD, law, 0.2, 0.1, delays=(0.16, 0.18), progress=told.append)
+    assert certificate.proven
+    kinds = [word for word in told if word.startswith("functions of kind")]
+    assert kinds[0].startswith("functions of kind 1 of")
+    assert certificate.decay_rate is not None
+    assert told[-1].endswith(f"proving a decay of {certificate.decay_rate:.3g} 1/s")
+
+
 @pytest.mark.parametrize(("alpha", "step"), [(0.66, 0.1), (0.6395, 0.01), (0.806, 0.01), (1, 0.1)])
 def test_loops_beyond_their_limit_are_refuted_by_a_signal_that_grows(alpha, step):
     (plant, law), dwell_time = designed(PAPER.apart(alpha)), 0.2

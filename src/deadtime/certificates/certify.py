@@ -9,7 +9,7 @@ signal has the last word.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,6 +62,7 @@ def certify(
     clock_tolerance: float = CLOCK_TOLERANCE,
     mode_lag: int = 0,
     search_signals: bool = True,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Certificate:
     """Whether the digital loop is stable for every switching signal with a dwell time.
 
@@ -100,6 +101,8 @@ def certify(
         `imperfections.ModeDelay(L)`. For a law that does not read the mode it changes nothing.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
+    progress : callable
+        Called with a few words whenever something else is tried.
 
     Returns
     -------
@@ -167,7 +170,7 @@ def certify(
         )
     if setting.order > LARGEST:
         return Certificate(None, _too_large(setting.order))
-    return _decide(plants, law, setting, decay_rate, search_signals)
+    return _decide(plants, law, setting, decay_rate, search_signals, progress)
 
 
 def _decide(
@@ -176,6 +179,7 @@ def _decide(
     setting: Setting,
     wanted: float | None,
     search_signals: bool,
+    progress: Callable[[str], None],
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
     corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in _ends(setting.delays)]
@@ -206,12 +210,13 @@ def _decide(
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
         fastest = max(0.0, *(-rate for rate, _, _ in rates))
-    evidence, outcome = _evidence(setting, _rates(wanted, fastest))
+    evidence, outcome = _evidence(setting, _rates(wanted, fastest), progress)
     if evidence is not None:
         return Certificate.of(evidence, outcome.cells)
     if not search_signals:
         return Certificate(None, f"Inconclusive: {outcome.reason}.")
     searched = []
+    progress("looking for a signal that grows")
     for corner in corners:
         searched.append(_refute(corner, law, setting, ""))
         if searched[-1].stable is False:
@@ -232,11 +237,13 @@ def _ends(delays: tuple[float, float] | np.ndarray) -> list[float] | list[np.nda
 
 
 def _evidence(
-    setting: Setting, rates: list[float]
+    setting: Setting, rates: list[float], progress: Callable[[str], None]
 ) -> tuple[Evidence | StretchEvidence | None, Check]:
     """The first level that proves stability, at the best decay that it reaches."""
     outcome = Check(False, "no Lyapunov function of the kinds tried was found")
-    for level in _levels(setting):
+    levels = _levels(setting)
+    for kind, level in enumerate(levels, 1):
+        progress(f"functions of kind {kind} of {len(levels)}")
         search: Any = StretchSearch(setting) if level is None else Search(setting, level)
         rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
         slowest = search.glance(rhos[-1]) if len(rhos) > 1 else search.propose(rhos[-1])
@@ -246,10 +253,16 @@ def _evidence(
             proposal = slowest if rho == rhos[-1] else search.propose(rho)
             if proposal is None:
                 continue
+            progress(f"kind {kind} of {len(levels)}: proving a decay of {_rate(rho, setting)} 1/s")
             evidence, outcome = search.prove(proposal)
             if outcome.proven:
                 return evidence, outcome
     return None, outcome
+
+
+def _rate(rho: float, setting: Setting) -> str:
+    """The decay rate of a factor per period, in words."""
+    return f"{-math.log(rho) / setting.step + 0.0:.3g}"
 
 
 def _levels(setting: Setting) -> list[Level | None]:

@@ -102,7 +102,17 @@ def certify(
     laws = names or list(chosen.laws)
     with progress_bar(len(laws), json_output, f"certifying {laws[0]}") as advance:
         ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
-        judged = judge(chosen, dwell, period, names, decay_rate, advance, ranges, mode_lag)
+        judged = judge(
+            chosen,
+            dwell,
+            period,
+            names,
+            decay_rate,
+            advance,
+            ranges,
+            mode_lag,
+            lambda what: advance(what, 0),
+        )
     saved = [] if out is None else _save(judged, out)
     if json_output:
         record = _asked(chosen, period) | {"dwell_time": dwell, "delays": ranges}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from deadtime.base.errors import ArgumentError
 
@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
     from deadtime.reports.study.phrases import Answer
+
+
+class Advance(Protocol):
+    """Takes what is worked on next, and how many steps are done."""
+
+    def __call__(self, what: str, /, done: int = 1) -> None: ...
 
 
 def print_json(record: Mapping[str, Any], written: Iterable[Path] | None = None) -> None:
@@ -73,12 +79,13 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 @contextmanager
-def progress_bar(
-    total: int, quiet: bool, first: str = "starting"
-) -> Iterator[Callable[[str], None]]:
-    """A bar and a clock on stderr, only when that is a terminal; `first` is worked on first."""
+def progress_bar(total: int, quiet: bool, first: str = "starting") -> Iterator[Advance]:
+    """A bar and a clock on stderr, only when that is a terminal; `first` is worked on first.
+
+    What it yields takes what is worked on next, and how many steps are done, 1 unless told.
+    """
     if quiet or not on_terminal():
-        yield lambda _: None
+        yield lambda _, done=1: None
         return
     from rich.progress import (
         BarColumn,
@@ -95,8 +102,8 @@ def progress_bar(
     with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=total)
 
-        def advance(what: str) -> None:
-            bar.update(task, advance=1, description=what)
+        def advance(what: str, done: int = 1) -> None:
+            bar.update(task, advance=done, description=what)
 
         yield advance
 

@@ -128,7 +128,10 @@ def tightness(
         raise ArgumentError("modes of the problem must differ: they are all the same.")
     reaches, missing = [], []
     progress("the theorem's reach")
-    for form in stated_forms(problem.plant) or ("sharp",):
+    forms = stated_forms(problem.plant)
+    if not forms:
+        missing = ["The theorem has no form for delays that differ between modes."]
+    for form in forms:
         try:
             reaches.append(reach_of(problem, dwell_time, form))
         except (ArgumentError, InfeasibleError) as error:

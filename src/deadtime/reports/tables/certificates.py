@@ -72,6 +72,7 @@ def judge(
     progress: Callable[[str], None] = lambda _: None,
     delays: tuple[ArrayLike, ArrayLike] | None = None,
     mode_lag: int = 0,
+    trying: Callable[[str], None] = lambda _: None,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -91,6 +92,8 @@ def judge(
         Ranges of the true delays, as `certify` takes them.
     mode_lag : int
         How many periods late the laws are told the mode.
+    trying : callable
+        Called with a few words whenever something else is tried for one of the laws.
 
     Raises
     ------
@@ -120,6 +123,7 @@ def judge(
                 decay_rate=decay_rate,
                 delays=delays,
                 mode_lag=mode_lag,
+                progress=lambda what: trying(f"{name}: {what}"),
             )
             certified[name].set_result(found)
         except BaseException as error:
