@@ -79,7 +79,8 @@ def _finite(a):
     return finite
 
 
-@kernel
+# A call that hands over a tuple of arrays, or many of them, costs as much as 50 terms.
+@kernel(forceinline=True)
 def _apply(answer, held, at, asked, inputs, low, high, relative):
     """Ask for the answer, or for what was asked for before, and give the plant what limits leave.
 
@@ -106,7 +107,7 @@ def _go_on(table, sight, k, x, inputs, past, result):
     advance(sight.Phi[way], sight.Gamma[way], x, acting, result)
 
 
-@kernel
+@kernel(forceinline=True)
 def _see(sight, k, x, measured, seen):
     """What is measured of x, or nothing."""
     for i in range(seen.size):
