@@ -5,6 +5,7 @@ Symmetric matrices are packed as `deadtime.numerics.lmi` does it.
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ def maximise(
 ) -> tuple[np.ndarray, str] | None:
     """Maximise the last unknown subject to b − A x in the cones; None if that fails.
 
-    A is an array or a sparse matrix. `roughly`: stop where the unknown is positive for sure.
+    A is an array or a sparse matrix. `roughly`: stop where the unknown is positive for sure, if the
+    solver can be watched.
     """
     from scipy.sparse import csc_matrix
 
@@ -43,7 +45,7 @@ def maximise(
     nothing = csc_matrix((unknowns, unknowns))
     try:
         ready = solver.DefaultSolver(nothing, cost, csc_matrix(A), b, cones, settings)
-        if roughly and hasattr(ready, "set_termination_callback"):
+        if roughly and _can_be_watched(ready):
             ready.set_termination_callback(_is_clear)
         solution = ready.solve()
     except (KeyboardInterrupt, SystemExit):
@@ -52,6 +54,12 @@ def maximise(
         return None
     x = np.array(solution.x)
     return (x, str(solution.status)) if np.isfinite(x).all() else None
+
+
+def _can_be_watched(solver: Any) -> bool:
+    """Whether it can be asked on its way: not in the main thread, where it would lose a Ctrl-C."""
+    main = threading.current_thread() is threading.main_thread()
+    return not main and hasattr(solver, "set_termination_callback")
 
 
 def _is_clear(progress: Any) -> bool:

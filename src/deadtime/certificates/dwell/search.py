@@ -79,7 +79,10 @@ class Search:
         return self._propose(rho, roughly=False)
 
     def glance(self, rho: float) -> Proposal | None:
-        """As `propose`, but a rough one, in a third of the time, where that leaves no doubt."""
+        """As `propose`, but a rough one, in a third of the time, where that leaves no doubt.
+
+        In the main thread it is a whole one.
+        """
         return self._propose(rho, roughly=True)
 
     def _propose(self, rho: float, roughly: bool) -> Proposal | None:
