@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import deadtime as dt
 import plants
 from deadtime.plant import SampledPlant
-from deadtime.plant.cut_pieces import gramians, pieces_along, up_to
+from deadtime.plant.cut_pieces import FEW, gramians, pieces_along, up_to
 from deadtime.plant.pieces import Stretches
 from deadtime.plant.sampled_plant import acting_inputs
 from deadtime.switching.grid import cuts_of
@@ -158,6 +158,17 @@ def test_pieces_end_where_the_acting_inputs_change_and_nowhere_else():
     whole = table.entry[table.entry < 6]
     assert whole.size > 2 * PERIODS - 2 * SIGNAL.times.size
     assert (table.stop > table.start).all()
+
+
+def test_pieces_between_few_switches_are_those_of_a_signal_with_many():
+    """Those of few are kept, under what they were computed from: asked for again, in turn."""
+    later = SIGNAL.times[-1] + PERIODS * STEP + 0.137 * np.arange(2 * FEW)
+    modes = np.append(SIGNAL.modes, (SIGNAL.modes[-1] + 1 + np.arange(2 * FEW)) % 3)
+    many = dt.SwitchingSignal(np.append(SIGNAL.times, later), modes)
+    for delay in (0.234, 0.03, 0.234):
+        few, whole = along(delay)[1], along(delay, many)[1]
+        np.testing.assert_array_equal(few.Phi, whole.Phi)
+        np.testing.assert_array_equal(few.Gamma, whole.Gamma)
 
 
 def test_modes_may_have_stretches_of_their_own():
