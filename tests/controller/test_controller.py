@@ -36,8 +36,15 @@ def run(controller, x, modes, applied=None):
     )
 
 
-@pytest.mark.parametrize("step", [STEP, 0.003], ids=["3 taps", "78 taps"])
-@pytest.mark.parametrize("name", RUNNING)
+# Over 3 past inputs every law; over 78 a law of every kind of rows.
+@pytest.mark.parametrize(
+    ("name", "step"),
+    mostly_long(
+        [(name, step) for name in RUNNING for step in (STEP, 0.003)],
+        *((name, STEP) for name in RUNNING),
+        *((name, 0.003) for name in ("averaged", "averaged, dwell-aware", "expected")),
+    ),
+)
 def test_every_law_gives_what_its_table_says_whatever_was_applied(name, step):
     law = plants.LAWS[name](GENERIC)
     table = law.digital(step)

@@ -63,9 +63,9 @@ CASES = {
 }  # fmt: skip
 
 
-# At every change one law without imperfections, and with all of them one that knows how old a mode
-# is. One that follows a reference has delays of every mode and input besides.
-FEW = ("observed", ("observed",)), ("all", ("modes apart",))
+# At every change one that knows how old a mode is; below, one that follows a reference. Without
+# imperfections: `test_output_feedback.py`.
+FEW = (("all", ("modes apart",)),)
 
 
 @pytest.mark.parametrize(
