@@ -7,8 +7,8 @@ import gc
 from importlib import import_module
 from pathlib import Path
 
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
 
 SOURCE = Path(__file__).parent / "src"
 ROOMS = sorted(SOURCE.glob("deadtime/*/__init__.pyi"))
@@ -23,7 +23,8 @@ def _checked_modules() -> list[str]:
     ]
 
 
-install_import_hook(_checked_modules(), "typecheck.checked")
+jaxtyping.jaxtyped = import_module("typecheck").within_shapes
+jaxtyping.install_import_hook(_checked_modules(), "typecheck.checked")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,11 +14,11 @@ from deadtime.reports.report import write_report
 
 FILE = """
 [plant]
-A = [[[-0.5]], [[-0.4]]]
-B = [[[1.0]], [[1.0]]]
+A = [[[-0.5, 1.0], [0.0, -1.0]], [[-0.4, 1.0], [0.0, -1.0]]]
+B = [[[0.0], [1.0]], [[0.0], [1.0]]]
 delay = 0.2
 [gains]
-poles = [-1.0]
+poles = [-1.0, -2.0]
 [signal]
 kind = "random"
 seed = 3
@@ -26,7 +26,7 @@ seed = 3
 [[law]]
 kind = "averaged"
 [run]
-x0 = [1.0]
+x0 = [1.0, 0.0]
 horizon = 4.0
 step = 0.1
 """
@@ -87,7 +87,7 @@ def test_a_dwell_time_of_zero_goes_with_the_mean_that_the_file_states(file, caps
 def test_the_bound_of_a_plant_that_a_rule_switches_takes_the_dwell_time_asked_for(file, capsys):
     path = file("")
     text = path.read_text(encoding="utf-8").replace('"random"\nseed = 3', '"half-space"')
-    path.write_text(text.replace("[[law]]", "normal = [1.0]\n[[law]]"), encoding="utf-8")
+    path.write_text(text.replace("[[law]]", "normal = [1.0, 0.0]\n[[law]]"), encoding="utf-8")
     code, out, err = run(capsys, "bound", path, "--dwell-time", 0.5)
     assert (code, err) == (0, "")
     assert "Dwell time 0.5 s (as asked)." in " ".join(out.split())

@@ -191,13 +191,23 @@ def study(tmp_path, text):
     return load_study(path)
 
 
-def test_a_study_runs_with_the_imperfections_of_its_problem_and_its_own(tmp_path):
-    from deadtime.scenarios.sweeps.cell import run_cell
-
+@pytest.fixture
+def noisy(tmp_path):
+    """A study with limits of its own, of a problem with noise."""
     load(tmp_path, PLAIN + '\n[[imperfection]]\nkind = "noise"\nstd = 0.1\n')
     limits = '\n[[imperfection]]\nkind = "saturation"\nlow = -3\nhigh = 3\n'
-    made = study(tmp_path, STUDY + limits)
-    assert made.loop(next(made.cells())).imperfections == (Noise(0.1), Saturation(-3.0, 3.0))
+    return study(tmp_path, STUDY + limits)
+
+
+def test_a_study_has_the_imperfections_of_its_problem_and_its_own(noisy):
+    assert noisy.loop(next(noisy.cells())).imperfections == (Noise(0.1), Saturation(-3.0, 3.0))
+
+
+@pytest.mark.long  # that batches have them: tests/scenarios/test_imperfect_batches.py
+def test_a_study_runs_with_its_imperfections(noisy, tmp_path):
+    from deadtime.scenarios.sweeps.cell import run_cell
+
+    made = noisy
     ((cell,),) = ([*made.cells()],)
     values = run_cell(made, cell).metrics["ise"]
     assert np.isfinite(values).all()
