@@ -97,9 +97,12 @@ class ColouredDisturbance(DrawnDisturbance):
         _, std, T = self._check(sizes.states)
         tau = np.array(lengths)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
-        follow = _follow_many if numbers.shape[1] > 1 else _follow_one
         draws = np.empty((*numbers.shape[:2], steps, 2 * std.size + sizes.states))
-        follow(std, kept, fresh, numbers, draws)
+        if numbers.shape[1] == 1:
+            _follow_one(std, kept, fresh, numbers, draws)
+        else:
+            short = (0.0,) * std.size, (0.0,) * sizes.states
+            _follow_many(std, kept, fresh, numbers, draws, *short)
         return draws
 
     def spreads_in(
@@ -185,31 +188,32 @@ class StepDisturbance(DrawnDisturbance):
 
 
 @kernel(eager=True, nogil=True)
-def _follow_many(std, kept, fresh, numbers, draws):
+def _follow_many(std, kept, fresh, numbers, draws, sources, states):
     """Fill `draws` with c before and after every stretch, c ← kept c + fresh·number, and the rest.
 
-    c starts at std times the first numbers of the first stretch.
+    c starts at std times the first numbers of the first stretch. `sources` and `states` are the
+    sizes of c and x as the lengths of tuples, so that short loops are unrolled.
     """
-    stretches, runs, steps, width = draws.shape
-    q, count = std.size, numbers.shape[2]
-    more = width - q
-    given, filled = numbers.reshape(-1), draws.reshape(-1)
+    (stretches, runs, steps, _), count = draws.shape, numbers.shape[2]
+    q, more = len(sources), len(sources) + len(states)
+    width = q + more
+    given, filled, now = numbers.reshape(-1), draws.reshape(-1), np.empty(q)
     for run in range(runs):
         for j in range(q):
-            c = std[j] * given[run * count + j]
-            for k in range(steps):
-                for s in range(stretches):
-                    at = (s * runs + run) * count + q + k * more + j
-                    to = ((s * runs + run) * steps + k) * width + j
-                    filled[to] = c
-                    c = kept[s, j] * c + fresh[s, j] * given[at]
-                    filled[to + q] = c
-        for s in range(stretches):
-            at, to = (s * runs + run) * count + 2 * q, (s * runs + run) * steps * width + 2 * q
-            for _ in range(steps):
-                for i in range(more - q):
-                    filled[to + i] = given[at + i]
-                at, to = at + more, to + width
+            now[j] = std[j] * given[run * count + j]
+        first, begin = run * count + q, run * steps * width
+        for _ in range(steps):
+            at, to = first, begin
+            for s in range(stretches):
+                for j in range(q):
+                    c = now[j]
+                    filled[to + j] = c
+                    c = kept[s, j] * c + fresh[s, j] * given[at + j]
+                    filled[to + q + j] = now[j] = c
+                for i in range(q, more):
+                    filled[to + q + i] = given[at + i]
+                at, to = at + runs * count, to + runs * steps * width
+            first, begin = first + more, begin + width
 
 
 def _follow_one(

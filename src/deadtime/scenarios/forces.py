@@ -27,7 +27,7 @@ from deadtime.switching import SignalBatch
 
 ACCURACY = 1e-12  # of the largest that a number makes, to which series are those of `_over`
 _CHECKS = 29  # of a series in each cell
-_FEW = 16  # scenarios that are gone through at a time, so that they stay in the caches
+_FEW = 64  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 @dataclass(frozen=True, eq=False)
