@@ -6,7 +6,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.entry import main
-from deadtime.margins import loop_view
+from deadtime.margins import loop_view, step_response
 
 
 def run(capsys, *arguments):
@@ -26,6 +26,8 @@ def test_the_json_is_the_library_s_and_the_picture_is_there(tmp_path, monkeypatc
     assert found["gain_margin"][1] == dt.gain_margin(problem.plant, law, 0.05).upper
     assert found["delay_margin"][1] == dt.delay_margin(problem.plant, law, 0.05).upper
     assert [mode["disk"] for mode in found["modes"]] == [mode.disk for mode in view.modes]
+    steps = [step_response(problem.plant, law, mode, 0.05) for mode in range(2)]
+    assert [mode["step_info"] for mode in found["modes"]] == [each.info for each in steps]
     assert (tmp_path / found["written"][0]).stat().st_size > 10_000
 
 

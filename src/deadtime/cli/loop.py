@@ -10,8 +10,12 @@ from deadtime.cli.printing import print_heading, print_json, print_table, save_f
 from deadtime.cli.problems import problem_with
 
 if TYPE_CHECKING:
+    from deadtime.feedback import Law
     from deadtime.margins.loop_view import LoopView, ModeView
+    from deadtime.margins.step_response import StepResponse
+    from deadtime.problems import Problem
 
+_STEP = ("mode", "rise, s", "settling, s", "overshoot, %", "peak", "steady state")
 _HEADINGS = ("mode", "growth, 1/s", "phase margin", "at, rad/s", "disk margin", "peak |S|")
 
 
@@ -29,10 +33,14 @@ def loop(
     law: str | None = None,
     step: float | Literal["ideal"] | None = None,
     at: Literal["input", "output"] = "input",
+    channel: int = 0,
+    output: int = 0,
     out: File = None,
     json_output: AsJson = False,
 ) -> int:
-    """How near −1 is the loop? Bode, Nyquist and sensitivity of every mode, with margins.
+    """How near −1 is the loop? Bode, Nyquist, sensitivity and step response of every mode.
+
+    The step is a constant 1 at an input of the plant, where nothing is tracked.
 
     Parameters
     ----------
@@ -44,6 +52,10 @@ def loop(
         Sampling period in seconds, or ideal; the problem's by default.
     at
         Where the loop is cut open: at the plant's inputs, or at what is measured.
+    channel
+        Which input is pushed, from 0.
+    output
+        Which state, or which output where an observer runs, is shown then, from 0.
     out
         The picture, PNG, SVG or PDF; next to where you are, named after the problem, by default.
     json_output
@@ -51,24 +63,36 @@ def loop(
     """
     from deadtime.base.wording import sentence_of
     from deadtime.margins.loop_view import loop_view
+    from deadtime.margins.step_response import step_response
     from deadtime.reports.figures.loop import plot_loop
 
     chosen = problem_with(problem, step, None, None)
     name = next(iter(chosen.laws)) if law is None else law
-    view = loop_view(chosen.plant, chosen.law(name), chosen.step, at)
+    asked = chosen.law(name)
+    view, steps = loop_view(chosen.plant, asked, chosen.step, at), []
+    if chosen.step is not None:
+        args = chosen.plant, asked
+        steps = [
+            step_response(*args, mode, chosen.step, channel=channel, output=output)
+            for mode in range(chosen.plant.modes)
+        ]
     path = Path(f"{chosen.name}-loop.png") if out is None else out
     path = path if path.suffix else path.with_suffix(".png")
-    save_figure(plot_loop(view, f"{chosen.title}: law “{name}”", chosen.modes), path)
+    title, shown = f"{chosen.title}: law “{name}”", _shown(chosen, asked, output)
+    save_figure(plot_loop(view, title, chosen.modes, steps, shown), path)
     stable = bool((view.gain.growth < 0.0).all())
     if json_output:
         setting = {"problem": chosen.name, "law": name, "step": chosen.step, "at": at}
-        print_json(setting | _record(view), [path])
+        print_json(setting | _record(view, steps), [path])
         return 0 if stable else 1
     print_heading(chosen.title, map(sentence_of, (view.gain.message, view.delay.message)))
     print()
     growth = view.gain.growth.tolist()
     names = chosen.modes or [f"{each.mode}" for each in view.modes]
     print_table(_HEADINGS, [_row(*each) for each in zip(names, growth, view.modes, strict=True)])
+    if any(each.growth < 0.0 for each in steps):
+        print(f"\n{shown} after a constant 1 at the input:")
+        print_table(_STEP, [_step_row(*each) for each in zip(names, steps, strict=True)])
     print(f"\nFigure: {path}")
     return 0 if stable else 1
 
@@ -80,7 +104,20 @@ def _row(name: str, growth: float, view: ModeView) -> list[str]:
     return [name, f"{growth:+.3g}", phase, at, disk, f"{view.sensitivity.max():.3g}"]
 
 
-def _record(view: LoopView) -> dict[str, Any]:
+def _shown(problem: Problem, law: Law, output: int) -> str:
+    """What answers the step, by its name."""
+    if law.outputs is not None:
+        return f"output {output}"
+    return problem.states[output] if problem.states else f"x[{output}]"
+
+
+def _step_row(name: str, answer: StepResponse) -> list[str]:
+    found = answer.info or {}
+    keys = ("RiseTime", "SettlingTime", "Overshoot", "Peak", "SteadyStateValue")
+    return [name, *(f"{found[key]:.3g}" if key in found else "–" for key in keys)]
+
+
+def _record(view: LoopView, steps: list[StepResponse]) -> dict[str, Any]:
     """The figures for JSON."""
     from deadtime.base.record import record
 
@@ -98,7 +135,9 @@ def _record(view: LoopView) -> dict[str, Any]:
         "gain_margin": [view.gain.lower, view.gain.upper],
         "delay_margin": [view.delay.lower, view.delay.upper],
         "modes": [
-            record(each, *figures) | {"peak_sensitivity": each.sensitivity.max()}
+            record(each, *figures)
+            | {"peak_sensitivity": each.sensitivity.max()}
+            | {"step_info": steps[each.mode].info if steps else None}
             for each in view.modes
         ],
     }

@@ -9,3 +9,4 @@ from .mode_lag import LongestModeLag as LongestModeLag, longest_mode_lag as long
 from .robustness.assess import Robustness as Robustness, robustness as robustness
 from .robustness.tolerance import NoisePrice as NoisePrice, Tolerance as Tolerance
 from .stability import StabilityMargin as StabilityMargin, stability_margin as stability_margin
+from .step_response import StepResponse as StepResponse, step_response as step_response

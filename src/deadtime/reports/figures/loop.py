@@ -1,4 +1,4 @@
-"""The figure of a loop over frequency: Bode, Nyquist and sensitivity, its margins marked."""
+"""The figure of a loop: Bode, Nyquist, sensitivity, its margins marked, and its step response."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
 from deadtime.base.wording import inwards
 from deadtime.margins.loop_view import LoopView, ModeView
+from deadtime.margins.step_response import StepResponse
 
 MOST = 5  # modes in one figure
 _REACH = 3.0  # of the Nyquist panel, around −1 … 1
@@ -22,7 +23,11 @@ _TURNS = 800.0  # degrees of phase that are shown: a delay turns on and on
 
 
 def plot_loop(
-    view: LoopView, title: str | None = None, modes: Sequence[str] | None = None
+    view: LoopView,
+    title: str | None = None,
+    modes: Sequence[str] | None = None,
+    steps: Sequence[StepResponse] = (),
+    answer: str | None = None,
 ) -> Figure:
     """Gain, phase, Nyquist and sensitivity, a line for each of the first five modes.
 
@@ -30,15 +35,20 @@ def plot_loop(
     channels share; sensitivities are largest singular values. Circles mark gain margins, squares
     the phase margin, dotted lines where a delay longer or shorter by so much loses the loop. The
     shaded disk is what the disk margin keeps clear. All are of the mode that is lost first.
+
+    With `steps`, one a mode, there is a panel of what does not grow of them; `answer` says of what.
     """
     names = modes or [f"mode {each.mode}" for each in view.modes]
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.55 * WIDTH, 5.2))
-        (gain, nyquist), (phase, sensitivity) = figure.subplots(2, 2)
+        figure = Figure(figsize=(1.55 * WIDTH, 7.2 if steps else 5.2))
+        panels = figure.subplot_mosaic("gn;ps;tt" if steps else "gn;ps")
+        gain, nyquist, phase, sensitivity = (panels[letter] for letter in "gnps")
         for each in view.modes[:MOST]:
             _add_mode(view.omega, each, gain, phase, nyquist, sensitivity)
         _mark_margins(view, gain, phase, nyquist)
         _label(view, gain, phase, nyquist, sensitivity)
+        if steps:
+            _add_steps(panels["t"], steps[:MOST], answer)
         keys = [
             Line2D([], [], color=COLOURS[i], linestyle=LINES[i % len(LINES)], label=plain(name))
             for i, name in enumerate(names[:MOST])
@@ -66,6 +76,21 @@ def _add_mode(
         nyquist.plot(np.real(near), np.imag(near), **look)
     sensitivity.loglog(omega, view.sensitivity, **look)
     sensitivity.loglog(omega, view.complementary, **look, alpha=0.4)
+
+
+def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None) -> None:
+    """Those that settle; at 1 a line for what is to be reached."""
+    for each in steps:
+        if each.growth < 0.0:
+            look: Any = {"color": COLOURS[each.mode], "linestyle": LINES[each.mode % len(LINES)]}
+            panel.plot(each.time, each.response, **look)
+    settled = [2.0 * each.info["SettlingTime"] for each in steps if each.info]
+    longest = min(max(settled, default=1.0), max(each.time[-1] for each in steps))
+    panel.axhline(1.0 if steps[0].tracks else 0.0, color=COLOURS[6], linewidth=0.8)
+    panel.set_xlim(0.0, longest)
+    what = "a step of its reference" if steps[0].tracks else "a constant 1 at the input"
+    panel.set_title(f"{plain(answer or 'output')} after {what}")
+    panel.set_xlabel("time (s)")
 
 
 def _mark_margins(view: LoopView, gain: Axes, phase: Axes, nyquist: Axes) -> None:

@@ -1,0 +1,177 @@
+"""The step response of a loop with one mode held, exact at samples.
+
+A loop that tracks outputs is given a reference of 1 for one of them from time 0 on, at rest. Any
+other is pushed by a constant 1 at one of the plant's inputs, past the delay,
+
+    dx/dt = A x + b_j + B u(t − D).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import count, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.estimation import OutputFeedback
+from deadtime.feedback import Law
+from deadtime.imperfections import StepDisturbance
+from deadtime.plant import SwitchedSystem
+from deadtime.simulation import simulate
+from deadtime.spectrum import growth_rate
+from deadtime.switching import SwitchingSignal
+
+_SETTLED = 10.0  # time constants of the slowest motion
+_MOST = 5_000  # samples
+_LEFT = 1e-3  # of the peak: a response that ends below has come back to 0
+_THRESHOLD, _FROM, _TO = 0.02, 0.1, 0.9  # of the steady state, as in python-control
+
+
+@dataclass(frozen=True, eq=False)
+class StepResponse(Frozen):
+    """A loop's answer to a step (immutable).
+
+    Attributes
+    ----------
+    mode : int
+    time : (T,)
+        Seconds.
+    response : (T,)
+        The tracked output; of a loop that tracks nothing, what is measured.
+    tracks : bool
+        Whether the step is one of the reference, not of a push at the input.
+    growth : float
+        The loop's growth rate, 1/s.
+    """
+
+    mode: int
+    time: Float[np.ndarray, " T"]
+    response: Float[np.ndarray, " T"]
+    tracks: bool
+    growth: float
+
+    @property
+    def info(self) -> dict[str, float] | None:
+        """What python-control's `step_info` says, by its names and definitions; times in s.
+
+        The last value is the steady state. Where that is 0, as of a push that a sum of errors takes
+        up, there is a peak, and the time after which 2 % of that are left. None of a loop that
+        grows.
+        """
+        if self.growth >= 0.0:
+            return None
+        y, time, last = self.response, self.time, float(self.response[-1])
+        size = np.abs(y)
+        peak = {"Peak": float(size.max()), "PeakTime": float(time[size.argmax()])}
+        if abs(last) <= _LEFT * peak["Peak"]:
+            return (
+                _settling(time, size > _THRESHOLD * peak["Peak"]) | peak | {"SteadyStateValue": 0.0}
+            )
+        relative = y / last
+        begin, end = (int(np.argmax(relative >= part)) for part in (_FROM, _TO))
+        return (
+            {"RiseTime": float(time[end] - time[begin])}
+            | _settling(time, np.abs(relative - 1.0) >= _THRESHOLD)
+            | {
+                "SettlingMin": float(y[end:].min()),
+                "SettlingMax": float(y[end:].max()),
+                "Overshoot": 100.0 * max(0.0, float(relative.max()) - 1.0),
+                "Undershoot": 100.0 * max(0.0, -float(relative.min())),
+            }
+            | peak
+            | {"SteadyStateValue": last}
+        )
+
+
+def _settling(time: np.ndarray, outside: np.ndarray) -> dict[str, float]:
+    """The sample from which on nothing is outside."""
+    far = np.flatnonzero(outside)
+    return {"SettlingTime": float(time[far[-1] + 1 if far.size else 0])}
+
+
+def step_response(
+    plant: SwitchedSystem,
+    law: Law,
+    mode: int,
+    step: float = 0.01,
+    *,
+    channel: int = 0,
+    output: int = 0,
+    horizon: float | None = None,
+) -> StepResponse:
+    """How a loop answers a step with one mode held.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth; the law has a model of its own.
+    law : Law
+        With a servo its reference steps, otherwise an input is pushed.
+    mode : int
+    step : float
+        Sampling period h, s.
+    channel : int
+        Which reference, or which input.
+    output : int
+        Of a loop that tracks nothing: which of what is measured, the state or the outputs. A loop
+        that tracks answers in the output whose reference steps.
+    horizon : float, optional
+        Seconds; by default ten time constants of the slowest motion and twice the delay, of 5,000
+        samples at most.
+
+    Raises
+    ------
+    ArgumentError
+        If mode, channel or output are none.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.2)
+    >>> law = dt.SingleModePredictor(plant, dt.place(plant, [-1.0]), 0)
+    >>> found = step_response(plant, law, 0)
+    >>> round(found.info["SteadyStateValue"], 3), found.info["Overshoot"]
+    (1.443, 0.0)
+    """
+    _within("mode", mode, plant.modes)
+    step, growth = positive("step", step), growth_rate(plant, law, mode, step)
+    if horizon is None:
+        slowest = min(_SETTLED / abs(growth) if growth else math.inf, _MOST * step)
+        horizon = step * min(math.ceil((slowest + 2.0 * plant.longest_delay) / step), _MOST)
+    signal, pushes, rows = SwitchingSignal.constant(mode), [], np.eye(plant.states)
+    tracks = isinstance(law, OutputFeedback) and law.servo is not None
+    if isinstance(law, OutputFeedback):
+        rows = law.observer.C[mode][:, : plant.states]
+        if law.servo is not None:
+            rows, output = law.servo.tracked @ rows, channel
+    if tracks:
+        _within("channel", channel, len(rows))
+    else:
+        _within("channel", channel, plant.inputs)
+        _within("output", output, len(rows))
+        pushes = [StepDisturbance(plant.B[mode][:, channel])]
+    loop = _at_rest(law, channel)
+    x0 = np.zeros(plant.states)
+    run = simulate(
+        plant, loop, signal, x0, positive("horizon", horizon), step, imperfections=pushes
+    )
+    return StepResponse(mode, run.time, rows[output] @ run.states, tracks, growth)
+
+
+def _at_rest(law: Law, channel: int) -> Law:
+    """The law before a step of one reference, with nothing estimated."""
+    if not isinstance(law, OutputFeedback):
+        return law
+    if law.servo is None:
+        return OutputFeedback(law.law, law.observer)
+    reference = np.eye(len(law.servo.tracked))[channel]
+    return OutputFeedback(law.law, law.observer, servo=law.servo, reference=reference)
+
+
+def _within(name: str, value: int, most: int) -> None:
+    if count(name, value, 0) >= most:
+        raise ArgumentError(f"{name} must be in 0..{most - 1}, got {value}.")
