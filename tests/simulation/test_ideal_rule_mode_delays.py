@@ -14,9 +14,34 @@ import deadtime as dt
 import plants
 from rule_reading_reference import Loop
 from shares import mostly_long
-from swinging import BOUNDARIES, RULES, WEDGE, X0, ball, soft, swinging, wedge
+from swinging import (
+    BOUNDARIES as swinging_boundaries,
+    RULES as swinging_rules,
+    WEDGE,
+    X0,
+    ball,
+    soft,
+    swinging,
+    wedge,
+)
 
-FUNCTION_OF = {"wedge": wedge, "wedge as a function": wedge, "ball": ball}
+FORMS = np.array([np.diag(row) for row in ([1.0, -1.0, 0.3], [-1.0, 1.0, -0.3], [0.0, 0.2, 0.4])])
+
+
+def largest_form(x):
+    return int(np.argmax([x @ S @ x for S in FORMS]))
+
+
+RULES = swinging_rules | {"forms": dt.QuadraticRegions(FORMS)}
+BOUNDARIES = swinging_boundaries | {
+    "forms": [lambda x, S=FORMS[i] - FORMS[k]: x @ S @ x for i, k in ((0, 1), (0, 2), (1, 2))]
+}
+FUNCTION_OF = {
+    "wedge": wedge,
+    "wedge as a function": wedge,
+    "ball": ball,
+    "forms": largest_form,
+}
 DELAYS = [
     [[0.3, 0.12], [0.2, 0.12], [0.25, 0.21]],
     [[0.1, 0.3], [0.25, 0.07], [0.18, 0.4]],
@@ -44,7 +69,7 @@ CASES = [(k, name, held) for k in range(3) for name in RULES for held in HISTORI
 
 @pytest.mark.parametrize(
     ("number", "name", "history"),
-    mostly_long(CASES, (0, "ball", "held"), (1, "wedge as a function", "constant")),
+    mostly_long(CASES, (0, "forms", "held"), (1, "wedge as a function", "constant")),
 )
 def test_a_run_is_that_of_the_delay_equation(number, name, history):
     plant, held = plant_with(DELAYS[number]), HISTORIES[history]
