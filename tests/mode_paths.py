@@ -13,13 +13,16 @@ from scipy.stats import multivariate_normal
 import plants
 
 
-def ahead(plant, step, mode, x, inputs, k):
-    """x_{k+1} with a mode held over period k; `inputs[s]` is u_s, negative s by a dict."""
+def ahead(plant, step, mode, x, inputs, k, start=0.0, stop=None):
+    """x_{k+1} with a mode held over period k; `inputs[s]` is u_s, negative s by a dict.
+
+    Or over a part of the period, from `start` to `stop`.
+    """
+    stop = step if stop is None else stop
     counts = np.ceil(np.round(plant.delays[mode] / step, 9)).astype(int)
     phases = plant.delays[mode] - (counts - 1) * step
-    ends = sorted({round(min(phase, step), 12) for phase in phases} | {step})
-    start = 0.0
-    for end in ends:
+    inside = {round(phase, 12) for phase in phases if start + 1e-10 < phase < stop - 1e-10}
+    for end in sorted(inside | {stop}):
         sample = k - counts + (start >= phases - 1e-10)
         u = np.array([inputs[s][j] for j, s in enumerate(sample)])
         Phi, Gamma = plants.held(plant.A[mode], plant.B[mode], end - start)
@@ -43,9 +46,20 @@ def densities(plant, step, states, inputs, W, std, within):
         for i, j in np.ndindex(modes, modes):
             d, S = means[j] - means[i], covariance(plant, step, i, W, std)
             mean = means[i] + 0.5 * d if within else means[i]
-            S = S + np.outer(d, d) / 12.0 if within else S
+            if within:
+                S = S + np.outer(d, d) / 12.0
+                S = S + bend(plant, step, i, j, states[k], inputs, k, mean)
             result[k, i, j] = multivariate_normal(mean, S).logpdf(states[k + 1])
     return result
+
+
+def bend(plant, step, i, j, x, inputs, k, middle):
+    """Mean squares of what a parabola through x_{k+1} of switches at 0, h/2, h is off its chord."""
+    half = ahead(plant, step, i, x, inputs, k, 0.0, 0.5 * step)
+    half = ahead(plant, step, j, half, inputs, k, 0.5 * step, step)
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # exact up to degree 5
+    off = np.outer(1.0 - nodes**2, half - middle)
+    return np.diag(0.5 * weights @ off**2) if i != j else np.zeros((x.size, x.size))
 
 
 def beliefs(density, log_prior):

@@ -86,6 +86,21 @@ def test_a_law_that_does_not_read_the_mode_is_said_not_to():
     assert result.sentences[-2] == "The law does not read the mode, so that it may be told late."
 
 
+def test_a_law_on_a_belief_is_told_no_mode_that_could_be_late():
+    plant, model = plants.scalar([0.5, 0.9]), dt.Markov([[0.0, 1.0], [1.0, 0.0]])
+    law = dt.ExpectedPredictor(plant, dt.place(plant, [-1.0]), model)
+    signal = dt.SwitchingSignal.periodic([0.7, 0.9], [0, 1], 4.0)
+    filt = dt.ModeFilter(plant, model, 0.1, disturbance=1e-4)
+    args = signal, [1.0], 3.0, 0.1
+    told, believed = (
+        dt.robustness(plant, one, *args, scenarios=2)
+        for one in (law, dt.BeliefPredictor(law, filt))
+    )
+    assert told.lag is not None
+    assert believed.lag is None
+    assert "The law does not read the mode, so that it may be told late." in believed.sentences
+
+
 def test_a_loop_that_is_lost_as_it_is_says_so():
     plant = plants.scalar([0.5, 0.6])
     law = dt.DelayedStateFeedback(plant, [[[-0.1]], [[-0.1]]], allow_unstable=True)

@@ -52,6 +52,44 @@ def test_a_law_on_a_belief_is_what_python_makes_of_the_same(tmp_path):
     assert np.array_equal(run.states, same.states)
 
 
+KALMAN = """\
+[observer]
+kind = "kalman"
+C = [[1.0, 0.0]]
+process = [[0.02, 0.0], [0.0, 0.03]]
+measurement = [[0.0004]]
+estimate = [1.0, 0.2]
+"""
+OPTIONS = {"covariance": [0.1, 0.2], "estimate": [1.0, 0.2]}
+
+
+@pytest.mark.parametrize(
+    ("observer", "own", "options"),
+    [
+        (KALMAN, "", {"disturbance": [0.02, 0.03], "noise": 0.02}),
+        (KALMAN, "noise = [0.1]\ndisturbance = 0.5\n", {"disturbance": 0.5, "noise": 0.1}),
+        (OBSERVER + "estimate = [1.0, 0.2]\n", 'gains = "observer"\n', {}),
+    ],
+)
+def test_beside_an_observer_the_law_is_on_its_outputs(tmp_path, observer, own, options):
+    first = "covariance = [0.1, 0.2]\n"
+    told = '[[law]]\nkind = "expected"\n'
+    problem = load_problem(write(tmp_path, MARKOV, FILTER, first, own, observer, BELIEF, told, RUN))
+    plant, model = problem.plant, dt.Markov([[0.0, 0.5], [0.7, 0.0]])
+    C = [[1.0, 0.0]]
+    if "observer" in own:
+        C = dt.luenberger(plant, C, [-3.0, -4.0], 0.1)
+    filt = dt.OutputModeFilter(plant, model, 0.1, C, **OPTIONS, **options)
+    law = dt.BeliefPredictor(dt.ExpectedPredictor(plant, problem.gains, model), filt)
+    assert list(problem.laws) == ["belief", "expected"]
+    run, same = problem.simulate("belief"), problem.run(law)
+    assert run.measured.shape == (1, run.time.size)
+    assert np.array_equal(run.belief, same.belief)
+    assert np.array_equal(run.estimates, same.estimates)
+    laws, _ = laws_on_offer(open_named(str(tmp_path / "mine.toml")))
+    assert "belief" in laws
+
+
 def test_without_laws_it_runs_beside_the_others_and_of_other_laws_by_name(tmp_path):
     usual = load_problem(write(tmp_path, MARKOV, RUN)).laws
     with_filter = load_problem(write(tmp_path, MARKOV, FILTER, RUN)).laws
@@ -97,7 +135,24 @@ def test_it_has_no_certificate_and_is_told_what_could_be_proved(tmp_path):
     [
         ((MARKOV, BELIEF, RUN), r"\[law\.0\]: kind = .belief. needs a \[mode_filter\] section"),
         ((FILTER, RUN), r"\[mode_filter\]: a mode filter needs a \[switching\] section"),
-        ((MARKOV, FILTER, OBSERVER, RUN), r"\[mode_filter\]: .*leave out \[observer\]"),
+        ((MARKOV, FILTER, OBSERVER, RUN), r"\[mode_filter\]: covariance must be given beside an"),
+        (
+            (MARKOV, FILTER, "covariance = 1.0\n", RUN),
+            r"\[mode_filter\]: covariance is for outputs: give an \[observer\]",
+        ),
+        (
+            (MARKOV, FILTER, 'gains = "observer"\n', RUN),
+            r"\[mode_filter\]: gains is for outputs: give an \[observer\]",
+        ),
+        (
+            (
+                *(MARKOV, FILTER, "covariance = 1.0\n", RUN),
+                KALMAN.replace("[[1.0, 0.0]]", "[[1.0, 0.0], [0.0, 1.0]]").replace(
+                    "[[0.0004]]", "[[0.1, 0.02], [0.02, 0.1]]"
+                ),
+            ),
+            r"\[mode_filter\]: noise must be given: the measurement of \[observer\] is not",
+        ),
         (
             (MARKOV, FILTER, RUN.replace("0.1", '"ideal"')),
             r"\[mode_filter\]: a mode filter runs at samples: give \[run\] a step",

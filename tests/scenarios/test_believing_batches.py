@@ -59,6 +59,43 @@ def test_scenarios_on_a_belief_are_those_of_single_runs(case):
     require_single_runs(truth, {case: law}, given)
 
 
+NEAR = plants.generic(0.3, seed=5)
+NEAR = dt.SwitchedSystem(NEAR.A - 1.5 * np.eye(3), NEAR.B, 0.3)  # so that no error grows
+C = [[1.0, 0.0, 0.2], [0.0, 1.0, 0.0]]
+BY_MODE = np.array(C) + 0.1 * np.arange(3)[:, None, None]
+
+
+def observing(C, **options):
+    filt = dt.OutputModeFilter(
+        NEAR, MARKOV, H, C, **{"covariance": 1.0, "disturbance": 0.1, "noise": 0.05, **options}
+    )
+    return dt.BeliefPredictor(dt.ExpectedPredictor(NEAR, plants.gains(NEAR), MARKOV), filt)
+
+
+OUTPUTS = {
+    "outputs of every mode, lost and limited": (
+        observing(BY_MODE),
+        [WhiteDisturbance(0.05), Noise([0.02, 0.01]), Dropout(0.2), Saturation(-1.0, 1.2)],
+    ),
+    "observers": (
+        observing(dt.luenberger(NEAR, C, [-3.0, -4.0, -5.0], H), switches="samples"),
+        [Noise(0.02)],
+    ),
+    "measured within periods": (observing(C), [Jitter(0.05), ModeDelay(2), Noise(0.02)]),
+}
+
+
+@pytest.mark.parametrize("case", mostly_long([*OUTPUTS], "outputs of every mode, lost and limited"))
+def test_scenarios_on_a_belief_from_outputs_are_those_of_single_runs(case):
+    law, given = OUTPUTS[case]
+    require_single_runs(NEAR, {case: law}, given)
+
+
+def test_without_noise_scenarios_are_single_runs_as_no_belief_is_left_to_round_off():
+    law = believing(disturbance=0.0, noise=0.0)
+    require_single_runs(BELIEVED, {"exact": law}, [Noise(0.0), Saturation(-1.0, 1.2)], horizon=4.03)
+
+
 def test_no_scenario_reads_a_mode():
     args = OWN, {"belief": believing(OWN)}, MARKOV, [0.3, -0.6, 0.9], 6.0, H, 20
     told = dt.monte_carlo(*args, imperfections=LIMITED)

@@ -173,7 +173,7 @@ def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | No
 def _oracle(problem: Problem) -> Law:
     """The law that knows the signal; on the estimates of the others' observer, if they have one."""
     law = ExactPredictor(problem.model or problem.plant, problem.gains, allow_unstable=True)
-    first = next(iter(problem.laws.values()))
-    if not isinstance(first, OutputFeedback):
+    first = next((one for one in problem.laws.values() if isinstance(one, OutputFeedback)), None)
+    if first is None:
         return law
     return OutputFeedback(law, first.observer, estimate=first.estimate)

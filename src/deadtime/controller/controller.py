@@ -102,8 +102,8 @@ class Controller(RunningLaw):
         Raises
         ------
         ArgumentError
-            If the folder cannot be written, the tables exceed the budget (it says what fits), the
-            law runs on an `OutputModeFilter`, or its reference is a function of time.
+            If the folder cannot be written, the tables exceed the budget (it says what fits), or
+            the law's reference is a function of time.
         """
         from deadtime.controller.export import export_c
 
@@ -131,11 +131,11 @@ class Controller(RunningLaw):
 
         Its inputs are x, the mode and, if the parameter `report_applied` says so, `applied`; its
         outputs u and the status. Of a `BeliefPredictor` no mode comes in, and the belief goes out,
-        the probability of every mode. Of an `OutputFeedback` y comes in instead of x, and the
-        reference if `report_reference` says so; the estimate goes out. Samples fall on the start
-        and every period after it; a sample at the beginning of a step is taken in that step, with
-        the inputs that hold there. The FMU has sources and, where there is a compiler, a binary for
-        this machine.
+        the probability of every mode. Of laws that measure outputs y comes in instead of x; of an
+        `OutputFeedback` the reference if `report_reference` says so, and the estimate goes out.
+        Samples fall on the start and every period after it; a sample at the beginning of a step is
+        taken in that step, with the inputs that hold there. The FMU has sources and, where there is
+        a compiler, a binary for this machine.
 
         Parameters
         ----------

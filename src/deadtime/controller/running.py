@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.controller.arguments import limits_of, require_state, vector
-from deadtime.controller.believing import ModeBelief
+from deadtime.controller.believing import believing_of
 from deadtime.controller.observing import Observing
 from deadtime.controller.past_inputs import past_inputs
 from deadtime.controller.status import Clock, Status
@@ -22,7 +22,10 @@ from deadtime.simulation.initial_input import InitialInput, held_samples
 
 
 class RunningLaw:
-    """A law that runs: `update` once a period; see `Controller` for parameters and attributes."""
+    """A law that runs: `update` once a period; see `Controller` for parameters and attributes.
+
+    `measured` is how many numbers it is told of at a sample, states or outputs.
+    """
 
     def __init__(
         self,
@@ -45,7 +48,7 @@ class RunningLaw:
             law.require_step(self.step)
         self.table = inner.digital(self.step)
         self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
-        self.believing = ModeBelief(law, self.table) if isinstance(law, BeliefPredictor) else None
+        self.believing = believing_of(law, self.table) if isinstance(law, BeliefPredictor) else None
         self.low, self.high = limits_of(limits, law.plant.inputs)
         self._past = past_inputs(self.table)
         self._reads_row = self.table.context != "none" and self.believing is None
@@ -113,7 +116,7 @@ class RunningLaw:
         (m,) array
             Unusable values (x or `applied` not finite, a mode that is none) are refused: the
             last input is held, `status` says why and `refused` counts. A law that measures outputs
-            goes on without a y that is not finite: its observer predicts.
+            goes on without a y that is not finite: its observer, or its filter, predicts.
 
         Raises
         ------
@@ -137,10 +140,11 @@ class RunningLaw:
         if self.observing:
             status = self._observe(x, reference, status)
         else:
-            if not status and not np.isfinite(x).all():
-                status = Status.BAD_STATE
-            if not status:
+            usable = bool(np.isfinite(x).all())
+            if not status and (usable or (self.believing and self.believing.usable(x))):
                 status = self._compute(x)
+            if status <= Status.SATURATED and not usable:
+                status = Status.BAD_STATE
         self.refused += status > Status.SATURATED
         self.late += periods - 1
         self.samples += 1

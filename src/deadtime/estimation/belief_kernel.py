@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 
-from deadtime.numerics.kernels import kernel
+from deadtime.numerics.kernels import inner_kernel, kernel
 
 ROUND_OFF = 1e-12  # of the size of what a prediction adds up: residuals below say nothing
 SPENT = 1e-14  # of a variance: what is left of it is not told from round-off
+CURVED = 8.0 / 15.0  # mean square of a parabola over its span, by its height in the middle
+_SMALL, _GREAT = 1e-90, 1e90
 _LEAST = 1e-300  # a probability below is none, so that its share cannot overflow
 
 
@@ -24,11 +26,11 @@ def advance_belief(form, state, before, x, told, row):
     seen = _predict(form, state, before, x, told, row)
     if seen:
         for i in range(form.Phi.shape[0]):
-            seen &= _weigh(form, state, x, i)
+            seen &= _weigh(form, state, before, x, told, row, i)
     move(form, state, seen)
 
 
-@kernel
+@inner_kernel
 def _predict(form, state, before, x, told, row):
     """What each mode makes of the period, and the size of its terms; whether that says anything."""
     # Taken out of their tuples first: in a loop, compiled code would count who holds them.
@@ -59,42 +61,67 @@ def _predict(form, state, before, x, told, row):
     return finite and moving
 
 
-@kernel
-def _weigh(form, state, x, i):
+@inner_kernel
+def _weigh(form, state, before, x, told, row, i):
     """log p_ij of the periods that begin in mode i, up to a constant; whether they are finite."""
-    n, root, white, apart = x.size, state.root, state.white, state.apart
+    n, root, white, apart, bent = x.size, state.root, state.white, state.apart, state.bent
     predicted, density = state.predicted, state.density
-    scale = root_of(form.noise[i], state.size, root)
-    for a in range(n):
-        white[a] = x[a] - predicted[i, a]
-    whiten(root, white)
-    square = 0.0
-    for a in range(n):
-        square += white[a] * white[a]
-    density[i, i] = -0.5 * square - scale
-    finite = math.isfinite(density[i, i])
+    finite = True
     for j in range(predicted.shape[0]):
-        if j == i:
-            continue
-        density[i, j] = density[i, i]
-        if form.within:
+        if j == i or form.within:
             for a in range(n):
-                apart[a] = predicted[j, a] - predicted[i, a]
-            whiten(root, apart)
-            density[i, j] = _between(white, apart) - scale
-        finite &= math.isfinite(density[i, j])
+                white[a] = x[a] - predicted[i, a]
+            bend(form, i, j, before, told, row, bent)
+            size = root_of(form.noise[i], state.size, bent, root)
+            whiten(root, white)
+            if j == i:
+                square, wide = 0.0, 1.0
+                for a in range(n):
+                    square += white[a] * white[a]
+            else:
+                for a in range(n):
+                    apart[a] = predicted[j, a] - predicted[i, a]
+                whiten(root, apart)
+                square, wide = _between(white, apart)
+            density[i, j] = -0.5 * (square + math.log(wide)) - size
+            finite &= math.isfinite(density[i, j])
+    if not form.within:
+        for j in range(predicted.shape[0]):
+            density[i, j] = density[i, i]
     return finite
 
 
-@kernel
-def root_of(noise, size, root):
-    """Cholesky's L of the noise and of the round-off of predictions; Σ log L_aa.
+@inner_kernel
+def bend(form, i, j, x, told, row, bent):
+    """The variance about the line from one prediction to the other that its bend leaves, per state.
 
-    A row without either is left out, with a 0 on the diagonal.
+    With the change at a share s of the period spent in j, x_{k+1} is off the line by 4 s (1 − s)
+    times what it is in the middle, to second order.
     """
-    scale = 0.0
+    bend_x, bend_u, lag = form.bend_x, form.bend_u, form.lag
+    for a in range(bent.size):
+        bent[a] = 0.0
+    if i == j or not form.within:
+        return
+    for a in range(bent.size):
+        total = 0.0
+        for b in range(bent.size):
+            total += bend_x[i, j, a, b] * x[b]
+        for p in range(lag.size):
+            for b in range(told.shape[1]):
+                total += bend_u[i, j, p, a, b] * told[row - lag[p], b]
+        bent[a] = CURVED * total * total
+
+
+@inner_kernel
+def root_of(noise, size, more, root):
+    """Cholesky's L of the noise, of round-off and of what a bend leaves; Σ log L_aa.
+
+    A row without any of them is left out, with a 0 on the diagonal.
+    """
+    scale, volume = 0.0, 1.0
     for a in range(size.size):
-        own = noise[a, a] + (ROUND_OFF * size[a]) ** 2
+        own = noise[a, a] + more[a] + (ROUND_OFF * size[a]) ** 2
         for b in range(a + 1):
             rest = own if a == b else noise[a, b]
             for c in range(b):
@@ -104,11 +131,14 @@ def root_of(noise, size, root):
             else:
                 root[a, b] = rest / root[b, b] if root[b, b] > 0.0 else 0.0
         if root[a, a] > 0.0:
-            scale += math.log(root[a, a])
-    return scale
+            volume *= root[a, a]
+        if not _SMALL < volume < _GREAT:  # one logarithm for all, where their product is a number
+            scale += math.log(volume)
+            volume = 1.0
+    return scale + math.log(volume)
 
 
-@kernel
+@inner_kernel
 def whiten(root, vector):
     """vector = L⁻¹ vector, 0 in rows that are left out."""
     for a in range(vector.size):
@@ -118,12 +148,13 @@ def whiten(root, vector):
         vector[a] = rest / root[a, a] if root[a, a] > 0.0 else 0.0
 
 
-@kernel
+@inner_kernel
 def _between(white, apart):
-    """The log-density of a whitened residual about a point on its way to `apart`, evenly spread.
+    """(square, wide) of the density of a whitened residual about a point on its way to `apart`.
 
-    A normal one about the middle, its variance along the way 1 + |d|²/12, d = `apart`: split into
-    along and across before squaring, as d may be 1e12 times the noise.
+    The point is spread evenly. A normal density about the middle, −2 log of which is square +
+    log wide, its variance along the way 1 + |d|²/12, d = `apart`: split into along and across
+    before squaring, as d may be 1e12 times the noise.
     """
     length = along = 0.0
     for a in range(white.size):
@@ -133,16 +164,16 @@ def _between(white, apart):
         square = 0.0
         for a in range(white.size):
             square += white[a] * white[a]
-        return -0.5 * square
+        return square, 1.0
     along /= length
     across = 0.0
     for a in range(white.size):
         across += (white[a] - (0.5 + along) * apart[a]) ** 2
     wide = 1.0 + length / 12.0
-    return -0.5 * (across + along * along * length / wide + math.log(wide))
+    return across + along * along * length / wide, wide
 
 
-@kernel
+@inner_kernel
 def move(form, state, seen):
     """Let the chain go on for a period, weighed by the densities where they say something.
 
@@ -178,20 +209,23 @@ def move(form, state, seen):
         now[j, 0] += form.forgetting / modes
 
 
-@kernel
+@inner_kernel
 def _factors(state, seen):
-    """density = p over what makes the likeliest of all 1; 1 where nothing was seen."""
+    """density = p over that of the likeliest pair that there may be; 1 where nothing was seen.
+
+    With no probability below 1e-300, what e^−700 is lost of does not count beside the likeliest.
+    """
     mass, density = state.mass, state.density
     modes = mass.shape[0]
     top = -math.inf
     for i in range(modes):
         for j in range(modes):
             if seen and mass[i, j] >= _LEAST:
-                top = max(top, density[i, j] + math.log(mass[i, j]))
+                top = max(top, density[i, j])
     for i in range(modes):
         for j in range(modes):
             factor = 1.0
-            if seen:
+            if seen and density[i, j] != top:
                 factor = 0.0
                 if mass[i, j] >= _LEAST:
                     factor = math.exp(density[i, j] - top)

@@ -8,10 +8,11 @@ import numpy as np
 
 from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation.bank import Bank, BankForm
+from deadtime.estimation.bank import Bank
 from deadtime.estimation.mode_filter import ModeFilter
 from deadtime.estimation.output_mode_filter import OutputModeFilter
 from deadtime.feedback import Feedback, Forecast, Law
+from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, BeliefState, Believing
 from deadtime.feedback.law import Remembering, TableLaw, Update
 from deadtime.feedback.memory import Tables, WithMemory
@@ -125,9 +126,9 @@ class BeliefPredictor(WithMemory, Law):
 
     def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         self.require_step(step)
-        if isinstance(self.filter, OutputModeFilter):
-            return None
         feedback = self.law.digital(step)
+        if isinstance(self.filter, OutputModeFilter):
+            return Tables(feedback, bank=self.filter.bank(feedback.ages))
         return Tables(feedback, belief=self.belief_of(feedback))
 
     def online(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, number, read_only, real_array, require_shape
@@ -168,8 +168,9 @@ class ModeFilter(Frozen):
         start[:, : self.ages] = self.initial
         hazard, jump = self._chain(ages)
         within = self.switches == "anywhere"
+        bend = _bend(sampled, Phi, Gamma, lag) if within else (Phi[:0, None], Gamma[:0, None])
         parts = start, Phi, Gamma, lag, self._covariance(Phi), hazard, jump
-        return frozen(Belief(*parts, self.forgetting, within))
+        return frozen(Belief(*parts, self.forgetting, within, *bend))
 
     def _chain(self, ages: int) -> tuple[np.ndarray, np.ndarray]:
         """The hazard of every mode and age in a period, and the probabilities of the next mode."""
@@ -238,9 +239,9 @@ class ModeFilter(Frozen):
         size = (np.abs(form.Phi) @ np.abs(x) + np.abs(form.Gamma).sum(axis=1) @ np.abs(u)).max(0)
         result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
         for i, j in np.ndindex(result.shape):
-            root_of(form.noise[i], size, root)
+            root_of.function(form.noise[i], size, np.zeros(n), root)
             apart = ahead[j] - ahead[i]
-            whiten(root, apart)
+            whiten.function(root, apart)
             result[i, j] = np.linalg.norm(apart)
         return result
 
@@ -254,3 +255,21 @@ class ModeFilter(Frozen):
             f"ModeFilter(modes={self.plant.modes}, ages={self.ages}, step={self.step:g}, "
             f"switches={self.switches!r})"
         )
+
+
+def _bend(
+    sampled: SampledPlant,
+    Phi: Float[np.ndarray, "mode n n"],
+    Gamma: Float[np.ndarray, "mode lag n m"],
+    lag: Int[np.ndarray, " lag"],
+) -> tuple[Float[np.ndarray, "mode mode n n"], Float[np.ndarray, "mode mode lag n m"]]:
+    """Ψ and Ω of a `Belief`: a change in the middle of a period, less the mean of both modes."""
+    bend_x, bend_u = -0.5 * (Phi[:, None] + Phi), -0.5 * (Gamma[:, None] + Gamma)
+    for i, j in np.ndindex(bend_x.shape[:2]):
+        if i == j:
+            bend_x[i, i], bend_u[i, i] = 0.0, 0.0
+            continue
+        period = sampled.cut_period(i, j, 0.5 * sampled.step)
+        bend_x[i, j] += period.Phi
+        bend_u[i, j, np.searchsorted(-lag, -np.array(period.lags))] += period.Gamma
+    return bend_x, bend_u

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.estimation.bank import BankForm
 from deadtime.estimation.filter_arguments import deviation, intensity, require_distinct_outputs
 from deadtime.estimation.mode_filter import ModeFilter
 from deadtime.estimation.observer import Observer, output_matrices
 from deadtime.estimation.observer_design import require_detectable
 from deadtime.estimation.running_filter import RunningOutputFilter
+from deadtime.feedback.bank import BankForm, frozen_bank
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov
 
@@ -157,8 +157,9 @@ class OutputModeFilter(Frozen):
 
     def bank(self, ages: int = 1) -> BankForm:
         """Its data for a bank, telling apart at least so many ages, as of `ModeFilter.belief`."""
-        belief = self.chain.belief(ages)
-        return BankForm(belief, self.C, self.noise**2, self.gain, self.estimate, self.covariance)
+        gain = self.C[:, :0].swapaxes(1, 2) if self.gain is None else self.gain
+        parts = self.C, self.noise**2, gain, self.estimate, self.covariance
+        return frozen_bank(BankForm(self.chain.belief(ages), *parts))
 
     def start(self, u0: ArrayLike | None = None) -> RunningOutputFilter:
         """The filter, ready to be called once a period.

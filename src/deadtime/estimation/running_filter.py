@@ -7,8 +7,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, real_array, require_shape
-from deadtime.estimation.bank import Bank, BankForm
+from deadtime.estimation.bank import Bank
 from deadtime.estimation.filter_arguments import belief_of
+from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief, BeliefState
 
 

@@ -33,6 +33,9 @@ class Belief(NamedTuple):
     jump : (modes, modes), the probabilities of the next mode, rows sum to 1
     forgetting : the part of π that is taken from all modes alike after every sample
     within : whether a mode may end within a period, or at samples only
+    bend_x : (modes, modes, n, n), bend_u : (modes, modes, lags, n, m), where modes end within
+        periods: by how much x_{k+1} after a change from i to j in the middle of the period is off
+        the middle of what i and j predict, Ψ_ij x_k + Σ_l Ω_ij,l u_{k−lag_l}; else of no modes
     """
 
     start: Float[np.ndarray, "mode age"]
@@ -44,6 +47,8 @@ class Belief(NamedTuple):
     jump: Float[np.ndarray, "mode mode"]
     forgetting: float
     within: bool
+    bend_x: Float[np.ndarray, "first second n n"]
+    bend_u: Float[np.ndarray, "first second lag n m"]
 
 
 class BeliefState(NamedTuple):
@@ -54,7 +59,7 @@ class BeliefState(NamedTuple):
     trace : (samples, modes), π_k summed over ages, of a run
     density : (modes, modes), log p_ij of the period that ended, up to one constant
     mass : (modes, modes), the probability of each of these before x_k was seen
-    predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,)
+    predicted : (modes, n), apart : (n,), size : (n,), root : (n, n), white : (n,), bent : (n,)
     """
 
     now: Float[np.ndarray, "mode age"]
@@ -67,12 +72,13 @@ class BeliefState(NamedTuple):
     size: Float[np.ndarray, " n"]
     root: Float[np.ndarray, "n n"]
     white: Float[np.ndarray, " n"]
+    bent: Float[np.ndarray, " n"]
 
     @classmethod
     def of(cls, belief: Belief, rows: int, samples: int) -> BeliefState:
         """The state at time 0, for a table of so many rows and a run of so many samples."""
         modes, n = belief.Phi.shape[:2]
-        square, states = (modes, modes), np.empty((3, n))
+        square, states = (modes, modes), np.empty((4, n))
         return cls(
             belief.start.copy(),
             np.empty(rows),
@@ -84,6 +90,7 @@ class BeliefState(NamedTuple):
             states[1],
             np.empty((n, n)),
             states[2],
+            states[3],
         )
 
 

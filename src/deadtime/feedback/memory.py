@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.law import Law, TableLaw
@@ -56,13 +57,15 @@ class Tables(NamedTuple):
     """A law as tables: its rows, and what they are multiplied with where that is not x or y.
 
     A law that knows the signal has a foresight in place of rows; one with a belief weighs its rows
-    by that in place of choosing one by the mode.
+    by that in place of choosing one by the mode. One with a bank does so on outputs, and is a table
+    in batches alone.
     """
 
     feedback: Feedback | None
     memory: Memory | None = None
     foresight: Foresight | None = None
     belief: Belief | None = None
+    bank: BankForm | None = None
 
 
 class WithMemory(ABC):

@@ -179,16 +179,20 @@ class SampledPlant(Frozen):
 
     def period(self, mode: int) -> Period:
         """A whole period in which a mode is held."""
-        n, m = self.plant.B.shape[1:]
-        first, *others = self.pieces(mode)
-        Phi, Gamma = first.Phi, _by_lag(first)
-        for piece in others:
-            Phi = piece.Phi @ Phi
-            Gamma = {lag: piece.Phi @ arrived for lag, arrived in Gamma.items()}
-            for lag, arriving in _by_lag(piece).items():
-                Gamma[lag] = Gamma.get(lag, np.zeros((n, m))) + arriving
-        lags = tuple(sorted(Gamma, reverse=True))
-        return Period(read_only(Phi), read_only(np.stack([Gamma[lag] for lag in lags])), lags)
+        return _composed([(p.Phi, p.Gamma, p.stretch.lag) for p in self.pieces(mode)])
+
+    def cut_period(self, mode: int, after: int, offset: float) -> Period:
+        """A period that begins in a mode and goes over to another one, `offset` seconds in.
+
+        Examples
+        --------
+        >>> plant = SwitchedSystem([[[0.0]], [[0.0]]], [[[1.0]], [[3.0]]], delay=0.1)
+        >>> SampledPlant.of(plant, 0.1).cut_period(0, 1, 0.05).Gamma.round(12)
+        array([[[0.2]]])
+        """
+        cuts = Cuts(np.array([0]), np.array([offset]), np.array([mode, after]))
+        table = self.along(cuts, 1)
+        return _composed([(table.Phi[e], table.Gamma[e], table.lag[e]) for e in table.entry])
 
 
 def _along(sampled: SampledPlant, cuts: Cuts, periods: int) -> PieceTable:
@@ -217,10 +221,24 @@ def _made_before(plant: SwitchedSystem, step: float, *, alike: bool) -> SampledP
     return SampledPlant(plant, step, alike)
 
 
-def _by_lag(piece: Piece) -> dict[int, Float[np.ndarray, "n m"]]:
+def _composed(pieces: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Period:
+    """The whole of pieces that follow each other, as (Φ, Γ, lags) each."""
+    (Phi, first, lags), *others = pieces
+    Gamma = _by_lag(first, lags)
+    for part, arriving, lags in others:
+        Phi = part @ Phi
+        Gamma = {lag: part @ arrived for lag, arrived in Gamma.items()}
+        for lag, own in _by_lag(arriving, lags).items():
+            Gamma[lag] = Gamma.get(lag, np.zeros(arriving.shape)) + own
+    acting = tuple(sorted(Gamma, reverse=True))
+    return Period(read_only(Phi), read_only(np.stack([Gamma[lag] for lag in acting])), acting)
+
+
+def _by_lag(
+    Gamma: Float[np.ndarray, "n m"], lags: Int[np.ndarray, " m"]
+) -> dict[int, Float[np.ndarray, "n m"]]:
     """Γ of a piece, the columns of inputs of the same lag together."""
-    lags = piece.stretch.lag
-    return {int(lag): np.where(lags == lag, piece.Gamma, 0.0) for lag in np.unique(lags)}
+    return {int(lag): np.where(lags == lag, Gamma, 0.0) for lag in np.unique(lags)}
 
 
 def acting_inputs(

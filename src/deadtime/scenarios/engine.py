@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback, memory as memories
+from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.numerics.lanes import LANES
 from deadtime.scenarios.figures import Figures, Path
@@ -17,6 +18,7 @@ from deadtime.scenarios.foreseen import Model, stacks_of
 from deadtime.scenarios.kernel import FIGURES, run_scenarios, work_of
 from deadtime.scenarios.layout import (
     KINDS,
+    Bank,
     Clip,
     Dense,
     Factored,
@@ -50,6 +52,7 @@ class Table(NamedTuple):
     model: Model | None
     memory: Memory | None
     belief: Belief | None
+    bank: Bank | None
     taps: int
     feedback: Feedback | None
 
@@ -79,11 +82,12 @@ class Engine:
         _, m, n = feedback.state_gain.shape
         if form is None:
             shape = replace(self._shape, head=m * (n + m))
-            return Table(shape, None, _dense(feedback), None, None, None, taps, feedback)
+            return Table(shape, None, _dense(feedback), None, None, None, None, taps, feedback)
         rows, _, q = form.out.shape
         block = form.transition.shape[1]
         shape = replace(self._shape, b=q, block=block, rows=rows * m)
-        return Table(shape, _factored(feedback, form), None, None, None, None, taps, feedback)
+        own = _factored(feedback, form)
+        return Table(shape, own, None, None, None, None, None, taps, feedback)
 
     def remember(
         self, feedback: Feedback, memory: memories.Memory, outputs: Float[np.ndarray, "mode p n"]
@@ -105,6 +109,15 @@ class Engine:
         """The rows of a law weighed by a belief."""
         return self.table(feedback)._replace(belief=belief, feedback=None)
 
+    def estimate(
+        self, feedback: Feedback, bank: BankForm, outputs: Float[np.ndarray, "mode p n"]
+    ) -> Table:
+        """The rows of a law weighed by a belief from y = C_σ x, `outputs` being the plant's C."""
+        table, (modes, p, n) = self.believe(feedback, bank.chain), outputs.shape
+        shape = replace(table.shape, seen=p, output=p, kept=n)
+        C, gains = read_only(outputs.reshape(modes, -1)), read_only(feedback.state_gain)
+        return table._replace(shape=shape, bank=Bank(bank, C, gains))
+
     def foresee(self, ahead: ModelAhead, signals: SignalBatch) -> Table:
         """What a law that knows these signals does, of each of them."""
         return self._foreseeing(ahead, ahead.lay(signals))
@@ -122,7 +135,8 @@ class Engine:
         n = self._loop.plant.states
         entering = model.lags.size * self._loop.plant.inputs
         shape = replace(self._shape, square=n * n, entering=entering, model=n + entering)
-        return Table(shape, None, None, model, None, None, ahead.loop.sampled.longest_lag, None)
+        taps = ahead.loop.sampled.longest_lag
+        return Table(shape, None, None, model, None, None, None, taps, None)
 
     def run(
         self,
@@ -173,7 +187,7 @@ class Engine:
         carry = 0 if law is None else max(1, min(law.length, samples)) * shape.rows
         work = work_of(shape, plant, self._run, table.taps, carry, count)
         ahead = None if table.model is None else stacks_of(shape, table.model)
-        run_scenarios(*table[:7], *loop, first, count, path, keep, work, ahead)
+        run_scenarios(*table[:8], *loop, first, count, path, keep, work, ahead)
         figures = work.figures.reshape(-1, FIGURES + 2, LANES).transpose(1, 0, 2)
         return Figures(*figures.reshape(FIGURES + 2, -1)[:FIGURES, :count])
 

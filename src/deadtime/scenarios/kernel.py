@@ -41,12 +41,19 @@ from deadtime.numerics.lanes import (
     times,
     where_larger,
 )
+from deadtime.scenarios.banking import (
+    add_estimates,
+    banked_of,
+    estimate_again,
+    look_at_outputs,
+)
 from deadtime.scenarios.believing import (
     believe_again,
     believed_of,
     mean_dense_row,
     mean_row,
     remember_input,
+    remember_input_twice,
 )
 from deadtime.scenarios.foreseen import enter, foresee, look_ahead, sum_up, turn
 from deadtime.scenarios.hearing import (
@@ -180,15 +187,15 @@ def _turn_around(places, m, size):
 
 @kernel(eager=True, nogil=True)
 def run_scenarios(
-    shape, factored, dense, model, memory, belief, taps, plant, run, clip, relayed, sight, force,
-    start, count, path, keep, work, ahead,
+    shape, factored, dense, model, memory, belief, bank, taps, plant, run, clip, relayed, sight,
+    force, start, count, path, keep, work, ahead,
 ):  # fmt: skip
     """Run the scenarios start, …, start + count − 1; their figures are in `work`.
 
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
-    it remembers, and `belief` what its rows are weighed by (`feedback.belief.Belief`). These may be
-    None, and so may `clip`, `relayed` and `sight`, what the law hears (`layout.Hearing`), and
-    `force`, what the plant feels (`forces`). `path`, empty or for at most eight scenarios, gets x
+    it remembers, `belief` what its rows are weighed by (`feedback.belief.Belief`), and `bank` what
+    it makes of outputs meanwhile. These may be None, and so may `clip`, `relayed` and `sight`, what
+    the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, empty or for at most eight scenarios, gets x
     and u of every sample from `keep` on. The last scenario fills the last group of eight.
     `ahead` is the memory of a model, None without one.
     """
@@ -221,6 +228,8 @@ def run_scenarios(
         if belief is not None:
             mind = believed_of(shape, belief, dense)
             nothing_lost = np.zeros(LANES)
+        if bank is not None:
+            banked = banked_of(shape, bank, mind.room)
         if relayed is not None:
             recent = recent_of(shape, relayed, sight)
             # Asked here, for what ends within a branch is counted by Numba in every period.
@@ -246,6 +255,8 @@ def run_scenarios(
                     _turn_around(kept.acting, m, ring.size)
                 follow_outputs(memory, kept, work.mode)
                 y = own_product(kept.outputs, 0, x, same(0.0, shape.output))
+            if bank is not None:
+                y = look_at_outputs(shape, bank, banked, work.mode, x)
             seen = first_of(y, x, x, shape.seen)
             if relayed is not None:
                 at = first * run.samples + k * LANES
@@ -253,6 +264,8 @@ def run_scenarios(
                     there = see(shape, relayed, sight, recent, x, at)
                     if memory is not None:
                         y = own_product(kept.outputs, 0, there, same(0.0, shape.output))
+                    if bank is not None:
+                        y = look_at_outputs(shape, bank, banked, work.mode, there)
                     seen = first_of(y, there, there, shape.seen)
                 elif late:
                     seen = hear(shape, relayed, recent, seen, at)
@@ -279,8 +292,10 @@ def run_scenarios(
                 missing = nothing_lost
                 if relayed is not None:
                     missing = recent.lost
-                spread(mind.seen.reshape(-1), 0, n, seen)
-                believe_again(belief, mind, missing, k)
+                if bank is not None:
+                    estimate_again(shape, bank, mind, banked, seen, missing, k)
+                else:
+                    believe_again(belief, mind, seen, missing, k)
             if model is not None:
                 if enters // LANES == k:
                     enters = turn(model, ahead, k, enters)
@@ -317,13 +332,17 @@ def run_scenarios(
                     u = matrix_product(heads, first_of(known, before, before, shape.both), sums)
             if memory is not None:
                 store(kept.asked, 0, u)
+            elif bank is not None:
+                u = add_estimates(shape, banked, u)
             elif relayed is not None:
                 u = command(shape, recent, u, asked)
                 asked = u
             if clip is not None:
                 u = _clip(shape, clip, u, before)
             store(ring, now * m * LANES, u)
-            if belief is not None:
+            if bank is not None:
+                remember_input_twice(mind, u)
+            elif belief is not None:
                 remember_input(mind, u)
             if model is not None:  # noqa: SIM102
                 if model.length > 0:

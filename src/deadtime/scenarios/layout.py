@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadtime.feedback.bank import BankForm
+
 KINDS = {"none": 0, "mode": 1, "mode_age": 2}  # what a table's rows go by
 
 
@@ -21,8 +23,9 @@ class Shape:
     rows : the inputs that all its rows ask for
     force : all forces of a period
     seen : what is measured;  known : what the law's rows are multiplied with
-    kept : that of a law with a memory, and of it the `estimate`, the `sums` and what is `tracked`;
-        output : what it measures;  reaching, watched : `acting` and `z` of its model
+    kept : that of a law with a memory, zeros of one with a bank, and of it the `estimate`, the
+        `sums` and what is `tracked`;  output : what it measures;  reaching, watched : `acting` and
+        `z` of its model
     estimates, outputs, two_sums : two of each
     head : m (n + m), for the heads of dense rows
     square : n², of a law that knows the signal;  entering, model : `acting` and `z` of its model
@@ -120,6 +123,19 @@ class Memory(NamedTuple):
     reference: np.ndarray
     sums: int
     step: float
+
+
+class Bank(NamedTuple):
+    """The filters of a law that weighs its rows by a belief from outputs (`feedback.bank`).
+
+    form : BankForm
+    outputs : (modes, p n), the C of the plant
+    gains : (rows, m, n), what each row makes of the estimate of its mode
+    """
+
+    form: BankForm
+    outputs: np.ndarray
+    gains: np.ndarray
 
 
 class Plant(NamedTuple):

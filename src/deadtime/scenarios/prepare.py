@@ -94,6 +94,10 @@ def _with_memory(engine: Engine, loop: Loop, law: Law, timed: bool) -> Table | N
     Its memory is filled for one run, but for what the modes of a run do to it.
     """
     tables, C = tables_of(law, loop.step, SwitchingSignal.constant(0), loop.whole + 1), law.outputs
+    if tables is not None and tables.bank is not None and tables.feedback is not None:
+        if C is None or (timed and (C[0] != C).any()):
+            return None
+        return engine.estimate(tables.feedback, tables.bank, C)
     if tables is None or tables.memory is None or tables.feedback is None or C is None:
         return None
     wide = max(part.shape[-1] for part in (tables.memory.Phi, tables.memory.Gamma))

@@ -98,17 +98,18 @@ def predict(shape, kept, ring):
 @inner_kernel
 def follow_modes(memory, kept, mode):
     """Lay out the matrices of modes that are new."""
-    _lay_out(memory.matrices, kept.own, kept.mode, mode)
+    lay_out(memory.matrices, kept.own, kept.mode, mode)
 
 
 @inner_kernel
 def follow_outputs(memory, kept, mode):
     """Lay out the outputs of the plant's modes that are new."""
-    _lay_out(memory.outputs, kept.outputs, kept.seen, mode)
+    lay_out(memory.outputs, kept.outputs, kept.seen, mode)
 
 
 @kernel(eager=True, nogil=True, no_cpython_wrapper=True)
-def _lay_out(table, own, known, mode):
+def lay_out(table, own, known, mode):
+    """Put each scenario's row of a table into `own`, where its mode is new."""
     for lane in range(LANES):
         if mode[lane] != known[lane]:
             known[lane] = mode[lane]

@@ -230,7 +230,7 @@ def _digital(
     tables = None
     if known is not None and takes(others):
         tables = tables_of(law, step, known, grid.samples)
-    if known is not None and tables is not None:
+    if known is not None and tables is not None and tables.bank is None:
         arrays = Arrays.of(others, sizes, grid.samples, predict) if others else None
         return run_table(law, tables, known, x0, grid, arrays, disturbances)
     if others or law.outputs is not None:

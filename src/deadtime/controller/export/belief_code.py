@@ -1,7 +1,7 @@
 """The mode filter of a controller in C: its tables, its room and its bounds.
 
-The C does what `estimation/belief_kernel.py` does in the same order, so that both agree to the
-round-off of exp, log and the square root, of which it has its own.
+The C does what `belief_kernel.py` and `bank_kernel.py` of `estimation/` do, so that both agree to
+the round-off of exp, log and the square root, of which it has its own.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
+from deadtime.controller.believing import ModeBelief, OutputBelief
 from deadtime.controller.export.literals import literal
-from deadtime.feedback.belief import Belief
 
 _BOUND = 2.0**100  # of states and inputs, {P}_BELIEF_BOUND of controller.h.j2
 _LARGEST = 2.0**190  # of predictions and of variances: their squares leave room
 _BYTES, _COUNTERS = 8, 8
 
 
-def arrays(form: Belief) -> dict[str, tuple[np.ndarray, str]]:
+def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
     """What goes into ROM, with a comment each."""
-    return {
+    form = belief.form
+    found = {
         "MODEL_X": (form.Phi, "the model over a period in each mode: what becomes of x"),
         "MODEL_U": (form.Gamma, "what becomes of inputs, by lag"),
         "MODEL_NOISE": (form.noise, "covariance of what a prediction misses"),
@@ -29,10 +30,24 @@ def arrays(form: Belief) -> dict[str, tuple[np.ndarray, str]]:
         "JUMP": (form.jump, "probabilities of the next mode"),
         "PRIOR": (form.start, "the belief before anything is seen"),
     }
+    if form.within:
+        found["BEND_X"] = form.bend_x, "a change in the middle of a period less the mean of both"
+        found["BEND_U"] = form.bend_u, "the same of inputs, by lag"
+    if not isinstance(belief, OutputBelief):
+        return found
+    bank = belief.bank
+    found["OUTPUT_X"] = bank.C, "what is measured in each mode"
+    found["OUTPUT_NOISE"] = bank.variance, "variance of the noise of outputs"
+    if bank.gain.size:
+        found["OBSERVER_GAIN"] = bank.gain, "gains of the observers"
+    found["FIRST_X"] = bank.estimate, "the first estimate"
+    found["FIRST_P"] = bank.covariance, "the covariance of the first state about it"
+    return found
 
 
-def values(form: Belief) -> dict[str, Any]:
+def values(belief: ModeBelief) -> dict[str, Any]:
     """What the templates are filled with."""
+    form = belief.form
     lags = form.lag.tolist()
     return {
         "forgetting": literal(form.forgetting, "double"),
@@ -40,22 +55,31 @@ def values(form: Belief) -> dict[str, Any]:
         "lags": lags,
         "ages": form.hazard.shape[1],
         "sent": max(lags) + 1,
+        "observed": isinstance(belief, OutputBelief) and belief.bank.gain.size > 0,
     }
 
 
-def rom_bytes(form: Belief) -> int:
+def outputs_of(belief: ModeBelief | None) -> int:
+    """How many outputs come in; 0 where the state does."""
+    return belief.bank.variance.size if isinstance(belief, OutputBelief) else 0
+
+
+def rom_bytes(belief: ModeBelief) -> int:
     """Of the filter's tables."""
-    return _BYTES * sum(array.size for array, _ in arrays(form).values())
+    return _BYTES * sum(array.size for array, _ in arrays(belief).values())
 
 
-def ram_bytes(form: Belief) -> int:
-    """Of the belief, the last state and the inputs that the filter reads."""
-    n, m = form.Gamma.shape[2:]
-    return _BYTES * (form.start.size + n + (int(form.lag.max()) + 1) * m) + _COUNTERS
+def ram_bytes(belief: ModeBelief) -> int:
+    """Of the belief, what goes with it and the inputs that the filter reads."""
+    form = belief.form
+    modes, _, n, m = form.Gamma.shape
+    beside = modes * n * (1 + n) if isinstance(belief, OutputBelief) else n
+    return _BYTES * (form.start.size + beside + (int(form.lag.max()) + 1) * m) + _COUNTERS
 
 
-def require_bounded(form: Belief) -> None:
+def require_bounded(belief: ModeBelief) -> None:
     """Refuse a model whose predictions could overflow in C, within the bound of states."""
+    form = belief.form
     reach = np.abs(form.Phi).sum(axis=2) + np.abs(form.Gamma).sum(axis=(1, 3))
     if reach.max() * _BOUND > _LARGEST or np.abs(form.noise).max() > _LARGEST:
         raise ArgumentError(
@@ -63,3 +87,14 @@ def require_bounded(form: Belief) -> None:
             f"{reach.max():.0e}, its variances are up to {np.abs(form.noise).max():.0e}. Take a "
             "shorter step, or units in which the numbers are of about 1."
         )
+    if isinstance(belief, OutputBelief):
+        bank, most = belief.bank, _LARGEST / _BOUND
+        given = {"C": bank.C, "noise": bank.variance, "covariance": bank.covariance}
+        given |= {"gain": bank.gain, "estimate": bank.estimate}
+        for name, array in given.items():
+            size = float(np.abs(array).max(initial=0.0))
+            if size * array.shape[-1] > most:
+                raise ArgumentError(
+                    f"law's filter cannot be held in C: its {name} is as large as {size:.0e}: take "
+                    "units in which the numbers are of about 1."
+                )

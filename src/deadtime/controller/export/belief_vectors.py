@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.controller.believing import OutputBelief
 from deadtime.controller.running import RunningLaw
 
 _HOSTILE, _MOST_STAY = 300, 400
@@ -49,6 +50,14 @@ class _Motion:
             x += drive @ sent[-1 - lag]
         return x
 
+    def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
+        """What is measured of x: with noise where that is an output."""
+        if not isinstance(self.belief, OutputBelief):
+            return x.copy()
+        bank = self.belief.bank
+        noise = np.sqrt(bank.variance) * self.rng.normal(size=bank.variance.size)
+        return bank.C[mode] @ x + noise
+
 
 def _root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """R with R Rᵀ = Q."""
@@ -71,15 +80,18 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
         x = motion.next(mode, run._u if applied is None or not usable else applied)
         if not early and k:
             motion.x = x.copy()
+        lost = not missed and (motion.far or k % 53 == 20)
         if missed:
             motion.put()
             x = motion.x.copy()
-        elif motion.far or k % 53 == 20:
+        elif lost:
             motion.put()
-            x[k % x.size] = (math.nan, math.inf, -math.inf)[k % 3]
+        seen = motion.seen(mode, x if k else motion.x)
+        if lost:
+            seen[k % seen.size] = (math.nan, math.inf, -math.inf)[k % 3]
         time += run.step * (1 + missed) * (clocked and not early)
         when = time + 0.3 * run.step * math.sin(k) if clocked else None
-        yield 0, when, k, x if k else motion.x.copy(), applied  # no mode is read: any number does
+        yield 0, when, k, seen, applied  # no mode is read: any number does
 
 
 def _modes(run: RunningLaw, rng: np.random.Generator) -> np.ndarray:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 _ACCURACY = {"double": 1e-13, "float": 1e-7}
 _TOLERANCE = {"double": 1e-12, "float": 2e-5}
+_OF_A_BANK = 1e-9  # its densities are of residuals, which a jump of y makes large
 _FILES = {
     "controller.h": "{}.h",
     "controller.c": "{}.c",
@@ -141,7 +142,7 @@ def c_sources(
         | _words(controller, names)
         | {
             "scale": literal(made.scale, "double"),
-            "tolerance": literal(_TOLERANCE[precision] + form.error, "double"),
+            "tolerance": literal(_tolerance(controller, precision) + form.error, "double"),
             "line": made.line + 80,
             "amplitude": literal(made.amplitude, "double"),
             "mode_age": made.mode_age,
@@ -154,6 +155,11 @@ def c_sources(
         for template, file in _FILES.items()
     }
     return texts | {f"{name}_vectors.csv": made.csv}, form
+
+
+def _tolerance(controller: RunningLaw, precision: Precision) -> float:
+    """By how much the C may differ, relative to the largest sum of moduli of terms."""
+    return _OF_A_BANK if belief_code.outputs_of(controller.believing) else _TOLERANCE[precision]
 
 
 def environment(folder: str) -> Environment:
@@ -185,7 +191,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
     import numpy as np
 
     table, plant = controller.table, controller.law.plant
-    belief = None if controller.believing is None else controller.believing.form
+    belief = controller.believing
     observer = None if controller.observing is None else ObserverForm.of(controller.observing)
     rows, more = len(table.state_gain) if belief else 1, 1.0
     if observer is not None:
@@ -204,18 +210,11 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         **({} if belief is None else belief_code.arrays(belief)),
         **({} if observer is None else observer_code.arrays(observer)),
     }
-    tables = [
-        {
-            "name": key,
-            "comment": comment,
-            "shape": brackets(array),
-            "text": initializer(array, precision),
-        }
-        for key, (array, comment) in arrays.items()
-    ]
+    tables = [_table(key, *array, precision) for key, array in arrays.items()]
     rom, ram = _room(controller, form, precision)
     told = (tables, controller.step, table.ages, __version__)
     filled = None if belief is None else belief_code.values(belief)
+    outputs = belief_code.outputs_of(belief)
     seen = None if observer is None else observer_code.values(observer, precision)
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
@@ -237,8 +236,9 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "unroll": 2 * form.state + 10 + (0 if filled is None and seen is None else ram),
         "tables": tables,
         "belief": filled,
+        "outputs": outputs,
         "observer": seen,
-        **given_of(observer),
+        **given_of(observer, outputs),
         "magic": _magic(repr((*told, *(one for one in (filled, seen) if one is not None)))),
     }
 
@@ -264,11 +264,19 @@ def _sizes(controller: RunningLaw, form: Form, prefix: str) -> dict[str, Any]:
     }
 
 
-def given_of(observer: ObserverForm | None) -> dict[str, Any]:
-    """What `update` is given in place of x where an observer runs, and what it tracks."""
-    if observer is None:
-        return {"given": "x", "size": "STATES", "tracked": 0}
-    return {"given": "y", "size": "OUTPUTS", "tracked": observer.sizes[-1]}
+def given_of(observer: ObserverForm | None, outputs: int) -> dict[str, Any]:
+    """What `update` is given: x, or y where an observer or filters of outputs run; the tracked."""
+    if observer is not None:
+        return {"given": "y", "size": "OUTPUTS", "tracked": observer.sizes[-1]}
+    if outputs:
+        return {"given": "y", "size": "OUTPUTS", "tracked": 0}
+    return {"given": "x", "size": "STATES", "tracked": 0}
+
+
+def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> dict[str, str]:
+    """What the template of tables is told of one."""
+    text = initializer(array, precision)
+    return {"name": name, "comment": comment, "shape": brackets(array), "text": text}
 
 
 def _room(controller: RunningLaw, form: Form, precision: Precision) -> tuple[int, int]:
@@ -281,7 +289,7 @@ def _room(controller: RunningLaw, form: Form, precision: Precision) -> tuple[int
 def _beside(controller: RunningLaw, precision: Precision) -> Beside:
     """What the law's table is not alone with."""
     if controller.believing is not None:
-        belief = controller.believing.form
+        belief = controller.believing
         rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)
         return Beside("the mode filter", rom, ram)
     if controller.observing is not None:

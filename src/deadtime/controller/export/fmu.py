@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import bound, count, instance, real_array, require_shape
+from deadtime.controller.export.belief_code import outputs_of
 from deadtime.controller.export.c_code import c_sources, given_of
 from deadtime.controller.export.fmi_description import Version
 from deadtime.controller.export.fmu_file import ExportedFmu, render, write_fmu
@@ -41,11 +42,13 @@ def export_fmu(
     texts, _ = c_sources(controller, precision, accuracy, None, name, names)
     kept = {file: texts[file] for file in (f"{name}.c", f"{name}.h", f"{name}_tables.h")}
     observer = None if controller.observing is None else ObserverForm.of(controller.observing)
+    outputs = outputs_of(controller.believing)
     values = {
         "p": name,
         "belief": controller.believing is not None,
         "observer": observer is not None,
-        **given_of(observer),
+        "outputs": outputs,
+        **given_of(observer, outputs),
         "begun": initializer(past, "double"),
         "slack": literal(1e-3 * controller.step, "double"),
         "include": (
@@ -56,7 +59,8 @@ def export_fmu(
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
     title = f"Controller: {names.title or controller.law.label}"
-    variables = controller_variables(plant, names, past, controller.believing is not None, observer)
+    believes = controller.believing is not None
+    variables = controller_variables(plant, names, past, believes, observer, outputs)
     return write_fmu(
         Path(path), version, name, title, controller.step, variables, sources, values, staging
     )

@@ -20,14 +20,17 @@ def controller_variables(
     past: np.ndarray,
     belief: bool = False,
     observer: ObserverForm | None = None,
+    outputs: int = 0,
 ) -> list[Variable]:
     """What a controller of a plant reads and writes; `past` (m,) is the input before the start.
 
     With a `belief` it is not told the mode: it tells how likely each mode is. With an `observer` it
-    is told outputs and what is tracked, and tells the estimate.
+    is told outputs and what is tracked, and tells the estimate; with `outputs` so many of these.
     """
     n, m = plant.states, plant.inputs
     given = _read("x", _each("state at the sample", names.state, n))
+    if outputs:
+        given = _read("y", ["output at the sample"] * outputs)
     referred, told_r, estimated = [], [], []
     if observer is not None:
         size, p, _, r = observer.sizes

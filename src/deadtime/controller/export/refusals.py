@@ -37,7 +37,7 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
         raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
     if controller.observing is not None:
         require_schedule(controller.observing)
-    elif controller.law.outputs is not None:
+    elif controller.law.outputs is not None and controller.believing is None:
         raise ArgumentError(
             "law must be given the state, or be an OutputFeedback: what "
             f"{type(controller.law).__name__} makes of outputs has no C."
@@ -48,7 +48,7 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
                 f"precision must be 'double' of {type(controller.law).__name__}: its filter tells "
                 "modes apart by small differences of states, which single precision rounds away."
             )
-        require_bounded(controller.believing.form)
+        require_bounded(controller.believing)
 
 
 def require_limits(controller: RunningLaw, most: float) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import sentence_of
-from deadtime.estimation import OutputFeedback
+from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.imperfections import Dropout, Imperfection, LateSamples, ModeDelay, streams
@@ -187,9 +187,7 @@ def robustness(
     late = _whole(setting, LateSamples, most, "every sample may be", "late")
     progress("detection lag")
     lag = None
-    observed = inner is not law and plant.modes > 1
-    reads = not table or inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
-    if reads or observed:
+    if _is_told_the_mode(law, inner, step, signal):
         lag = _whole(setting, ModeDelay, most, "the mode may be told", "late")
     progress("noise")
     if drops.tolerated is None:
@@ -207,6 +205,17 @@ def robustness(
     return Robustness(
         plant, law, step, delay, gain, drops, late, lag, noise, once, weight, left_out, alone
     )
+
+
+def _is_told_the_mode(law: Law, inner: Law, step: float, signal: SwitchingSignal | Rule) -> bool:
+    """Whether a law, or the observer before it, acts on a mode that somebody measures."""
+    if isinstance(law, BeliefPredictor):
+        return False
+    if inner is not law and law.plant.modes > 1:
+        return True
+    if not isinstance(inner, TableLaw):
+        return True
+    return inner.digital(step, *_future(signal)).context in ("mode", "mode_age")
 
 
 def _future(signal: SwitchingSignal | Rule) -> tuple:

@@ -18,6 +18,7 @@ from deadtime.numerics.lanes.choices import (
     where_larger,
 )
 from deadtime.numerics.lanes.code import LANES
+from deadtime.numerics.lanes.functions import exponential, quotient, square_root
 from deadtime.numerics.lanes.moves import (
     first_of,
     gather,
@@ -44,6 +45,7 @@ __all__ = [
     "block_product",
     "choose",
     "exponent",
+    "exponential",
     "first_of",
     "gather",
     "larger",
@@ -54,9 +56,11 @@ __all__ = [
     "own_form",
     "own_product",
     "product",
+    "quotient",
     "same",
     "smaller",
     "spread",
+    "square_root",
     "squares",
     "store",
     "table_product",

@@ -12,7 +12,7 @@ import numpy as np
 
 from deadtime.base.checks import positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import ModeFilter
+from deadtime.estimation import ModeFilter, OutputModeFilter
 from deadtime.feedback import Law
 from deadtime.gains import lqr, place
 from deadtime.gains.checked import check_gains
@@ -23,7 +23,7 @@ from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.imperfections import build_imperfections
 from deadtime.problems.file.mode_filter import build_mode_filter
-from deadtime.problems.file.observer import add_observers
+from deadtime.problems.file.observer import add_observers, observer_of
 from deadtime.problems.file.switching import build_model, build_rule, build_signal
 from deadtime.problems.law_registry import LAWS, Model, Setting, build_law
 from deadtime.problems.law_registry.entry import ModelSection
@@ -188,7 +188,7 @@ def _laws(
             law = build_law(section, _with_belief(setting, file, section.model))
             if section.low_pass is not None:
                 law = LowPassPredictor(law, section.low_pass)
-            name = section.name or law.label
+            name = section.name or _name_of(law)
             if name in laws:
                 raise ArgumentError(f"name {name!r} is used twice: give the law another name.")
             laws[name] = law
@@ -197,12 +197,15 @@ def _laws(
 
 def _mode_filter(
     file: schema.ProblemFile, plant: SwitchedSystem, model: Model | None
-) -> Callable[[SwitchedSystem], ModeFilter] | None:
+) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
     """What makes the filter of a law that believes in a plant, where the file has one."""
     with _section("run"):
         step = None if file.run.step == "ideal" else positive("step", file.run.step)
     with _section("mode_filter"):
-        observed = file.observer is not None
+        observed = None
+        if file.observer is not None and step is not None:
+            observer = partial(observer_of, section=file.observer, step=step, numbers=as_numbers)
+            observed = observer, file.observer
         return build_mode_filter(file.mode_filter, plant, model, step, observed)
 
 
@@ -234,8 +237,13 @@ def _all_laws(file: schema.ProblemFile, setting: Setting) -> dict[str, Law]:
     for known in usual:
         with _section("switching" if "model" in known.entry.needs else "gains"):
             built = [known.build(setting, mode) for mode in known.modes(modes)]
-        laws |= {law.label: law for law in built}
+        laws |= {_name_of(law): law for law in built}
     return laws
+
+
+def _name_of(law: Law) -> str:
+    """A law's name in a file, in which all are observed or none is."""
+    return law.label.removesuffix(", observed")
 
 
 def _change_plant(plant: SwitchedSystem, own: ModelSection) -> SwitchedSystem:

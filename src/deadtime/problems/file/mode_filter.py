@@ -4,28 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
+from jaxtyping import Float
 from pydantic import Field
 
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import ModeFilter
+from deadtime.estimation import ModeFilter, Observer, OutputModeFilter
 from deadtime.plant import SwitchedSystem
+from deadtime.problems.file.observer import KalmanObserver, ObserverSection
 from deadtime.problems.law_registry import Model
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.table import Matrix, Section, Vector
 
+Observed = tuple[Callable[[SwitchedSystem], Observer], ObserverSection]
+
 
 class ModeFilterSection(Section):
-    """A belief over the modes from measured states, for laws of kind "belief"."""
+    """A belief over the modes from measured states, or outputs, for laws of kind "belief".
+
+    With an [observer] it takes the outputs y = C x and the first estimate of that.
+    """
 
     disturbance: Annotated[
-        float | Vector | Matrix, Shape("a number, (n,) or (n, n)", [1e-4, 1e-4])
+        float | Vector | Matrix | None, Shape("a number, (n,) or (n, n)", [1e-4, 1e-4])
     ] = Field(
-        0.0, description="Intensity of white process noise, x² per second; as of white-disturbance."
+        None,
+        description="Intensity of white process noise, x² per second; as of white-disturbance. 0 "
+        "by default, or the process of a Kalman [observer].",
     )
-    noise: Annotated[float | Vector, Shape("a number or (n,)", [0.01, 0.01])] = Field(
-        0.0, description="Standard deviation of the noise of a sample, as of noise."
+    noise: Annotated[float | Vector | None, Shape("a number, (n,) or (p,)", [0.01, 0.01])] = Field(
+        None,
+        description="Standard deviation of the noise of a sample, as of noise. 0 by default, or "
+        "that of the measurement of a Kalman [observer].",
+    )
+    covariance: Annotated[
+        float | Vector | Matrix | None, Shape("a number, (n,) or (n, n)", [1.0, 1.0])
+    ] = Field(
+        None, description="Of the first state about the estimate of [observer], which needs it; x²."
+    )
+    gains: Literal["kalman", "observer"] = Field(
+        "kalman",
+        description="What corrects estimates: Kalman's gains, sample by sample, or those of "
+        "[observer].",
     )
     switches: Literal["anywhere", "samples"] = Field(
         "anywhere", description="Whether the mode may change within periods, or at samples only."
@@ -39,7 +61,7 @@ class ModeFilterSection(Section):
     ages: int | None = Field(
         None, description="Most ages (samples) of a semi-Markov mode that are told apart."
     )
-    allow_alike: bool = Field(False, description="Accept modes that no state tells apart.")
+    allow_alike: bool = Field(False, description="Accept modes that nothing tells apart.")
 
 
 def build_mode_filter(
@@ -47,9 +69,12 @@ def build_mode_filter(
     plant: SwitchedSystem,
     model: Model | None,
     step: float | None,
-    observed: bool,
-) -> Callable[[SwitchedSystem], ModeFilter] | None:
-    """What makes the filter of a law that believes in a plant; tried on the file's own first."""
+    observed: Observed | None,
+) -> Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None:
+    """What makes the filter of a law that believes in a plant; tried on the file's own first.
+
+    `observed` is the [observer] of the file and what makes it for a plant, where it has one.
+    """
     if section is None:
         return None
     if model is None:
@@ -58,11 +83,15 @@ def build_mode_filter(
         raise ArgumentError(
             'a mode filter runs at samples: give [run] a step in seconds, not "ideal".'
         )
-    if observed:
-        raise ArgumentError(
-            "a mode filter reads the states themselves: leave out [observer], or [mode_filter]."
-        )
-    filter_of = partial(_mode_filter, section, model, step)
+    if observed is None:
+        for name, left in (("covariance", None), ("gains", "kalman")):
+            if getattr(section, name) != left:
+                raise ArgumentError(
+                    f"{name} is for outputs: give an [observer], or leave out {name}."
+                )
+        filter_of = partial(_mode_filter, section, model, step)
+    else:
+        filter_of = partial(_output_filter, section, observed, model, step)
     filter_of(plant)
     return filter_of
 
@@ -70,20 +99,68 @@ def build_mode_filter(
 def _mode_filter(
     section: ModeFilterSection, model: Model, step: float, plant: SwitchedSystem
 ) -> ModeFilter:
+    disturbance, noise = section.disturbance, section.noise
+    return ModeFilter(
+        plant,
+        model,
+        step,
+        disturbance=0.0 if disturbance is None else disturbance,
+        noise=0.0 if noise is None else noise,
+        **_options(section, plant),
+    )
+
+
+def _output_filter(
+    section: ModeFilterSection,
+    observed: Observed,
+    model: Model,
+    step: float,
+    plant: SwitchedSystem,
+) -> OutputModeFilter:
+    if section.covariance is None:
+        raise ArgumentError(
+            "covariance must be given beside an [observer]: how well its estimate of the first "
+            "state is known, x²."
+        )
+    observer, given = observed
+    disturbance, noise = _noise_of(given)
+    return OutputModeFilter(
+        plant,
+        model,
+        step,
+        observer(plant) if section.gains == "observer" else given.C,
+        covariance=section.covariance,
+        disturbance=disturbance if section.disturbance is None else section.disturbance,
+        noise=_deviations(noise) if section.noise is None else section.noise,
+        estimate=given.estimate,
+        **_options(section, plant),
+    )
+
+
+def _noise_of(given: ObserverSection) -> tuple[Any, Any]:
+    """Intensity of the process noise and covariance of the outputs' that an observer is for."""
+    if isinstance(given, KalmanObserver):
+        return given.process, np.array(given.measurement)
+    return 0.0, np.zeros((1, 1))
+
+
+def _deviations(R: Float[np.ndarray, "p p"]) -> Any:
+    """Standard deviations of outputs whose noise is independent."""
+    variance = np.diagonal(R)
+    if (np.diag(variance) != R).any() or (variance < 0.0).any():
+        raise ArgumentError(
+            "noise must be given: the measurement of [observer] is not diagonal, and a mode "
+            "filter takes the noise of outputs to be independent."
+        )
+    return np.sqrt(variance) if R.shape != (1, 1) else float(np.sqrt(variance[0]))
+
+
+def _options(section: ModeFilterSection, plant: SwitchedSystem) -> dict[str, Any]:
+    """What both kinds of filter take alike."""
     initial = section.initial
     if initial is not None and len(initial) != plant.modes:
         raise ArgumentError(
             f"initial must have {plant.modes} entries, one for each mode, got {len(initial)}."
         )
-    return ModeFilter(
-        plant,
-        model,
-        step,
-        disturbance=section.disturbance,
-        noise=section.noise,
-        switches=section.switches,
-        forgetting=section.forgetting,
-        initial=initial,
-        ages=section.ages,
-        allow_alike=section.allow_alike,
-    )
+    names = ("switches", "forgetting", "initial", "ages", "allow_alike")
+    return {name: getattr(section, name) for name in names}

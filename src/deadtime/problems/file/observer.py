@@ -56,7 +56,10 @@ def add_observers(
     step: float | None,
     numbers: Callable[[list], list],
 ) -> dict[str, Law]:
-    """The laws on the estimates of observers, each designed for its law's own model."""
+    """The laws on the estimates of observers, each designed for its law's own model.
+
+    A law that measures outputs by itself, on a belief, stays as it is.
+    """
     if section is None:
         return laws
     if step is None:
@@ -64,19 +67,28 @@ def add_observers(
             'an observer runs at samples: give [run] a step in seconds, not "ideal".'
         )
     return {
-        name: OutputFeedback(
-            law, _observer(law.plant, section, step, numbers), estimate=section.estimate
-        )
+        name: law if law.outputs is not None else _on_estimates(law, section, step, numbers)
         for name, law in laws.items()
     }
 
 
-def _observer(
+def _on_estimates(
+    law: Law,
+    section: LuenbergerObserver | KalmanObserver,
+    step: float,
+    numbers: Callable[[list], list],
+) -> OutputFeedback:
+    observer = observer_of(law.plant, section, step, numbers)
+    return OutputFeedback(law, observer, estimate=section.estimate)
+
+
+def observer_of(
     plant: SwitchedSystem,
     section: LuenbergerObserver | KalmanObserver,
     step: float,
     numbers: Callable[[list], list],
 ) -> Observer:
+    """The observer of a section, designed for a plant."""
     if isinstance(section, KalmanObserver):
         return kalman(plant, section.C, section.process, section.measurement, step)
     return luenberger(plant, section.C, numbers(section.poles), step)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import ModeFilter
+from deadtime.estimation import ModeFilter, OutputModeFilter
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.switching import Markov, Rule, SemiMarkov
 
@@ -50,7 +50,7 @@ class Setting:
     model: Model | None = None
     rule: Rule | None = None
     weight: Weight | None = None
-    mode_filter: Callable[[SwitchedSystem], ModeFilter] | None = None
+    mode_filter: Callable[[SwitchedSystem], ModeFilter | OutputModeFilter] | None = None
     allow_unstable: bool = False
 
     def has(self, need: Need) -> bool:

@@ -127,9 +127,7 @@ class FileStudy(Study):
             period=max(problem.step or 0.0, plant.longest_delay / COARSE),
             model=model,
             weight=problem.weight or Weight(1.0, INPUT_WEIGHT),
-            mode_filter=build_mode_filter(
-                file.mode_filter, plant, model, problem.step, file.observer is not None
-            ),
+            mode_filter=build_mode_filter(file.mode_filter, plant, model, problem.step, None),
         )
         laws, reasons = {}, {}
         kinds = kinds_of(plant.modes)
