@@ -45,7 +45,7 @@ def made_up(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     asked = []
 
-    def certify(plant, law, dwell_time, step, decay_rate, delays=None, mode_lag=0):
+    def certify(plant, law, dwell_time, step, decay_rate, delays=None, mode_lag=0, progress=None):
         asked.append((law.label, dwell_time, step, decay_rate))
         if law.label not in ANSWERS:
             raise dt.ArgumentError("this law cannot be asked about.")
@@ -333,7 +333,7 @@ def test_ranges_that_do_not_fit_the_plant_are_a_wrong_request(capsys):
 def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, monkeypatch):
     asked = []
 
-    def judge(problem, dwell_time, step, laws, decay_rate, progress, delays, mode_lag):
+    def judge(problem, dwell_time, step, laws, decay_rate, progress, delays, *others):
         asked.append(delays)
         return []
 

@@ -46,7 +46,7 @@ def made_up(monkeypatch):
     def falsify(plant, law, dwell_time, step, mode_lag=0):
         return worst(plant, law, distance_of(plant) > LIMIT)
 
-    def certify(plant, law, dwell_time, step, decay_rate=None, delays=None, mode_lag=0):
+    def certify(plant, law, dwell_time, step, decay_rate=None, delays=None, mode_lag=0, **others):
         if isinstance(law, dt.ExactPredictor):
             return SimpleNamespace(
                 stable=None, decay_rate=None, proven=False, message="Foresees.", statement=(),
