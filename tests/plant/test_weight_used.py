@@ -190,7 +190,8 @@ def test_a_study_measures_the_problem_s_cost_or_its_own(tmp_path):
 
 def test_a_study_sweeps_a_weight_by_its_path(tmp_path):
     written(tmp_path)
-    path = written(tmp_path, STUDY.replace("delay = [0.2, 0.3]", "cost.R = [0.0, 2.0]"), "s.toml")
+    text = STUDY.replace("delay = [0.2, 0.3]", "cost.R = [0.0, 2.0]")
+    path = written(tmp_path, text.replace(', "delay ignored"', ""), "s.toml")
     data = dt.sweep(load_study(path), tmp_path / "s.zarr", workers=1)
     assert data.cost.attrs["formula"] == "∫xᵀQx + uᵀRu, Q and R by cell"
     more = data.cost.sel({"cost.R": 2.0}) - data.cost.sel({"cost.R": 0.0})
