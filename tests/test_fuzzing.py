@@ -8,7 +8,7 @@ import pytest
 
 from fuzzing import broken, runner
 
-COUNTS = {"problem": 150, "study": 150, "log": 400, "certificate": 100, "store": 100}
+COUNTS = {"problem": 75, "study": 75, "log": 200, "certificate": 50, "store": 50}
 
 
 @pytest.fixture(scope="module")

@@ -31,6 +31,7 @@ from certified_loops import (
 )
 from deadtime.base.errors import ArgumentError
 from exponential_products import ellipses
+from shares import mostly_long
 
 THREE = dt.problems.three_mode().plant
 
@@ -74,6 +75,18 @@ CASES = {
     "three modes, 0.79, N = 100": (lambda: designed(THREE.apart(0.79), (-2.0, -3.0)), 0.9, 0.01),
 }
 SMALL = [name for name in CASES if "N = 100" not in name]
+# Of the others there are files in the corpus, which both verifiers prove at every change.
+ALWAYS = [
+    "generic, averaged",
+    "averaged, dwell-aware",
+    "mean, dwell-aware",
+    "expected",
+    "by mode within its period",
+    "plant sooner by two periods",
+    "a Lyapunov function for every age",
+    "one mode",
+    "paper, 0.65",
+]
 
 
 @cache
@@ -83,17 +96,15 @@ def certified(name):
     return plant, law, proved(plant, law, dwell_time, step)
 
 
-STEPPED = [
+@pytest.mark.parametrize(
+    ("name", "digits"),
     # Fifty digits take ten times as long.
-    pytest.param(
-        name, digits, marks=() if name in SMALL[:: 6 if digits else 1] else pytest.mark.long
-    )
-    for digits in (False, True)
-    for name in CASES
-]
-
-
-@pytest.mark.parametrize(("name", "digits"), STEPPED)
+    mostly_long(
+        [(name, digits) for digits in (False, True) for name in CASES],
+        *((name, False) for name in ALWAYS),
+        *((name, True) for name in ("generic, averaged", "mean, dwell-aware")),
+    ),
+)
 def test_every_step_decreases_the_lyapunov_function_in_floats_and_in_fifty_digits(name, digits):
     plant, law, certificate = certified(name)
     most = None if name in SMALL else 1 if digits else 20
@@ -102,9 +113,7 @@ def test_every_step_decreases_the_lyapunov_function_in_floats_and_in_fifty_digit
         assert_steps_decrease(certificate, loop, 1 if digits else 2, most=most)
 
 
-@pytest.mark.parametrize(
-    "name", [n if n in SMALL else pytest.param(n, marks=pytest.mark.long) for n in CASES]
-)
+@pytest.mark.parametrize("name", mostly_long(CASES, *ALWAYS))
 def test_the_lyapunov_function_falls_at_every_sample_of_runs(name):
     plant, law, certificate = certified(name)
     _, dwell_time, step = CASES[name]
@@ -130,7 +139,10 @@ def test_what_is_tried_is_told():
     assert told[-1].endswith(f"proving a decay of {certificate.decay_rate:.3g} 1/s")
 
 
-@pytest.mark.parametrize(("alpha", "step"), [(0.66, 0.1), (0.6395, 0.01), (0.806, 0.01), (1, 0.1)])
+@pytest.mark.parametrize(
+    ("alpha", "step"),
+    mostly_long([(0.66, 0.1), (0.6395, 0.01), (0.806, 0.01), (1, 0.1)], (0.66, 0.1)),
+)
 def test_loops_beyond_their_limit_are_refuted_by_a_signal_that_grows(alpha, step):
     (plant, law), dwell_time = designed(PAPER.apart(alpha)), 0.2
     if alpha == 0.806:
@@ -153,7 +165,7 @@ def test_loops_beyond_their_limit_are_refuted_by_a_signal_that_grows(alpha, step
 # -- loops whose growth is known -----------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", ["commuting", "triangular", "normal"])
+@pytest.mark.parametrize("family", mostly_long(["commuting", "triangular", "normal"], "triangular"))
 def test_where_the_joint_spectral_radius_is_that_of_a_mode_certificates_come_close_to_it(family):
     A = getattr(products, family)(np.random.default_rng(5))
     A = A - np.linalg.eigvals(A).real.max() * np.eye(3)  # now the joint spectral radius is 1
