@@ -41,9 +41,9 @@ def one_mode():
     return servo(plant=dt.SwitchedSystem(PLANT.A[:1], PLANT.B[:1], 0.2), reference=[1.0, -1.0])
 
 
-def small():
+def small(delay=0.12):
     """One state, one input, two modes: soon analysed."""
-    plant = dt.SwitchedSystem([[[0.0]], [[0.3]]], [[[1.0]], [[1.2]]], 0.12)
+    plant = dt.SwitchedSystem([[[0.0]], [[0.3]]], [[[1.0]], [[1.2]]], delay)
     whole = dt.Servo(plant, [[1.0]])
     law = dt.AveragedPredictor(whole.plant, whole.place([-1.0, -2.0], STEP), allow_unstable=True)
     observer = dt.luenberger(whole.model, whole.C, [-4.0], STEP)
@@ -58,6 +58,7 @@ LAWS = {
     "one mode": one_mode,
     "observed": observed,
     "rows by mode": lambda: observed("expected"),
+    "small, factorised": lambda: small(2.0),
     "factorised": lambda: servo(plant=dt.SwitchedSystem(PLANT.A, PLANT.B, 0.9), step=0.02),
 }
 
