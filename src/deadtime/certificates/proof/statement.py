@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from deadtime.base.wording import number_of
 from deadtime.certificates.proof.evidence import Evidence, Setting
 from deadtime.certificates.proof.stretches import StretchEvidence
 
@@ -87,7 +88,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     }[setting.context]
     late = ""
     if setting.mode_lag:
-        late = f", which it is told {setting.mode_lag} periods late"
+        late = f", which it is told {number_of(setting.mode_lag, 'period')} late"
     kind, parts = _how(evidence)
     how = (
         f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
