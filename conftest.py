@@ -23,6 +23,8 @@ def _checked_modules() -> list[str]:
     ]
 
 
+collect_ignore = ["tests/typecheck.py"]  # what is checked with is not to be imported anew
+
 jaxtyping.jaxtyped = import_module("typecheck").within_shapes
 jaxtyping.install_import_hook(_checked_modules(), "typecheck.checked")
 
