@@ -1,7 +1,7 @@
 """The run-time type checker of the test suite: beartype, where an int is a float, and shapes.
 
 jaxtyping's own decorator checks parameters twice, and binds them by name at every call for its
-messages: of many tests that was the larger part.
+messages, which takes most of the time of many tests.
 """
 
 import dataclasses

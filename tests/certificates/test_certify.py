@@ -133,8 +133,8 @@ def test_what_is_tried_is_told():
     law = dt.AveragedPredictor(MILD, WEAK)
     certificate = dt.certify(MILD, law, 0.2, 0.1, delays=(0.16, 0.18), progress=told.append)
     assert certificate.proven
-    kinds = [word for word in told if word.startswith("functions of kind")]
-    assert kinds[0].startswith("functions of kind 1 of")
+    kinds = [word for word in told if word.startswith("Lyapunov functions, kind")]
+    assert kinds[0].startswith("Lyapunov functions, kind 1 of")
     assert certificate.decay_rate is not None
     assert told[-1].endswith(f"proving a decay of {certificate.decay_rate:.3g} 1/s")
 

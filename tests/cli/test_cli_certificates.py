@@ -333,7 +333,7 @@ def test_ranges_that_do_not_fit_the_plant_are_a_wrong_request(capsys):
 def test_certify_takes_ranges_of_delays_as_a_problem_file_writes_them(capsys, monkeypatch):
     asked = []
 
-    def judge(problem, dwell_time, step, laws, decay_rate, progress, delays, *others):
+    def judge(problem, dwell_time, step, laws, *, delays, **others):
         asked.append(delays)
         return []
 

@@ -57,6 +57,16 @@ def test_a_response_that_comes_back_to_zero_has_no_rise_and_one_that_grows_no_fi
     assert grows.info is None
 
 
+def test_a_response_that_has_not_settled_by_the_end_has_no_figures():
+    """After two time constants the last value is no steady state."""
+    time = np.linspace(0.0, 4.0, 101)
+    answers = [
+        StepResponse(0, time, 1.0 - np.exp(-rate * time), True, -rate) for rate in (0.5, 2.0)
+    ]
+    assert answers[0].info is None
+    assert answers[1].info["SteadyStateValue"] == pytest.approx(1.0, abs=1e-3)
+
+
 def test_a_law_on_an_observer_begins_with_nothing_estimated():
     plant = plants.near()
     observer = dt.luenberger(plant, plants.OUTPUTS, [-3, -4, -5], STEP)
@@ -78,3 +88,7 @@ def test_the_figure_has_a_panel_of_what_settles():
     panel = figure.axes[-1]
     assert panel.get_title(loc="left") == "speed after a constant 1 at the input"
     np.testing.assert_array_equal(panel.get_lines()[0].get_ydata(), steps[0].response)
+    still = StepResponse(0, steps[0].time, np.zeros(steps[0].time.size), False, -1.0)
+    panel = plot_loop(view, None, None, [still], "speed", "input u₂").axes[-1]
+    assert panel.get_title(loc="left") == "speed after a constant 1 at input u₂"
+    assert panel.get_xlim() == (0.0, 1.0)

@@ -12,6 +12,8 @@ from scipy.integrate import solve_ivp
 
 import deadtime as dt
 import plants
+from deadtime.simulation.ideal import rule_rereading
+from deadtime.simulation.ideal.sent import Sent
 from rule_reading_reference import Loop
 from shares import mostly_long
 from swinging import (
@@ -69,7 +71,7 @@ CASES = [(k, name, held) for k in range(3) for name in RULES for held in HISTORI
 
 @pytest.mark.parametrize(
     ("number", "name", "history"),
-    mostly_long(CASES, (0, "forms", "held"), (1, "wedge as a function", "constant")),
+    mostly_long(CASES, (0, "wedge", "held"), (1, "wedge as a function", "constant")),
 )
 def test_a_run_is_that_of_the_delay_equation(number, name, history):
     plant, held = plant_with(DELAYS[number]), HISTORIES[history]
@@ -180,11 +182,12 @@ def test_the_digital_loop_tends_to_it_with_order_one():
     law = dt.StateDependentPredictor(plant, soft(plant), WEDGE)
     one = ideal(plant, "wedge", HISTORIES["constant"])
     errors = []
-    for h in (0.02, 0.01, 0.005):
+    for h in (0.01, 0.005, 0.0025):
         digital = dt.simulate(plant, law, WEDGE, X0, 3.0, h, u0=[0.3, -0.2], times=TIMES)
         errors.append(np.abs(digital.states - one.states).max())
-    assert errors[2] < 0.4 * errors[0]
-    assert errors[0] < 0.02
+    slopes = np.diff(np.log(errors)) / np.log(0.5)
+    assert slopes == pytest.approx(np.ones(2), abs=0.2)
+    assert errors[0] < 0.01
 
 
 def test_a_run_that_cannot_go_on_ends_when_the_last_input_is_not_known():
@@ -209,10 +212,40 @@ def test_a_loop_that_diverges_ends_and_says_so():
     assert one.end < 40.0
 
 
-def test_delays_that_differ_too_little_are_refused_by_name(monkeypatch):
-    import deadtime.simulation.ideal.rule_rereading as rereading
+@pytest.mark.parametrize("number", [0, 1])
+def test_nothing_is_read_before_it_is_known(number, monkeypatch):
+    """Nor by modes not in force, whose reading says on which side of a boundary they lead."""
+    asked, at = [], Sent.at
 
-    monkeypatch.setattr(rereading, "_MOST_PIECES", 3)
-    message = "step must be given: the ideal loop under this rule takes more than 3 pieces"
+    def watched(self, times):
+        asked.append(times.max() - self.newest)
+        return at(self, times)
+
+    monkeypatch.setattr(Sent, "at", watched)
+    one = ideal(plant_with(DELAYS[number]), "wedge", HISTORIES["constant"], TIMES[:21], 1.0)
+    assert one.signal.switches >= 1
+    assert max(asked) <= 1e-12
+
+
+def test_delays_that_hardly_differ_are_as_good_as_alike():
+    delays = np.tile([0.3, 0.12], (3, 1))
+    delays[1, 0] += 1e-6
+    one, other = (
+        ideal(plant_with(each), "wedge", HISTORIES["constant"], TIMES[:21], 1.0)
+        for each in (delays, delays[0])
+    )
+    plants.close(one.states, other.states, 1e-5)
+
+
+def test_a_run_of_too_many_pieces_is_refused_by_name(monkeypatch):
+    monkeypatch.setattr(rule_rereading, "MOST_PIECES", 40)
+    message = (
+        "step must be given: the ideal loop under this rule takes more than 40 pieces: shorten "
+        "the horizon, make delays that hardly differ equal, or give a step."
+    )
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         ideal(plant_with(DELAYS[0]), "wedge", HISTORIES["constant"])
+    with pytest.raises(
+        dt.ArgumentError, match=r"more than 4e\+01 pieces of .*: shorten it, or give"
+    ):
+        ideal(plant_with(DELAYS[0]), "wedge", HISTORIES["constant"], horizon=30.0)

@@ -102,7 +102,8 @@ def certify(
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
     progress : callable
-        Called with a few words whenever something else is tried.
+        Called with a few words whenever something else is tried, in the thread that `certify` runs
+        in.
 
     Returns
     -------
@@ -243,7 +244,7 @@ def _evidence(
     outcome = Check(False, "no Lyapunov function of the kinds tried was found")
     levels = _levels(setting)
     for kind, level in enumerate(levels, 1):
-        progress(f"functions of kind {kind} of {len(levels)}")
+        progress(f"Lyapunov functions, kind {kind} of {len(levels)}")
         search: Any = StretchSearch(setting) if level is None else Search(setting, level)
         rhos = [math.exp(-rate * setting.step) * (1.0 - SURPLUS * (rate > 0.0)) for rate in rates]
         slowest = search.glance(rhos[-1]) if len(rhos) > 1 else search.propose(rhos[-1])

@@ -107,11 +107,11 @@ def certify(
             dwell,
             period,
             names,
-            decay_rate,
-            advance,
-            ranges,
-            mode_lag,
-            lambda what: advance(what, 0),
+            decay_rate=decay_rate,
+            progress=advance,
+            delays=ranges,
+            mode_lag=mode_lag,
+            trying=lambda what: advance(what, 0),
         )
     saved = [] if out is None else _save(judged, out)
     if json_output:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deadtime.margins.step_response import StepResponse
     from deadtime.problems import Problem
 
-_STEP = ("mode", "rise, s", "settling, s", "overshoot, %", "peak", "steady state")
+_STEP_HEADINGS = ("mode", "rise, s", "settling, s", "overshoot, %", "peak", "steady state")
 _HEADINGS = ("mode", "growth, 1/s", "phase margin", "at, rad/s", "disk margin", "peak |S|")
 
 
@@ -79,7 +79,9 @@ def loop(
     path = Path(f"{chosen.name}-loop.png") if out is None else out
     path = path if path.suffix else path.with_suffix(".png")
     title, shown = f"{chosen.title}: law “{name}”", _shown(chosen, asked, output)
-    save_figure(plot_loop(view, title, chosen.modes, steps, shown), path)
+    several = bool(steps) and len(chosen.inputs) > 1
+    pushed = f"input {chosen.inputs[channel]}" if several else "the input"
+    save_figure(plot_loop(view, title, chosen.modes, steps, shown, pushed), path)
     stable = bool((view.gain.growth < 0.0).all())
     if json_output:
         setting = {"problem": chosen.name, "law": name, "step": chosen.step, "at": at}
@@ -91,8 +93,8 @@ def loop(
     names = chosen.modes or [f"{each.mode}" for each in view.modes]
     print_table(_HEADINGS, [_row(*each) for each in zip(names, growth, view.modes, strict=True)])
     if any(each.growth < 0.0 for each in steps):
-        print(f"\n{shown} after a constant 1 at the input:")
-        print_table(_STEP, [_step_row(*each) for each in zip(names, steps, strict=True)])
+        print(f"\n{shown} after a constant 1 at {pushed}:")
+        print_table(_STEP_HEADINGS, [_step_row(*each) for each in zip(names, steps, strict=True)])
     print(f"\nFigure: {path}")
     return 0 if stable else 1
 

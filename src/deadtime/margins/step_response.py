@@ -26,6 +26,7 @@ from deadtime.spectrum import growth_rate
 from deadtime.switching import SwitchingSignal
 
 _SETTLED = 10.0  # time constants of the slowest motion
+_ENOUGH = 4.0  # of them, so that the last value is the steady state to 2 %
 _MOST = 5_000  # samples
 _LEFT = 1e-3  # of the peak: a response that ends below has come back to 0
 _THRESHOLD, _FROM, _TO = 0.02, 0.1, 0.9  # of the steady state, as in python-control
@@ -60,9 +61,9 @@ class StepResponse(Frozen):
 
         The last value is the steady state. Where that is 0, as of a push that a sum of errors takes
         up, there is a peak, and the time after which 2 % of that are left. None of a loop that
-        grows.
+        grows, or that has not settled by the end (four time constants): give a longer horizon.
         """
-        if self.growth >= 0.0:
+        if self.growth * self.time[-1] > -_ENOUGH:
             return None
         y, time, last = self.response, self.time, float(self.response[-1])
         size = np.abs(y)
@@ -123,10 +124,15 @@ def step_response(
         Seconds; by default ten time constants of the slowest motion and twice the delay, of 5,000
         samples at most.
 
+    Returns
+    -------
+    StepResponse
+        Of that mode, at samples.
+
     Raises
     ------
     ArgumentError
-        If mode, channel or output are none.
+        If mode, channel or output is out of range, or step or horizon is not positive.
 
     Examples
     --------

@@ -51,3 +51,17 @@ def gauss(count: int) -> Nodes:
     barycentric = 1.0 / difference.prod(axis=1)
     barycentric /= np.abs(barycentric).max()
     return Nodes((z + 1.0) / 2.0, ahead @ expand / 2.0, w / 2.0, support, barycentric)
+
+
+def shares(c: np.ndarray, support: np.ndarray) -> np.ndarray:
+    """The polynomials that are 1 at one support node and 0 at the others, at c, (T, nodes).
+
+    Examples
+    --------
+    >>> shares(np.array([0.5]), np.array([0.0, 1.0]))
+    array([[0.5, 0.5]])
+    """
+    same = np.eye(support.size, dtype=bool)
+    apart = np.where(same, 1.0, support[:, None] - support)
+    factors = np.where(same, 1.0, (c[:, None, None] - support) / apart)
+    return factors.prod(axis=2)

@@ -12,8 +12,8 @@ import numpy as np
 
 from deadtime.numerics.lmi import library, packing, settings_of
 
-CLEAR = 0.5  # of the maximum: the gap to it within which it is positive for sure,
-CLEAR_RESIDUAL = 1e-6  # with such a residual
+CLEAR = 0.5  # of what is reached: with a smaller gap,
+CLEAR_RESIDUAL = 1e-6  # and such a residual, the maximum is positive
 LEAST = 1e-7  # below it nothing is sure
 STOPPED = "CallbackTerminated"  # what the solver says then
 

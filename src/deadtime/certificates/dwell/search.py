@@ -81,9 +81,14 @@ class Search:
     def glance(self, rho: float) -> Proposal | None:
         """As `propose`, but a rough one, in a third of the time, where that leaves no doubt.
 
-        In the main thread it is a whole one.
+        In the main thread it is a whole one. What is proposed later is the same after either: the
+        frequencies looked at are left as they were.
         """
-        return self._propose(rho, roughly=True)
+        angles = self.angles
+        try:
+            return self._propose(rho, roughly=True)
+        finally:
+            self.angles = angles
 
     def _propose(self, rho: float, roughly: bool) -> Proposal | None:
         try:

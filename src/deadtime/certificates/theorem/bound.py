@@ -183,8 +183,8 @@ def _require_stated(plant: SwitchedSystem, form: str) -> None:
         raise ArgumentError(
             "plant must have the same delays in all modes for theorem_bound, got "
             f"delay={plant.delay_text}: the theorem goes by the distance ε of the modes' matrices, "
-            "and modes with the same matrices, ε = 0, may grow where their delays differ; certify "
-            "proves a decay there."
+            "and modes with the same matrices, ε = 0, may grow where their delays differ. Ask "
+            "certify, which looks at this loop."
         )
     if form not in stated:
         raise ArgumentError(

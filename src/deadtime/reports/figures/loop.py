@@ -28,6 +28,7 @@ def plot_loop(
     modes: Sequence[str] | None = None,
     steps: Sequence[StepResponse] = (),
     answer: str | None = None,
+    pushed: str = "the input",
 ) -> Figure:
     """Gain, phase, Nyquist and sensitivity, a line for each of the first five modes.
 
@@ -36,7 +37,8 @@ def plot_loop(
     the phase margin, dotted lines where a delay longer or shorter by so much loses the loop. The
     shaded disk is what the disk margin keeps clear. All are of the mode that is lost first.
 
-    With `steps`, one a mode, there is a panel of what does not grow of them; `answer` says of what.
+    With `steps`, one a mode, there is a panel of what does not grow of them; `answer` says of what,
+    and `pushed` what is pushed where nothing is tracked.
     """
     names = modes or [f"mode {each.mode}" for each in view.modes]
     with rc_context(STYLE):
@@ -48,7 +50,7 @@ def plot_loop(
         _mark_margins(view, gain, phase, nyquist)
         _label(view, gain, phase, nyquist, sensitivity)
         if steps:
-            _add_steps(panels["t"], steps[:MOST], answer)
+            _add_steps(panels["t"], steps[:MOST], answer, pushed)
         keys = [
             Line2D([], [], color=COLOURS[i], linestyle=LINES[i % len(LINES)], label=plain(name))
             for i, name in enumerate(names[:MOST])
@@ -78,17 +80,21 @@ def _add_mode(
     sensitivity.loglog(omega, view.complementary, **look, alpha=0.4)
 
 
-def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None) -> None:
-    """Those that settle; at 1 a line for what is to be reached."""
+def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None, pushed: str) -> None:
+    """Those that settle; a line at what is to be reached: 1 of a reference, 0 of a push."""
     for each in steps:
         if each.growth < 0.0:
             look: Any = {"color": COLOURS[each.mode], "linestyle": LINES[each.mode % len(LINES)]}
             panel.plot(each.time, each.response, **look)
-    settled = [2.0 * each.info["SettlingTime"] for each in steps if each.info]
+    settled = [
+        2.0 * each.info["SettlingTime"]
+        for each in steps
+        if each.info and each.info["SettlingTime"] > 0.0
+    ]
     longest = min(max(settled, default=1.0), max(each.time[-1] for each in steps))
     panel.axhline(1.0 if steps[0].tracks else 0.0, color=COLOURS[6], linewidth=0.8)
     panel.set_xlim(0.0, longest)
-    what = "a step of its reference" if steps[0].tracks else "a constant 1 at the input"
+    what = "a step of its reference" if steps[0].tracks else f"a constant 1 at {plain(pushed)}"
     panel.set_title(f"{plain(answer or 'output')} after {what}")
     panel.set_xlabel("time (s)")
 

@@ -93,7 +93,8 @@ def judge(
     mode_lag : int
         How many periods late the laws are told the mode.
     trying : callable
-        Called with a few words whenever something else is tried for one of the laws.
+        Called with a few words whenever something else is tried for one of the laws, from the
+        thread that tries it.
 
     Raises
     ------

@@ -17,12 +17,12 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.numerics.collocation import Nodes
+from deadtime.numerics.collocation import Nodes, shares
 
 _MOST_PIECES = 10_000
 
 
-class Sent(NamedTuple):
+class FirstRead(NamedTuple):
     """What will be sent from `begin` to `end`, by where it is first read.
 
     gain : (n,), K of the system that reads it
@@ -86,7 +86,7 @@ def feedback_through_rereading(
             return answer
         for j in np.flatnonzero(s - delays > newest + near):
             held = gain[j] @ path.now
-            sent[j].append(Sent(newest[j], s - delays[j], gain[j], None, held))
+            sent[j].append(FirstRead(newest[j], s - delays[j], gain[j], None, held))
             newest[j] = s - delays[j]
         switch = branch.starts[e + 1] if e + 1 < branch.starts.size else np.inf
         cuts = np.concatenate([[s + longest, switch], *_bends(line, g, t, delays, sent, path)])
@@ -104,7 +104,7 @@ def feedback_through_rereading(
             else:
                 S += np.outer(b, gain[j])
                 none = np.empty(0)
-                sent[j].append(Sent(s - delays[j], stop - delays[j], gain[j], delays[j], none))
+                sent[j].append(FirstRead(s - delays[j], stop - delays[j], gain[j], delays[j], none))
                 newest[j] = stop - delays[j]
                 continue
             forcing += b[:, None] * value[:, None]
@@ -118,7 +118,7 @@ def feedback_through_rereading(
 
 
 def _bends(
-    line, g: int, t: float, delays: np.ndarray, sent: list[list[Sent]], path: Predicted
+    line, g: int, t: float, delays: np.ndarray, sent: list[list[FirstRead]], path: Predicted
 ) -> list[np.ndarray]:
     """Where what a system reads bends: it is cut there."""
     before = np.append(line.edges[: g + 1], t)
@@ -145,18 +145,10 @@ def _sent_before(line, g: int, times: np.ndarray, j: int, nodes: Nodes) -> np.nd
 
 
 def _read_again(
-    own: list[Sent], middle: float, times: np.ndarray, path: Predicted, nodes: Nodes
+    own: list[FirstRead], middle: float, times: np.ndarray, path: Predicted, nodes: Nodes
 ) -> np.ndarray:
     """What will have been sent to an input at times within one part, (T, 1 + p m)."""
     part = next(each for each in own if middle < each.end)
     if part.later is None:
         return np.broadcast_to(part.held, (times.size, part.held.size))
     return np.einsum("n,knc->kc", part.gain, path.at(times + part.later, nodes))
-
-
-def shares(c: np.ndarray, support: np.ndarray) -> np.ndarray:
-    """The polynomials that are 1 at one support node and 0 at the others, at c, (T, nodes)."""
-    same = np.eye(support.size, dtype=bool)
-    apart = np.where(same, 1.0, support[:, None] - support)
-    factors = np.where(same, 1.0, (c[:, None, None] - support) / apart)
-    return factors.prod(axis=2)

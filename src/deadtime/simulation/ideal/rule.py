@@ -91,16 +91,20 @@ def run_ideal_rule(
     """Solve the loop on [0, horizon]."""
     delays, gains = plant.delays[0], _exact_gains(plant, law, rule)
     if not (plant.delays == delays).all():
-        from deadtime.simulation.ideal.rule_rereading import run_rereading_rule
+        from deadtime.simulation.ideal.rule_rereading import (
+            MOST_PIECES,
+            PIECE,
+            run_rereading_rule,
+        )
 
         rate = _rate(np.abs(plant.A) + np.abs(plant.B) @ np.abs(gains))
-        _require_room(plant, horizon, rate)
+        _require_room(plant, horizon, PIECE / rate, MOST_PIECES)
         return run_rereading_rule(plant, gains, rule, x0, horizon, _line(plant, u0, rate), rate)
     arrivals = np.unique(delays).tolist()
     arrived = [delays <= time for time in (0.0, *arrivals)]
     loops = [plant.A + plant.B @ (gains * own[:, None]) for own in arrived]
     rate = max(_rate(A) for A in loops)
-    _require_room(plant, horizon, rate)
+    _require_room(plant, horizon, _PIECE / rate, _MOST_PIECES)
     line = _line(plant, u0, rate)
     stages = [
         *(_waiting(line, delays, *ends) for ends in pairwise((0.0, *arrivals))),
@@ -122,12 +126,12 @@ def run_ideal_rule(
     return _outcome(plant, gains, march, line, horizon, rate)
 
 
-def _require_room(plant: SwitchedSystem, horizon: float, rate: float) -> None:
+def _require_room(plant: SwitchedSystem, horizon: float, piece: float, most: float) -> None:
     """Refuse a horizon that takes too many pieces."""
-    if (horizon + plant.longest_delay) * rate > _PIECE * _MOST_PIECES:
+    if horizon + plant.longest_delay > piece * most:
         raise ArgumentError(
             f"horizon = {horizon:g} s is too long for the ideal loop, more than "
-            f"{_MOST_PIECES:.0e} pieces of {_PIECE / rate:.1e} s: shorten it, or give a step."
+            f"{most:.0e} pieces of {piece:.1e} s: shorten it, or give a step."
         )
 
 

@@ -33,13 +33,14 @@ from deadtime.simulation.ideal.sent import Sent, with_edge
 from deadtime.switching import Rule
 from deadtime.switching.rules.motion import Beside, Leg, Motion, Move
 
-_PIECE = 0.5  # longest, times the fastest rate
+PIECE = 0.5  # longest, times the fastest rate
 _STRETCH = 4.0  # w_k = v⁽ᵏ⁾ (length/4)ᵏ, so that none is large
 _NEAR = 1e-13  # of the time
 _MOST_TURNS = 20  # of the mode, at one instant
-_MOST_PIECES = 100_000
+MOST_PIECES = 100_000
 _ROUGH = 4  # nodes for what modes would read that are not in force
 _SHORTEST = 40  # halvings of the longest piece
+_FINEST = 64  # parts of the longest piece: no shorter for modes that are not in force
 
 
 class _Known(NamedTuple):
@@ -71,7 +72,7 @@ def run_rereading_rule(
     rate: float,
 ) -> Outcome:
     """Solve the loop on [0, horizon]; `line` is what was sent before 0, over equal pieces."""
-    march = _March(plant, gains, rule, x0, horizon, line, _PIECE / rate)
+    march = _March(plant, gains, rule, x0, horizon, line, PIECE / rate)
     while not march.stop and min(each.newest for each in march.sent) < horizon:
         march.read()
         march.advance()
@@ -87,7 +88,16 @@ def run_rereading_rule(
 class _March:
     """A run on its way: x at t and where it is, what has been sent, and what there is to report."""
 
-    def __init__(self, plant, gains, rule, x0, horizon, line, longest) -> None:
+    def __init__(
+        self,
+        plant: SwitchedSystem,
+        gains: np.ndarray,
+        rule: Rule,
+        x0: np.ndarray,
+        horizon: float,
+        line: np.ndarray,
+        longest: float,
+    ) -> None:
         self.plant, self.gains, self.rule = plant, gains, rule
         self.horizon, self.longest = horizon, longest
         self.t, self.x, self.stop = 0.0, x0.copy(), ""
@@ -127,7 +137,9 @@ class _March:
         first = delays[self._modes].argmin(axis=0)
         shortest = delays[self._modes].min(axis=0)
         moves = self.t - shortest >= newest - 2.0 * self._near
-        anew = np.where(moves, delays <= shortest + self._near, self.t - delays >= newest)
+        anew = np.where(
+            moves, delays <= shortest + self._near, self.t - delays >= newest - 2.0 * self._near
+        )
         return _Readings(anew, np.where(moves, np.array(self._modes)[first], -1))
 
     def _until(self, readings: _Readings) -> tuple[float, int | None]:
@@ -137,8 +149,14 @@ class _March:
             i = readings.reader[j]
             if i >= 0:
                 cuts.append((self.horizon + self.plant.delays[i, j], None))
-            for delay in self._delays_of_known(readings, j, self._modes):
-                cuts.append((sent.newest + delay, None if i >= 0 else 1))
+            here = self._delays_of_known(readings, j, self._modes)
+            for delay in self._delays_of_known(readings, j, list(range(self.plant.modes))):
+                cut = sent.newest + delay
+                if delay in here:
+                    cuts.append((cut, None if i >= 0 else 1))
+                else:
+                    cuts.append((max(cut, self.t + self.longest / _FINEST), None))
+            for delay in here:
                 cuts += [(time + delay, order + 1) for time, order in sent.bends]
         ahead = [cut for cut in cuts if cut[0] > self.t + self._near]
         end = min(time for time, _ in ahead)
@@ -147,11 +165,11 @@ class _March:
 
     def advance(self) -> None:
         """Move over one piece, or up to where the mode changes."""
-        if len(self.parts) > _MOST_PIECES:
+        if len(self.parts) > MOST_PIECES:
             raise ArgumentError(
                 "step must be given: the ideal loop under this rule takes more than "
-                f"{_MOST_PIECES} pieces; delays that differ so little between modes are better "
-                "made equal."
+                f"{MOST_PIECES} pieces: shorten the horizon, make delays that hardly differ equal, "
+                "or give a step."
             )
         readings = self._readings()
         end, order = self._until(readings)
@@ -173,7 +191,8 @@ class _March:
         """What modes read up to `end` of what is known.
 
         What others than those in force would read says on which side of a boundary they lead, no
-        more: when they are in force the piece begins anew.
+        more: when they are in force the piece begins anew. Where their delays hardly differ it is
+        the newest that is known.
         """
         known = []
         for j, sent in enumerate(self.sent):
@@ -187,8 +206,8 @@ class _March:
     def _derivatives(self, known: _Known, end: float, length: float) -> np.ndarray:
         """The w of what is read, at t."""
         points, size = gauss(known.size).points, end - self.t
-        values = self.sent[known.j].at(self.t + size * points - known.delay)
-        values = values / self._unit[known.j]
+        sent, times = self.sent[known.j], self.t + size * points - known.delay
+        values = sent.at(np.minimum(times, sent.newest)) / self._unit[known.j]
         order = np.arange(known.size)
         terms = np.linalg.solve(points[:, None] ** order, values)
         factorials = np.array([math.factorial(k) for k in order.tolist()], dtype=float)
