@@ -24,6 +24,8 @@ from deadtime.switching.grid import first_reads
 
 NODES = 10
 _MOST_SEGMENTS = 1e6
+_MOST_WORK = 6e10  # multiplications: a minute or so
+_FLOW = 60.0  # of a window's exponentials on a segment, times the cube of its order
 _OUTLOOK_FAINT = (
     1e-7  # weights are bounds: 1e-10 moves a run by 2e-12 and takes several times as long
 )
@@ -116,6 +118,18 @@ def _reaches(law: Forecast | Functional | Outlook) -> np.ndarray:
     return np.unique(law.delays if isinstance(law, Outlook) else np.append(law.near, law.far))
 
 
+def _require_no_minutes(law: Functional, time: float, shortest: float, longest: float) -> None:
+    """Refuse delays that differ by so little that windows are summed over very many segments."""
+    count, windows, order = time / longest, law.near.size, law.S.shape[1]
+    summed = float((law.far - law.near).sum()) / longest
+    if count * (summed * order**2 + _FLOW * windows * order**3) > _MOST_WORK:
+        raise ArgumentError(
+            f"step must be given: delays that differ by {shortest:.3g} s take {count:,.0f} "
+            f"segments of {longest:.2g} s, and minutes for the law's {windows} windows: make them "
+            "equal, shorten the horizon, or give a step."
+        )
+
+
 def segments_of(
     plant: SwitchedSystem,
     law: Forecast | Functional | Outlook,
@@ -144,6 +158,8 @@ def segments_of(
     speeds = _speeds(plant, law, seeds)
     shortest = min([delays[0], *reaches[reaches > 0.0].tolist()])
     longest = min(_RESOLUTION / max(speeds.fastest, np.finfo(float).tiny), shortest / 2.0)
+    if isinstance(law, Functional) and shortest < delays[0]:
+        _require_no_minutes(law, high - low, shortest, longest)
     if (high - low) / longest > _MOST_SEGMENTS:
         raise ArgumentError(
             f"horizon is too long for the ideal loop: it would take {(high - low) / longest:.0e} "
