@@ -96,6 +96,22 @@ def test_without_noise_scenarios_are_single_runs_as_no_belief_is_left_to_round_o
     require_single_runs(BELIEVED, {"exact": law}, [Noise(0.0), Saturation(-1.0, 1.2)], horizon=4.03)
 
 
+def test_a_row_without_noise_in_one_mode_and_without_size_is_left_out():
+    """x₁ follows x₂, which alone is disturbed, in mode 0; in mode 1 it has no noise at all."""
+    A = [[[-1.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.3]]]
+    A += [[[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -0.2]]]
+    plant = dt.SwitchedSystem(A, [[0.0], [0.0], [1.0]], 0.2)
+    model = dt.Markov([[0.0, 2.0], [2.0, 0.0]])
+    filt = dt.ModeFilter(plant, model, H, disturbance=[0.0, 0.1, 0.1])
+    law = dt.BeliefPredictor(dt.ExpectedPredictor(plant, [[0.0, 0.0, -1.5]] * 2, model), filt)
+    x0 = [0.0, 0.0, 1.0]
+    data = dt.monte_carlo(plant, law, model, x0, 3.0, H, 3, 5, trajectories=True)
+    for i, signal in enumerate(dt.draw_signals(model, 3.2, 5, count=3)):
+        run = dt.simulate(plant, law, signal, x0, 3.0, H)
+        assert run.belief[:, 1:].max(axis=0).mean() > 0.9
+        plants.close(data.u.values[0, i], run.inputs[:, : data.time.size], 1e-12)
+
+
 def test_no_scenario_reads_a_mode():
     args = OWN, {"belief": believing(OWN)}, MARKOV, [0.3, -0.6, 0.9], 6.0, H, 20
     told = dt.monte_carlo(*args, imperfections=LIMITED)
