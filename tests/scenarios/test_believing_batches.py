@@ -97,19 +97,14 @@ def test_without_noise_scenarios_are_single_runs_as_no_belief_is_left_to_round_o
 
 
 def test_a_row_without_noise_in_one_mode_and_without_size_is_left_out():
-    """x₁ follows x₂, which alone is disturbed, in mode 0; in mode 1 it has no noise at all."""
-    A = [[[-1.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.3]]]
-    A += [[[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -0.2]]]
-    plant = dt.SwitchedSystem(A, [[0.0], [0.0], [1.0]], 0.2)
-    model = dt.Markov([[0.0, 2.0], [2.0, 0.0]])
-    filt = dt.ModeFilter(plant, model, H, disturbance=[0.0, 0.1, 0.1])
-    law = dt.BeliefPredictor(dt.ExpectedPredictor(plant, [[0.0, 0.0, -1.5]] * 2, model), filt)
-    x0 = [0.0, 0.0, 1.0]
-    data = dt.monte_carlo(plant, law, model, x0, 3.0, H, 3, 5, trajectories=True)
-    for i, signal in enumerate(dt.draw_signals(model, 3.2, 5, count=3)):
-        run = dt.simulate(plant, law, signal, x0, 3.0, H)
-        assert run.belief[:, 1:].max(axis=0).mean() > 0.9
-        plants.close(data.u.values[0, i], run.inputs[:, : data.time.size], 1e-12)
+    """x₁ follows x₂, which alone is disturbed of both, in mode 0 only; and both rest at 0."""
+    A = np.array([np.diag([-1.0, -1.0, own]) for own in (0.3, -0.2, 0.6)])
+    A[0, 0, 1] = 1.0
+    plant = dt.SwitchedSystem(A, [[[0.0, 0.0], [0.0, 0.0], [1.0, 0.5]]] * 3, 0.3)
+    law = dt.ExpectedPredictor(plant, [[[0.0, 0.0, -1.5], [0.0, 0.0, 0.0]]] * 3, MARKOV)
+    believed = believing(plant, law=law, disturbance=[0.0, 0.1, 0.1], noise=0.0)
+    given = [Noise(0.0), Saturation(-1.0, 1.2)]
+    require_single_runs(plant, {"one": believed}, given, (0, 8), 2.03, (0.0, 0.0, 0.9))
 
 
 def test_no_scenario_reads_a_mode():
