@@ -41,13 +41,14 @@ class _Motion:
         """Whether it has left where the controller works."""
         return bool(np.abs(self.x).max() > FAR * self.amplitude)
 
-    def next(self, mode: int, u: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
-        """x after a period in which u was sent."""
-        form = self.belief.form
-        sent = np.vstack((self.belief.inputs[1:], u))
-        x = form.Phi[mode] @ self.x + self.roots[mode] @ self.rng.normal(size=self.x.size)
-        for drive, lag in zip(form.Gamma[mode], form.lag, strict=True):
-            x += drive @ sent[-1 - lag]
+    def next(self, mode: int, u: Float[np.ndarray, " m"], periods: int) -> Float[np.ndarray, " n"]:
+        """x after periods in which u was sent."""
+        form, x, sent = self.belief.form, self.x, self.belief.inputs
+        for _ in range(periods):
+            sent = np.vstack((sent[1:], u))
+            x = form.Phi[mode] @ x + self.roots[mode] @ self.rng.normal(size=x.size)
+            for drive, lag in zip(form.Gamma[mode], form.lag, strict=True):
+                x += drive @ sent[-1 - lag]
         return x
 
     def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
@@ -72,14 +73,11 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
         applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)
-        x = motion.next(mode, u)
+        x = motion.next(mode, u, 1 + missed)
         if not early and k:
             motion.x = x.copy()
-        lost = not missed and (motion.far or k % 53 == 20)
-        if missed:
-            motion.put()
-            x = motion.x.copy()
-        elif lost:
+        lost = motion.far or k % 53 == 20
+        if motion.far:
             motion.put()
         seen = motion.seen(mode, x if k else motion.x)
         if lost:
