@@ -70,14 +70,18 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
     rng = np.random.default_rng(0)
     motion = _Motion(run, rng, amplitude)
+    hidden = not isinstance(run.believing, OutputBelief)  # a jump, by a state that is missing
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
         applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)
-        x = motion.next(mode, u, 1 + missed)
+        x = motion.next(mode, u, 1 if hidden else 1 + missed)
         if not early and k:
             motion.x = x.copy()
-        lost = motion.far or k % 53 == 20
-        if motion.far:
+        lost = not missed and (motion.far or k % 53 == 20)
+        if missed and hidden:
+            motion.put()
+            x = motion.x.copy()
+        elif lost and (hidden or motion.far):
             motion.put()
         seen = motion.seen(mode, x if k else motion.x)
         if lost:
