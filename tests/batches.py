@@ -19,9 +19,9 @@ def equal(one, other):
     )
 
 
-def require_single_runs(plant, laws, given, rows=(0, 8, 10), horizon=HORIZON):
+def require_single_runs(plant, laws, given, rows=(0, 8, 10), horizon=HORIZON, x0=X0):
     """Every law's scenarios are those of `simulate`, to 1e-12 of the largest."""
-    model, x0 = dt.Markov(2.0 * (1.0 - np.eye(plant.modes))), list(X0[: plant.states])
+    model, x0 = dt.Markov(2.0 * (1.0 - np.eye(plant.modes))), list(x0[: plant.states])
     data = dt.monte_carlo(
         plant, laws, model, x0, horizon, H, COUNT, SEED, imperfections=given, trajectories=True
     )

@@ -30,6 +30,17 @@ LAWS = {
 }
 
 
+OUTPUTS = np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.0]]) + 0.05 * np.arange(3)[:, None, None]
+X0 = [1.0, -1.0, 0.5]
+
+
+def from_outputs(model=MARKOV, C=OUTPUTS, **options):
+    """The same on a bank of filters, told two outputs, other ones in every mode."""
+    given = {"covariance": 0.1, "disturbance": 0.02, "noise": 0.01, "estimate": X0, **options}
+    filt = dt.OutputModeFilter(PLANT, model, STEP, C, **given)
+    return dt.BeliefPredictor(dt.ExpectedPredictor(PLANT, GAINS, model), filt)
+
+
 def paper(step=0.02):
     """The paper's plant: two modes, two states."""
     plant, model = plants.paper(), dt.Markov([[0.0, 1.25], [1.25, 0.0]])

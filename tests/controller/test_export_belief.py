@@ -248,7 +248,7 @@ def test_what_cannot_be_is_refused_by_name(tmp_path):
     controller = dt.Controller(LAWS["mode"](), STEP)
     with pytest.raises(dt.ArgumentError, match="precision must be 'double' of BeliefPredictor"):
         controller.export_c(tmp_path, precision="float")
-    with pytest.raises(dt.ArgumentError, match=r"tables take 1880 .* 1272 of them the mode filter"):
+    with pytest.raises(dt.ArgumentError, match=r"tables take 4688 .* 4080 of them the mode filter"):
         controller.export_c(tmp_path, rom_budget=900)
     steep = dt.SwitchedSystem(PLANT.A + 1500.0 * np.eye(3), PLANT.B, PLANT.delays)
     law = dt.BeliefPredictor(

@@ -190,16 +190,6 @@ def test_bad_arguments_are_refused_by_name(tmp_path, arguments, message):
         controller().export_c(**{"folder": tmp_path, **arguments})
 
 
-def test_a_law_on_a_bank_of_observers_has_no_c(tmp_path):
-    model = plants.markov(3)
-    bank = dt.OutputModeFilter(
-        GENERIC, model, 0.05, np.eye(3)[:2], covariance=1.0, disturbance=0.1, noise=0.1
-    )
-    law = dt.BeliefPredictor(dt.ExpectedPredictor(GENERIC, plants.gains(GENERIC), model), bank)
-    with pytest.raises(dt.ArgumentError, match="what BeliefPredictor makes of outputs has no C"):
-        dt.Controller(law, 0.05).export_c(tmp_path)
-
-
 def test_a_law_too_steep_for_single_precision_is_refused(tmp_path):
     plant = plants.scalar([40.0], delay=1.5)
     law = dt.AveragedPredictor(plant, dt.place(plant, [-1.0]))

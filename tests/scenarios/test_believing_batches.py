@@ -96,6 +96,17 @@ def test_without_noise_scenarios_are_single_runs_as_no_belief_is_left_to_round_o
     require_single_runs(BELIEVED, {"exact": law}, [Noise(0.0), Saturation(-1.0, 1.2)], horizon=4.03)
 
 
+def test_a_row_without_noise_in_one_mode_and_without_size_is_left_out():
+    """x₁ follows x₂, which alone is disturbed of both, in mode 0 only; and both rest at 0."""
+    A = np.array([np.diag([-1.0, -1.0, own]) for own in (0.3, -0.2, 0.6)])
+    A[0, 0, 1] = 1.0
+    plant = dt.SwitchedSystem(A, [[[0.0, 0.0], [0.0, 0.0], [1.0, 0.5]]] * 3, 0.3)
+    law = dt.ExpectedPredictor(plant, [[[0.0, 0.0, -1.5], [0.0, 0.0, 0.0]]] * 3, MARKOV)
+    believed = believing(plant, law=law, disturbance=[0.0, 0.1, 0.1], noise=0.0)
+    given = [Noise(0.0), Saturation(-1.0, 1.2)]
+    require_single_runs(plant, {"one": believed}, given, (0, 8), 2.03, (0.0, 0.0, 0.9))
+
+
 def test_no_scenario_reads_a_mode():
     args = OWN, {"belief": believing(OWN)}, MARKOV, [0.3, -0.6, 0.9], 6.0, H, 20
     told = dt.monte_carlo(*args, imperfections=LIMITED)

@@ -143,6 +143,7 @@ def _spread_out(chain, bank, i, j, apart, bent):
     _add_congruence(middle, P[i], 1.0, half, moved[i, j])
     if chain.within and i != j:
         _add_congruence(slope, P[i], 1.0 / 12.0, half, moved[i, j])
+    _even_out(moved[i, j])
 
 
 @inner_kernel
@@ -172,6 +173,14 @@ def _add_congruence(M, P, share, half, result):
             for c in range(n):
                 total += half[a, c] * M[b, c]
             result[a, b] += share * total
+
+
+@inner_kernel
+def _even_out(P):
+    """P = (P + Pᵀ)/2: what round-off tells apart is the same number."""
+    for a in range(P.shape[0]):
+        for b in range(a):
+            P[a, b] = P[b, a] = 0.5 * (P[a, b] + P[b, a])
 
 
 @inner_kernel
@@ -271,8 +280,9 @@ def _observe(form, bank, i, j, y):
     """A pair by the gains of observers, which need all of y."""
     gain, C, r, x, P = form.gain, form.C, form.variance, bank.pair_x[i, j], bank.pair_P[i, j]
     rest, half, n = bank.spare[0], bank.spare[1], bank.wide.size
+    before = bank.ahead_P[i, j]
     _copy(bank.ahead_x[i, j], x)
-    _copy(bank.ahead_P[i, j].reshape(-1), P.reshape(-1))
+    _copy(before.reshape(-1), P.reshape(-1))
     for a in range(y.size):
         if not math.isfinite(y[a]):
             return
@@ -283,7 +293,10 @@ def _observe(form, bank, i, j, y):
             for c in range(y.size):
                 rest[a, b] -= gain[j, a, c] * C[j, c, b]
                 P[a, b] += gain[j, a, c] * r[c] * gain[j, b, c]
-    _add_congruence(rest, bank.ahead_P[i, j], 1.0, half, P)
+    _add_congruence(rest, before, 1.0, half, P)
+    _even_out(P)
+    for a in range(n):
+        P[a, a] += SPENT * before[a, a]
     for c in range(y.size):
         wrong = y[c]
         for b in range(n):

@@ -96,7 +96,8 @@ def bend(form, i, j, x, told, row, bent):
     """The variance about the line from one prediction to the other that its bend leaves, per state.
 
     With the change at a share s of the period spent in j, x_{k+1} is off the line by 4 s (1 − s)
-    times what it is in the middle, to second order.
+    times what it is in the middle, to second order where the same inputs act all period; where one
+    arrives within it, x_{k+1} is a broken line, of which this is a measure.
     """
     bend_x, bend_u, lag = form.bend_x, form.bend_u, form.lag
     for a in range(bent.size):

@@ -83,7 +83,7 @@ def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.n
         raise ArgumentError(
             f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
         )
-    return W
+    return 0.5 * (W + W.T)  # a state that is restored must be symmetric to the last bit
 
 
 def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarray, " size"]:

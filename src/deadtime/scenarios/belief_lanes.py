@@ -30,7 +30,9 @@ from deadtime.numerics.lanes import (
 )
 
 _ONE, _TWO = (0.0,), (0.0,) * 2
-_LEAST = 1e-200  # a probability below is none
+# A probability below is none. The likeliest factor is not 1 here but 1 / volume: with those above
+# the 1e-300 of `estimation/belief_kernel.py` it would leave a total that is no number to divide by.
+_LEAST = 1e-200
 
 
 @inner_kernel
@@ -142,7 +144,7 @@ def _root_of(belief, mind, i, first):
         if first:
             store(root, place, rest)
         else:
-            ratio = _times(ratio, _share_of(rest, load(root, place, _ONE), one))
+            ratio = _times(ratio, quotient(_or_one(rest), _or_one(load(root, place, _ONE))))
     return ratio
 
 
@@ -151,6 +153,13 @@ def _share_of(a, b, other):
     """a / b, or something else where b is not above 0."""
     there = where_larger(b, same(0.0, _ONE), 1.0, same(0.0, _ONE))
     return choose(pair(other, quotient(a, b)), there, _ONE)
+
+
+@inner_kernel
+def _or_one(a):
+    """a, or the 1 of a row that is left out."""
+    one = same(1.0, _ONE)
+    return choose(pair(one, a), where_larger(a, same(0.0, _ONE), 1.0, same(0.0, _ONE)), _ONE)
 
 
 @inner_kernel

@@ -185,6 +185,8 @@ def _turn_around(places, m, size):
         places[p] = 0 if after == size else after
 
 
+# One loop, one function: a second one, called from here, would be optimised by itself and again
+# where it is inlined, in twice the time of compiling.
 @kernel(eager=True, nogil=True)
 def run_scenarios(
     shape, factored, dense, model, memory, belief, bank, taps, plant, run, clip, relayed, sight,

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.controller.believing import OutputBelief
+from deadtime.controller.export.moving_calls import FAR, inputs_of, lasting_modes, slots
 from deadtime.controller.running import RunningLaw
 
-_HOSTILE, _MOST_STAY = 300, 400
-_FAR = 30.0  # amplitudes
+_MOST_STAY = 400
 
 _Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None]
 
@@ -39,15 +39,16 @@ class _Motion:
     @property
     def far(self) -> bool:
         """Whether it has left where the controller works."""
-        return bool(np.abs(self.x).max() > _FAR * self.amplitude)
+        return bool(np.abs(self.x).max() > FAR * self.amplitude)
 
-    def next(self, mode: int, u: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
-        """x after a period in which u was sent."""
-        form = self.belief.form
-        sent = np.vstack((self.belief.inputs[1:], u))
-        x = form.Phi[mode] @ self.x + self.roots[mode] @ self.rng.normal(size=self.x.size)
-        for drive, lag in zip(form.Gamma[mode], form.lag, strict=True):
-            x += drive @ sent[-1 - lag]
+    def next(self, mode: int, u: Float[np.ndarray, " m"], periods: int) -> Float[np.ndarray, " n"]:
+        """x after periods in which u was sent."""
+        form, x, sent = self.belief.form, self.x, self.belief.inputs
+        for _ in range(periods):
+            sent = np.vstack((sent[1:], u))
+            x = form.Phi[mode] @ x + self.roots[mode] @ self.rng.normal(size=x.size)
+            for drive, lag in zip(form.Gamma[mode], form.lag, strict=True):
+                x += drive @ sent[-1 - lag]
         return x
 
     def seen(self, mode: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " seen"]:
@@ -68,36 +69,21 @@ def _root(Q: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     """(skip, time, mode, x, applied): modes that last, missing and jumping states, clocks."""
     rng = np.random.default_rng(0)
-    motion, time, modes = _Motion(run, rng, amplitude), 0.0, _modes(run, rng)
-    half, m = len(modes) // 2, run.law.plant.inputs
-    for k, mode in enumerate(modes.tolist()):
-        clocked = k > half  # jitter, periods without a call, calls out of order
-        missed, early = (1 + k % 5) * (clocked and k % 29 == 7), clocked and k % 47 == 5
-        applied = rng.normal(size=m) * amplitude if k % 3 == 0 else None
-        usable = k % 61 != 30
-        if not usable:
-            applied = np.full(m, math.nan)
-        x = motion.next(mode, run._u if applied is None or not usable else applied)
+    motion = _Motion(run, rng, amplitude)
+    hidden = not isinstance(run.believing, OutputBelief)  # a jump, by a state that is missing
+    modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
+    for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
+        applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)
+        x = motion.next(mode, u, 1 if hidden else 1 + missed)
         if not early and k:
             motion.x = x.copy()
         lost = not missed and (motion.far or k % 53 == 20)
-        if missed:
+        if missed and hidden:
             motion.put()
             x = motion.x.copy()
-        elif lost:
+        elif lost and (hidden or motion.far):
             motion.put()
         seen = motion.seen(mode, x if k else motion.x)
         if lost:
             seen[k % seen.size] = (math.nan, math.inf, -math.inf)[k % 3]
-        time += run.step * (1 + missed) * (clocked and not early)
-        when = time + 0.3 * run.step * math.sin(k) if clocked else None
         yield 0, when, k, seen, applied  # no mode is read: any number does
-
-
-def _modes(run: RunningLaw, rng: np.random.Generator) -> np.ndarray:
-    """A mode for every call: short ones, and each long enough for its oldest row."""
-    plant, stay = run.law.plant, min(run.table.ages + 12, _MOST_STAY)
-    stay = max(stay, -(-(2 * run.table.taps + 10) // plant.modes))
-    short = np.repeat(rng.integers(0, plant.modes, _HOSTILE), rng.integers(1, 30, _HOSTILE))
-    half = short[: _HOSTILE // 2]
-    return np.concatenate((half, np.repeat(np.arange(plant.modes), stay), half))

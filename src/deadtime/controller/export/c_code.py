@@ -213,9 +213,10 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
     tables = [_table(key, *array, precision) for key, array in arrays.items()]
     rom, ram = _room(controller, form, precision)
     told = (tables, controller.step, table.ages, __version__)
-    filled = None if belief is None else belief_code.values(belief)
+    belief_values = None if belief is None else belief_code.values(belief)
     outputs = belief_code.outputs_of(belief)
-    seen = None if observer is None else observer_code.values(observer, precision)
+    observer_values = None if observer is None else observer_code.values(observer, precision)
+    beside = [one for one in (belief_values, observer_values) if one is not None]
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
@@ -233,13 +234,13 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         **_sizes(controller, form, name.upper()),
         "rom": rom,
         "ram": ram,
-        "unroll": 2 * form.state + 10 + (0 if filled is None and seen is None else ram),
+        "unroll": 2 * form.state + 10 + (ram if beside else 0),
         "tables": tables,
-        "belief": filled,
+        "belief": belief_values,
         "outputs": outputs,
-        "observer": seen,
+        "observer": observer_values,
         **given_of(observer, outputs),
-        "magic": _magic(repr((*told, *(one for one in (filled, seen) if one is not None)))),
+        "magic": _magic(repr((*told, *beside))),
     }
 
 

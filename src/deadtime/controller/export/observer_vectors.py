@@ -12,10 +12,11 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.controller.export.moving_calls import FAR, inputs_of, lasting_modes, slots
 from deadtime.controller.observing import Observing
 from deadtime.controller.running import RunningLaw
 
-_HOSTILE, _FAR, _NOISE = 300, 30.0, 1e-3  # lines of each half; amplitudes
+_NOISE = 1e-3  # amplitudes
 
 Call = tuple[int, float | None, int, np.ndarray, np.ndarray | None, np.ndarray | None]
 
@@ -40,7 +41,7 @@ class _Motion:
         for piece in range(memory.first[mode], memory.first[mode + 1]):
             acting = self.sent[-1 - memory.lag[piece], channels]
             self.x = memory.Phi[piece] @ self.x + memory.Gamma[piece] @ acting
-        if np.abs(self.x).max() > _FAR * self.amplitude:
+        if np.abs(self.x).max() > FAR * self.amplitude:
             self.put()
 
     def outputs(self, mode: int) -> Float[np.ndarray, " p"]:
@@ -53,16 +54,11 @@ def observer_calls(run: RunningLaw, amplitude: float) -> Iterator[Call]:
     """Modes that last; missing outputs, unknown modes, references good and bad, clocks."""
     assert run.observing is not None
     rng = np.random.default_rng(0)
-    motion, time, modes = _Motion(run.observing, rng, amplitude), 0.0, _modes(run, rng)
-    half, m, r = len(modes) // 2, run.law.plant.inputs, len(motion.memory.tracked)
+    motion = _Motion(run.observing, rng, amplitude)
+    modes, r = lasting_modes(run, rng, run.table.ages + 2), len(motion.memory.tracked)
     reference = None
-    for k, mode in enumerate(modes.tolist()):
-        clocked = k > half  # jitter, periods without a call, calls out of order
-        missed, early = (1 + k % 5) * (clocked and k % 29 == 7), clocked and k % 47 == 5
-        applied = rng.normal(size=m) * amplitude if k % 7 == 3 else None
-        u = run._u if applied is None else applied
-        if k % 61 == 30:
-            applied, u = np.full(m, math.nan), run._u
+    for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
+        applied, u = inputs_of(run, rng, amplitude, k, k % 7 == 3)
         for _ in range(0 if early or not k else 1 + missed):
             motion.go(int(modes[k - 1]), u)
         y = motion.outputs(mode)
@@ -71,15 +67,4 @@ def observer_calls(run: RunningLaw, amplitude: float) -> Iterator[Call]:
         if r and k % 40 == 20:  # one of its own now and then
             reference = rng.normal(size=r) * amplitude if k % 120 != 20 else None
         told = np.full(r, math.nan) if r and k % 67 == 50 else reference
-        time += run.step * (1 + missed) * (clocked and not early)
-        when = time + 0.3 * run.step * math.sin(k) if clocked else None
         yield 0, when, run.law.plant.modes + k if k % 71 == 45 else mode, y, applied, told
-
-
-def _modes(run: RunningLaw, rng: np.random.Generator) -> np.ndarray:
-    """A mode for every call: short ones, and each for two windows and through its rows."""
-    plant = run.law.plant
-    stay = max(run.table.ages + 2, -(-(2 * run.table.taps + 10) // plant.modes))
-    short = np.repeat(rng.integers(0, plant.modes, _HOSTILE), rng.integers(1, 30, _HOSTILE))
-    half = short[: _HOSTILE // 2]
-    return np.concatenate((half, np.repeat(np.arange(plant.modes), stay), half))

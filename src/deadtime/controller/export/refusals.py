@@ -37,11 +37,6 @@ def require_exportable(controller: RunningLaw, precision: str, name: str) -> Non
         raise ArgumentError(f"name must not be {name!r}: C, or a file here, has it already.")
     if controller.observing is not None:
         require_schedule(controller.observing)
-    elif controller.law.outputs is not None and controller.believing is None:
-        raise ArgumentError(
-            "law must be given the state, or be an OutputFeedback: what "
-            f"{type(controller.law).__name__} makes of outputs has no C."
-        )
     if controller.believing is not None:
         if precision == "float":
             raise ArgumentError(
