@@ -19,7 +19,7 @@ import deadtime as dt
 from deadtime.margins import StabilityMargin
 
 STEP, DWELL, RANGE = 0.05, 0.3, (0.02, 4.0)
-NUMBERS = (0, 1, 3, 4, 5)
+NUMBERS = (0, 1, 3, 4, 5, 7, 8, 9, 13, 14, 17)
 _NEXT = 10  # from a draw to the next of the same number
 
 
