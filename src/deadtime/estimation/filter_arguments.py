@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, real_array, require_shape
+from deadtime.base.checks import as_floats, read_only, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 
@@ -83,7 +83,7 @@ def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.n
         raise ArgumentError(
             f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
         )
-    return 0.5 * (W + W.T)  # a state that is restored must be symmetric to the last bit
+    return read_only(0.5 * (W + W.T))  # a restored state must be symmetric to the last bit
 
 
 def deviation(value: ArrayLike, size: int, letter: str = "n") -> Float[np.ndarray, " size"]:
