@@ -39,3 +39,14 @@ def test_a_loop_that_grows_is_answered_no(tmp_path, monkeypatch, capsys):
     code, _, error = run(capsys, "loop", "paper", "--law", "best")
     assert code == 2
     assert "best" in error
+
+
+def test_an_ideal_loop_has_no_step_that_an_output_could_answer(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["loop", "follower", "--step", "ideal", "--output", "9", "--json"]
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    assert all(mode["step_info"] is None for mode in json.loads(out)["modes"])
+    code, _, error = run(capsys, *arguments[:2], "--output", "9")
+    assert code == 2
+    assert "output must be in 0..2, got 9" in error

@@ -61,7 +61,7 @@ def index(name: str, value: object, count: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise ArgumentError(f"{name} must be an integer in 0..{count - 1}, got {brief(value)}.")
     if not 0 <= value < count:
-        counted = "inputs" if name == "input" else "modes"
+        counted = f"{name}s" if name in ("input", "channel", "output") else "modes"
         raise ArgumentError(
             f"{name} must be in 0..{count - 1}, got {brief(value)}: {counted} count from 0."
         )

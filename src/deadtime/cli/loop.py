@@ -70,17 +70,19 @@ def loop(
     name = next(iter(chosen.laws)) if law is None else law
     asked = chosen.law(name)
     view, steps = loop_view(chosen.plant, asked, chosen.step, at), []
+    shown, pushed = None, "the input"
     if chosen.step is not None:
         args = chosen.plant, asked
         steps = [
             step_response(*args, mode, chosen.step, channel=channel, output=output)
             for mode in range(chosen.plant.modes)
         ]
+        shown = _shown(chosen, asked, output)
+        if len(chosen.inputs) > 1:
+            pushed = f"input {chosen.inputs[channel]}"
     path = Path(f"{chosen.name}-loop.png") if out is None else out
     path = path if path.suffix else path.with_suffix(".png")
-    title, shown = f"{chosen.title}: law “{name}”", _shown(chosen, asked, output)
-    several = bool(steps) and len(chosen.inputs) > 1
-    pushed = f"input {chosen.inputs[channel]}" if several else "the input"
+    title = f"{chosen.title}: law “{name}”"
     save_figure(plot_loop(view, title, chosen.modes, steps, shown, pushed), path)
     stable = bool((view.gain.growth < 0.0).all())
     if json_output:

@@ -24,7 +24,7 @@ from deadtime.simulation.initial_input import InitialInput, held_samples
 class RunningLaw:
     """A law that runs: `update` once a period; see `Controller` for parameters and attributes.
 
-    `measured` is how many numbers it is told of at a sample, states or outputs.
+    `measured` is the number of states, or outputs, that are measured at a sample.
     """
 
     def __init__(

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import count, positive
-from deadtime.base.errors import ArgumentError
+from deadtime.base.checks import index, positive
 from deadtime.base.frozen import Frozen
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Law
@@ -143,7 +142,7 @@ def step_response(
     >>> round(found.info["SteadyStateValue"], 3), found.info["Overshoot"]
     (1.443, 0.0)
     """
-    _within("mode", mode, plant.modes)
+    index("mode", mode, plant.modes)
     step, growth = positive("step", step), growth_rate(plant, law, mode, step)
     if horizon is None:
         slowest = min(_SETTLED / abs(growth) if growth else math.inf, _MOST * step)
@@ -155,10 +154,10 @@ def step_response(
         if law.servo is not None:
             rows, output = law.servo.tracked @ rows, channel
     if tracks:
-        _within("channel", channel, len(rows))
+        index("channel", channel, len(rows))
     else:
-        _within("channel", channel, plant.inputs)
-        _within("output", output, len(rows))
+        index("channel", channel, plant.inputs)
+        index("output", output, len(rows))
         pushes = [StepDisturbance(plant.B[mode][:, channel])]
     loop = _at_rest(law, channel)
     x0 = np.zeros(plant.states)
@@ -176,8 +175,3 @@ def _at_rest(law: Law, channel: int) -> Law:
         return OutputFeedback(law.law, law.observer)
     reference = np.eye(len(law.servo.tracked))[channel]
     return OutputFeedback(law.law, law.observer, servo=law.servo, reference=reference)
-
-
-def _within(name: str, value: int, most: int) -> None:
-    if count(name, value, 0) >= most:
-        raise ArgumentError(f"{name} must be in 0..{most - 1}, got {value}.")

@@ -216,7 +216,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
     belief_values = None if belief is None else belief_code.values(belief)
     outputs = belief_code.outputs_of(belief)
     observer_values = None if observer is None else observer_code.values(observer, precision)
-    beside = [one for one in (belief_values, observer_values) if one is not None]
+    beside = [values for values in (belief_values, observer_values) if values is not None]
     return {
         **{key: hexadecimal(value, precision) for key, value in limits.items()},
         **form.sizes,
@@ -275,7 +275,7 @@ def given_of(observer: ObserverForm | None, outputs: int) -> dict[str, Any]:
 
 
 def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> dict[str, str]:
-    """What the template of tables is told of one."""
+    """One table as the template writes it."""
     text = initializer(array, precision)
     return {"name": name, "comment": comment, "shape": brackets(array), "text": text}
 

@@ -46,7 +46,7 @@ def lasting_modes(run: RunningLaw, rng: np.random.Generator, least: int) -> np.n
 def inputs_of(
     run: RunningLaw, rng: np.random.Generator, amplitude: float, k: int, reported: bool
 ) -> tuple[Float[np.ndarray, " m"] | None, Float[np.ndarray, " m"]]:
-    """The input that call k is told of, NaN now and then, and the one that acts."""
+    """The input reported to call k, NaN now and then, and the one that acts."""
     applied = rng.normal(size=run.law.plant.inputs) * amplitude if reported else None
     if k % 61 == 30:
         return np.full(run.law.plant.inputs, math.nan), run._u

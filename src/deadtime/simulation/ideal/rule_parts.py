@@ -47,14 +47,16 @@ def outcome_of(record: IdealRecord, parts: list[Part], end: float, stop: str) ->
         _SAME * max(1.0, reached),
     )
     diverged = stop.startswith("diverged")  # `simulate` says so itself
-    notes = [f"{stop}, a delay ahead: the run ends at t = {end:g} s."]
+    early = (
+        f"{stop}, a delay ahead: the run ends at t = {end:g} s." if stop and not diverged else ""
+    )
     return Outcome(
         record,
         signal,
         lambda time: signal(time + record.states.slack),
         end if stop else None,
         diverged,
-        " ".join(filter(None, [*notes[: bool(stop) and not diverged], slides_in_words(slides)])),
+        " ".join(filter(None, [early, slides_in_words(slides)])),
     )
 
 

@@ -133,13 +133,11 @@ class _March:
     def _readings(self) -> _Readings:
         """Who reads what from t on, for as long as the mode stays what it is."""
         delays = self.plant.delays
-        newest = np.array([sent.newest for sent in self.sent]) + self._near
+        newest = np.array([sent.newest for sent in self.sent]) - self._near
         first = delays[self._modes].argmin(axis=0)
         shortest = delays[self._modes].min(axis=0)
-        moves = self.t - shortest >= newest - 2.0 * self._near
-        anew = np.where(
-            moves, delays <= shortest + self._near, self.t - delays >= newest - 2.0 * self._near
-        )
+        moves = self.t - shortest >= newest
+        anew = np.where(moves, delays <= shortest + self._near, self.t - delays >= newest)
         return _Readings(anew, np.where(moves, np.array(self._modes)[first], -1))
 
     def _until(self, readings: _Readings) -> tuple[float, int | None]:
