@@ -6,7 +6,9 @@ import pytest
 from scipy.linalg import expm
 
 import deadtime as dt
+from deadtime.controller import law_to_control, plant_to_control
 from deadtime.margins.loop_view import loop_view
+from deadtime.reports import plot_loop
 
 H = 0.1
 
@@ -201,6 +203,54 @@ def test_python_control_linearises_the_loop_of_a_table():
     assert (
         control.bode_plot(dt.loop_transfer(plant, law, 0, 0.05), display_margins=True) is not None
     )
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+def test_plant_and_law_linearised_by_python_control_go_round_as_the_loop_does(mode):
+    problem, h = dt.problems.paper(), 0.25
+    law, omega = dt.AveragedPredictor(problem.plant, problem.gains), np.geomspace(0.1, 12.0, 30)
+    plant, table = plant_to_control(problem.plant, h), law_to_control(law, h)
+    P = control.linearize(plant, np.zeros(plant.nstates), [0.0, mode])[:2, 0]
+    old = np.r_[np.zeros(table.nstates - 2), mode, 40.0]  # the mode has been held for long
+    K = control.linearize(table, old, [0.0, 0.0, mode])[0, :2]
+    there = control.frequency_response(-(K * P), omega).frdata
+    here = dt.loop_transfer(problem.plant, law, mode, h, frequencies=omega).frdata
+    assert np.abs(there - here).max() <= 1e-10 * np.abs(here).max()
+
+
+def test_every_mark_of_the_figure_is_the_margin_that_it_names():
+    problem, h = dt.problems.follower(), 0.05
+    law = dt.AveragedPredictor(problem.plant, problem.gains)
+    view = loop_view(problem.plant, law, h)
+    figure = plot_loop(view)
+    gain, nyquist, phase, _ = (figure.axes[i] for i in (0, 1, 2, 3))
+    circles, squares = (
+        {mark: [one.get_xydata()[0] for one in panel.get_lines() if one.get_marker() == mark]
+         for mark in "os"}
+        for panel in (gain, nyquist)
+    )  # fmt: skip
+    upper = dt.gain_margin(problem.plant, law, h).upper
+    assert circles["o"][0][1] == 1.0 / upper
+    assert squares["o"][0] == pytest.approx([-1.0 / upper, 0.0])
+    worst = min(view.modes, key=lambda mode: mode.phase)
+    assert circles["s"][0] == pytest.approx([worst.phase_frequency, 1.0])
+    turned = np.degrees(np.arctan2(*squares["s"][0][::-1]))
+    assert (turned + 180.0) % 360.0 == pytest.approx(worst.phase)
+    margin = dt.delay_margin(problem.plant, law, h)
+    (line,) = [one for one in phase.get_lines() if one.get_linestyle() == ":"]
+    assert line.get_xdata()[0] == margin.upper_frequency
+    (text,) = [one.get_text() for one in phase.texts]
+    assert float(text.strip(" +s")) == pytest.approx(margin.longer, rel=2e-3)
+    (disk,) = nyquist.patches
+    a = min(mode.disk for mode in view.modes)
+    assert disk.get_xy()[:, 0].max() == pytest.approx(-(2.0 - a) / (2.0 + a))
+    assert disk.get_xy()[:, 0].min() == pytest.approx(-(2.0 + a) / (2.0 - a))
+    assert [one.get_text() for one in figure.legends[0].get_texts()] == [
+        "mode 0", "mode 1", "gain margin", "phase margin", "delay margin", "disk margin", "−1",
+        "|L| = 1",
+    ]  # fmt: skip
+    modes = {line.get_color() for line in gain.get_lines()[:2]}
+    assert not modes & {line.get_color() for line in nyquist.get_lines()[2:]}
 
 
 @pytest.mark.parametrize(

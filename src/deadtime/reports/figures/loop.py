@@ -8,18 +8,29 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain
+from deadtime.base.palette import BLACK, GREY
 from deadtime.base.wording import inwards
 from deadtime.margins.loop_view import LoopView, ModeView
 from deadtime.margins.step_response import StepResponse
 
 MOST = 5  # modes in one figure
-_REACH = 3.0  # of the Nyquist panel, around −1 … 1
+_REACH = 4.0  # of the Nyquist panel, around −1 … 1
 _TURNS = 800.0  # degrees of phase that are shown: a delay turns on and on
+_ABOVE = 30.0  # degrees of room above and below
+_MARK: dict[str, Any] = {"color": BLACK, "linestyle": "", "markersize": 4.0, "zorder": 5.0}
+_POINT: dict[str, Any] = {
+    "color": BLACK, "linestyle": "", "marker": "+", "markersize": 8.0, "markeredgewidth": 1.6,
+    "zorder": 5.0,
+}  # fmt: skip
+_DOTTED: dict[str, Any] = {"color": BLACK, "linewidth": 0.9, "linestyle": ":"}
+_CIRCLE: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "zorder": 3.0}
+_SHADE: dict[str, Any] = {"color": GREY, "alpha": 0.3, "linewidth": 0.0, "zorder": 0.5}
 
 
 def plot_loop(
@@ -35,33 +46,30 @@ def plot_loop(
     Of several channels the lines are the eigenvalues of L, which margins are about that all
     channels share; sensitivities are largest singular values. Circles mark gain margins, squares
     the phase margin, dotted lines where a delay longer or shorter by so much loses the loop. The
-    shaded disk is what the disk margin keeps clear. All are of the mode that is lost first.
+    grey disk is what the disk margin keeps clear. All are of the mode that is lost first, and
+    black or grey, which no mode is.
 
     With `steps`, one a mode, there is a panel of what does not grow of them; `answer` says of what,
     and `pushed` what is pushed where nothing is tracked.
     """
     names = modes or [f"mode {each.mode}" for each in view.modes]
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.55 * WIDTH, 7.2 if steps else 5.2))
+        figure = Figure(figsize=(1.55 * WIDTH, 7.4 if steps else 5.4))
         panels = figure.subplot_mosaic("gn;ps;tt" if steps else "gn;ps")
         gain, nyquist, phase, sensitivity = (panels[letter] for letter in "gnps")
         for each in view.modes[:MOST]:
             _add_mode(view.omega, each, gain, phase, nyquist, sensitivity)
-        _mark_margins(view, gain, phase, nyquist)
         _label(view, gain, phase, nyquist, sensitivity)
+        marks = _mark_margins(view, gain, phase, nyquist)
         if steps:
             _add_steps(panels["t"], steps[:MOST], answer, pushed)
-        keys = [
+        lines = [
             Line2D([], [], color=COLOURS[i], linestyle=LINES[i % len(LINES)], label=plain(name))
             for i, name in enumerate(names[:MOST])
         ]
-        keys += [
-            Line2D(
-                [], [], color=COLOURS[6], marker=shape, markersize=4.0, linestyle="", label=label
-            )
-            for shape, label in (("o", "gain margin"), ("s", "phase margin"))
-        ]
-        figure.legend(handles=keys, loc="outside lower center", ncols=4)
+        figure.legend(
+            handles=[*lines, *marks], loc="outside lower center", ncols=4, handlelength=2.6
+        )
         if title:
             figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
     return figure
@@ -92,52 +100,88 @@ def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None, p
         if each.info and each.info["SettlingTime"] > 0.0
     ]
     longest = min(max(settled, default=1.0), max(each.time[-1] for each in steps))
-    panel.axhline(1.0 if steps[0].tracks else 0.0, color=COLOURS[6], linewidth=0.8)
+    panel.axhline(1.0 if steps[0].tracks else 0.0, color=BLACK, linewidth=0.8)
     panel.set_xlim(0.0, longest)
     what = "a step of its reference" if steps[0].tracks else f"a constant 1 at {plain(pushed)}"
     panel.set_title(f"{plain(answer or 'output')} after {what}")
     panel.set_xlabel("time (s)")
 
 
-def _mark_margins(view: LoopView, gain: Axes, phase: Axes, nyquist: Axes) -> None:
-    mark: Any = {"color": COLOURS[6], "linestyle": "", "markersize": 4.0, "zorder": 5.0}
+def _mark_margins(view: LoopView, gain: Axes, phase: Axes, nyquist: Axes) -> list[Artist]:
+    """All margins, in black and grey, which no mode has; and what the legend says of them."""
+    keys: list[Artist] = []
+    if _mark_gain(view, gain, nyquist):
+        keys.append(Line2D([], [], marker="o", label="gain margin", **_MARK))
+    if _mark_phase(view, gain, nyquist):
+        keys.append(Line2D([], [], marker="s", label="phase margin", **_MARK))
+    if view.at == "input" and _mark_delay(view, phase):
+        keys.append(Line2D([], [], label="delay margin", **_DOTTED))
+    disks = [each for each in view.modes if each.disk is not None]
+    if disks and len(disks) == len(view.modes):
+        least = min(disks, key=lambda each: each.disk or math.inf)
+        keys.append(_mark_disk(least, nyquist))
+    keys.append(nyquist.plot([-1.0], [0.0], label="−1", **_POINT)[0])
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 181))
+    keys += nyquist.plot(np.real(circle), np.imag(circle), label="|L| = 1", **_CIRCLE)
+    return keys
+
+
+def _mark_gain(view: LoopView, gain: Axes, nyquist: Axes) -> bool:
+    """Where a factor 1/|λ| puts the loop on the limit of stability; of a loop cut at its input."""
     ends = (view.gain.lower, view.gain.lower_mode), (view.gain.upper, view.gain.upper_mode)
+    marked = False
     for factor, mode in ends:
         if factor and math.isfinite(factor) and mode is not None and view.at == "input":
             # On the limit of stability some λ is −1/k; the nearest point of the loci is there.
             distance = np.abs(view.modes[mode].loci + 1.0 / factor).min(axis=1)
-            gain.plot([view.omega[distance.argmin()]], [1.0 / factor], marker="o", **mark)
-            nyquist.plot([-1.0 / factor], [0.0], marker="o", **mark)
-    delay = view.delay
-    ends = (delay.shorter, delay.lower_frequency, "−"), (delay.longer, delay.upper_frequency, "+")
-    for shift, frequency, sign in ends if view.at == "input" else ():
-        if shift is not None and frequency:
-            phase.axvline(frequency, color=COLOURS[6], linewidth=0.8, linestyle=":")
-            phase.annotate(
-                f" {sign}{inwards(shift, 0.0)} s", (frequency, 0.02), va="bottom", fontsize=8.0,
-                xycoords=phase.get_xaxis_transform(), ha="left" if sign == "+" else "right",
-            )  # fmt: skip
+            gain.plot([view.omega[distance.argmin()]], [1.0 / factor], marker="o", **_MARK)
+            nyquist.plot([-1.0 / factor], [0.0], marker="o", **_MARK)
+            marked = True
+    return marked
+
+
+def _mark_phase(view: LoopView, gain: Axes, nyquist: Axes) -> bool:
     least = [
         (each.phase, each.phase_frequency)
         for each in view.modes
         if each.phase is not None and each.phase_frequency is not None
     ]
-    if least:
-        lag, frequency = min(least)
-        angle = math.radians(180.0 + lag)
-        gain.plot([frequency], [1.0], marker="s", **mark)
-        nyquist.plot([math.cos(angle)], [math.sin(angle)], marker="s", **mark)
-    disks = [each.disk for each in view.modes if each.disk is not None]
-    if disks and len(disks) == len(view.modes):
-        _shade_disk(nyquist, min(disks))
+    if not least:
+        return False
+    lag, frequency = min(least)
+    angle = math.radians(180.0 + lag)
+    gain.plot([frequency], [1.0], marker="s", **_MARK)
+    nyquist.plot([math.cos(angle)], [math.sin(angle)], marker="s", **_MARK)
+    return True
 
 
-def _shade_disk(nyquist: Axes, disk: float) -> None:
+def _mark_delay(view: LoopView, phase: Axes) -> bool:
+    """A line at the frequency of either end; its seconds stand towards the middle of the panel."""
+    delay = view.delay
+    ends = (delay.longer, delay.upper_frequency, "+"), (delay.shorter, delay.lower_frequency, "−")
+    low, high = np.log(phase.get_xlim())
+    marked = False
+    for row, (shift, frequency, sign) in enumerate(ends):
+        if shift is None or not frequency:
+            continue
+        right = math.log(frequency) > 0.5 * (low + high)
+        phase.axvline(frequency, **_DOTTED)
+        phase.annotate(
+            f" {sign}{inwards(shift, 0.0)} s ", (frequency, 0.02 + 0.1 * row), va="bottom",
+            ha="right" if right else "left", fontsize=8.0,
+            xycoords=phase.get_xaxis_transform(),
+        )  # fmt: skip
+        marked = True
+    return marked
+
+
+def _mark_disk(least: ModeView, nyquist: Axes) -> Artist:
     """What −1 times every factor of the disk covers: L keeps out of it."""
     angle = np.linspace(0.0, 2.0 * math.pi, 181)
-    delta = min(disk, 1.99) * np.exp(1j * angle)
+    delta = min(least.disk or 0.0, 1.99) * np.exp(1j * angle)
     edge = -(2.0 + delta) / (2.0 - delta)
-    nyquist.fill(np.real(edge), np.imag(edge), color=COLOURS[1], alpha=0.18, linewidth=0.0)
+    (shaded,) = nyquist.fill(np.real(edge), np.imag(edge), label="disk margin", **_SHADE)
+    return shaded
 
 
 def _label(view: LoopView, gain: Axes, phase: Axes, nyquist: Axes, sensitivity: Axes) -> None:
@@ -146,18 +190,17 @@ def _label(view: LoopView, gain: Axes, phase: Axes, nyquist: Axes, sensitivity: 
     phase.set_title("their phase (degrees)" if several else "phase of L (degrees)")
     nyquist.set_title("Nyquist")
     sensitivity.set_title("|S|, and paler |T|")
-    gain.axhline(1.0, color=COLOURS[6], linewidth=0.8)
-    low, high = phase.get_ylim()
-    phase.set_ylim(max(low, high - _TURNS), high)
+    gain.axhline(1.0, color=BLACK, linewidth=0.8)
+    heights = np.concatenate([line.get_ydata() for line in phase.get_lines()])
+    low, high = float(heights.min()), float(heights.max()) + _ABOVE
+    low = max(low, high - _TURNS)
+    phase.set_ylim(low - _ABOVE, high)
     for turn in range(math.ceil((low - 180.0) / 360.0), math.floor((high - 180.0) / 360.0) + 1):
-        phase.axhline(180.0 + 360.0 * turn, color=COLOURS[6], linewidth=0.8)
+        phase.axhline(180.0 + 360.0 * turn, color=BLACK, linewidth=0.8)
     for panel in (phase, sensitivity):
         panel.set_xlabel("frequency (rad/s)")
     for panel in (gain, phase, sensitivity):
         panel.set_xlim(view.omega[0], view.omega[-1])
-    circle = np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 181))
-    nyquist.plot(np.real(circle), np.imag(circle), color="#bbbbbb", linewidth=0.8)
-    nyquist.plot([-1.0], [0.0], "+", color=COLOURS[1], markersize=8.0, markeredgewidth=1.6)
-    nyquist.set_xlim(-_REACH, 0.6 * _REACH)
-    nyquist.set_ylim(-0.8 * _REACH, 0.8 * _REACH)
+    nyquist.set_xlim(-_REACH, 0.5 * _REACH)
+    nyquist.set_ylim(-0.4 * _REACH, 0.4 * _REACH)
     nyquist.set_aspect("equal", adjustable="box")
