@@ -93,6 +93,7 @@ from .switching import (
 from .synthesis import (
     DelayLimit as DelayLimit,
     Design as Design,
+    InitialStates as InitialStates,
     delay_limit as delay_limit,
     design as design,
 )

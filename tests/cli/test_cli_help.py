@@ -88,7 +88,7 @@ def test_help_is_found_by_whatever_name_it_is_called(capsys, other):
         (["certify", "paper", "--dwelltime", "1"], "Unknown option: --dwelltime. Did you mean --d"),
         (["bound", "papr"], "or a file that exists, got 'papr'. Did you mean paper?"),
         (["bound"], 'Command "bound" parameter --problem requires an argument. See deadtime bound'),
-        (["design", "paper"], "requires an argument"),
+        (["design"], "requires an argument"),
         (["bound", "paper", "mine"], "unexpected argument 'mine'. See deadtime bound --help."),
         (["bound", "paper", "--dwell-time", "long"], 'unable to convert "long" into float'),
         (["completion", "tcsh"], "tcsh"),

@@ -143,7 +143,7 @@ def test_a_margin_that_is_not_reached_is_exit_code_1(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["design", "paper"], "requires an argument"),
+        (["design"], "requires an argument"),
         (["design", "paper", "--delay-margin", "2"], "delay_margin must be above 0 and below 1"),
         (["design", "paper", "--delay-margin", "0.1", "--mode", "2"], "mode must be in 0..1"),
         (["design", "paper", "--delay-margin", "0.1", "--law", "exact"], "law"),

@@ -10,11 +10,11 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, Folder, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, progress_bar, save_figure
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problems import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
-    from deadtime.synthesis import Design
+    from deadtime.synthesis import Design, InitialStates
 
 Kind = Literal["averaged", "mean"]
 
@@ -24,17 +24,21 @@ Kind = Literal["averaged", "mean"]
     help_epilogue=lines(
         "deadtime design follower --delay-margin 0.05",
         "deadtime design problem.toml --delay-margin 0.02 --mode 0 --out mode0",
+        "deadtime design follower --decay-rate 1.5 --input-limit 3 --initial 0.5,1,1",
     ),
 )
 def design(
     problem: Path,
     *,
-    delay_margin: float,
+    delay_margin: float | None = None,
     law: Kind = "averaged",
     mode: int | None = None,
     step: float | None = None,
     longest_step: float | None = None,
     decay_rate: float = 0.0,
+    input_limit: str | None = None,
+    initial: str | None = None,
+    probability: float | None = None,
     filtered: Annotated[bool | None, Parameter(negative="--unfiltered")] = None,
     budget: int = 800,
     out: Folder = Path("design"),
@@ -43,7 +47,7 @@ def design(
     """Gains and a law with a delay margin in every constant mode, at the least cost found.
 
     Writes OUT.toml, to be pasted into the problem file, and the chart OUT.png. Exit code 1 if the
-    margin, or the decay rate, is not reached.
+    margin, the decay rate or the limit of the inputs is not reached.
 
     Parameters
     ----------
@@ -51,7 +55,7 @@ def design(
         A problem file, or paper, three-mode, follower.
     delay_margin
         The error of the delay to be tolerated, relative to it: 0.05 for ±5 %. Of several delays
-        all err alike, by so much of the shortest.
+        all err alike, by so much of the shortest. None is asked for by default.
     law
         The family of laws: averaged, or mean with the mean of the gains.
     mode
@@ -62,6 +66,13 @@ def design(
         Allow longer periods, up to this, seconds.
     decay_rate
         How fast every constant mode must decay at least, in 1/s.
+    input_limit
+        What |u| must stay below, one number or one for each input, with commas.
+    initial
+        From which states: one number for every |x(0)| up to it, or half the width of a box for each
+        state, with commas; 1 by default.
+    probability
+        With which it must, of a normal x(0) whose standard deviations --initial gives.
     filtered
         Only laws with a low-pass filter, or only without; both by default.
     budget
@@ -94,6 +105,8 @@ def design(
             filtered=filtered,
             longest_step=longest_step,
             decay_rate=decay_rate,
+            input_limit=None if input_limit is None else numbers_of("input-limit", input_limit),
+            initial=_initial(plant.states, initial, probability),
             budget=budget,
             weight=chosen.weight,
             progress=advance,
@@ -117,6 +130,19 @@ def _mean(plant, gains):
     return MeanPredictor(plant, gains.mean(axis=0), gains, allow_unstable=True)
 
 
+def _initial(states: int, initial: str | None, probability: float | None) -> InitialStates | None:
+    """A ball or a box; of a normal x(0) the numbers are standard deviations."""
+    import numpy as np
+
+    from deadtime.synthesis import InitialStates
+
+    sizes = [1.0] if initial is None else numbers_of("initial", initial)
+    if probability is not None:
+        deviations = np.array(sizes * states if len(sizes) == 1 else sizes)
+        return InitialStates.normal(deviations**2, probability)
+    return InitialStates.ball(sizes[0]) if len(sizes) == 1 else InitialStates.box(sizes)
+
+
 def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
@@ -126,11 +152,23 @@ def _write(path: Path, text: str) -> None:
 
 def _print(problem: Problem, found: Design, mode: int | None) -> None:
     from deadtime.plant.weight import text_of
-    from deadtime.reports.tables.design import HEADINGS, LIMIT_HEADINGS, design_rows, limit_rows
+    from deadtime.reports.tables.design import (
+        HEADINGS,
+        LIMIT_HEADINGS,
+        STEP,
+        design_rows,
+        limit_rows,
+    )
 
     print_heading(problem.title, [f"{found.message}\n"])
-    print_table(HEADINGS, design_rows(found))
+    rows, at = design_rows(found), HEADINGS.index(STEP)
+    if len({row[at] for row in rows}) > 1:
+        print_table(HEADINGS, rows)
+    else:  # the sentence says it
+        keep = [i for i in range(len(HEADINGS)) if i != at]
+        print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
     print(f"Cost: {text_of(found.weight)}, each mode for ever, the mean over |x(0)| = 1.")
+    print(f"Peak |u|: the largest of the modes, each for ever, {found.initial.text}.")
     print("\nWhat linear controllers of one mode alone can tolerate:")
     names = problem.modes if mode is None else (problem.modes[mode],)
     print_table(LIMIT_HEADINGS, limit_rows(found, names))

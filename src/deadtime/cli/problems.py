@@ -30,12 +30,12 @@ def problem_with(
     from deadtime.problems.file.load import problem_with_run
 
     run: dict[str, Any] = {"step": step, "horizon": horizon}
-    run["x0"] = None if x0 is None else _numbers("x0", x0)
+    run["x0"] = None if x0 is None else numbers_of("x0", x0)
     changes = {key: value for key, value in run.items() if value is not None}
     return problem_with_run(place, changes) if changes else problem_of(place)
 
 
-def _numbers(name: str, text: str) -> list[float]:
+def numbers_of(name: str, text: str) -> list[float]:
     """Numbers with commas between them."""
     try:
         return [float(number) for number in text.split(",")]

@@ -13,7 +13,7 @@ from deadtime.gains import lqr
 from deadtime.gains.checked import check_gains
 from deadtime.gains.state_feedback import require_controllable
 from deadtime.laws import AveragedPredictor
-from deadtime.margins.constant_modes import constant_delay_margin
+from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.spectrum import growth_rate
@@ -22,12 +22,20 @@ from deadtime.synthesis.assess import WIDEST, assess
 from deadtime.synthesis.exact import Exact
 from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.initial_states import InitialStates
+from deadtime.synthesis.input_peak import check_initial, largest_inputs, limits_asked
 from deadtime.synthesis.limits import DelayLimit, delay_limit
 from deadtime.synthesis.message import sentences
-from deadtime.synthesis.request import check_request, decay_asked, require_seen, require_table
+from deadtime.synthesis.request import (
+    check_request,
+    decay_asked,
+    require_seen,
+    require_table,
+)
 from deadtime.synthesis.result import Design, TradeOff
 from deadtime.synthesis.search import MakeLaw, Search, Tried
 from deadtime.synthesis.strategy import pairs_of, spend
+from deadtime.synthesis.units import unit_hints
 
 DEAREST = 100.0
 
@@ -35,7 +43,7 @@ DEAREST = 100.0
 def design(
     plant: SwitchedSystem,
     *,
-    delay_margin: float,
+    delay_margin: float | None = None,
     step: float = 0.01,
     law: MakeLaw | None = None,
     gains: ArrayLike | None = None,
@@ -47,9 +55,11 @@ def design(
     dearest: float = DEAREST,
     seed: int = 0,
     weight: Weight | None = None,
+    input_limit: ArrayLike | None = None,
+    initial: InitialStates | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
-    """Gains and a law with a requested delay margin, at the least cost found.
+    """Gains and a law with a delay margin, decay rate and inputs as asked, at the least cost found.
 
     Varied are the gains (with one input the poles of each mode, with several the LQR weights), the
     time constant of a low-pass filter in the law, and, if allowed, a longer sampling period. If
@@ -60,10 +70,10 @@ def design(
     ----------
     plant : SwitchedSystem
         The plant at its nominal delays, the model of the law.
-    delay_margin : float
+    delay_margin : float, optional
         The relative error of the true delay, above 0 and below 1, that every constant mode must
         tolerate both ways: 0.05 for ±5 %. Of several delays all err by as many seconds, so much
-        of the shortest.
+        of the shortest. Without one the margin is only said.
     step : float
         Sampling period h, seconds.
     law : callable, optional
@@ -90,6 +100,13 @@ def design(
     weight : Weight, optional
         Of the cost, the identity by default. R must be definite and Q weigh the unstable states of
         every mode, so that no loop is cheap because its growth is not seen.
+    input_limit : array_like, shape () or (m,), optional
+        What |u_j| must stay below in every constant mode, from `initial` on without inputs in the
+        past.
+    initial : InitialStates, optional
+        The states at the start, the ball |x(0)| ≤ 1 by default: over a ball, box or ellipsoid the
+        exact worst case, of a normal x(0) with the probability that it says at least
+        (`deadtime.synthesis.input_peak`).
     progress : callable
         Called with a few words before each of at most `budget` designs that are tried.
 
@@ -118,7 +135,8 @@ def design(
     (True, True, True)
     """
     asked = check_request(plant, delay_margin, step, filtered, longest_step, cost, dearest)
-    floors = Floors(asked, decay_asked(decay_rate))
+    limit, initial = limits_asked(plant, input_limit), check_initial(initial, plant)
+    floors = Floors(asked, decay_asked(decay_rate), limit, initial)
     given = None if gains is None else check_gains(plant, gains, True)
     weight = weight_of(weight, plant)
     if weight is not None:
@@ -132,13 +150,13 @@ def design(
     first = require_table(plant, make, start)
     require_affordable("design", plant, first, step, budget)
     limits = tuple(delay_limit(plant, mode) for mode in range(plant.modes))
-    plain = _plain(plant, first, step, cost == "worst", weight)
+    plain = _plain(plant, first, step, cost == "worst", weight, initial)
     search = Search(
         plant, make, cost == "worst", budget, dearest, floors, weight, progress=progress
     )
     pairs = pairs_of(search, filtered, step, longest_step)
     if not filtered:
-        search.plain = _plain_candidate(plain, *pairs[0], start)
+        search.plain = _plain_candidate(plain, *pairs[0], start, floors)
         search.tried.append(search.plain)
     spend(search, pairs, start, np.random.default_rng(seed))
     exact = Exact(plant, search)
@@ -146,15 +164,38 @@ def design(
 
 
 def _plain(
-    plant: SwitchedSystem, law: Law, step: float, worst: bool, weight: Weight | None
+    plant: SwitchedSystem,
+    law: Law,
+    step: float,
+    worst: bool,
+    weight: Weight | None,
+    initial: InitialStates,
 ) -> TradeOff:
     """The design to compare with."""
     margin = constant_delay_margin(plant, law, step)
     cost = assess(plant, law, step, worst, weight=weight)[1]
-    return TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
+    return _point(plant, law, step, margin, cost, initial)
 
 
-def _plain_candidate(plain: TradeOff, family: Family, step: float, gains: np.ndarray) -> Tried:
+def _point(
+    plant: SwitchedSystem,
+    law: Law,
+    step: float,
+    margin: DelayMargin,
+    cost: float,
+    initial: InitialStates | None,
+) -> TradeOff:
+    """A design with its exact margin, decay rate and inputs."""
+    growth = float(margin.growth.max())
+    peak = np.full(plant.inputs, np.inf)
+    if growth < 0.0:
+        peak = largest_inputs(plant, law, step, initial)
+    return TradeOff(law, step, margin.relative or 0.0, cost, -growth, peak)
+
+
+def _plain_candidate(
+    plain: TradeOff, family: Family, step: float, gains: np.ndarray, floors: Floors
+) -> Tried:
     """The plain design as the first of the candidates, with parameters of gains close to it."""
     return Tried(
         family=family,
@@ -165,6 +206,7 @@ def _plain_candidate(plain: TradeOff, family: Family, step: float, gains: np.nda
         margin=min(plain.margin, WIDEST),
         cost=plain.cost,
         growth=-plain.decay_rate,
+        load=floors.load(plain.input_peak),
     )
 
 
@@ -178,6 +220,7 @@ def _result(
 ) -> Design:
     """What was chosen, or the plain design where nothing is stable."""
     law, step, cost = plain.law, plain.step, plain.cost
+    hints = unit_hints(plant, gains, step)
     if chosen is None:
         margin = constant_delay_margin(plant, law, step)
     else:
@@ -187,9 +230,11 @@ def _result(
         cost = assess(plant, law, step, search.worst, weight=search.weight)[1]
     floors = exact.search.floors
     growth = _ends(plant, law, step, floors.margin)
-    found = TradeOff(law, step, margin.relative or 0.0, cost, -float(margin.growth.max()))
-    reached = not floors.shortfalls(found.margin, found.decay_rate) and bool((growth < 0.0).all())
+    found = _point(plant, law, step, margin, cost, floors.initial)
+    missed = floors.shortfalls(found.margin, found.decay_rate, floors.load(found.input_peak))
+    reached = not missed and bool((growth < 0.0).all())
     offered = None if chosen is None else found
+    text = sentences(floors, reached, offered, plain, limits, exact.search.spent)
     return Design(
         law=law,
         gains=gains,
@@ -206,8 +251,11 @@ def _result(
         limits=limits,
         points=exact.trade_off(offered),
         evaluated=exact.search.spent,
-        message=sentences(floors, reached, offered, plain, limits, exact.search.spent),
+        message=" ".join([text, *hints]),
         weight=exact.search.weight,
+        input_peak=found.input_peak,
+        input_limit=floors.input_limit,
+        initial=floors.initial or InitialStates.ball(),
     )
 
 

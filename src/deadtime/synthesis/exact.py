@@ -6,6 +6,7 @@ import numpy as np
 
 from deadtime.margins.constant_modes import DelayMargin, constant_delay_margin
 from deadtime.plant import SwitchedSystem
+from deadtime.synthesis.input_peak import largest_inputs
 from deadtime.synthesis.result import TradeOff
 from deadtime.synthesis.search import Search, Tried
 
@@ -41,7 +42,8 @@ class Exact:
 
     def shortfall(self, tried: Tried) -> float:
         """By how much it falls short of what is asked, 0 where it does not."""
-        return self.search.floors.shortfall(self.relative(tried), self.decay_rate(tried))
+        found = self.relative(tried), self.decay_rate(tried)
+        return self.search.floors.shortfall(*found, load=tried.load)
 
     def choose(self) -> Tried | None:
         """The cheapest that meets the request; else the one nearest to it.
@@ -62,13 +64,18 @@ class Exact:
     def trade_off(self, chosen: TradeOff | None) -> tuple[TradeOff, ...]:
         """Designs of which none is both wider and cheaper, few enough to draw; and the chosen.
 
-        Of those with the decay rate that is asked for, where there are any.
+        Of those with the decay rate that is asked for, and inputs within their limits, where there
+        are any.
         """
         points = [self._point(one) for one in self._front()]
         if chosen is not None:
             points = [chosen, *(point for point in points if point.law is not chosen.law)]
-        floor = self.search.floors.decay_rate
-        fast = [point for point in points if point.decay_rate >= floor] or points
+        floors = self.search.floors
+        fast = [
+            point
+            for point in points
+            if point.decay_rate >= floors.decay_rate and floors.load(point.input_peak) <= 1.0
+        ] or points
         kept, widest = [], 0.0
         for point in sorted(points, key=lambda point: (point.cost, -point.margin)):
             wider = point in fast and point.margin > widest
@@ -79,14 +86,16 @@ class Exact:
         return tuple(sorted(kept, key=lambda point: point.margin))
 
     def _point(self, one: Tried) -> TradeOff:
-        return TradeOff(one.law, one.step, self.relative(one), one.cost, self.decay_rate(one))
+        peak = largest_inputs(self.plant, one.law, one.step, self.search.floors.initial)
+        return TradeOff(one.law, one.step, self.relative(one), one.cost, self.decay_rate(one), peak)
 
     def _front(self) -> list[Tried]:
         """Of the front by estimated margins, a few with margins evenly apart."""
         floor = self.search.floors.decay_rate
         stable = sorted(self.search.stable, key=_price)
+        kept = [one for one in stable if (-one.growth >= floor or not floor) and one.load <= 1.0]
         best: list[Tried] = []
-        for one in [one for one in stable if -one.growth >= floor or not floor] or stable:
+        for one in kept or stable:
             if not best or one.margin > best[-1].margin:
                 best.append(one)
         if not best:

@@ -1,4 +1,4 @@
-"""The cost of a loop along its own run, compiled."""
+"""The cost and the inputs of a loop along its own runs, compiled."""
 
 from __future__ import annotations
 
@@ -75,3 +75,29 @@ def cost_of_run(Phi, Gamma, Q, lags, F, G, step, x0, block, most, done, R):
     if ratio >= 1.0:
         return np.inf, ratio
     return total + before * ratio / (1.0 - ratio), ratio
+
+
+@kernel(eager=True)
+def run_block(Phi, Gamma, lags, F, G, past, states, inputs):
+    """Runs from the rows of `states`, side by side, over as many periods as `inputs` has room for.
+
+    A row of `inputs` holds `past` periods before the block, then the block's own, which are filled
+    in; `states` are those at its end.
+    """
+    m, n = F.shape
+    taps = G.shape[1] // m
+    middle, u = np.empty(n), np.empty(m)
+    for run in range(states.shape[0]):
+        x, row = states[run], inputs[run]
+        for k in range(past, row.size // m):
+            window = row[(k - taps) * m : k * m]
+            for i in range(m):
+                value = np.dot(G[i], window)
+                for j in range(n):
+                    value += F[i, j] * x[j]
+                row[k * m + i] = value
+            for piece in range(lags.shape[0]):
+                for i in range(m):
+                    u[i] = row[(k - lags[piece, i]) * m + i]
+                advance(Phi[piece], Gamma[piece], x, u, middle)
+                x[:] = middle

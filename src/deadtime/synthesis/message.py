@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from deadtime.base.wording import amount
-from deadtime.synthesis.floors import DECAY, MARGIN, Floors
+from deadtime.base.wording import amount, input_names
+from deadtime.synthesis.floors import DECAY, LIMIT, MARGIN, Floors
 from deadtime.synthesis.limits import DelayLimit
 from deadtime.synthesis.result import TradeOff
 
@@ -54,32 +54,37 @@ def sentences(
             _price(found, plain),
             _decay(found, plain, floors.decay_rate),
         ]
+        inputs = _inputs(floors, found, plain)
+        text += [inputs] if inputs else []
     return " ".join([*text, _limits(limits, floors.margin)])
 
 
 def _answer(floors: Floors, reached: bool, found: TradeOff, evaluated: int) -> str:
     filtered = "" if found.time_constant is None else ", with a low-pass filter"
-    where = f"({percent(floors.margin)} asked){filtered}, at a step of {found.step:g} s."
+    asked = f" ({percent(floors.margin)} asked)" if floors.margin else ""
+    where = f"{asked}{filtered}, at a step of {found.step:g} s."
     if reached:
-        return f"Every constant mode stays stable {_while(found)} {where}"
+        return f"Every constant mode stays stable {_while(found)}{where}"
     return (
         f"Not reached: of {evaluated} designs that were tried, the one that comes nearest has a "
-        f"delay margin of {percent(found.margin)} {where} {_shortfall(floors, found)}"
+        f"delay margin of {percent(found.margin)}{where} {_shortfall(floors, found)}"
     )
 
 
 def _shortfall(floors: Floors, found: TradeOff) -> str:
     """Which of the requests it misses, and by how much."""
-    missed = floors.shortfalls(found.margin, found.decay_rate)
+    load = floors.load(found.input_peak)
+    missed = floors.shortfalls(found.margin, found.decay_rate, load)
     if not missed:
         return "Spectra at both ends of that margin do not confirm it."
     by = {
         MARGIN: f"{percent(floors.margin - found.margin, up=True)} of the delay",
         DECAY: f"{floors.decay_rate - found.decay_rate:.3g} /s",
+        LIMIT: percent(load - 1.0, up=True),
     }
     text = "It misses " + " and ".join(f"the {name} asked for by {by[name]}" for name in missed)
-    kept = MARGIN if missed == (DECAY,) else DECAY
-    return f"{text}, not the {kept}." if floors.decay_rate and len(missed) == 1 else f"{text}."
+    kept = [name for name in floors.asked if name not in missed]
+    return f"{text}, not the {' and the '.join(kept)}." if kept else f"{text}."
 
 
 def _while(found: TradeOff) -> str:
@@ -110,6 +115,26 @@ def _decay(found: TradeOff, plain: TradeOff, slowest: float) -> str:
     if math.isinf(plain.cost) or found.law is plain.law:
         return f"{text}."
     return f"{text}, the plain design at {plain.decay_rate:.3g} /s."
+
+
+def _inputs(floors: Floors, found: TradeOff, plain: TradeOff) -> str:
+    """How far each input goes, beside what it must stay below."""
+    limits, initial = floors.input_limit, floors.initial
+    if limits is None or initial is None or found.input_peak is None or plain.input_peak is None:
+        return ""
+    reach, parts = "may reach" if initial.kind == "normal" else "reaches", []
+    own_and_other = zip(found.input_peak, plain.input_peak, strict=True)
+    for name, limit, (peak, other) in zip(
+        input_names(len(limits)), limits, own_and_other, strict=True
+    ):
+        fails = "is not known to stay" if initial.kind == "normal" else "does not stay"
+        keeps = "stays below" if peak <= limit else f"{fails} below"
+        own = f"it {reach} {amount(peak)}"
+        if found.law is not plain.law:
+            other = "grows without bound" if math.isinf(other) else f"{reach} {amount(other)}"
+            own += f", the plain design's {other}"
+        parts.append(f"|{name}| {keeps} {limit:g} for {initial.text}: {own}.")
+    return " ".join(parts)
 
 
 def _limits(limits: Sequence[DelayLimit], asked: float) -> str:

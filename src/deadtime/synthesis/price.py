@@ -14,8 +14,10 @@ Lyapunov equation of order n + W m. No quadrature, so it is exact to round-off.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.feedback import Feedback
@@ -68,18 +70,11 @@ def cost_and_growth(
     from deadtime.numerics.exponential import energy_gramian
     from deadtime.synthesis.march import cost_of_run
 
-    A, B, step = read_only(plant.A[mode]), read_only(plant.B[mode]), feedback.step
-    pieces = SampledPlant(plant, step).pieces(mode)
-    Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
-    lags = np.stack([piece.stretch.lag for piece in pieces])
-    lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
+    one, step = periods_of(plant, feedback, mode), feedback.step
+    A, B = read_only(plant.A[mode]), read_only(plant.B[mode])
+    Phi, Gamma, lags, F, G, block = one.Phi, one.Gamma, one.lags, one.F, one.G, one.block
     Q, R = (None, None) if weight is None else (weight.Q, weight.R)
-    forms = np.stack([energy_gramian(A, B, length, Q) for length in lengths])
-    row = aged_row(feedback, mode)
-    F, G = np.ascontiguousarray(feedback.state_gain[row]), feedback.input_gain[row]
-    taps, m, _ = G.shape
-    G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
-    block = max(taps, int(lags.max()), _SHORTEST)
+    forms = np.stack([energy_gramian(A, B, length, Q) for length in one.lengths])
     total, growth = 0.0, -math.inf
     for x0 in np.eye(plant.states):
         cost, ratio = cost_of_run(Phi, Gamma, forms, lags, F, G, step, x0, block, blocks, _DONE, R)
@@ -89,3 +84,34 @@ def cost_and_growth(
         if ratio > 0.0:
             growth = max(growth, math.log(ratio) / (2.0 * block * step))
     return total / plant.states, growth
+
+
+class Periods(NamedTuple):
+    """A loop with one mode held, as its compiled runs take it.
+
+    Phi, Gamma, lags, lengths : of the pieces of a period
+    F, G : the law's row; G (m, taps·m) has the oldest tap first
+    block : periods that are run at a time, at least as many as inputs are remembered
+    """
+
+    Phi: Float[np.ndarray, "piece n n"]
+    Gamma: Float[np.ndarray, "piece n m"]
+    lags: Int[np.ndarray, "piece m"]
+    lengths: list[float]
+    F: Float[np.ndarray, "m n"]
+    G: Float[np.ndarray, "m taps_m"]
+    block: int
+
+
+def periods_of(plant: SwitchedSystem, feedback: Feedback, mode: int) -> Periods:
+    """One mode of a plant under the row of a mode that has been held throughout."""
+    pieces = SampledPlant(plant, feedback.step).pieces(mode)
+    Phi, Gamma = np.stack([one.Phi for one in pieces]), np.stack([one.Gamma for one in pieces])
+    lags = np.stack([piece.stretch.lag for piece in pieces])
+    lengths = [piece.stretch.stop - piece.stretch.start for piece in pieces]
+    row = aged_row(feedback, mode)
+    F, G = np.ascontiguousarray(feedback.state_gain[row]), feedback.input_gain[row]
+    taps, m, _ = G.shape
+    G = np.array(G[::-1].transpose(1, 0, 2), order="C").reshape(m, taps * m)
+    block = max(taps, int(lags.max()), _SHORTEST)
+    return Periods(Phi, Gamma, lags, lengths, F, G, block)

@@ -17,20 +17,20 @@ from deadtime.synthesis.search import MakeLaw
 
 def check_request(
     plant: SwitchedSystem,
-    delay_margin: float,
+    delay_margin: float | None,
     step: float,
     filtered: bool | None,
     longest_step: float | None,
     cost: str,
     dearest: float,
 ) -> float:
-    """The margin asked for, once the arguments make sense."""
+    """The margin asked for, 0 where none is, once the arguments make sense."""
     instance("plant", plant, SwitchedSystem)
-    asked = number("delay_margin", delay_margin)
-    if not 0.0 < asked < 1.0:
+    asked = 0.0 if delay_margin is None else number("delay_margin", delay_margin)
+    if delay_margin is not None and not 0.0 < asked < 1.0:
         raise ArgumentError(
             f"delay_margin must be above 0 and below 1, relative to the delay, got {asked:g}: "
-            "0.05 asks for ±5 %."
+            "0.05 asks for ±5 %; leave it out to ask for none."
         )
     step = positive("step", step)
     if longest_step is not None and positive("longest_step", longest_step) < step:

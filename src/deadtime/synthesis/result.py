@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from deadtime.laws import LowPassPredictor
 from deadtime.margins.constant_modes import DelayMargin
 from deadtime.plant import Weight
 from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.initial_states import InitialStates
 from deadtime.synthesis.limits import DelayLimit
 
 
@@ -35,6 +36,9 @@ class TradeOff:
     decay_rate : float
         How fast the slowest constant mode decays at the nominal delay, 1/s; negative where one
         grows.
+    input_peak : (m,) or None
+        What |u_j| stays at or below in every constant mode, from the states at the start that were
+        asked about (`input_peak`); ∞ where one is unstable.
     """
 
     law: Law
@@ -42,6 +46,7 @@ class TradeOff:
     margin: float
     cost: float
     decay_rate: float = 0.0
+    input_peak: Float[np.ndarray, " m"] | None = None
 
     @property
     def time_constant(self) -> Float[np.ndarray, "m m"] | None:
@@ -66,12 +71,12 @@ class Design(Frozen):
     margin : DelayMargin
         The exact margin of constant modes, as by `delay_margin(plant, law, step)`.
     asked : float
-        The margin asked for, relative to the delay, or to the shortest of several.
+        The margin asked for, relative to the delay, or to the shortest of several; 0 for none.
     decay_asked : float
         The decay rate asked for, 1/s; 0 where none was.
     reached : bool
-        Whether the margin is at least that, and the spectrum at both ends says so, too; and the
-        decay rate at least what was asked.
+        Whether the margin is at least that, and the spectrum at both ends says so, too; the decay
+        rate at least what was asked, and the inputs at most.
     growth : (2, modes)
         The growth rates at the true delays D (1 − asked) and D (1 + asked), 1/s.
     cost : float
@@ -92,6 +97,12 @@ class Design(Frozen):
         The same in sentences.
     weight : Weight or None
         Of the cost; None for the identity.
+    input_peak : (m,)
+        What |u_j| stays at or below in every constant mode, for `initial`.
+    input_limit : (m,) or None
+        What it was asked to stay below.
+    initial : InitialStates
+        The states at the start for which it does.
     """
 
     law: Law
@@ -111,10 +122,14 @@ class Design(Frozen):
     evaluated: int
     message: str
     weight: Weight | None = None
+    input_peak: Float[np.ndarray, " m"] | None = None
+    input_limit: Float[np.ndarray, " m"] | None = None
+    initial: InitialStates = field(default_factory=InitialStates.ball)
 
     def missed(self, point: TradeOff) -> tuple[str, ...]:
-        """What a point falls short of: of "margin" and "decay rate" those asked for in vain."""
-        return Floors(self.asked, self.decay_asked).shortfalls(point.margin, point.decay_rate)
+        """What it falls short of: of "margin", "decay rate", "input limit" those asked in vain."""
+        floors = Floors(self.asked, self.decay_asked, self.input_limit)
+        return floors.shortfalls(point.margin, point.decay_rate, floors.load(point.input_peak))
 
     def __repr__(self) -> str:
         return f"Design({self.message})"

@@ -18,6 +18,7 @@ from deadtime.plant import SwitchedSystem, Weight
 from deadtime.synthesis.assess import assess
 from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
+from deadtime.synthesis.input_peak import largest_inputs
 
 MakeLaw = Callable[[SwitchedSystem, np.ndarray], Law]
 Merit = Callable[["Tried | None"], float]
@@ -36,6 +37,7 @@ class Tried:
     """One design: its parameters, law, estimated margin (relative, 0 if unstable) and cost.
 
     growth : of the fastest mode, 1/s; negative where all decay, exact where a decay is asked for
+    load : the largest input beside its limit; 0 where none is asked for
     """
 
     family: Family
@@ -46,6 +48,7 @@ class Tried:
     margin: float
     cost: float
     growth: float
+    load: float = 0.0
 
 
 @dataclass
@@ -91,9 +94,16 @@ class Search:
             return None
         exact = self.floors.decay_rate > 0.0
         one = assess(self.plant, law, step, self.worst, _BLOCKS, exact, self.weight)
-        tried = Tried(family, step, parameters, choice, law, *one)
+        load = self.load(law, step) if one[0] > 0.0 else 0.0
+        tried = Tried(family, step, parameters, choice, law, *one, load)
         self.tried.append(tried)
         return tried
+
+    def load(self, law: Law, step: float) -> float:
+        """The largest input of the modes beside its limit; 0 where none is asked for."""
+        if not self.floors.limited:
+            return 0.0
+        return self.floors.load(largest_inputs(self.plant, law, step, self.floors.initial))
 
     def samples(self, family: Family, step: float, count: int, rng: np.random.Generator) -> None:
         """A Latin hypercube over the family's box, the same parameters for all modes."""
@@ -154,7 +164,7 @@ class Search:
 
     def shortfall(self, tried: Tried, slack: float = 1.0) -> float:
         """By how much the estimates fall short of the request."""
-        return self.floors.shortfall(tried.margin, -tried.growth, slack)
+        return self.floors.shortfall(tried.margin, -tried.growth, slack, tried.load)
 
     def ranking(self, merit: Merit) -> list[Tried]:
         """All that was tried, the best first."""

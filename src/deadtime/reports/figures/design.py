@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.plant.weight import PLAIN, text_of
-from deadtime.synthesis.floors import DECAY
+from deadtime.synthesis.floors import DECAY, LIMIT
 
 if TYPE_CHECKING:
     from deadtime.synthesis import Design, TradeOff
@@ -35,8 +35,9 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
     """Cost over delay margin, a panel per design: the trade-off, the answer, and the limits.
 
     The cost is relative to the cheapest design that was found, on a logarithmic axis. The chosen
-    design is ringed; hollow marks decay slower than was asked. Green is what some linear controller
-    of each mode alone reaches; what none reaches is shaded red. The legend lists what is drawn.
+    design is ringed; hollow marks decay slower, or need larger inputs, than was asked. Green is
+    what some linear controller of each mode alone reaches; what none reaches is shaded red. The
+    legend lists what is drawn.
 
     Parameters
     ----------
@@ -98,14 +99,14 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
         ),
         (any(_is_chosen(one) for one in designs.values()), Line2D([], [], label="chosen", **_RING)),
         (
-            any(DECAY in one.missed(point) for one, point in drawn),
+            any(_falls_short(one, point) for one, point in drawn),
             Line2D(
                 [],
                 [],
                 color="grey",
                 mfc="none",
                 marker="o",
-                label="hollow: slower than asked",
+                label=_hollow(designs),
                 **line,
             ),
         ),
@@ -113,7 +114,10 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
             any(math.isinf(point.margin) for _, point in drawn),
             Line2D([], [], color="grey", marker=">", label="stable whatever the delay", **line),
         ),
-        (True, Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label="margin asked for")),
+        (
+            any(one.asked for one in designs.values()),
+            Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label="margin asked for"),
+        ),
         (True, Patch(facecolor=REACHED, label="within reach, by mode")),
         (
             any(100.0 * most < _right(one) for one, most in limits),
@@ -131,7 +135,8 @@ def _panel(panel: Axes, design: Design) -> None:
     panel.axvspan(0.0, min(100.0 * reached, right), color=REACHED, linewidth=0.0, zorder=0)
     if 100.0 * most < right:
         panel.axvspan(100.0 * most, right, color=BEYOND, linewidth=0.0, zorder=0)
-    panel.axvline(100.0 * design.asked, color=COLOURS[1], linestyle="--", linewidth=1.0)
+    if design.asked:
+        panel.axvline(100.0 * design.asked, color=COLOURS[1], linestyle="--", linewidth=1.0)
     front = [point for point in _front(design) if math.isfinite(point.margin)]
     x, y = _coordinates(front, cheapest, right)
     panel.plot(x, y, color=COLOURS[0], linewidth=1.0)
@@ -156,13 +161,26 @@ def _mark(panel: Axes, design: Design, point: TradeOff, x: np.ndarray, y: np.nda
         shape, colour, size = "o", COLOURS[0], 4.0
     else:
         shape, colour, size = "s", COLOURS[2], 4.0
-    inside = "none" if DECAY in design.missed(point) else colour
+    inside = "none" if _falls_short(design, point) else colour
     panel.plot(x, y, shape, color=colour, mfc=inside, markersize=size, clip_on=False, zorder=3)
     if point.law is design.law:
         panel.plot(x, y, clip_on=False, zorder=4, **_RING)
     if math.isinf(point.margin):
         edge = panel.get_yaxis_transform()
         panel.plot([1.03], y, ">", color="grey", markersize=5.0, clip_on=False, transform=edge)
+
+
+def _falls_short(design: Design, point: TradeOff) -> bool:
+    """Of what the axes do not show."""
+    return bool({DECAY, LIMIT} & set(design.missed(point)))
+
+
+def _hollow(designs: Mapping[str, Design]) -> str:
+    limited = any(one.input_limit is not None for one in designs.values())
+    if not limited:
+        return "hollow: slower than asked"
+    slow = any(one.decay_asked for one in designs.values())
+    return "hollow: slow, or |u| too large" if slow else "hollow: |u| too large"
 
 
 def _points_to_draw(design: Design) -> list[TradeOff]:

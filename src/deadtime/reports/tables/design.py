@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,11 +13,15 @@ from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import record_of
 from deadtime.synthesis import Design, TradeOff
+from deadtime.synthesis.floors import LIMIT
 from deadtime.synthesis.message import percent
 
-HEADINGS = ("design", "delay margin", "cost", "decay, 1/s", "filter, s", "step, s", "misses")
+STEP = "step, s"
+HEADINGS = (
+    "design", "delay margin", "cost", "decay, 1/s", "peak |u|", "filter, s", STEP, "misses"
+)  # fmt: skip
 LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
-_FIGURES = ("margin", "cost", "decay_rate")
+_FIGURES = ("margin", "cost", "decay_rate", "input_peak")
 
 
 def design_rows(design: Design) -> list[tuple[str, ...]]:
@@ -26,7 +31,8 @@ def design_rows(design: Design) -> list[tuple[str, ...]]:
     for point in (design.plain, *others):
         names = ["plain"] if point is design.plain else []
         names += ["chosen"] if point.law is design.law and design.points else []
-        rows.append(_row(", ".join(names), point, ", ".join(design.missed(point)) or "–"))
+        missed = ["|u|" if name == LIMIT else name for name in design.missed(point)]
+        rows.append(_row(", ".join(names), point, ", ".join(missed) or "–"))
     return rows
 
 
@@ -35,7 +41,9 @@ def _row(name: str, point: TradeOff, missed: str) -> tuple[str, ...]:
     slowest = "–" if T is None else f"{np.abs(np.linalg.eigvals(T)).max():.3g}"
     decay = f"{point.decay_rate:.3g}" if point.decay_rate > 0.0 else "–"
     step = f"{point.step:g}"
-    return name, percent(point.margin), compact(point.cost), decay, slowest, step, missed
+    known = [] if point.input_peak is None else point.input_peak.tolist()
+    peaks = ", ".join("–" if math.isinf(peak) else compact(peak) for peak in known)
+    return name, percent(point.margin), compact(point.cost), decay, peaks, slowest, step, missed
 
 
 def limit_rows(design: Design, modes: Sequence[str]) -> list[tuple[str, ...]]:
@@ -94,12 +102,13 @@ def design_record(design: Design) -> dict[str, Any]:
         for point in design.points
     ]
     return plain({
-        **record(design, "asked", "decay_asked", "reached"),
+        **record(design, "asked", "decay_asked", "input_limit", "reached"),
+        "initial": record(design.initial, "kind", "size", "probability"),
         "delay_margin": record(design.margin, "relative", "lower", "upper"),
         "growth_at_both_ends": design.growth,
         **record(design, "gains", "time_constant", "step", "cost"),
         **record_of(design.weight),
-        "decay_rate": design.decay_rate,
+        **record(design, "decay_rate", "input_peak"),
         "plain": record(design.plain, *_FIGURES),
         "limits": [record(limit, "reached", "most") for limit in design.limits],
         "points": points,

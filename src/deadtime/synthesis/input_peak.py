@@ -1,0 +1,221 @@
+"""How large the inputs become: the worst over initial states, or with a probability.
+
+With one mode held and no inputs in the past every input is linear in the state at the start,
+u_k = M_k x(0), and held over its period, so the largest over samples is the largest over time. M_k
+comes from n runs. Over a set of initial states the largest |u_k| is a closed form of each row
+(`deadtime.synthesis.initial_states`), and no bound.
+
+Of x(0) ~ N(0, X) the spread of every u_k is exact, σ_k² = M_k X M_kᵀ. The probability that |u_k|
+stays below a level c at all k is not a closed form, and lies between
+
+    max(F_n(c²/max_k σ_k²), Π_k P(|u_k| ≤ c))    and    min_k P(|u_k| ≤ c),
+
+with F_n the distribution of χ² with as many degrees as X has directions: within the ellipsoid of
+that size no u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical
+Association 62, 626–633, 1967). With one state the bounds meet.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import bound, instance, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.feedback import Feedback, Law
+from deadtime.feedback.law import TableLaw, require_match
+from deadtime.plant import SwitchedSystem
+from deadtime.synthesis.initial_states import InitialStates
+from deadtime.synthesis.price import periods_of
+
+_DONE = 1e-6  # of the largest input: a block that stays below is the last
+_GROWS = 1e9  # times the first inputs
+_MOST = 200_000  # samples
+_HALVINGS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class InputPeak(Frozen):
+    """The largest inputs of a loop with one mode held (immutable).
+
+    Attributes
+    ----------
+    initial : InitialStates
+        The states that it starts from.
+    level : (modes, m)
+        What |u_j(t)| stays at or below: over a set its exact maximum; under a normal x(0) a level
+        kept with the probability asked for at least. ∞ where a mode is unstable.
+    least : (modes, m)
+        No lower level is kept: the same as `level` over a set; under a normal x(0) a bound.
+    time : (modes, m)
+        When the largest value is attained, s; NaN where a mode is unstable.
+    """
+
+    initial: InitialStates
+    level: Float[np.ndarray, "mode m"]
+    least: Float[np.ndarray, "mode m"]
+    time: Float[np.ndarray, "mode m"]
+
+
+def input_peak(
+    plant: SwitchedSystem, law: Law, step: float = 0.01, initial: InitialStates | None = None
+) -> InputPeak:
+    """How large each input becomes, with each mode held and no inputs in the past.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The truth; the law has a model of its own.
+    law : Law
+        A law that is a table, and foresees nothing.
+    step : float
+        Sampling period h, s.
+    initial : InitialStates, optional
+        The ball |x(0)| ≤ 1 by default.
+
+    Returns
+    -------
+    InputPeak
+        Of the samples until the inputs have fallen to 1e-6 of their largest.
+
+    Raises
+    ------
+    ArgumentError
+        If the law is no table, or foresees the signal; if sizes do not match.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.2)
+    >>> law = dt.SingleModePredictor(plant, [[[-2.0]]], 0)
+    >>> found = input_peak(plant, law, 0.05, dt.InitialStates.ball(3.0))
+    >>> float(found.level[0, 0].round(6)), float(found.time[0, 0])     # 2 e^0.2 · 3 at once
+    (7.328417, 0.0)
+    """
+    instance("plant", plant, SwitchedSystem)
+    instance("law", law, Law)
+    if not isinstance(law, TableLaw) or law.foresees:
+        raise ArgumentError(
+            f"law must be a table that can run, got {type(law).__name__}: inputs are linear in "
+            "x(0) only of such a law."
+        )
+    require_match(plant, law)
+    step, initial = positive("step", step), check_initial(initial, plant)
+    table = law.digital(step)
+    found = [mode_levels(plant, table, mode, initial) for mode in range(plant.modes)]
+    level, least, at = (np.array(part) for part in zip(*found, strict=True))
+    time = np.where(np.isfinite(level), at * step, np.nan)
+    return InputPeak(initial, level, least, time)
+
+
+def check_initial(initial: InitialStates | None, plant: SwitchedSystem) -> InitialStates:
+    """What the states at the start are, the unit ball by default."""
+    if initial is None:
+        return InitialStates.ball()
+    instance("initial", initial, InitialStates)
+    initial.require_size(plant.states)
+    return initial
+
+
+def limits_asked(
+    plant: SwitchedSystem, input_limit: ArrayLike | None
+) -> Float[np.ndarray, " m"] | None:
+    """What |u_j| must stay below, (m,); None where nothing is asked."""
+    if input_limit is None:
+        return None
+    limit = bound("input_limit", input_limit, plant.inputs)
+    if not (limit > 0.0).all():
+        raise ArgumentError(
+            f"input_limit must be positive, in the inputs' units, got {limit.tolist()}: it says "
+            "what |u| must stay below."
+        )
+    return limit
+
+
+def largest_inputs(
+    plant: SwitchedSystem, law: Law, step: float, initial: InitialStates | None
+) -> Float[np.ndarray, " m"]:
+    """The level of every input in the mode in which it is largest."""
+    table, initial = law.digital(step), check_initial(initial, plant)
+    levels = [mode_levels(plant, table, mode, initial)[0] for mode in range(plant.modes)]
+    return np.max(levels, axis=0)
+
+
+def mode_levels(
+    plant: SwitchedSystem, feedback: Feedback, mode: int, initial: InitialStates
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """The level of every input with one mode held, what no lower one is kept than, and when, k."""
+    rows = input_rows(plant, feedback, mode)
+    if rows is None:
+        infinite = np.full(plant.inputs, math.inf)
+        return infinite, infinite, np.zeros(plant.inputs, np.int64)
+    sizes = _sizes(rows, initial)
+    at, most = sizes.argmax(axis=0), sizes.max(axis=0)
+    if initial.kind != "normal":
+        return most, most, at
+    directions = int(np.linalg.matrix_rank(initial.size))
+    pairs = [_spread_levels(column, directions, initial.probability) for column in sizes.T]
+    level, least = (np.array(part) for part in zip(*pairs, strict=True))
+    return level, least, at
+
+
+def _sizes(rows: Float[np.ndarray, "k m n"], initial: InitialStates) -> Float[np.ndarray, "k m"]:
+    """Of every sample and input the largest |u| over the set, or its standard deviation."""
+    if initial.kind == "ball":
+        return initial.size * np.linalg.norm(rows, axis=2)
+    if initial.kind == "box":
+        return np.abs(rows) @ initial.size
+    values, vectors = np.linalg.eigh(initial.size)
+    return np.linalg.norm(rows @ (vectors * np.sqrt(np.maximum(values, 0.0))), axis=2)
+
+
+def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[float, float]:
+    """Levels that are kept with a probability at least, and below which none is; see the module."""
+    from scipy.special import chdtri, erf, erfinv
+
+    most = float(sigma.max())
+    least = most * math.sqrt(2.0) * float(erfinv(part))
+    within = most * math.sqrt(float(chdtri(directions, 1.0 - part)))
+    moving = sigma[sigma > _DONE * most]
+    if not moving.size:
+        return 0.0, 0.0
+    low, high = least, within  # the smaller of both bounds lies between, or is `within`
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        kept = np.log(erf(middle / (math.sqrt(2.0) * moving))).sum() >= math.log(part)
+        low, high = (low, middle) if kept else (middle, high)
+    return high, least
+
+
+def input_rows(
+    plant: SwitchedSystem, feedback: Feedback, mode: int
+) -> Float[np.ndarray, "k m n"] | None:
+    """M_k of u_k = M_k x(0), until they have fallen to 1e-6 of the largest; None if they grow."""
+    from deadtime.synthesis.march import run_block
+
+    one = periods_of(plant, feedback, mode)
+    m, n = one.F.shape
+    past = max(one.G.shape[1] // m, int(one.lags.max()))
+    states, inputs = np.eye(n), np.zeros((n, (past + one.block) * m))
+    blocks, largest, first, size = [], 0.0, 0.0, 0.0
+    for _ in range(-(-_MOST // one.block)):
+        run_block(one.Phi, one.Gamma, one.lags, one.F, one.G, past, states, inputs)
+        new = inputs[:, past * m :].reshape(n, one.block, m).transpose(1, 2, 0).copy()
+        inputs[:, : past * m] = inputs[:, one.block * m :].copy()
+        size = float(np.abs(new).max())
+        first = first or size
+        if not size < _GROWS * first and size > 0.0:
+            return None
+        blocks.append(new)
+        largest = max(largest, size)
+        if size <= _DONE * largest:
+            break
+    else:  # slow: it grows, or decays
+        if size >= np.abs(blocks[len(blocks) // 2]).max():
+            return None
+    return np.concatenate(blocks)
