@@ -296,14 +296,14 @@ ZERO = dt.SwitchedSystem([[[0.0, 1.0], [0.0, -1.0]]], [[[0.0], [1.0]]], 0.3)
         ),
         (
             lambda: dt.Servo(ZERO, np.eye(2)),
-            "mode 0 cannot hold the tracked outputs at every reference: rank [A B; HC 0] = 3 < 4",
+            "tracked must have at most as many rows as there are inputs, 1, got 2",
         ),
         (lambda: dt.Servo(MODEL, C.T), "C must have n = 3 columns"),
         (lambda: dt.Servo(MODEL, C, [[1.0]]), "tracked must have one column per output, 2, got"),
         (lambda: dt.Servo(MODEL, C, [1.0, 1.0]), "tracked must have shape (r, p), got (2,)"),
         (
             lambda: dt.Servo(MODEL, C, disturbance=E.T),
-            "disturbance must have shape (n, k) = (3, 3), got (1, 3)",
+            "disturbance must have n = 3 rows and a column per constant force",
         ),
         (lambda: SERVO.place([-1, -2, -3]), "poles must have shape (n,) = (5,)"),
         (lambda: SERVO.lqr(np.eye(3), np.eye(2)), "Q must have shape (n, n) = (5, 5)"),

@@ -114,6 +114,30 @@ regions = [
 ]
 """), end='[[law]]\nkind = "state-dependent"\n'),
     _with((_SIGNAL, 'kind = "quadratic"\nS = [[[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0]]]')),
+    _with((_POLES, "poles = [-1.0, -2.0, -3.0]"), ("u0 = [0.5]\n", ""), end="""
+[servo]
+tracked = ["x"]
+reference = { times = [0.0, 2.0], values = [0.0, 1.0] }
+integral = true
+[observer]
+kind = "luenberger"
+C = [[1.0, 0.0]]
+outputs = ["x"]
+poles = [-4.0, -5.0]
+"""),
+    _with(("poles", "allow_unstable = false\npoles"), end="""
+[[law]]
+kind = "averaged"
+[servo]
+tracked = [[0.0, 1.0]]
+reference = [0.5]
+integral = false
+disturbance = [[0.0], [1.0]]
+[observer]
+kind = "luenberger"
+C = [[1.0, 0.0], [0.0, 1.0]]
+poles = [-4.0, -5.0, -6.0]
+"""),
     _with((_SIGNAL, 'kind = "log"\nfile = "log.csv"\nlabels = { idle = 0, busy = 1 }\n')),
 )  # fmt: skip
 

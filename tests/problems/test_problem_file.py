@@ -171,7 +171,7 @@ BAD = [
     ("step = 0.1", 'step = 0.1\nu0 = "a"', r"line 18: run\.u0 must be a number or \(m,\), such as u0 = \[0\.0\], got 'a'"),
     ("[signal]", "[[signal]]", r"line 9: signal must be one table, begun by \[signal\], got a list"),
     ("step = 0.1", 'step = 0.1\n[law]\nkind = "mean"', r"line 18: law must be a list of tables, each begun by \[\[law\]\], got a table"),
-    ("step = 0.1", "step = 0.1\n[servo]\npoles = [-1.0]", r"line 18: servo is not known: it can be one of title, source, plant"),
+    ("step = 0.1", "step = 0.1\n[tracking]\npoles = [-1.0]", r"line 18: tracking is not known: it can be one of title, source, plant"),
     ("step = 0.1", "step = 0.1\nreference = 1.0", r"line 18: run\.reference is not known: it can be one of x0, horizon, step"),
     ("step = 0.1", 'step = 0.1\n[switching]\nkind = "semi-markov"\nsojourn = { distribution = "expon", scale = {} }', r"line 20: switching\.sojourn\.scale: input should be a valid number"),
     ("[[0.5, 1.0]", "[[1e308, 1e308]", r"line 2, \[plant\]: delay must be short enough for e\^\(A·delay\)"),

@@ -172,8 +172,13 @@ def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | No
 
 def _oracle(problem: Problem) -> Law:
     """The law that knows the signal; on the estimates of the others' observer, if they have one."""
-    law = ExactPredictor(problem.model or problem.plant, problem.gains, allow_unstable=True)
+    plant, gains = problem.model or problem.plant, problem.gains
     first = next((one for one in problem.laws.values() if isinstance(one, OutputFeedback)), None)
+    followed = {}
+    if first is not None and first.servo is not None and first.law.gains is not None:
+        plant, gains = first.law.plant, first.law.gains
+        followed = {"servo": first.servo, "reference": first.reference}
+    law = ExactPredictor(plant, gains, allow_unstable=True)
     if first is None:
         return law
-    return OutputFeedback(law, first.observer, estimate=first.estimate)
+    return OutputFeedback(law, first.observer, estimate=first.estimate, **followed)

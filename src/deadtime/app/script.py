@@ -13,6 +13,8 @@ import deadtime
 from deadtime import imperfections
 from deadtime.base.version import __version__
 from deadtime.base.wording import file_name, one_line
+from deadtime.estimation import Servo
+from deadtime.estimation.reference import Reference
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.switching.models.sojourns import Fixed
@@ -147,6 +149,8 @@ class _Writer:
             return _quote(value)
         if isinstance(value, Fixed):
             return repr(value.length)
+        if isinstance(value, Reference) and value.schedule is not None:
+            return self._expression((value.schedule.times, value.schedule.values))
         if type(value).__module__.startswith("deadtime."):
             return self._call(value)
         return repr(value)
@@ -192,7 +196,20 @@ def _given(value: Any, name: str, default: Any) -> Any:
     """What an object was given for an argument."""
     if name == "delay" and isinstance(value, SwitchedSystem):
         return value.delay_data
+    if isinstance(value, Servo):
+        return _given_servo(value, name)
     return getattr(value, name, default)
+
+
+def _given_servo(servo: Servo, name: str) -> Any:
+    """What a servo was given: its parts, of which `plant` and `C` are those with more states."""
+    if name == "plant":
+        return servo.base
+    if name == "C":
+        return servo.C[:, :, : servo.base.states]
+    if name == "disturbance" and not servo.disturbance.size:
+        return None
+    return getattr(servo, name)
 
 
 def _is_default(value: Any, default: Any) -> bool:

@@ -142,6 +142,17 @@ def subscript(number: int) -> str:
     return str(number).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
 
 
+def numbered(letter: str, count: int) -> tuple[str, ...]:
+    """Names for as many signals.
+
+    Examples
+    --------
+    >>> numbered("x", 2)
+    ('x₁', 'x₂')
+    """
+    return tuple(f"{letter}{subscript(i + 1)}" for i in range(count))
+
+
 def input_names(count: int) -> tuple[str, ...]:
     """What inputs are called that have no names.
 

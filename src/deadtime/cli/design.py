@@ -89,6 +89,12 @@ def design(
     from deadtime.synthesis import design as designed
 
     chosen = problem_of(problem)
+    if chosen.tracked:
+        raise ArgumentError(
+            f"the problem {chosen.name!r} follows a reference, and design is for laws that bring "
+            "the state to 0: take its poles or weights for (x, q) by hand, and judge them with "
+            "deadtime loop."
+        )
     plant, gains = chosen.plant, chosen.gains
     if mode is not None:
         one = slice(index("mode", mode, plant.modes), mode + 1)

@@ -40,7 +40,8 @@ def loop(
 ) -> int:
     """How near −1 is the loop? Bode, Nyquist, sensitivity and step response of every mode.
 
-    The step is a constant 1 at an input of the plant, where nothing is tracked.
+    The step is one of a reference; where nothing is tracked, a constant 1 at an input of the
+    plant.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def loop(
     at
         Where the loop is cut open: at the plant's inputs, or at what is measured.
     channel
-        Which input is pushed, from 0.
+        Which input is pushed, from 0; in a file with a [servo], which reference steps.
     output
         Which state, or which output where an observer runs, is shown then, from 0.
     out
@@ -77,8 +78,10 @@ def loop(
             step_response(*args, mode, chosen.step, channel=channel, output=output)
             for mode in range(chosen.plant.modes)
         ]
-        shown = _shown(chosen, asked, output)
-        if len(chosen.inputs) > 1:
+        shown = _shown(chosen, asked, channel if chosen.tracked else output)
+        if chosen.tracked:
+            pushed = "its reference"
+        elif len(chosen.inputs) > 1:
             pushed = f"input {chosen.inputs[channel]}"
     path = Path(f"{chosen.name}-loop.png") if out is None else out
     path = path if path.suffix else path.with_suffix(".png")
@@ -110,8 +113,10 @@ def _row(name: str, growth: float, view: ModeView) -> list[str]:
 
 def _shown(problem: Problem, law: Law, output: int) -> str:
     """What answers the step, by its name."""
+    if problem.tracked:
+        return problem.tracked[output]
     if law.outputs is not None:
-        return f"output {output}"
+        return problem.outputs[output] if problem.outputs else f"output {output}"
     return problem.states[output] if problem.states else f"x[{output}]"
 
 

@@ -131,7 +131,7 @@ def save_data(data: xr.Dataset, path: Path) -> None:
     """
     try:
         if path.suffix.lower() == ".csv":
-            frame = data.to_dataframe(dim_order=["law", "scenario"])
+            frame = _flat(data).to_dataframe(dim_order=["law", "scenario"])
             frame.reset_index().to_csv(path, index=False)
             return
         texts = {
@@ -141,6 +141,15 @@ def save_data(data: xr.Dataset, path: Path) -> None:
         data.assign_attrs(texts).to_netcdf(path, engine="scipy")
     except OSError as error:
         raise ArgumentError(f"data {str(path)!r} cannot be written: {error.strerror}.") from None
+
+
+def _flat(data: xr.Dataset) -> xr.Dataset:
+    """Figures of every tracked output as variables of their own, RiseTime[0], …."""
+    for name in [str(name) for name, one in data.items() if "output" in one.dims]:
+        for output in range(data.sizes["output"]):
+            data[f"{name}[{output}]"] = data[name].isel(output=output, drop=True)
+        data = data.drop_vars(name)
+    return data.drop_vars("output", errors="ignore")
 
 
 def _period(problem: Problem, step: float | None) -> float:
@@ -241,6 +250,7 @@ def _print(problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summar
     """Heading, remarks and tables on the terminal."""
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
+    from deadtime.reports.tables import tracking
 
     dwell, mean = sojourn.dwell.value, sojourn.mean.value
     signals = "signal" if outcome.scenarios == 1 else "signals"
@@ -267,6 +277,9 @@ def _print(problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summar
     print(f"/ {outcome.reference}: the median of the ratio on the same signal.")
     print("\n∫|x|²")
     print_table(outcome.headings[:4], outcome.rows_of_ise())
+    for i in range(len(problem.tracked)):
+        print(f"\n{tracking.heading_of(problem, i)}, medians")
+        print_table(tracking.HEADINGS, tracking.rows_of_many(data, i))
 
 
 def _record(
@@ -274,6 +287,7 @@ def _record(
 ) -> dict[str, object]:
     """The results for JSON."""
     from deadtime.plant.weight import record_of
+    from deadtime.reports.tables import tracking
 
     return {
         "problem": problem.name,
@@ -286,4 +300,5 @@ def _record(
         "reference": outcome.reference,
         **record_of(problem.weight),
         "laws": outcome.records(),
+        **tracking.record_of_many(problem, data),
     }

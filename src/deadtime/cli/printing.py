@@ -45,11 +45,15 @@ def print_heading(title: str, sentences: Iterable[str] = ()) -> None:
 
 
 def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
+    from deadtime.reports.tables import tracking
     from deadtime.reports.verdict import HEADINGS, table
 
     print_heading(problem.title, sentences)
     print()
     print_table(HEADINGS, table(result))
+    for i in range(len(problem.tracked)):
+        print(f"\n{tracking.heading_of(problem, i)}")
+        print_table(tracking.HEADINGS, tracking.rows_of_runs(result.runs, i))
 
 
 def print_answers(title: str, answers: Sequence[Answer]) -> None:

@@ -124,7 +124,7 @@ class RunningLaw:
             If a shape is wrong, the mode is missing where the law reads it, or `belief` is not ≥ 0
             with sum 1; nothing is changed then.
         """
-        x = vector("x", x, self.measured)
+        x = vector("x" if self.law.outputs is None else "y", x, self.measured)
         applied = None if applied is None else vector("applied", applied, self._u.size)
         self._require(mode, reference)
         told = None if belief is None else self._require_belief(belief)
@@ -160,7 +160,14 @@ class RunningLaw:
     def _require(self, mode: int | None, reference: ArrayLike | None) -> None:
         """Refuse a call that lacks or misshapes something, before anything is changed."""
         if self.reads_mode and mode is None:
-            raise ArgumentError("mode must be given: the rows of this law depend on it.")
+            reader = (
+                "the rows of this law" if self.observing is None else "its observer and its law"
+            )
+            raise ArgumentError(
+                f"mode must be given: {reader} depend on it. It is one of 0 to "
+                f"{self.law.plant.modes - 1}; where nothing measures it, a `BeliefPredictor` tells "
+                "it from x or y."
+            )
         if reference is None:
             return
         if self.observing is None:

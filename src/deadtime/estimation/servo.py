@@ -37,10 +37,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import instance, positive, real_array
+from deadtime.base.checks import as_floats, instance, positive, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.estimation.observer import output_matrices, per_mode
+from deadtime.estimation.reference import check_reference
 from deadtime.gains import state_feedback as design
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.discretisation import finite_discretisation
@@ -125,10 +126,7 @@ class Servo(Frozen):
             raise ArgumentError(
                 f"tracked must have one column per output, {C.shape[1]}, got {H.shape}."
             )
-        E = np.zeros((modes, n, 0))
-        if disturbance is not None:
-            columns = np.shape(disturbance)[-1] if np.ndim(disturbance) else 0
-            E = per_mode("disturbance", disturbance, modes, (n, columns), "(n, k)")
+        E = np.zeros((modes, n, 0)) if disturbance is None else _forces(disturbance, plant)
         model = _extend(plant, E)
         seen = np.concatenate((C, np.zeros((modes, C.shape[1], E.shape[2]))), axis=2)
         vars(self).update(
@@ -147,13 +145,13 @@ class Servo(Frozen):
         self, poles: ArrayLike | Sequence[ArrayLike], step: float | None = None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z with the poles of (x, q), n plus the size of q, given as for `place`."""
-        return self._complete(design.place(self.driven, poles, step), step)
+        return self.complete(design.place(self.driven, poles, step), step)
 
     def lqr(
         self, Q: ArrayLike, R: ArrayLike, step: float | None = None
     ) -> Float[np.ndarray, "mode m z"]:
         """Gains on z whose part on (x, q) is that of `lqr`, with Q of the size of (x, q)."""
-        return self._complete(design.lqr(self.driven, Q, R, step), step)
+        return self.complete(design.lqr(self.driven, Q, R, step), step)
 
     @property
     def moving(self) -> Int[np.ndarray, " xq"]:
@@ -171,12 +169,29 @@ class Servo(Frozen):
         A, B = self.plant.A[:, keep][:, :, keep], self.plant.B[:, keep]
         return self.plant.like(A, B)
 
-    def _complete(
-        self, K: Float[np.ndarray, "mode m xq"], step: float | None
-    ) -> Float[np.ndarray, "mode m z"]:
-        """Gains on z from gains on (x, q)."""
+    def complete(self, K: ArrayLike, step: float | None = None) -> Float[np.ndarray, "mode m z"]:
+        """Gains on z from gains on (x, q), which must make every mode decay.
+
+        Parameters
+        ----------
+        K : array_like, shape (modes, m, n + size of q)
+            As `place` and `lqr` of `driven` give them.
+        step : float, optional
+            The sampling period that they are for, seconds; None: the loop is continuous.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.3)
+        >>> servo = dt.Servo(plant, C=[[1.0]])
+        >>> servo.complete([[[-3.0, -2.0]]]).round(3)      # poles -1 and -2
+        array([[[-3.   , -2.   ,  2.067]]])
+        """
         n, k = self.base.states, self.disturbance.shape[2]
         step = None if step is None else positive("step", step)
+        shape = self.base.modes, self.base.inputs, n + self.sums
+        K = require_shape("K", real_array("K", K, "(modes, m, xq)", 3), shape, "(modes, m, xq)")
+        _require_decay(self.driven, K, step)
         rest = [self._rest(i) for i in range(self.base.modes)]
         shift = self._shift(K, [X[:, k:] for X, _ in rest], step)
         result = []
@@ -185,6 +200,37 @@ class Servo(Frozen):
             onward[:, k:] -= gain[:, n:] @ shift
             result.append(np.hstack((gain[:, :n], onward[:, :k], gain[:, n:], onward[:, k:])))
         return np.stack(result)
+
+    def steady_input(
+        self, reference: ArrayLike, force: ArrayLike | None = None
+    ) -> Float[np.ndarray, "mode m"]:
+        """The constant input that holds the tracked outputs at a reference, in every mode.
+
+        A_i x + B_i u + c_i = 0 and H C_i x = r; the smallest (x, u) where there are several.
+
+        Parameters
+        ----------
+        reference : array_like
+            r: a number, or shape (tracked,).
+        force : array_like, shape (n,) or (modes, n), optional
+            c: a constant force on dx/dt; 0 by default.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> plant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], [[[1.0]], [[1.0]]], delay=0.3)
+        >>> dt.Servo(plant, C=[[1.0]]).steady_input(3.0, force=[-0.5]).round(6).tolist()
+        [[3.5], [6.5]]
+        """
+        n, modes = self.base.states, self.base.modes
+        r = check_reference(reference, self.tracked.shape[0])
+        c = np.zeros(n) if force is None else as_floats("force", force, "(n,) or (modes, n)")
+        c = np.tile(c, (modes, 1)) if c.ndim == 1 else c
+        c = require_shape(
+            "force", real_array("force", c, "(modes, n)", 2), (modes, n), "(modes, n)"
+        )
+        held = [np.linalg.lstsq(self._regulator(i), np.r_[-c[i], r])[0] for i in range(modes)]
+        return np.stack(held)[:, n:]
 
     def _rest(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """X = [X_d, X_r] and U = [U_d, U_r], the smallest where there are several."""
@@ -203,12 +249,20 @@ class Servo(Frozen):
     def _require_regular(self, i: int) -> None:
         matrix = self._regulator(i)
         rank = int(np.linalg.matrix_rank(matrix))
-        if rank < len(matrix):
+        if rank == len(matrix):
+            return
+        r, m = len(self.tracked), self.base.inputs
+        if r > m:
             raise ArgumentError(
-                f"mode {i} cannot hold the tracked outputs at every reference: "
-                f"rank [A B; HC 0] = {rank} < {len(matrix)}: track fewer outputs than there are "
-                "inputs, and none that a constant input does not move."
+                f"tracked must have at most as many rows as there are inputs, {m}, got {r}: "
+                f"{m} constant inputs hold no more than {m} outputs. Choose them by tracked, such "
+                f"as {np.eye(m, self.tracked.shape[1]).astype(int).tolist()}."
             )
+        raise ArgumentError(
+            f"mode {i} cannot hold the tracked outputs at every reference: rank [A B; HC 0] = "
+            f"{rank} < {len(matrix)}. There is an output that no constant input moves, as the "
+            "speed of something that must come to rest; track another one, such as its position."
+        )
 
     def _shift(
         self, K: np.ndarray, X_r: list[np.ndarray], step: float | None
@@ -221,7 +275,6 @@ class Servo(Frozen):
             return np.zeros((0, r))
         driven, weight = self.driven, np.zeros((n + r, n + r))
         qq, qx = np.zeros((r, r)), np.zeros((r, r))
-        _require_decay(driven, K, step)
         for i, X in enumerate(X_r):
             HC = self.tracked @ self.C[i, :, :n]
             weight[:n, :n] = HC.T @ HC
@@ -255,6 +308,18 @@ def _require_decay(
                 f"gains must make (x, q) decay in every mode; mode {i} has the rate {rate:+.3g} "
                 "1/s: poles must lie left of the imaginary axis."
             )
+
+
+def _forces(disturbance: ArrayLike, plant: SwitchedSystem) -> Float[np.ndarray, "mode n k"]:
+    """E of every mode."""
+    modes, n = plant.modes, plant.states
+    shape = np.shape(disturbance)
+    if len(shape) not in (2, 3) or shape[-2] != n:
+        raise ArgumentError(
+            f"disturbance must have n = {n} rows and a column per constant force, shape (n, k) or "
+            f"(modes, n, k), such as {np.eye(n, 1, 1 - n).tolist()} on the last state, got {shape}."
+        )
+    return per_mode("disturbance", disturbance, modes, (n, shape[-1]), "(n, k)")
 
 
 def _extend(plant: SwitchedSystem, E: Float[np.ndarray, "mode n k"]) -> SwitchedSystem:

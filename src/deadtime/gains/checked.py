@@ -32,6 +32,15 @@ def require_hurwitz(
     """Refuse a gain that leaves A + B K unstable, unless the caller says it is meant."""
     rightmost = rightmost_eigenvalue(name, place, A, B, K)
     if rightmost >= 0.0 and not allow_unstable:
+        constant = ~(A.any(axis=1) | B.any(axis=1))
+        moving = (A + B @ K)[np.ix_(~constant, ~constant)]
+        if constant.any() and np.linalg.eigvals(moving).real.max(initial=-1.0) < 0.0:
+            which = ", ".join(f"x[{j}]" for j in np.flatnonzero(constant))
+            raise ArgumentError(
+                f"{name} cannot make A + B K of {place} decay: {which} never moves (its rows of A "
+                "and B are 0), as the disturbance and the reference in `Servo.plant`. The rest "
+                "decays: allow_unstable = True accepts it."
+            )
         raise ArgumentError(
             f"{name} leaves A + B K of {place} unstable (rightmost eigenvalue at "
             f"{rightmost:+.4g} 1/s): the sign is u = +K x, and gains belong to one plant; "

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.base.wording import input_names, subscript
+from deadtime.base.wording import input_names, numbered
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
 from deadtime.laws import (
@@ -20,7 +20,7 @@ from deadtime.laws import (
 )
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
-from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching import Markov, Rule, SemiMarkov, SwitchingSignal
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,8 @@ class Problem(Frozen):
         is about.
     states, modes, inputs : tuple of str
         Names of states and inputs (with units) and of the modes, for figures; numbered by default.
+    outputs, tracked : tuple of str
+        Names of what laws that measure outputs are told, and of what follows a reference.
     notes : tuple of str
         What a reader should know about choices that the source leaves open.
     published : tuple of Published
@@ -62,6 +64,8 @@ class Problem(Frozen):
         None: the shortest sojourn of `signal`.
     mean_sojourn : float or None
         The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
+    switching : Markov, SemiMarkov or None
+        A model of how its mode switches, which Monte Carlo draws from; None: it states none.
     model : SwitchedSystem or None
         What gains and laws were made for, where `plant`, the truth, differs from it.
     imperfections, seed, predict
@@ -84,11 +88,14 @@ class Problem(Frozen):
     states: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    tracked: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     published: tuple[Published, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     dwell_time: float | None = None
     mean_sojourn: float | None = None
+    switching: Markov | SemiMarkov | None = None
     model: SwitchedSystem | None = None
     imperfections: tuple[Imperfection, ...] = ()
     seed: int = 0
@@ -97,8 +104,7 @@ class Problem(Frozen):
 
     def __post_init__(self) -> None:
         if not self.states:
-            names = tuple(f"x{subscript(i + 1)}" for i in range(self.plant.states))
-            object.__setattr__(self, "states", names)
+            object.__setattr__(self, "states", numbered("x", self.plant.states))
         if not self.modes:
             names = tuple(f"mode {i}" for i in range(self.plant.modes))
             object.__setattr__(self, "modes", names)

@@ -10,6 +10,7 @@ import math
 from deadtime.base.wording import as_rate
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.problem import Problem
+from deadtime.simulation.outcome import is_pushed
 from deadtime.spectrum import GROWS
 from deadtime.switching import SwitchingSignal
 
@@ -61,7 +62,9 @@ def disagreement_of(result: Comparison) -> list[str]:
     Only where one of them says that the loop grows: a run that decays ends in round-off. A rate of
     0 is no figure to be near to.
     """
-    names = result.problem.modes
+    names, lead = result.problem.modes, result.problem.laws[result.lead]
+    if is_pushed(lead, ()):  # towards a reference: |x| says nothing of growth
+        return []
     for name, exact, seen in zip(names, result.growth, result.measured, strict=True):
         size = max(abs(exact), abs(seen))
         both = math.isfinite(exact) and math.isfinite(seen)

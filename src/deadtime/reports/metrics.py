@@ -8,6 +8,7 @@ from deadtime.base.record import plain, record
 from deadtime.base.version import __version__
 from deadtime.plant.weight import record_of
 from deadtime.problems.comparison import Comparison
+from deadtime.reports.tables.tracking import record_of_run
 
 
 def metrics_of(result: Comparison) -> dict[str, Any]:
@@ -17,7 +18,9 @@ def metrics_of(result: Comparison) -> dict[str, Any]:
         ending = result.outcomes[name]
         # A run settles where it comes to rest, which need not be 0.
         ends = {"outcome": ending.kind, "settling_time": ending.settling, "rest": ending.rest}
-        laws[name] = {**row, **ends, **record(result.runs[name], "diverged", "message")}
+        run = result.runs[name]
+        told = record(run, "diverged", "message")
+        laws[name] = {**row, **ends, **told, **record_of_run(result.problem, run)}
     return plain({
         "problem": result.problem.name,
         "version": __version__,

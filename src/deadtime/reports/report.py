@@ -22,6 +22,7 @@ from deadtime.reports.certificates_section import certificates_section, steps_of
 from deadtime.reports.figures.comparison import plot_norms, plot_signal, plot_verdict, plot_window
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.page import save_figure, write_metrics, write_page, writing
+from deadtime.reports.tables import tracking
 from deadtime.reports.tables.certificates import delay_sentence
 from deadtime.reports.tables.constants import (
     bound_headings,
@@ -156,6 +157,11 @@ def _write(
         picture=picture,
         headings=HEADINGS,
         rows=table(result),
+        tracking=[
+            (tracking.heading_of(problem, i), tracking.rows_of_runs(result.runs, i))
+            for i in range(len(problem.tracked))
+        ],
+        tracking_headings=tracking.HEADINGS,
         figures=images,
         audited=audited,
         constants=constants,
@@ -193,6 +199,9 @@ def _audit(problem: Problem, folder: Path, progress: Progress) -> dict[str, Any]
 def _constants(result: Comparison) -> dict[str, Any]:
     """The theorem's constants in three forms, or why there are none."""
     problem = result.problem
+    if problem.tracked:
+        why = "The theorem is about laws that bring the state to 0; these follow a reference."
+        return {"rows": [], "sentence": why, "published": False}
     dwell_time, source = dwell_time_of(problem, result.signal)
     try:
         bounds = bounds_of(problem, dwell_time)

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
@@ -21,6 +22,7 @@ from deadtime.scenarios.records import Laid
 from deadtime.scenarios.side_by_side import from_scenario
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
+from deadtime.simulation.tracking import Followed, step_info
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 
@@ -129,7 +131,8 @@ class Block:
     ) -> Sequence[int]:
         """Run a law by the engine; which scenarios are left to `simulate`."""
         results, count = self.results, laid[0].scenarios
-        size = count if results.x is None else min(count, _FEW)
+        whole = results.x is None and self._followed[row] is None
+        size = count if whole else min(count, _FEW)
         left: list[int] = []
         for start in range(0, count, size):
             if stopped():
@@ -158,18 +161,51 @@ class Block:
         these: slice,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
-        count, results = these.stop - these.start, self.results
-        if results.x is None or results.u is None:
+        count, results, followed = these.stop - these.start, self.results, self._followed[row]
+        if results.x is None and followed is None:
             figures = self.engine.run(table, laid[0], start, count, hearing, force)
         else:
             figures, path = self.engine.path(
                 table, laid[0], start, count, hearing=hearing, force=force
             )
-            results.x[row, these], results.u[row, these] = path
+            if results.x is not None and results.u is not None:
+                results.x[row, these], results.u[row, these] = path
+            if followed is not None:
+                modes = None
+                if not followed.is_same_in_modes:
+                    modes = laid[0].records.modes(self.loop.whole + 1)[start : start + count]
+                self._track(row, followed, path.x, modes, these)
         if self.weighed is None:
             return [figures]
         weighed = self.weighed[1].run(table, laid[1], start, count, hearing, force)
         return [figures, weighed]
+
+    def _track(
+        self,
+        row: int,
+        followed: Followed,
+        x: Float[np.ndarray, "scenario n sample"],
+        modes: Int[np.ndarray, "scenario sample"] | None,
+        these: slice,
+    ) -> None:
+        """How a few scenarios follow the reference."""
+        time = self.loop.step * np.arange(self.loop.whole + 1)
+        where, r = followed.window(time)
+        none = np.zeros(time.size, np.int64)
+        y = np.stack(
+            [
+                followed.outputs(states, none if modes is None else modes[i])[:, where]
+                for i, states in enumerate(x)
+            ]
+        )
+        for output in range(r.shape[0]):
+            for name, values in step_info(time[where], y[:, output], r[output]).items():
+                self.results.tracking[name][row, these, output] = values
+
+    @cached_property
+    def _followed(self) -> list[Followed | None]:
+        """What each law is to follow."""
+        return [Followed.of(law) for law in self.laws.values()]
 
     def _alone(self, row: int, law: Law, signal: SwitchingSignal, scenario: int) -> None:
         """Run one scenario by `simulate`."""
@@ -188,6 +224,9 @@ class Block:
         weight = None if self.weighed is None else self.weighed[0].weight
         for metric, value in run.metrics(weight).items():
             results.metrics[metric][row, scenario] = value
+        for output in range(0 if run.followed is None else run.followed.rows.shape[1]):
+            for name, value in run.step_info(output).items():
+                results.tracking[name][row, scenario, output] = value
         if results.x is not None and results.u is not None:
             for target, found in ((results.x, run.states), (results.u, run.inputs)):
                 kept = min(found.shape[1], target.shape[3])

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.version import __version__
 from deadtime.plant.weight import PLAIN, Weight
+from deadtime.simulation.tracking import TRACKING
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,6 +57,9 @@ class Results:
         From a metric to an array (law, scenario).
     done : (scenario,) array
         Which scenarios are whole.
+    tracking : mapping
+        From a figure of `TRACKING` to an array (law, scenario, output), where a law follows a
+        reference; NaN of the others.
     x, u, mode : arrays or None
         Trajectories where they are asked for; NaN past the end of a run that diverged.
     """
@@ -63,21 +67,30 @@ class Results:
     metrics: Mapping[str, Float[np.ndarray, "law scenario"]]
     diverged: Bool[np.ndarray, "law scenario"]
     done: Bool[np.ndarray, " scenario"]
+    tracking: Mapping[str, Float[np.ndarray, "law scenario output"]]
     x: Float[np.ndarray, "law scenario n sample"] | None = None
     u: Float[np.ndarray, "law scenario m sample"] | None = None
     mode: Int[np.ndarray, "scenario sample"] | None = None
 
     @classmethod
-    def empty(cls, laws: int, scenarios: int, path: tuple[int, int, int] | None = None) -> Results:
+    def empty(
+        cls,
+        laws: int,
+        scenarios: int,
+        path: tuple[int, int, int] | None = None,
+        tracked: int = 0,
+    ) -> Results:
         """Room for the results, with `path` = (n, m, samples) for trajectories, too."""
         shape = laws, scenarios
         metrics = {name: np.empty(shape) for name in METRICS}
         flags = np.zeros(shape, dtype=bool), np.zeros(scenarios, dtype=bool)
+        names = TRACKING if tracked else ()
+        tracking = {name: np.full((*shape, tracked), np.nan) for name in names}
         if path is None:
-            return cls(metrics, *flags)
+            return cls(metrics, *flags, tracking)
         n, m, samples = path
         x, u = np.empty((*shape, n, samples)), np.empty((*shape, m, samples))
-        return cls(metrics, *flags, x, u, np.empty((scenarios, samples), np.int32))
+        return cls(metrics, *flags, tracking, x, u, np.empty((scenarios, samples), np.int32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +142,17 @@ def dataset_of(comparison: Comparison) -> xr.Dataset:
         name: (dims, keep(value), attributes_of(name, None if weight is None else weight.text))
         for name, value in results.metrics.items()
     }
+    for name, value in results.tracking.items():
+        told = dict(zip(("units", "long_name"), TRACKING[name], strict=True))
+        variables[name] = ((*dims, "output"), keep(value), told)
     variables["diverged"] = (dims, keep(results.diverged), {"long_name": DIVERGED})
     coordinates: dict[str, Any] = {
         "law": ("law", list(comparison.names), {"long_name": "law"}),
         "scenario": ("scenario", done, {"long_name": "scenario"}),
     }
+    if results.tracking:
+        tracked = next(iter(results.tracking.values())).shape[2]
+        coordinates["output"] = ("output", np.arange(tracked), {"long_name": "tracked output"})
     if results.x is not None and results.u is not None and results.mode is not None:
         time = comparison.step * np.arange(results.mode.shape[1])
         coordinates["time"] = ("time", time, {"units": "s", "long_name": "time"})

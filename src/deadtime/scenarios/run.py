@@ -31,6 +31,7 @@ from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel, source_of
 from deadtime.scenarios.workers import Progress, run_blocks, show_progress
 from deadtime.simulation.simulate import require_steps
+from deadtime.simulation.tracking import TRACKING, Followed
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
 if TYPE_CHECKING:
@@ -119,9 +120,11 @@ def monte_carlo(
     xarray.Dataset
         Dimensions (law, scenario); one variable per metric of `Trajectory.metrics`, with its
         unit, and `diverged`. A run that diverges leaves its metrics up to its end, and the
-        other runs untouched; ``attrs["message"]`` counts and names such scenarios. With
-        trajectories also x (law, scenario, state, time), u and mode, NaN past a run's end.
-        After Ctrl-C the scenarios that are done, with ``attrs["interrupted"]`` = 1.
+        other runs untouched; ``attrs["message"]`` counts and names such scenarios. Where a law
+        has a servo also the figures of `Trajectory.step_info` (law, scenario, output), of the
+        last step of its reference, NaN for laws without. With trajectories also x (law, scenario,
+        state, time), u and mode, NaN past a run's end. After Ctrl-C the scenarios that are done,
+        with ``attrs["interrupted"]`` = 1.
 
     Raises
     ------
@@ -202,7 +205,9 @@ def compare(
     streams(imperfections, seed)
     request = Request(plant, named, x0, horizon, step, imperfections)
     loop, engine, tables = prepare(request)
-    results = _room(loop, len(named), scenarios, trajectories)
+    follow = [Followed.of(law) for law in named.values()]
+    tracked = max((one.rows.shape[1] for one in follow if one is not None), default=0)
+    results = _room(loop, len(named), scenarios, trajectories, tracked)
     weight, weighed = weight_of(weight, plant), None
     if weight is not None:
         other = replace(loop, weight=weight)
@@ -240,13 +245,13 @@ def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 
-def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:
+def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool, tracked: int) -> Results:
     """Arrays for the results, where there is memory for them."""
     plant, samples = loop.plant, loop.whole + 1
-    needed = scenarios * laws * (8.0 * len(METRICS) + 1.0)
+    needed = scenarios * laws * (8.0 * (len(METRICS) + tracked * len(TRACKING)) + 1.0)
     require_memory(f"metrics of {scenarios:,} scenarios", needed, "run fewer at a time")
     if not trajectories:
-        return Results.empty(laws, scenarios)
+        return Results.empty(laws, scenarios, tracked=tracked)
     needed += scenarios * samples * (8.0 * laws * (plant.states + plant.inputs) + 4.0)
     require_memory(
         f"trajectories of {scenarios:,} scenarios of {samples:,} samples under {laws} laws",
@@ -254,7 +259,7 @@ def _room(loop: Loop, laws: int, scenarios: int, trajectories: bool) -> Results:
         "leave trajectories out and run the scenarios of interest alone, with draw_signals and "
         "simulate",
     )
-    return Results.empty(laws, scenarios, (plant.states, plant.inputs, samples))
+    return Results.empty(laws, scenarios, (plant.states, plant.inputs, samples), tracked)
 
 
 def _whole(name: str, value: object, least: int) -> int:

@@ -33,6 +33,10 @@ class Run(Protocol):
     def record(self) -> Any: ...
     @property
     def belief(self) -> np.ndarray | None: ...
+    @property
+    def reference(self) -> np.ndarray | None: ...
+    @property
+    def tracked(self) -> np.ndarray | None: ...
 
 
 def mode_strip(axes: Axes, time: np.ndarray, mode: np.ndarray, names: Sequence[str]) -> None:
@@ -88,6 +92,7 @@ def plot_run(
             style = "steps-post" if run.record.held else "default"
             colour = COLOURS[(i + 4) % 7]
             middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=name)
+        labels = [*states, *inputs, *_draw_references(upper, run, states)]
         upper.set_ylabel("state")
         middle.set_ylabel("input")
         # A run that ended at once still needs an axis.
@@ -98,10 +103,29 @@ def plot_run(
         lower.set_xlabel("time (s)")
         lower.set_xlim(run.time[0], end)
         figure.align_ylabels()
-        figure.legend(loc="outside lower center", ncols=_columns(n + m, (*states, *inputs)))
+        figure.legend(loc="outside lower center", ncols=_columns(len(labels), labels))
         if title:
             upper.set_title(plain(title))
     return figure
+
+
+def _draw_references(axes: Axes, run: Run, states: Sequence[str]) -> list[str]:
+    """References as dashes: of a state in its colour, of another output beside that output."""
+    labels: list[str] = []
+    if run.reference is None or run.tracked is None:
+        return labels
+    for i, (y, r) in enumerate(zip(run.tracked, run.reference, strict=True)):
+        same = [j for j, x in enumerate(run.states) if np.array_equal(x, y)]
+        colour, name = COLOURS[(len(states) + i) % 7], f"output {i}"
+        if same:
+            colour, name = COLOURS[same[0] % 7], states[same[0]]
+        else:
+            axes.plot(run.time, y, color=colour, label=name)
+            labels.append(name)
+        labels.append(f"{name}, reference")
+        dashes = {"drawstyle": "steps-post", "linestyle": "--", "linewidth": 1.0}
+        axes.plot(run.time, r, color=colour, label=labels[-1], **dashes)
+    return labels
 
 
 def _columns(count: int, labels: Sequence[str]) -> int:

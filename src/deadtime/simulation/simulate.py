@@ -31,6 +31,7 @@ from deadtime.simulation.ideal.run import run_ideal
 from deadtime.simulation.imperfect import ImperfectLaw
 from deadtime.simulation.initial_input import InitialInput, input_function
 from deadtime.simulation.online import run_online
+from deadtime.simulation.tracking import Followed
 from deadtime.simulation.trajectory import Trajectory, belief_at, trajectory_of
 from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.rules.rule import as_rule
@@ -157,6 +158,8 @@ def simulate(
     )
     if outcome.belief is not None:
         run = replace(run, belief=belief_at(run, outcome.belief))
+    if (followed := Followed.of(law)) is not None:
+        run = replace(run, followed=followed)
     if outcome.told is None:
         return run
     measured, commanded, estimates = outcome.told

@@ -11,14 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.checks import read_only
+from deadtime.base.checks import index, number, read_only
+from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.libraries import python_control
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.steps import TOLERANCE
 from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
+from deadtime.simulation.tracking import RISE, SETTLED, Followed, step_info
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import first_reads
 
@@ -62,6 +65,8 @@ class Trajectory(Frozen):
         What a law that measures outputs took the state of its model to be.
     belief : (modes, T) or None
         How likely a law that is not told the mode took each to be, as of the last sample.
+    tracked, reference : (tracked, T) or None
+        What follows a reference, H C_σ x, and r; of a law with a servo.
     """
 
     time: Float[np.ndarray, " T"]
@@ -79,6 +84,21 @@ class Trajectory(Frozen):
     commanded: Float[np.ndarray, "m samples"] | None = field(default=None, repr=False)
     estimates: Float[np.ndarray, "z samples"] | None = field(default=None, repr=False)
     belief: Float[np.ndarray, "modes T"] | None = field(default=None, repr=False)
+    followed: Followed | None = field(default=None, repr=False)
+
+    @property
+    def tracked(self) -> Float[np.ndarray, "tracked T"] | None:
+        """H C_σ x."""
+        if self.followed is None:
+            return None
+        return read_only(self.followed.outputs(self.states, self.mode))
+
+    @property
+    def reference(self) -> Float[np.ndarray, "tracked T"] | None:
+        """What that is to be."""
+        if self.followed is None:
+            return None
+        return read_only(self.followed.reference.along(self.time).T)
 
     @property
     def history(self) -> Float[np.ndarray, "m N"] | InputHistory:
@@ -123,6 +143,69 @@ class Trajectory(Frozen):
             "final_norm": float(norm[-1]),
         }
 
+    def step_info(
+        self,
+        output: int = 0,
+        since: float | None = None,
+        *,
+        settling: float = SETTLED,
+        rise: tuple[float, float] = RISE,
+    ) -> dict[str, float]:
+        """How an output follows a step of its reference, by python-control's names.
+
+        Parameters
+        ----------
+        output : int
+            Which of the tracked outputs.
+        since : float, optional
+            When the step is, seconds: the window is from there to the next change of the reference;
+            by default the last one of the run. `followed.changes(end)` lists them.
+        settling : float
+            Of the step: what counts as settled.
+        rise : pair of float
+            Of the step: between which shares it rises.
+
+        Returns
+        -------
+        dict
+            RiseTime, SettlingTime (s, ∞ if never), Overshoot, Undershoot (% of the step),
+            Peak, PeakTime, SteadyStateValue, SteadyStateError (reference minus output, at the end
+            of the window) and IAE, the integral of |reference − output|. Times are of samples,
+            counted from the step. NaN where the reference is where the output was already.
+
+        Raises
+        ------
+        ArgumentError
+            If the run tracks nothing, or there is no such output or time.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.3)
+        >>> servo = dt.Servo(plant, C=[[1.0]])
+        >>> gains = servo.place([-1.0, -2.0], step=0.1)
+        >>> law = dt.SingleModePredictor(servo.plant, gains, 0, allow_unstable=True)
+        >>> observer = dt.luenberger(servo.model, servo.C, [-5.0], step=0.1)
+        >>> loop = dt.OutputFeedback(law, observer, servo=servo, reference=1.0)
+        >>> run = dt.simulate(plant, loop, dt.SwitchingSignal.constant(0), [0.0], 10.0, 0.1)
+        >>> found = run.step_info()
+        >>> round(found["RiseTime"], 3), round(found["SteadyStateError"], 4)
+        (1.1, 0.0)
+        """
+        if self.followed is None:
+            raise ArgumentError("step_info needs a law with a servo; this run tracks nothing.")
+        output = index("output", output, self.followed.rows.shape[1])
+        time = self.record.grid(self.end)
+        if time.size > 2 and np.diff(time[-2:]) < (1.0 - TOLERANCE) * time[1]:
+            time = time[:-1]  # the horizon, within a period
+        if since is not None and not 0.0 <= number("since", since) < time[-1]:
+            raise ArgumentError(f"since must be in [0, {self.end:g}) s, got {since:g}.")
+        where, r = self.followed.window(time, since)
+        time = time[where]
+        y = self.followed.outputs(self.record.states_at(time).T, self.signal(time))
+        found = step_info(time, y[output], r[output], settling, rise)
+        return {name: float(value) for name, value in found.items()}
+
     def _decay_rate(self, time: np.ndarray, norm: np.ndarray) -> float:
         """Minus the slope of log|x| over the second half, from |x| on the grid or finer."""
         late = time >= 0.5 * self.end
@@ -166,6 +249,9 @@ class Trajectory(Frozen):
             columns |= {f"w[{i}]": row for i, row in enumerate(self.mismatch)}
         if self.belief is not None:
             columns |= {f"belief[{i}]": row for i, row in enumerate(self.belief)}
+        if self.tracked is not None and self.reference is not None:
+            columns |= {f"y[{i}]": row for i, row in enumerate(self.tracked)}
+            columns |= {f"r[{i}]": row for i, row in enumerate(self.reference)}
         return columns
 
     def to_csv(self, path: str | PathLike[str]) -> None:
@@ -178,13 +264,16 @@ class Trajectory(Frozen):
             writer.writerows(rows)
 
     def to_pandas(self) -> pd.DataFrame:
-        """A data frame indexed by time, columns x[0], …, u[0], …, mode, w[0], …, belief[0], …."""
+        """A data frame indexed by time, columns x[0], …, u[0], …, mode, w[0], …, belief[0], ….
+
+        Of a law with a servo also y[0], …, what is tracked, and r[0], ….
+        """
         import pandas as pd
 
         return pd.DataFrame(self._columns(), index=pd.Index(self.time, name="time"))
 
     def to_xarray(self) -> xr.Dataset:
-        """A dataset with variables x (state, time), u (input, time), mode, w, and belief."""
+        """A dataset with variables x (state, time), u (input, time), mode, w, belief, y and r."""
         import xarray as xr
 
         variables: dict[str, Any] = {
@@ -196,6 +285,9 @@ class Trajectory(Frozen):
             variables["w"] = (("input", "time"), self.mismatch.copy())
         if self.belief is not None:
             variables["belief"] = (("candidate", "time"), self.belief.copy())
+        if self.tracked is not None and self.reference is not None:
+            variables["y"] = (("output", "time"), self.tracked.copy())
+            variables["r"] = (("output", "time"), self.reference.copy())
         time = xr.Variable("time", self.time.copy(), {"units": "s"})
         attributes = {"diverged": int(self.diverged), "message": self.message}
         return xr.Dataset(variables, coords={"time": time}, attrs=attributes)

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Literal
 
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from deadtime.base.errors import ArgumentError
-from deadtime.estimation import Observer, OutputFeedback, kalman, luenberger
+from deadtime.base.wording import numbered
+from deadtime.estimation import Observer, OutputFeedback, Servo, kalman, luenberger
 from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
+from deadtime.problems.file.servo import FileServo, watching
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrices, Matrix, Poles, PolesPerMode, Section, Vector
+from deadtime.problems.toml.table import (
+    Matrices,
+    Matrix,
+    Poles,
+    PolesPerMode,
+    Section,
+    Texts,
+    Vector,
+)
 
 
 class _Measured(Section):
@@ -20,6 +33,9 @@ class _Measured(Section):
 
     C: Annotated[Matrix | Matrices, Shape("(p, n), or one for each mode", [[1.0, 0.0]])] = Field(
         description="p × n, or one such matrix per mode."
+    )
+    outputs: Annotated[Texts, Shape("a list of texts", ["position"])] = Field(
+        [], description="Names of the outputs, for figures; that of the state where one is output."
     )
     estimate: Annotated[Vector | None, Shape("(n,)", [1.0, 0.0])] = Field(
         None, description="First estimate of the state; 0 by default."
@@ -55,31 +71,48 @@ def add_observers(
     section: LuenbergerObserver | KalmanObserver | None,
     step: float | None,
     numbers: Callable[[list], list],
+    servos: Mapping[str, Servo],
+    following: FileServo | None,
 ) -> dict[str, Law]:
     """The laws on the estimates of observers, each designed for its law's own model.
 
-    A law that measures outputs by itself, on a belief, stays as it is.
+    A law that measures outputs by itself, on a belief, stays as it is. A law of a servo without an
+    observer is told the whole state.
     """
-    if section is None:
+    if section is None and not servos:
         return laws
     if step is None:
         raise ArgumentError(
             'an observer runs at samples: give [run] a step in seconds, not "ideal".'
         )
-    return {
-        name: law if law.outputs is not None else _on_estimates(law, section, step, numbers)
-        for name, law in laws.items()
-    }
+    found = {}
+    for name, law in laws.items():
+        if law.outputs is not None:
+            found[name] = law
+            continue
+        servo, options = servos.get(name), {}
+        if servo is not None and following is not None:
+            options = {"servo": servo, "reference": following.reference}
+        if section is None:
+            assert servo is not None
+            found[name] = OutputFeedback(law, watching(servo, step), **options)
+            continue
+        if servo is None:
+            observer = observer_of(law.plant, section, step, numbers)
+        else:
+            observer = observer_of(servo.model, section, step, numbers, servo.C)
+        found[name] = OutputFeedback(law, observer, estimate=section.estimate, **options)
+    return found
 
 
-def _on_estimates(
-    law: Law,
-    section: LuenbergerObserver | KalmanObserver,
-    step: float,
-    numbers: Callable[[list], list],
-) -> OutputFeedback:
-    observer = observer_of(law.plant, section, step, numbers)
-    return OutputFeedback(law, observer, estimate=section.estimate)
+def names_of(C: Float[np.ndarray, "mode p n"], states: Sequence[str]) -> tuple[str, ...]:
+    """Names of outputs: that of a state where they are it in every mode, else numbered."""
+    names = list(numbered("y", C.shape[1]))
+    for i in range(len(names)):
+        rows = np.unique(C[:, i], axis=0)
+        if len(rows) == 1 and np.count_nonzero(rows) == 1 and rows.max() == 1.0:
+            names[i] = states[int(np.argmax(rows[0]))]
+    return tuple(names)
 
 
 def observer_of(
@@ -87,8 +120,10 @@ def observer_of(
     section: LuenbergerObserver | KalmanObserver,
     step: float,
     numbers: Callable[[list], list],
+    C: ArrayLike | None = None,
 ) -> Observer:
-    """The observer of a section, designed for a plant."""
+    """The observer of a section, designed for a plant; with a C of its own where that is given."""
+    C = section.C if C is None else C
     if isinstance(section, KalmanObserver):
-        return kalman(plant, section.C, section.process, section.measurement, step)
-    return luenberger(plant, section.C, numbers(section.poles), step)
+        return kalman(plant, C, section.process, section.measurement, step)
+    return luenberger(plant, C, numbers(section.poles), step)

@@ -12,6 +12,7 @@ from pydantic import ConfigDict, Field, model_validator
 from deadtime.problems.file.imperfections import ImperfectionEntry
 from deadtime.problems.file.mode_filter import ModeFilterSection
 from deadtime.problems.file.observer import ObserverSection
+from deadtime.problems.file.servo import ServoSection
 from deadtime.problems.law_registry import ENTRIES, LawSection
 from deadtime.problems.law_registry.entry import (
     SQUARE,
@@ -298,6 +299,9 @@ class ProblemFile(Section):
     )
     observer: ObserverSection | None = Field(
         None, description="Run every law on what an observer makes of measured outputs."
+    )
+    servo: ServoSection | None = Field(
+        None, description="Let outputs follow a reference; [gains] are then those of (x, q)."
     )
     signal: Signal
     run: RunSection

@@ -96,6 +96,8 @@ class LawSection(Section):
     needs: ClassVar[tuple[Need, ...]] = ()
     # Periods of the delay up to which the law is tabulated in a moment; None: always.
     quick: ClassVar[int | None] = None
+    # Whether it may be the law of a servo, whose plant has constants among its states.
+    follows: ClassVar[bool] = True
 
     name: str | None = Field(None, description="Name in tables and figures.")
     low_pass: Annotated[float | Matrix | None, Shape("a number or (m, m)", [[0.1]])] = Field(

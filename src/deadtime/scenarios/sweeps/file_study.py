@@ -16,7 +16,8 @@ from deadtime.gains import place
 from deadtime.plant import Weight
 from deadtime.problems import Problem
 from deadtime.problems.file import schema
-from deadtime.problems.file.build import as_numbers, build_problem
+from deadtime.problems.file.build import build_problem
+from deadtime.problems.file.gains import as_numbers
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.file.mode_filter import build_mode_filter
 from deadtime.problems.file.switching import build_model

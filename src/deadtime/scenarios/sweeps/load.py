@@ -17,7 +17,8 @@ import numpy as np
 from deadtime.base.errors import ArgumentError, ProblemFileError, StudyFileError
 from deadtime.problems import NAMED, Problem
 from deadtime.problems.file import schema
-from deadtime.problems.file.build import as_numbers, build_problem
+from deadtime.problems.file.build import build_problem
+from deadtime.problems.file.gains import as_numbers
 from deadtime.problems.file.named import template
 from deadtime.problems.toml import SectionError, read_toml, require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, OVERWRITES, Draft, axis_of, path_of
@@ -155,6 +156,10 @@ def _require(file: StudyFile, base: _Base, grid: Mapping[str, tuple]) -> None:
         (
             placed and "observer" in base.draft,
             "the laws that poles are for read the state, remove its [observer].",
+        ),
+        (
+            placed and "servo" in base.draft,
+            "the laws that poles are for follow no reference, remove its [servo].",
         ),
         (
             bool(overruled),

@@ -51,6 +51,7 @@ class OptimalLaw(LawSection):
     )
     needs: ClassVar = ("model",)
     quick: ClassVar = 100
+    follows: ClassVar = False
 
     kind: Literal["optimal"]
     Q: Square | None = Field(None, description="n × n; that of [cost] or [gains.lqr], or I.")

@@ -37,6 +37,7 @@ class StateDependentLaw(LawSection):
 
     names: ClassVar = (Named(name="state-dependent", knows="nothing", in_files=True),)
     needs: ClassVar = ("rule",)
+    follows: ClassVar = False
 
     kind: Literal["state-dependent"]
 

@@ -28,6 +28,7 @@ class BeliefLaw(LawSection):
         ),
     )
     needs: ClassVar = ("model", "mode_filter")
+    follows: ClassVar = False
 
     kind: Literal["belief"]
     of: Literal["expected", "optimal"] = Field(

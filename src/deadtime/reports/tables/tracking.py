@@ -1,0 +1,83 @@
+"""How laws follow their reference, as rows of a table: of one run, or of many."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.wording import compact
+from deadtime.problems import Problem
+from deadtime.scenarios.dataset import Comparison
+from deadtime.simulation import Trajectory
+from deadtime.simulation.tracking import TRACKING
+
+HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
+_NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
+
+
+def heading_of(problem: Problem, output: int) -> str:
+    """Which step the table of an output is about.
+
+    Examples
+    --------
+    >>> import dataclasses, deadtime as dt
+    >>> problem = dataclasses.replace(dt.problems.paper(), tracked=("angle (rad)",))
+    >>> heading_of(problem, 0)
+    'angle (rad) after the last step of its reference'
+    """
+    return f"{problem.tracked[output]} after the last step of its reference"
+
+
+def rows_of_runs(runs: Mapping[str, Trajectory], output: int) -> list[list[str]]:
+    """A row for each run that follows a reference."""
+    found = {n: run.step_info(output) for n, run in runs.items() if run.followed is not None}
+    return [_row(name, [info[key] for key in _NAMES]) for name, info in found.items()]
+
+
+def rows_of_many(data: Comparison, output: int) -> list[list[str]]:
+    """The medians over scenarios, law by law."""
+    tracking = {name: data.keep(data.results.tracking[name])[..., output] for name in _NAMES}
+    return [
+        _row(law, [_median(tracking[name][i]) for name in _NAMES])
+        for i, law in enumerate(data.names)
+    ]
+
+
+def record_of_many(problem: Problem, data: Comparison) -> dict[str, Any]:
+    """The same for JSON, by output and law; nothing where nothing is tracked."""
+    if not problem.tracked:
+        return {}
+    rows = {
+        name: {
+            law: {key: _median(data.keep(data.results.tracking[key])[j, :, i]) for key in TRACKING}
+            for j, law in enumerate(data.names)
+        }
+        for i, name in enumerate(problem.tracked)
+    }
+    return {"tracking": rows}
+
+
+def record_of_run(problem: Problem, run: Trajectory) -> dict[str, Any]:
+    """All steps of a run, by output; nothing where it tracks nothing."""
+    if run.followed is None:
+        return {}
+    changes = run.followed.changes(run.end)
+    return {
+        "tracking": {
+            name: [{"since": since, **run.step_info(i, since)} for since in changes]
+            for i, name in enumerate(problem.tracked)
+        }
+    }
+
+
+def _median(values: np.ndarray) -> float:
+    """NaN where no scenario has a figure; ∞ is one."""
+    some = values[~np.isnan(values)]
+    return float(np.sort(some)[(some.size - 1) // 2]) if some.size else math.nan
+
+
+def _row(law: str, figures: Sequence[float]) -> list[str]:
+    return [law, *(compact(value) if math.isfinite(value) else "–" for value in figures)]

@@ -1,0 +1,176 @@
+"""How well a run follows its reference: python-control's figures, and errors by hand."""
+
+import json
+import math
+
+import control
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.cli.entry import main
+from deadtime.simulation.tracking import TRACKING, step_info
+
+PLANT = dt.SwitchedSystem(
+    [[[0.0, 1.0], [0.0, -0.5]], [[0.0, 1.1], [0.0, 0.3]]], [[[0.0], [1.0]], [[0.0], [0.8]]], 0.25
+)
+SERVO = dt.Servo(PLANT, [[1.0, 0.0]])
+GAINS = SERVO.lqr(np.diag([1.0, 1.0, 0.5]), [[1.0]], step=0.1)
+LAW = dt.AveragedPredictor(SERVO.plant, GAINS, allow_unstable=True)
+OBSERVER = dt.luenberger(SERVO.model, SERVO.C, [-3.0, -4.0], 0.1)
+STEPS = ([0.0, 1.0, 9.0], [0.0, 1.0, -0.5])
+LOOP = dt.OutputFeedback(LAW, OBSERVER, servo=SERVO, reference=STEPS)
+SIGNAL = dt.SwitchingSignal([0.0, 2.03, 7.4, 11.0], [0, 1, 0, 1])
+NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "Peak", "PeakTime")
+
+
+@pytest.mark.parametrize("damping", [0.3, 1.5])
+@pytest.mark.parametrize("size", [1.0, -2.5])
+def test_of_a_response_without_delay_they_are_those_of_python_control(damping, size):
+    time = np.linspace(0.0, 40.0, 4001)
+    zero = [-0.4, 1.0]  # first the wrong way
+    response = control.step_response(control.tf(zero, [1.0, 2.0 * damping, 1.0]), time)
+    y = size * np.asarray(response.outputs).ravel()
+    theirs = control.step_info(y, T=time, yfinal=size)
+    ours = step_info(time, y, np.full(time.size, size))
+    for name in NAMES:
+        assert ours[name] == pytest.approx(theirs[name], rel=1e-12, abs=1e-12), name
+
+
+def test_a_step_from_elsewhere_has_the_figures_of_that_from_zero():
+    time = np.linspace(0.0, 20.0, 401)
+    y = 1.0 - np.exp(-0.4 * time) * np.cos(time)
+    base = step_info(time, y, np.ones(401))
+    moved = step_info(time + 7.0, 3.0 - 2.0 * y, np.full(401, 1.0))
+    for name in ("RiseTime", "SettlingTime", "Overshoot", "Undershoot"):
+        assert moved[name] == pytest.approx(base[name], rel=1e-12)
+    assert moved["IAE"] == pytest.approx(2.0 * base["IAE"], rel=1e-12)
+
+
+def test_the_error_is_integrated_as_straight_between_samples():
+    time = np.array([0.0, 1.0, 3.0])
+    y, r = np.array([0.0, 2.0, 2.0]), np.array([1.0, 1.0, 1.0])
+    # two triangles of 1/4, then 1 for two seconds
+    assert step_info(time, y, r)["IAE"] == 2.5
+
+
+def test_an_output_that_is_there_already_has_no_rise_and_one_that_never_arrives_has_none_in_time():
+    time = np.arange(5.0)
+    still = step_info(time, np.ones(5), np.ones(5))
+    assert math.isnan(still["RiseTime"])
+    assert math.isnan(still["Overshoot"])
+    assert still["IAE"] == 0.0
+    short = step_info(time, np.linspace(0.0, 0.5, 5), np.ones(5))
+    assert short["RiseTime"] == short["SettlingTime"] == math.inf
+    assert short["SteadyStateError"] == 0.5
+
+
+def test_a_run_says_it_of_the_last_step_or_of_any_and_at_its_own_samples():
+    run = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 16.0, 0.1, times=[3.0])
+    assert run.followed is not None
+    assert run.followed.changes(16.0) == [0.0, 1.0, 9.0]
+    full = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 16.0, 0.1)
+    y, time = full.states[0], full.time
+    assert full.tracked is not None
+    assert np.array_equal(full.tracked[0], y)
+    for since, part, r in ((1.0, slice(10, 91), 1.0), (None, slice(90, None), -0.5)):
+        found = run.step_info(since=since)
+        shifted = y[part] - y[part.start]
+        theirs = control.step_info(
+            shifted, T=time[part] - time[part.start], yfinal=r - y[part.start]
+        )
+        for name in ("RiseTime", "SettlingTime", "Overshoot", "Undershoot"):
+            # python-control says NaN where a response does not settle, we ∞
+            wanted = math.inf if math.isnan(theirs[name]) else theirs[name]
+            assert found[name] == pytest.approx(wanted, rel=1e-9, abs=1e-9), name
+        assert found["Peak"] == np.abs(y[part]).max()
+        assert found["SteadyStateError"] == r - y[part][-1]
+
+
+def test_many_runs_say_the_same_of_every_law_with_a_servo():
+    signals = [dt.SwitchingSignal.random(2, 18.0, dwell_time=0.7, seed=i) for i in range(10)]
+    options = {"x0": [0.1, 0.0], "horizon": 16.0, "step": 0.1}
+    plain = dt.AveragedPredictor(PLANT, dt.place(PLANT, [-1.0, -2.0]))
+    data = dt.monte_carlo(PLANT, {"servo": LOOP, "plain": plain}, signals, **options)
+    assert data.one_by_one == []
+    for i in (0, 9):
+        found = dt.simulate(PLANT, LOOP, signals[i], **options).step_info()
+        for name in TRACKING:
+            value = data[name].sel(law="servo", output=0).values[i]
+            assert value == pytest.approx(found[name], rel=1e-9, abs=1e-9), name
+    assert np.isnan(data.RiseTime.sel(law="plain")).all()
+
+
+def test_exports_of_a_run_hold_what_is_tracked_and_the_reference():
+    run = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 12.0, 0.1)
+    frame, data = run.to_pandas(), run.to_xarray()
+    assert np.array_equal(frame["y[0]"], run.states[0])
+    assert frame["r[0]"].iloc[[5, 10, 95]].tolist() == [0.0, 1.0, -0.5]
+    assert np.array_equal(data.r[0], frame["r[0]"])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda run: run.step_info(1), "output must be in 0..0, got 1: outputs count from 0"),
+        (lambda run: run.step_info(since=12.5), r"since must be in \[0, 12\) s, got 12.5"),
+    ],
+)
+def test_there_must_be_such_an_output_and_such_a_time(call, message):
+    run = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 12.0, 0.1)
+    with pytest.raises(dt.ArgumentError, match=message):
+        call(run)
+
+
+def test_a_run_that_tracks_nothing_has_none():
+    problem = dt.problems.paper()
+    with pytest.raises(dt.ArgumentError, match="step_info needs a law with a servo"):
+        problem.simulate("averaged").step_info()
+
+
+FILE = """\
+[plant]
+delay = 0.25
+A = [[[0.0, 1.0], [0.0, -0.5]], [[0.0, 1.1], [0.0, 0.3]]]
+B = [[[0.0], [1.0]], [[0.0], [0.8]]]
+states = ["position (m)", "speed (m/s)"]
+[gains]
+poles = [-0.7, -1.0, -1.5]
+[servo]
+tracked = ["position (m)"]
+reference = { times = [0.0, 4.0], values = [1.0, 2.0] }
+[[law]]
+kind = "averaged"
+[signal]
+kind = "random"
+dwell_time = 0.8
+mean_sojourn = 1.5
+[run]
+x0 = [0.0, 0.0]
+horizon = 12.0
+step = 0.1
+"""
+
+
+def test_the_commands_say_them(tmp_path, capsys):
+    path = tmp_path / "mine.toml"
+    path.write_text(FILE, encoding="utf-8")
+    out = str(tmp_path / "run.png")
+    with pytest.raises(SystemExit) as stopped:
+        main(["simulate", str(path), "--out", out])
+    assert stopped.value.code == 0
+    assert "position (m) after the last step of its reference" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["simulate", str(path), "--out", out, "--json"])
+    told = json.loads(capsys.readouterr().out)["laws"]["averaged"]["tracking"]["position (m)"]
+    assert [step["since"] for step in told] == [0.0, 4.0]
+    data = tmp_path / "all.csv"
+    with pytest.raises(SystemExit):
+        main(["monte-carlo", str(path), "--scenarios", "8", "--out", out, "--data", str(data),
+              "--json"])  # fmt: skip
+    record = json.loads(capsys.readouterr().out)["tracking"]["position (m)"]["averaged"]
+    header, *rows = data.read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 8
+    place = header.split(",").index("IAE[0]")
+    found = sorted(float(row.split(",")[place]) for row in rows)
+    assert record["IAE"] == pytest.approx(found[3])
