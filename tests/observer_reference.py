@@ -5,6 +5,7 @@ and matrices' exponentials by halving and a Taylor series, no lifted matrix.
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def flow(A, b, time):
 
 
 class Line:
-    """What was sent, and what of it arrives when: input j of k + 1 periods ago is `sent[-1 - k]`."""
+    """What was sent, the latest last, and what of it acts when."""
 
     def __init__(self, sent, step):
         self.sent, self.step = [np.array(u, float) for u in sent], step
@@ -49,7 +50,7 @@ class Line:
                 arrives = round(d / self.step - math.floor(d / self.step + 1e-9), 12) * self.step
                 cuts |= {arrives} if start < arrives < stop else set()
             marks = sorted(cuts)
-            for a, b in zip(marks, marks[1:], strict=False):
+            for a, b in pairwise(marks):
                 u = self.acting(delays[mode], 0.5 * (a + b))
                 moved = flow(plant.A[mode], plant.B[mode] @ u, b - a)
                 x = moved[:-1, :-1] @ x + moved[:-1, -1]
