@@ -81,6 +81,27 @@ def slow(delays):
     return plant, dt.DelayedStateFeedback(plant, 0.1 * several(delays)[1].gains)
 
 
+CALM = BOTH - [[[1.2, 0.5], [0.3, 1.0]]]  # decays, and turns
+
+
+def on_outputs(delay, C=((1.0, 0.5),), true=None):
+    """An observer of one output of two states; the true plant may be another one."""
+    plant = dt.SwitchedSystem(CALM, INPUTS, delay)
+    law = dt.AveragedPredictor(plant, dt.lqr(plant, np.eye(2), np.eye(2), step=0.1))
+    return plant if true is None else true, dt.OutputFeedback(
+        law, dt.luenberger(plant, np.array(C), (-2.0, -3.0), 0.1)
+    )
+
+
+def tracking(disturbance=None):
+    """One state and one input: the sum of its errors, and a disturbance that is estimated."""
+    plant = dt.SwitchedSystem([[[0.0]], [[0.2]]], [[[1.0]], [[1.1]]], 0.17)
+    servo = dt.Servo(plant, [[1.0]], disturbance=disturbance)
+    law = dt.AveragedPredictor(servo.plant, servo.place([-1.0, -1.5], 0.1), allow_unstable=True)
+    observer = dt.luenberger(servo.model, servo.C, [-3.0, -4.0][: servo.model.states], 0.1)
+    return plant, dt.OutputFeedback(law, observer, servo=servo)
+
+
 UNSTABLE = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])
 DELAYED = dt.DelayedStateFeedback(MILD, WEAK)
 Case = tuple[Callable[[], tuple], float, float, dict]
@@ -172,6 +193,19 @@ CASES: dict[str, Case] = {
         lambda: slow([[0.34, 0.1], [0.05, 0.26]]),
         *(0.43, 0.1, {"mode_lag": 2}),
     ),
+    "observed": (lambda: on_outputs([0.14, 0.05]), 0.3, 0.1, {}),
+    "observed-modes": (
+        lambda: on_outputs(0.1, [[[1.0, 0.5]], [[1.0, 0.4]]]),
+        *(0.25, 0.1, {"maximum_dwell": 0.6}),
+    ),
+    "observed-average": (lambda: on_outputs(0.1), 0.5, 0.1, {"chatter": 2, "decay_rate": 0.0}),
+    "observed-range": (
+        lambda: on_outputs(0.14),
+        *(0.3, 0.1, {"delays": (0.135, 0.145), "decay_rate": 0.0}),
+    ),
+    "observed-late": (lambda: on_outputs(0.1), 0.5, 0.1, {"mode_lag": 1}),
+    "tracking": (lambda: tracking(), 0.5, 0.1, {}),
+    "tracking-disturbance": (lambda: tracking([[1.0]]), 0.8, 0.1, {}),
 }
 
 

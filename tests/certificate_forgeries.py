@@ -152,12 +152,21 @@ FALSE = [
     (AGED, put("law.step", 0.4)),
     *(("late-far", put("law.mode_lag", lag)) for lag in (1, 3, 6)),
     ("stretches-late-three", put("law.mode_lag", 5)),
+    ("observed", entries("law.F", scaled((0, 0), 5.0))),  # the observer's gain
+    ("observed", entries("law.G", scaled(np.s_[:, 0, :2, :2], 1.5))),
+    ("observed-average", entries("law.G", scaled(np.s_[:, 0, :2, :2], 1.5))),
+    ("tracking", entries("law.G", scaled(np.s_[:, 0, 1, 1], 1.2))),  # a sum that grows
+    ("tracking-disturbance", entries("law.F", cleared)),
+    ("observed-late", put("law.mode_lag", 5)),
 ]
 
 # malformed: no certificates at all
 MALFORMED = [
     *(("late-far", put("law.mode_lag", lag)) for lag in (0, -1, True, 2.0, 10**7)),
     *((name, put("law.mode_lag", 1)) for name in ("one-mode", "mean")),
+    *(("observed", put("law.memory", q)) for q in (0, -1, True, 2.0, 1, 3, 10**7)),
+    ("observed", entries("law.G", lambda G: G + 1e-3)),  # reads what was remembered long ago
+    ("paper", put("law.memory", 1)),
     *((PAIR, put("rho", rho)) for rho in (1.01, 0.0, -0.9, HUGE, None, "1", True)),
     *((PAIR, put("law.step", step)) for step in (0, -0.1, HUGE, None, [0.1])),
     *((PAIR, put("plant.delays", D)) for D in ([0.3, 0.2], [0.2], 0.2, [HUGE, HUGE], [0, 0])),

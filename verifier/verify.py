@@ -135,16 +135,18 @@ def certificate(content):
     every = [(i, j) for i in range(c.modes) for j in range(c.m)]
     pairs = [(low[i][j], high[i][j]) if each else (low, high) for i, j in every]
     c.D = [pairs[i * c.m : i * c.m + c.m] for i in range(c.modes)]
-    late = "mode_lag" in law
-    keys = "context ages step F G" + " mode_lag" * late
-    c.context, ages, step, F, G, *lag = take(law, "law", keys)
-    c.lag = whole(lag[0], "mode_lag", 1) if late else 0
+    more = [k for k in ("mode_lag", "memory") if k in law]
+    c.context, ages, step, F, G, *n = take(law, "law", " ".join(["context ages step F G", *more]))
+    found = {k: whole(x, k, 1) for k, x in zip(more, n, strict=True)}
+    c.lag, c.q = found.get("mode_lag", 0), found.get("memory", 0)
     c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
     rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
     need(rows and (c.context == "mode_age" or c.ages == 1), "context is unknown, or ages not 1")
-    fits = not late or (c.context != "none" and c.modes > 1 and c.lag * rows <= 10**6)
+    fits = not c.lag or (c.context != "none" and c.modes > 1 and c.lag * rows <= 10**6)
     need(fits, "mode_lag where no row reads the mode, or too long a one")
-    c.F, c.G = array(F, "F", rows, c.m, c.n), array(G, "G", rows, None, c.m, c.m)
+    out = c.q + c.m  # of the table: what is remembered, then the inputs
+    c.F, c.G = array(F, "F", rows, out, c.n), array(G, "G", rows, None, out, out)
+    need(not any(x for r in c.G for g in r[1:] for y in g for x in y[: c.q]), "G reads an old w")
     keys = "dwell_time maximum_dwell chatter clock_tolerance"
     dwell, maximum, chatter, tolerance = take(signals, "signals", keys)
     c.dwell, c.tolerance = real(dwell, "dwell_time"), real(tolerance, "clock_tolerance")
@@ -242,7 +244,7 @@ class Loop:
         self.ranged = self.acts and any(low < high for row in c.D for low, high in row)
         N = max([0, *dict(self.reads)])
         self.held, self.k = max(N, len(c.G[0])) * self.acts, c.n + len(self.reads)
-        self.d = c.n + c.m * self.held
+        self.d = c.n + c.q + c.m * self.held
         need(self.d <= LARGEST_ORDER, f"its order is above this verifier's {LARGEST_ORDER}")
         for X in [c.P] if c.linear else itertools.chain(*c.P):
             need(len(X) == self.d == len(X[0]), f"P has not the order {self.d} of the loop")
@@ -326,13 +328,15 @@ class Loop:
 
     def new_table(self, row):
         """Y₀ and U₀ of a row."""
-        n, m, d = self.n, self.c.m, self.d
+        n, m, q, d = self.n, self.c.m, self.c.q, self.d
         if not self.acts:
             return eye(d), arb_mat(0, n)
-        G = self.c.G[row] + [[[0.0] * m] * m] * (self.held - len(self.c.G[row]))
-        now = [[*self.c.F[row][i], *(x for g in G for x in g[i])] for i in range(m)]
-        one, u = eye(d).tolist(), now + eye(d).tolist()[n:]  # u_k, u_{k−1}, …, u_{k−W}
-        return arb_mat(one[:n] + [u[N * m + j] for N, j in self.reads]), arb_mat(u[: d - n])
+        F, G, one = self.c.F[row], self.c.G[row], eye(d).tolist()
+        G, out = G + [[[0.0] * (q + m)] * (q + m)] * (self.held - len(G)), range(q + m)
+        now = [[*F[i], *G[0][i][:q], *(x for g in G for x in g[i][q:])] for i in out]  # w⁺, u_k
+        u = now[q:] + one[n + q :]  # u_k, u_{k−1}, …, u_{k−W}
+        Y = arb_mat(one[:n] + [u[N * m + j] for N, j in self.reads])
+        return Y, arb_mat(now[:q] + u[: d - n - q])
 
     def new_V(self, mode, age):
         """V at a node, if it is ≻ 0."""
@@ -623,8 +627,9 @@ def summary(c):
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
+    kept = f", {c.q} remembered" * (c.q > 0)
     rows = f"rows by {c.context}" + f" of {c.lag} periods ago" * (c.lag > 0)
-    loop = f"n = {c.n}, m = {c.m}, {plant}, h = {c.step!r} s, {D}, {first}, {rows}"
+    loop = f"n = {c.n}, m = {c.m}{kept}, {plant}, h = {c.step!r} s, {D}, {first}, {rows}"
     return f"{rate}; {loop}; {signals} by a clock off by {c.tolerance!r} at most"
 
 

@@ -74,7 +74,10 @@ class Certificate:
         return cls(True, message, rate, True, statement(evidence, cells), None, evidence)
 
     def lyapunov(self, mode: int = 0, age: int = 0) -> Float[np.ndarray, "order order"]:
-        """P_{mode,age} of V = ξᵀ P ξ, ξ = (x_k, u_{k−1}, …, u_{k−W}).
+        """P_{mode,age} of V = ξᵀ P ξ, ξ = (x_k, w_k, u_{k−1}, …, u_{k−W}).
+
+        w is what a law remembers of its outputs, (x̄, s) of `feedback.recurrence`; nothing of a law
+        of the state.
 
         Parameters
         ----------

@@ -24,27 +24,27 @@ from deadtime.certificates.clock import (
     lag_in_range,
     require_periods,
 )
-from deadtime.certificates.dwell.frame import WHOLE
+from deadtime.certificates.dwell.frame import whole
 from deadtime.certificates.dwell.search import Level, Search
 from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.transitions import shortest
 from deadtime.certificates.proof.validate import MOST_TOLD
+from deadtime.certificates.reach import LARGEST, out_of_reach, told_late, too_large, why_no_table
 from deadtime.certificates.unmoved import neutral, why_unmoved
-from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw, require_match
-from deadtime.feedback.memory import WithMemory
+from deadtime.feedback import Feedback, Law
+from deadtime.feedback.law import require_match
+from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.switched_system import check_delays
-from deadtime.spectrum import GROWS, growth_rate
+from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
+REMEMBERED_LEVELS = (Level(0), None, Level(2), Level(4))  # filters of left eigenvectors are rounded
 AGE_LEVELS = (Level(0), None, Level(2, 3))  # where the rows change with the age, V must, too
 FEW_AGES = 10  # so few that S may be one for each
 LARGE = 400  # order from which the last levels cost more than they bring, as for delay ranges
-LARGEST = 3000  # order that memory allows
 PARTS = (0.9, 0.6, 0.3, 0.1)  # of what the modes alone allow, tried as the certified decay
 SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 
@@ -75,7 +75,9 @@ def certify(
         The truth, which may differ from the law's model; a sequence gives the corners of a
         polytope of plants (of the same delays).
     law : Law
-        A law that is a table with rows by nothing, by mode, or by mode and age.
+        A law that is a table with rows by nothing, by mode, or by mode and age; or an
+        `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
+        sums of errors and the inputs on their way, at a reference and a disturbance of 0.
     dwell_time : float
         Shortest sojourn τ_d, in seconds, more than one period.
     step : float
@@ -144,10 +146,15 @@ def certify(
     tolerance = clock_tolerance_in_range(clock_tolerance)
     require_periods(dwell_time, step, maximum_dwell, chatter)
     mode_lag = lag_in_range(mode_lag)
-    reason = _out_of_reach(plants, law, dwell_time, step, tolerance) or why_unmoved(plants)
+    reason = out_of_reach(plants, law, dwell_time, step, tolerance) or why_unmoved(plants)
     if reason:
         return Certificate(None, reason)
-    table = law.digital(step)
+    table = recurrence_of(law, step)
+    if table is None:
+        return Certificate(None, why_no_table(law))
+    late = told_late(law, mode_lag)
+    if late:
+        return Certificate(None, late)
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
@@ -162,6 +169,7 @@ def certify(
         chatter,
         tolerance,
         mode_lag if table.context != "none" and plants[0].modes > 1 else 0,
+        table.memory,
     )
     if setting.mode_lag * len(setting.F) > MOST_TOLD:
         return Certificate(
@@ -170,13 +178,14 @@ def certify(
             "many rows that may be told: lengthen the step.",
         )
     if setting.order > LARGEST:
-        return Certificate(None, _too_large(setting.order))
-    return _decide(plants, law, setting, decay_rate, search_signals, progress)
+        return Certificate(None, too_large(setting.order))
+    return _decide(plants, law, table, setting, decay_rate, search_signals, progress)
 
 
 def _decide(
     plants: list[SwitchedSystem],
     law: Law,
+    table: Feedback,
     setting: Setting,
     wanted: float | None,
     search_signals: bool,
@@ -185,9 +194,9 @@ def _decide(
     """The modes alone, then Lyapunov functions, then a bad signal."""
     corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in _ends(setting.delays)]
     rates = [
-        (growth_rate(corner, law, mode, setting.step), mode, corner)
-        for corner in corners
-        for mode in range(corner.modes)
+        (constant_growth(with_memory(one, table), table, mode, aged_row(table, mode)), mode, one)
+        for one in corners
+        for mode in range(one.modes)
     ]
     slowest, mode, corner = max(rates, key=lambda item: item[0])
     if setting.maximum_dwell is None:
@@ -268,14 +277,15 @@ def _rate(rho: float, setting: Setting) -> str:
 
 def _levels(setting: Setting) -> list[Level | None]:
     """What to try, quickest first; None: along stretches."""
-    levels: tuple[Level | None, ...] = LEVELS
+    levels: tuple[Level | None, ...] = REMEMBERED_LEVELS if setting.memory else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
         every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
-    if along and setting.order <= WHOLE:  # V of the other kinds would be found along stretches
-        levels = (*levels[: levels.index(None)], None) if setting.inputs else (None,)
+    if along and setting.order <= whole(setting):  # V of the others would be found there
+        quick = setting.inputs and not setting.memory
+        levels = (*levels[: levels.index(None)], None) if quick else (None,)
     most = 2 if setting.order > LARGE or setting.family.ranges else 4
     return [level for level in levels if (along if level is None else level.eigenvectors <= most)]
 
@@ -355,38 +365,3 @@ def _require_one_period(low: float, high: float, step: float, name: str) -> None
             f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
             f"({low:g}, {high:g}): certify the parts one by one, as delay_margin does."
         ) from None
-
-
-def _out_of_reach(
-    plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float, tolerance: float
-) -> str:
-    """Why there can be no certificate, if so."""
-    if isinstance(law, WithMemory) and law.outputs is None:
-        return (
-            f"{type(law).__name__} weighs its rows by a belief, which no signal decides: there is "
-            "no table to certify. What can be proved is its .law, told the mode at once or, with "
-            "mode_lag, some periods late; falsify searches in runs for signals that it grows under."
-        )
-    if not isinstance(law, TableLaw):
-        kind = "a nonlinear law" if law.outputs is None else "a law with a memory"
-        return f"{type(law).__name__} is no table but {kind}: no certificate of this kind."
-    if law.foresees:
-        return (
-            f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
-            "is no one loop to certify."
-        )
-    if plants[0].modes > 1 and shortest(dwell_time, step, tolerance)[0] < 0:
-        return (
-            f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
-            f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."
-        )
-    return ""
-
-
-def _too_large(order: int) -> str:
-    """An estimate of what a loop of this order would take."""
-    gigabytes, minutes = 14 * 8e-9 * order**2 + 3e-7 * order**2, 0.5 * (order / 1000) ** 3
-    return (
-        f"the lifted loop has order {order:,}: a certificate would take about {gigabytes:.1f} GB "
-        f"and {minutes:.0f} min, and {LARGEST:,} is the limit; lengthen the step."
-    )

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from deadtime.base.checks import count, instance, number, positive
-from deadtime.base.errors import DeadtimeError
+from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
 from deadtime.certificates.clock import lag_in_range
 from deadtime.certificates.proof import check, load_evidence
@@ -22,7 +22,7 @@ from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 
 SHOWN = 12  # digits of a digest
@@ -99,10 +99,14 @@ class Asked:
             )
         if law is None:
             return ""
-        if not isinstance(law, TableLaw):
+        try:
+            table = recurrence_of(law, setting.step)
+        except ArgumentError as error:  # of a law with a period of its own
+            return f"the certificate is about another period than the law's: {error}"
+        if table is None:
             return f"the certificate is about a table, and {type(law).__name__} is none."
-        table = law.digital(setting.step)
-        kinds = (table.context, table.ages) == (setting.context, setting.ages)
+        kinds = (table.context, table.ages, table.memory)
+        kinds = kinds == (setting.context, setting.ages, setting.memory)
         F, G = table.state_gain, table.input_gain
         if not (kinds and np.array_equal(F, setting.F) and np.array_equal(G, setting.G)):
             return "the certificate is about another table than that of the given law."
@@ -247,14 +251,15 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     polytope = f", a polytope of {corners} plants" if corners > 1 else ""
     rows, taps = setting.G.shape[:2]
     late = f" of {number_of(setting.mode_lag, 'period')} ago" if setting.mode_lag else ""
+    kept = f", {number_of(setting.memory, 'number')} remembered" if setting.memory else ""
     return (
         f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: "
         f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
         f"{_in_figures(setting.delays)}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
         f"B[0] = {_first(setting.B[0, 0])}",
         f"Table {_digest(setting.F, setting.G)}: period {setting.step!r} s, rows by "
-        f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}; "
-        f"state gain {_first(setting.F[0])}",
+        f"{setting.context}{late}, {number_of(rows, 'row')} of {number_of(taps, 'past input')}"
+        f"{kept}; state gain {_first(setting.F[0])}",
         f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )

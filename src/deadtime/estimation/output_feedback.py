@@ -162,6 +162,10 @@ class OutputFeedback(WithMemory, Law):
         memory = self.estimator(step, signal, steps).memory(self.reference, steps)
         return Tables(self.law.digital(step, signal, steps), memory)
 
+    def beginning_at(self, memory: Float[np.ndarray, " w"]) -> OutputFeedback:
+        first = memory[: self.observer.plant.states]
+        return OutputFeedback(self.law, self.observer, servo=self.servo, estimate=first)
+
     def _push(self, table: Feedback) -> np.ndarray:
         """How the law's input answers the sum of errors, on average over a mode's rows."""
         n, modes = self.observer.plant.states, self.plant.modes

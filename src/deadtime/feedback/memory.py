@@ -75,6 +75,10 @@ class WithMemory(ABC):
     def tables(self, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
         """Its tables for a run, as `Law.digital` makes them; None where it has none."""
 
+    def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
+        """The law with no reference that remembers w before its first sample, as it can be told."""
+        raise NotImplementedError
+
 
 def tables_of(law: Law, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:
     """A law's tables for a run along a signal; None of a law that must be called."""

@@ -131,6 +131,10 @@ class Feedback(Frozen):
         Rows per mode of a (mode, age) table, 1 otherwise.
     factor : Factor or None
         The taps as H_c S^{j−1} Γ_s, where that form exists: O(1) cost in N for who uses it.
+    memory : int
+        How many of the m outputs, the first ones, are no inputs of the plant but what the law
+        remembers, of which it reads the last (`feedback.recurrence`); 0 of a law that remembers
+        nothing but its inputs.
 
     Examples
     --------
@@ -146,6 +150,7 @@ class Feedback(Frozen):
     step: float
     ages: int = 1
     factor: Factor | None = None
+    memory: int = 0
 
     def __post_init__(self) -> None:
         rows, m = self.state_gain.shape[:2]

@@ -13,4 +13,5 @@ from .lifted import (
     LiftedLoop as LiftedLoop,
     aged_row as aged_row,
     lifted_loop as lifted_loop,
+    with_memory as with_memory,
 )

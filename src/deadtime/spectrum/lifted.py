@@ -204,6 +204,27 @@ def lifted_loop(
     return LiftedLoop.of(plant, feedback, mode, row).matrix()
 
 
+def with_memory(plant: SwitchedSystem, feedback: Feedback) -> SwitchedSystem:
+    """The plant that all outputs of a table drive: what the law remembers acts on nothing.
+
+    Those come first and arrive after a period, whenever the others do.
+
+    Examples
+    --------
+    >>> import numpy as np, deadtime as dt
+    >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.2)
+    >>> table = dt.Feedback(np.zeros((1, 2, 1)), np.zeros((1, 2, 2, 2)), "none", 0.1, memory=1)
+    >>> with_memory(plant, table).B, with_memory(plant, table).delays
+    (array([[[0., 1.]]]), array([[0.1, 0.2]]))
+    """
+    q = feedback.memory
+    if not q:
+        return plant
+    idle, soon = np.zeros((*plant.B.shape[:2], q)), np.full((plant.modes, q), feedback.step)
+    B, delays = np.concatenate((idle, plant.B), 2), np.concatenate((soon, plant.delays), 1)
+    return plant.like(plant.A, B, delays)
+
+
 def aged_row(feedback: Feedback, mode: int) -> int:
     """The row that applies when a mode has been held throughout."""
     return feedback.row(mode, feedback.ages, feedback.state_gain.shape[0] - 1)

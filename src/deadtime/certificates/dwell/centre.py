@@ -100,11 +100,11 @@ def oldest_row(setting: Setting, mode: int) -> int:
 
 def loop_matrix(setting: Setting, E: np.ndarray, row: int) -> np.ndarray:
     """M of ξ⁺ = M ξ in a period of plant rows E under one row of the table."""
-    n, m, d = setting.states, setting.inputs, setting.order
-    inputs = np.concatenate((setting.rows[row], np.eye(d)[n:]))  # u_k, u_{k−1}, …
-    read = [lag * m + j for lag, j in setting.family.reads]
-    seen = np.concatenate((np.eye(d)[:n], inputs[read]))
-    return np.concatenate((E @ seen, inputs[: d - n]))
+    n, d, unit = setting.states, setting.order, np.eye(setting.order)
+    now, places = setting.rows[row], [(r[0], setting.input_at(*r)) for r in setting.family.reads]
+    read = [(unit if lag else now)[[at]] for lag, at in places]
+    seen = np.concatenate((unit[:n], *read))
+    return np.concatenate((E @ seen, now, unit[n + setting.memory : d - setting.inputs]))
 
 
 def _directions(
@@ -125,7 +125,7 @@ def _directions(
     T[:, :, :n], others[:, :, :n] = differences[:, :, :n], 0.0
     for place, (lag, j) in enumerate(reads, n):
         if lag:
-            there = n + (lag - 1) * m + j
+            there = setting.input_at(lag, j)
             T[:, :, place], others[:, :, there] = differences[:, :, there], 0.0
     lasts = [oldest_row(setting, i) for i in range(setting.transitions.modes)]
     size = max(float(np.abs(differences).max()), 1e-300) * count

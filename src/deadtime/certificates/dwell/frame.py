@@ -6,11 +6,20 @@ import numpy as np
 
 from deadtime.certificates.dwell.leaps import Node
 from deadtime.certificates.dwell.shape import future_sums
+from deadtime.certificates.proof.evidence import Setting
 
-WHOLE = 12  # order up to which H is all of ξ
+WHOLE, WHOLE_REMEMBERED = 12, 20  # order up to which H is all of ξ; with what a law remembers in it
 MOST = 12  # functionals, above it
 CARRIED = 1e-9  # of the strongest: functionals that the loop does not carry on
 TURNS = 40  # of the power iteration
+
+
+def whole(setting: Setting) -> int:
+    """The order up to which V along stretches is any matrix.
+
+    What a law remembers is read at once, so all of it counts; a delay line is soon emptied.
+    """
+    return WHOLE_REMEMBERED if setting.memory else WHOLE
 
 
 def balancing_units(loops: list[np.ndarray]) -> np.ndarray:
@@ -50,9 +59,11 @@ def _over_leaps(leaps: list[np.ndarray], eye: np.ndarray) -> np.ndarray:
     return total
 
 
-def functionals(switching: list[tuple[Node, Node, np.ndarray]], d: int) -> np.ndarray:
-    """H (s, d), orthonormal: all of ξ, or the leading functionals of two leaps in a row."""
-    if d <= WHOLE:
+def functionals(
+    switching: list[tuple[Node, Node, np.ndarray]], d: int, most: int = WHOLE
+) -> np.ndarray:
+    """H (s, d), orthonormal: all of ξ up to an order, or the leading functionals of two leaps."""
+    if d <= most:
         return np.eye(d)
     once: dict[Node, np.ndarray] = {}
     twice = np.zeros((d, d))

@@ -1,6 +1,6 @@
 """The frequency response of the centre: v and ξ that a signal w on |z| = ρ gives rise to.
 
-    z x = E₀ y + w_x,    u = row₀ ξ + w_u,    u_{k−j} = z^{−j} u:
+    z x = E₀ y + w_x,    (z w, u) = row₀ ξ + w_u,    u_{k−j} = z^{−j} u:
 
 a small system at each z, W m² operations to set up, so that no matrix of the loop's order is
 ever inverted.
@@ -50,25 +50,26 @@ def response(model: Model, angles: np.ndarray, rho: float) -> Response:
 
 def _response(model: Model, z: np.ndarray) -> Response:
     setting, centre, channels = model.setting, model.centre, model.channels
-    n, m, W = setting.states, setting.inputs, setting.past
-    w = channels.D.shape[1]
+    n, m, W, q = setting.states, setting.inputs, setting.past, setting.memory
+    w, s = channels.D.shape[1], n + q
     powers = z[:, None] ** -np.arange(1.0, W + 1.0)
     late = np.concatenate((np.ones((len(z), 1)), powers), axis=1)
-    G = centre.row[:, n:].reshape(m, W, m)
-    system = np.zeros((len(z), n + m, n + m), complex)
-    system[:, :n, :n] = z[:, None, None] * np.eye(n) - centre.E[:, :n]
+    G = centre.row[:, s:].reshape(q + m, W, m)
+    system = np.zeros((len(z), s + m, s + m), complex)
+    system[:, :s, :s] = z[:, None, None] * np.eye(s)
+    system[:, :n, :n] -= centre.E[:, :n]
     for place, (lag, j) in enumerate(setting.family.reads, n):
-        system[:, :n, n + j] -= centre.E[:, place] * late[:, lag, None]
-    system[:, n:, :n] = -centre.row[:, :n]
-    g = powers @ G.transpose(1, 0, 2).reshape(W, m * m)
-    system[:, n:, n:] = np.eye(m) - g.reshape(len(z), m, m)
-    inputs = np.eye(n + m)[:, :w]
+        system[:, :n, s + j] -= centre.E[:, place] * late[:, lag, None]
+    system[:, n:, :s] -= centre.row[:, :s]
+    g = powers @ G.transpose(1, 0, 2).reshape(W, (q + m) * m)
+    system[:, n:, s:] = np.eye(q + m, m, -q) - g.reshape(len(z), q + m, m)
+    inputs = np.eye(s + m)[:, :w]
     both = np.linalg.solve(system, np.broadcast_to(inputs, (len(z), *inputs.shape)))
-    X, U = both[:, :n], both[:, n:]
+    X, U = both[:, :s], both[:, s:]
     C = np.concatenate((channels.C, model.rest))
-    taps = C[:, n:].reshape(len(C), W, m).transpose(1, 0, 2).reshape(W, -1)
+    taps = C[:, s:].reshape(len(C), W, m).transpose(1, 0, 2).reshape(W, -1)
     from_inputs = (powers @ taps).reshape(len(z), len(C), m)
-    seen = C[:, :n] @ X + from_inputs @ U
+    seen = C[:, :s] @ X + from_inputs @ U
     V, left = seen[:, : len(channels.C)] + channels.D, seen[:, len(channels.C) :]
     Q = _square(X) + setting.step * (np.abs(powers) ** 2).sum(axis=1)[:, None, None] * _square(U)
     return Response(V, Q, _square(left))

@@ -219,7 +219,7 @@ def _evidence(proposal: Proposal) -> Evidence | None:
     wide = channels.wide
     form = wide.T @ Pi @ wide
     weight = np.full(d, setting.step)
-    weight[: setting.states] = 1.0
+    weight[: setting.states + setting.memory] = 1.0
     slack = np.concatenate((weight / units.q, 1.0 / units.w**2)) * (0.5 * proposal.margin)
     form[np.diag_indices_from(form)] += slack
     form[:d, :d] += (proposal.solution.kappa / units.w[-1] ** 2) * (model.rest.T @ model.rest)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadtime.certificates.dwell.frame import WHOLE, balancing_units, functionals, metric
+from deadtime.certificates.dwell.frame import balancing_units, functionals, metric, whole
 from deadtime.certificates.dwell.leaps import Leap, Leaps, Node
 from deadtime.certificates.dwell.shape import Shape
 from deadtime.certificates.dwell.stretch_program import ADDED, Looked, decrease, solve
@@ -49,7 +49,7 @@ def knots_of(setting: Setting) -> tuple[int, ...]:
     graph = setting.transitions
     if _unknown(setting):
         return tuple(range(graph.last + 1))
-    pieces = PIECES if setting.order <= WHOLE else 1
+    pieces = PIECES if setting.order <= whole(setting) else 1
     marks = np.linspace(graph.first, graph.last, pieces + 1).round().astype(int)
     return tuple(sorted({int(mark) for mark in marks}))
 
@@ -72,10 +72,10 @@ class StretchSearch:
             return False
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
             return False  # at a node it would matter what was before
-        d, modes = setting.order, graph.modes
-        if d > WHOLE and (_unknown(setting) or 2 * (graph.first + 1) < setting.past):
+        d, modes, most = setting.order, graph.modes, whole(setting)
+        if d > most and (_unknown(setting) or 2 * (graph.first + 1) < setting.past):
             return False  # over two stretches the delay line is not yet emptied
-        entries = min(d, WHOLE) * (min(d, WHOLE) + 1) // 2 + 1
+        entries = min(d, most) * (min(d, most) + 1) // 2 + 1
         if modes * len(knots_of(setting)) * entries > MOST_UNKNOWNS:
             return False
         leaps = 2 * modes * (modes - 1) * (graph.last - graph.first + 1)
@@ -126,7 +126,7 @@ class StretchSearch:
         leaps = [(here, there, T @ M @ back) for here, there, M in leaps]
         staying = [leap for leap in leaps if leap[0][0] == leap[1][0]]
         moving = [leap for leap in leaps if leap[0][0] != leap[1][0]]
-        H = functionals(moving, len(T))
+        H = functionals(moving, len(T), whole(self.setting))
         nodes = tuple((i, k) for i in range(graph.modes) for k in range(len(self.knots)))
         if _unknown(self.setting):
             shape, moving = Shape.of(H, {}, {}, nodes), leaps

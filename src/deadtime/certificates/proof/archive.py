@@ -28,6 +28,7 @@ from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
 
 FORMAT = "deadtime certificate 2"
+COUNTS = ("mode_lag", "memory")  # of the law
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
 MOST_BYTES = 2**30  # as the verifier that shares no code with this one
 DEEPEST = 20
@@ -35,7 +36,7 @@ _BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*+"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays",
-    "law": "context ages step F G mode_lag",
+    "law": "context ages step F G mode_lag memory",
     "signals": "dwell_time maximum_dwell chatter clock_tolerance",
 }
 LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P"}
@@ -68,7 +69,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "step": setting.step,
             "F": _pack(setting.F),
             "G": _pack(setting.G),
-            **({"mode_lag": setting.mode_lag} if setting.mode_lag else {}),
+            **{name: n for name in COUNTS if (n := getattr(setting, name))},
         },
         "signals": {
             "dwell_time": setting.dwell_time,
@@ -190,7 +191,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         None if maximum is None else _float(maximum),
         signals["chatter"],
         _float(signals["clock_tolerance"]),
-        _lag(law),
+        *(_count(law, name) for name in COUNTS),
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":
@@ -216,12 +217,12 @@ def claims_too_much(archived: Archived) -> str:
     return ""
 
 
-def _lag(law: dict[str, Any]) -> int:
-    """The lag of the mode; left out where there is none, so that no loop has two files."""
-    lag = law.get("mode_lag", 0)
-    if "mode_lag" in law and lag == 0:
-        raise ValueError("law.mode_lag 0 must be left out")
-    return lag
+def _count(law: dict[str, Any], name: str) -> int:
+    """A number of the law; left out where it is 0, so that no loop has two files."""
+    count = law.get(name, 0)
+    if name in law and count == 0:
+        raise ValueError(f"law.{name} 0 must be left out")
+    return count
 
 
 def _text(value: Any) -> Any:

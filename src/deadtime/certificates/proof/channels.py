@@ -12,10 +12,10 @@ from deadtime.certificates.proof.evidence import Centre, Setting
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """C (v, d), D (v, w), and [M₀ B]'s first n + m rows as a product: top = left · right.
+    """C (v, d), D (v, w), and [M₀ B]'s first n + o rows as a product: top = left · right.
 
-    top ζ = (x⁺, u_k) of ζ = (ξ, w); all entries of `left` and `right` are entries of the centre,
-    ones and zeros.
+    top ζ = (x⁺, the law's outputs) of ζ = (ξ, w); all entries of `left` and `right` are entries of
+    the centre, ones and zeros.
     """
 
     C: Float[np.ndarray, "v order"]
@@ -26,25 +26,26 @@ class Channels:
     @classmethod
     def of(cls, setting: Setting, centre: Centre) -> Channels:
         """Lay out the channels of a centre."""
-        n, m, d = setting.states, setting.inputs, setting.order
+        n, o, d = setting.states, setting.outputs, setting.order
         reads = setting.family.reads
-        w = n + m * setting.rows_differ
+        w = n + o * setting.rows_differ
         k = n + len(reads)
         C, D = np.zeros((k, d)), np.zeros((k, w))
         C[:n, :n] = np.eye(n)
         for place, (lag, j) in enumerate(reads, n):
+            at = setting.input_at(lag, j)
             if lag:
-                C[place, n + (lag - 1) * m + j] = 1.0
+                C[place, at] = 1.0
             else:
-                C[place] = centre.row[j]
-                D[place, n:] = np.eye(m)[j, : w - n]
-        # (x⁺, u) = [E₀ I 0; 0 0 I] (y, w_x, row₀ ξ + w_u)
-        left, right = np.zeros((n + m, k + n + m)), np.zeros((k + n + m, d + w))
-        left[:n, :k], left[:n, k : k + n], left[n:, k + n :] = centre.E, np.eye(n), np.eye(m)
+                C[place] = centre.row[at]
+                D[place, n:] = np.eye(o)[at, : w - n]
+        # (x⁺, (w⁺, u)) = [E₀ I 0; 0 0 I] (y, w_x, row₀ ξ + w_u)
+        left, right = np.zeros((n + o, k + n + o)), np.zeros((k + n + o, d + w))
+        left[:n, :k], left[:n, k : k + n], left[n:, k + n :] = centre.E, np.eye(n), np.eye(o)
         right[:k, :d], right[:k, d:] = C, D
         right[k : k + n, d : d + n] = np.eye(n)
         right[k + n :, :d] = centre.row
-        right[k + n :, d + n :] = np.eye(m)[:, : w - n]
+        right[k + n :, d + n :] = np.eye(o)[:, : w - n]
         more = np.concatenate((C, centre.R, centre.Psi))
         return cls(more, np.concatenate((D, np.zeros((len(more) - k, w)))), left, right)
 

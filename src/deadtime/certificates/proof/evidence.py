@@ -1,9 +1,10 @@
 """The evidence for a certificate: numbers, exact as stored, that a check can judge on its own.
 
-The loop. ξ_k = (x_k, u_{k−1}, …, u_{k−W}) of order d = n + W m. A period under the row c of the
-table and the plant's rows E is
+The loop. ξ_k = (x_k, w_k, u_{k−1}, …, u_{k−W}) of order d = n + q + W m, w what the law remembers
+besides its inputs, if anything (q = 0). A period under the rows c of the table and the plant's
+rows E is
 
-    u_k = row_c ξ,    x⁺ = E y,    y = (x, the inputs read),    the rest of ξ is shifted.
+    (w⁺, u_k) = row_c ξ,    x⁺ = E y,    y = (x, the inputs read),    the rest of ξ is shifted.
 
 The centre E₀, row₀ makes of it one linear system with a small feedback Δ around it,
 
@@ -51,8 +52,8 @@ class Setting(Frozen):
     delays : (low, high), (modes, m), or (2, modes, m)
         The plant's delay, seconds, equal for a known one; or those of every mode and input; or
         the lower and the upper end of each.
-    F : (rows, m, n), G : (rows, taps, m, m)
-        The law's table.
+    F : (rows, o, n), G : (rows, taps, o, o)
+        The law's table, of the outputs o = q + m: what it remembers, then the inputs.
     context, ages, step
         As in `Feedback`.
     dwell_time, maximum_dwell, chatter
@@ -63,6 +64,9 @@ class Setting(Frozen):
     mode_lag : int
         L: the law is told the mode of L samples ago, and goes by its age there; 0 where no row
         reads the mode, or there is one mode.
+    memory : int
+        q, how many of the table's outputs, the first ones, the law remembers for one period; of
+        these G has nothing beyond the first tap.
 
     Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
@@ -70,8 +74,8 @@ class Setting(Frozen):
     A: Float[np.ndarray, "vertex mode n n"]
     B: Float[np.ndarray, "vertex mode n m"]
     delays: Delays
-    F: Float[np.ndarray, "row m n"]
-    G: Float[np.ndarray, "row tap m m"]
+    F: Float[np.ndarray, "row o n"]
+    G: Float[np.ndarray, "row tap o o"]
     context: Context
     ages: int
     step: float
@@ -80,6 +84,7 @@ class Setting(Frozen):
     chatter: int = 1
     clock_tolerance: float = CLOCK_TOLERANCE
     mode_lag: int = 0
+    memory: int = 0
 
     @cached_property
     def family(self) -> Family | Box:
@@ -117,24 +122,36 @@ class Setting(Frozen):
         return self.B.shape[3] if np.any(self.F) or np.any(self.G) else 0
 
     @property
+    def outputs(self) -> int:
+        """q + m, of the law."""
+        return self.memory + self.inputs
+
+    @property
     def past(self) -> int:
         """W, the past inputs in ξ."""
         return max(self.family.count, self.G.shape[1] if self.inputs else 0)
 
     @property
     def order(self) -> int:
-        """d = n + W m."""
-        return self.states + self.past * self.inputs
+        """d = n + q + W m."""
+        return self.states + self.memory + self.past * self.inputs
 
     @cached_property
-    def rows(self) -> Float[np.ndarray, "row m order"]:
+    def rows(self) -> Float[np.ndarray, "row o order"]:
         """row_c, exact."""
-        count, n, m, taps = len(self.F), self.states, self.inputs, self.G.shape[1]
-        result = np.zeros((count, m, self.order))
+        count, m, q, taps = len(self.F), self.inputs, self.memory, self.G.shape[1]
+        result = np.zeros((count, self.outputs, self.order))
         if m:
-            stacked = self.G.transpose(0, 2, 1, 3).reshape(count, m, taps * m)
-            result[:, :, :n], result[:, :, n : n + taps * m] = self.F, stacked
+            stacked = self.G[:, :, :, q:].transpose(0, 2, 1, 3).reshape(count, q + m, taps * m)
+            parts = (self.F, self.G[:, 0, :, :q], stacked)
+            result[:, :, : self.states + q + taps * m] = np.concatenate(parts, axis=2)
         return result
+
+    def input_at(self, lag: int, channel: int) -> int:
+        """Where u_{k−lag} of an input is in ξ; of lag 0, which is not there, among the outputs."""
+        if not lag:
+            return self.memory + channel
+        return self.states + self.memory + (lag - 1) * self.inputs + channel
 
     @cached_property
     def rows_differ(self) -> bool:
@@ -150,9 +167,9 @@ class Centre(Frozen):
     ----------
     E : (n, k)
         E₀.
-    row : (m, d)
+    row : (o, d)
         row₀.
-    R : (r, d), T : (rows, m, y + r)
+    R : (r, d), T : (rows, o, y + r)
         (row_c − row₀) ξ = T_c (y, r) up to a residual that the check bounds.
     Psi : (s, d)
         Ψ.
@@ -161,9 +178,9 @@ class Centre(Frozen):
     """
 
     E: Float[np.ndarray, "n k"]
-    row: Float[np.ndarray, "m order"]
+    row: Float[np.ndarray, "o order"]
     R: Float[np.ndarray, "r order"]
-    T: Float[np.ndarray, "row m yr"]
+    T: Float[np.ndarray, "row o yr"]
     Psi: Float[np.ndarray, "s order"]
     F: Float[np.ndarray, "s vw"]
 

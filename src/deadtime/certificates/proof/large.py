@@ -72,10 +72,9 @@ class LargeInequalities:
 
         evidence = self.evidence
         setting, P = evidence.setting, evidence.P
-        d, m = setting.order, setting.inputs
-        top = setting.states + m
+        d, top = setting.order, setting.states + setting.outputs
         keep, full = d - top, d + self.w
-        n = setting.states
+        n = top - setting.inputs  # from where on ξ is shifted
         Z = balls.exact(self.channels.left) * balls.exact(self.channels.right)
         half = balls.exact(P[:top, :top]) * arb(0.5) * Z
         across = np.zeros((top, full))
@@ -137,7 +136,8 @@ class LargeInequalities:
         if not self.s:
             return 0.0
         setting, Psi = self.evidence.setting, self.evidence.centre.Psi
-        top, n = setting.states + setting.inputs, setting.states
+        top = setting.states + setting.outputs
+        n = top - setting.inputs
         Z = balls.exact(self.channels.left) * balls.exact(self.channels.right)
         moved = np.zeros((self.s, setting.order + self.w))
         moved[:, n : n + setting.order - top] = Psi[:, top:]

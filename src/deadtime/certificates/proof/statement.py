@@ -89,6 +89,15 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     late = ""
     if setting.mode_lag:
         late = f", which it is told {number_of(setting.mode_lag, 'period')} late"
+    kept = memory = ""
+    if setting.memory:
+        memory = ", memory of the law"
+        kept = (
+            f" It remembers {number_of(setting.memory, 'number')} besides its inputs (an estimate, "
+            "and sums of errors), whose rows are products of what it computes with, rounded; what "
+            "decays is these, too, where the reference is 0, no constant disturbance acts, and "
+            "every sample is measured."
+        )
     kind, parts = _how(evidence)
     how = (
         f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
@@ -96,12 +105,13 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     )
     return (
         f"{words[0].upper()}{words[1:]}, switching at any instant, and for every "
-        f"initial state and past input, the digital loop of {plants} with this table{pace}; "
-        f"{when} the Lyapunov function falls {falls}.",
+        f"initial state{memory} and past input, the digital loop of {plants} with this table{pace};"
+        f" {when} the Lyapunov function falls {falls}.",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",
-        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}{late}. "
+        f"The law is its table: the stored binary64 numbers, exactly; its rows go by {rows}{late}."
+        f"{kept} "
         "Plant entries, delay and period are all reals within half a unit in the last place of the "
         "stored ones: the decimals that were written and the binary64 numbers alike. By the "
         "controller's clock a sojourn may be shorter than the dwell time"

@@ -96,15 +96,13 @@ class Period:
 
     @classmethod
     def of(cls, setting: Setting, row: np.ndarray) -> Period:
-        """Under one row (m, d) of the table."""
-        n, m, d = setting.states, setting.inputs, setting.order
-        u = np.zeros((setting.past + 1, m, d))
-        u[0] = row
-        for j in range(1, setting.past + 1):
-            u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
-        read = [u[lag, [j]] for lag, j in setting.family.reads]
+        """Under one row (o, d) of the table."""
+        n, d, unit = setting.states, setting.order, np.eye(setting.order)
+        places = [(lag, setting.input_at(lag, j)) for lag, j in setting.family.reads]
+        read = [(unit if lag else row)[[at]] for lag, at in places]
         seen = np.concatenate((np.eye(n, d), *read))
-        rest = np.concatenate((np.zeros((n, d)), *u[: setting.past]))
+        held = unit[n + setting.memory : d - setting.inputs]
+        rest = np.concatenate((np.zeros((n, d)), row, held))
         return cls(balls.exact(seen), balls.exact(rest))
 
     def loop(self, E: Any) -> Any:

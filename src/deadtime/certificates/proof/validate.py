@@ -55,9 +55,10 @@ def _numbers(setting: Setting) -> str:
         value = getattr(setting, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             return f"{name} is not a whole number of at least 1"
-    lag = setting.mode_lag
-    if not isinstance(lag, int) or isinstance(lag, bool) or lag < 0:
-        return "mode_lag is not a whole number of at least 0"
+    for name in ("mode_lag", "memory"):
+        value = getattr(setting, name)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            return f"{name} is not a whole number of at least 0"
     tolerance = setting.clock_tolerance
     if not (isinstance(tolerance, float) and clock.LEAST <= tolerance <= clock.MOST):
         return f"clock_tolerance is not in [{clock.LEAST:g}, {clock.MOST:g}]"
@@ -70,17 +71,23 @@ def _plants_and_table(setting: Setting) -> str:
     if (A.ndim, B.ndim, F.ndim, G.ndim) != (4, 4, 3, 4) or not (A.size and B.size and F.size):
         return "A, B, F or G lacks an axis"
     corners, modes, n, _ = A.shape
-    m, rows, taps = B.shape[3], F.shape[0], G.shape[1]
+    m, rows, taps, q = B.shape[3], F.shape[0], G.shape[1], setting.memory
     expected = {
         "A": (A, (corners, modes, n, n)),
         "B": (B, (corners, modes, n, m)),
-        "F": (F, (rows, m, n)),
-        "G": (G, (rows, taps, m, m)),
+        "F": (F, (rows, q + m, n)),
+        "G": (G, (rows, taps, q + m, q + m)),
     }
     if isinstance(setting.delays, np.ndarray):
         ends = (2,) if setting.delays.ndim == 3 else ()
         expected["delays"] = setting.delays, (*ends, modes, m)
-    return _misshapen(expected) or ("G has no taps" if taps < 1 else "")
+    late = np.any(G[:, 1:, :, :q])
+    return (
+        _misshapen(expected)
+        or ("G has no taps" if taps < 1 else "")
+        or ("G reads what the law remembers after more than a period" if late else "")
+        or ("memory is not 0, though F and G are all zero" if q and not setting.inputs else "")
+    )
 
 
 def _context(setting: Setting) -> str:
@@ -185,15 +192,15 @@ def _expected_shapes(
     evidence: Evidence, setting: Setting, centre: Centre
 ) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
     d, rows = setting.order, len(setting.F)
-    n, m = setting.states, setting.inputs
+    n, o = setting.states, setting.outputs
     y = n + len(setting.family.reads)
     r, s = centre.R.shape[0], centre.Psi.shape[0]
-    size = y + r + s + n + m * setting.rows_differ
+    size = y + r + s + n + o * setting.rows_differ
     return {
         "E": (centre.E, (n, y)),
-        "row": (centre.row, (m, d)),
+        "row": (centre.row, (o, d)),
         "R": (centre.R, (r, d)),
-        "T": (centre.T, (rows, m, y + r)),
+        "T": (centre.T, (rows, o, y + r)),
         "Psi": (centre.Psi, (s, d)),
         "filter": (centre.F, (s, size)),
         "P": (evidence.P, (d, d)),

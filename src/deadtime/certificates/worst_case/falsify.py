@@ -21,10 +21,10 @@ from deadtime.certificates.worst_case.runs import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.selection import Rated, improve, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
 from deadtime.feedback import Feedback, Law
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.law import require_match
+from deadtime.feedback.recurrence import recurrence_of, same_outputs
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import aged_row, constant_growth
-from deadtime.switching import SwitchingSignal
+from deadtime.spectrum import aged_row, constant_growth, with_memory
 
 
 def falsify(
@@ -51,7 +51,8 @@ def falsify(
         The truth. The law has a model of its own, `law.plant`; delay and matrices may differ.
     law : Law
         A law that does not foresee the signal. One that is no table is run instead: growth is then
-        measured, to about 1 % of 1/D where the slowest motion stands out, and never proved.
+        measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
+        `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
     dwell_time : float
         τ_d > 0, seconds, at least one period: the shortest sojourn.
     step : float
@@ -104,12 +105,12 @@ def falsify(
     mode_lag, tolerance = lag_in_range(mode_lag), clock_tolerance_in_range(clock_tolerance, 0.0)
     bounded = maximum_dwell is not None and plant.modes > 1
     dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step, tolerance)
-    if not isinstance(law, TableLaw):
+    feedback = None if mode_lag and not same_outputs(law) else _table(law, step)
+    if feedback is None:
         run = RunLoop(plant, law, step, mode_lag, dwell_time)
         return worst_in_runs(run, dwell, not bounded, budget)
-    feedback = _table(law, step)
     lag = mode_lag if plant.modes > 1 and feedback.context != "none" else 0
-    constants, loop = _constants(plant, feedback, lag)
+    constants, loop = _constants(with_memory(plant, feedback), feedback, lag)
     known = [] if bounded else constants
     evaluated, upper = len(constants), None
     if plant.modes > 1:
@@ -118,13 +119,14 @@ def falsify(
         better, looked = improve(loop, dwell, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         known = [*known, *better]
-    result = worst_case(loop, law, dwell_time, *worst_of(known, loop), evaluated, upper)
+    about = plant, law, dwell_time
+    result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
     if result.proven or result.growth_rate <= 0.0:
         return result
     # Growth that is no fact gives way to that of a constant mode that is one.
     constant = [rated for rated in known if rated[0].constant and rated[1].rate > 0.0]
     for rated in sorted(constant, key=lambda rated: -rated[1].rate):
-        other = worst_case(loop, law, dwell_time, *rated, evaluated, upper)
+        other = worst_case(loop, *about, *rated, evaluated, upper)
         if other.proven:
             return other
     return result
@@ -156,10 +158,10 @@ def _require(
         )
 
 
-def _table(law: TableLaw, step: float) -> Feedback:
-    """The law's table."""
-    feedback = law.digital(step, SwitchingSignal.constant(0), 1)
-    if feedback.context == "step":
+def _table(law: Law, step: float) -> Feedback | None:
+    """The law's table, with what it remembers; None of a law that is no table."""
+    feedback = recurrence_of(law, step)
+    if feedback is not None and feedback.context == "step":
         raise ArgumentError("law must have rows that do not depend on the step's index.")
     return feedback
 

@@ -15,6 +15,7 @@ from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.feedback import Law
+from deadtime.feedback.memory import WithMemory
 from deadtime.imperfections import ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
@@ -44,7 +45,8 @@ class WorstCase(Frozen):
         A sojourn may be below the dwell time by as much as the clock's tolerance allows.
     x0 : (n,), u0 : (m, W)
         State at time 0 and inputs before it, held samples, the oldest first, along the direction
-        that grows; as `simulate` takes them. Where that direction turns, x0 and u0 are its real
+        that grows; as `simulate` takes them. A law with a memory, `law`, begins along it, too, but
+        for its sums of errors, which begin at 0. Where that direction turns, x0 and u0 are its real
         part, and |x| waxes and wanes about the growth.
     message : str
         What was found, in a sentence.
@@ -119,6 +121,7 @@ class WorstCase(Frozen):
 
 def worst_case(
     loop: SampledLoop,
+    plant: SwitchedSystem,
     law: Law,
     dwell_time: float,
     cycle: Cycle,
@@ -126,10 +129,13 @@ def worst_case(
     evaluated: int,
     upper_estimate: float | None,
 ) -> WorstCase:
-    """The result for the worst cycle of a table."""
-    plant, feedback = loop.plant, loop.feedback
+    """The result for the worst cycle of a table; of one with a memory that begins there, too."""
+    feedback, q = loop.feedback, loop.feedback.memory
     aged = feedback.ages * loop.step if feedback.context == "mode_age" else 0.0
-    start = _direction(growth.vector, plant.states, plant.inputs)
+    x0, outputs = _direction(growth.vector, plant.states, q + plant.inputs)
+    start = x0, outputs[q:]
+    if isinstance(law, WithMemory):
+        law = law.beginning_at(outputs[:q, -1])
     proof = prove(loop, cycle, growth.rate)
     kept = Kept(plant, law, dwell_time, loop.step, loop.lag)
     return of_cycle(kept, cycle, growth.rate, proof, start, aged, evaluated, upper_estimate)

@@ -1,0 +1,69 @@
+"""What can be certified at all: laws, dwell times and orders beyond reach are told so at once."""
+
+from __future__ import annotations
+
+from deadtime.certificates.proof.transitions import shortest
+from deadtime.feedback import Law
+from deadtime.feedback.law import TableLaw
+from deadtime.feedback.memory import WithMemory
+from deadtime.feedback.recurrence import same_outputs
+from deadtime.plant import SwitchedSystem
+
+LARGEST = 3000  # order that memory allows
+
+
+def out_of_reach(
+    plants: list[SwitchedSystem], law: Law, dwell_time: float, step: float, tolerance: float
+) -> str:
+    """Why there can be no certificate, if so."""
+    if not isinstance(law, TableLaw | WithMemory):
+        return why_no_table(law)
+    if law.foresees:
+        return (
+            f"{type(law).__name__} foresees the signal, so its table is one for each signal: there "
+            "is no one loop to certify."
+        )
+    if plants[0].modes > 1 and shortest(dwell_time, step, tolerance)[0] < 0:
+        return (
+            f"dwell_time = {dwell_time:g} s is not above one period of {step:g} s (by the clock's "
+            f"tolerance of {tolerance:g}): two switches may fall into a step; shorten the step."
+        )
+    return ""
+
+
+def why_no_table(law: Law) -> str:
+    """Why a law that has no table has no certificate."""
+    name = type(law).__name__
+    if not isinstance(law, WithMemory):
+        return f"{name} is no table but a nonlinear law: no certificate of this kind."
+    if law.outputs is None:
+        return (
+            f"{name} weighs its rows by a belief, which no signal decides: there is "
+            "no table to certify. What can be proved is its .law, told the mode at once or, with "
+            "mode_lag, some periods late; falsify searches in runs for signals that it grows under."
+        )
+    return (
+        f"{name} is no linear update of what it remembers (it weighs a belief, or runs a law that "
+        "is not linear): no certificate of this kind; falsify searches in runs for signals that it "
+        "grows under."
+    )
+
+
+def told_late(law: Law, mode_lag: int) -> str:
+    """Why a law that is told the mode late has no certificate, if so."""
+    if not mode_lag or same_outputs(law):
+        return ""
+    return (
+        "The law measures other outputs in each mode, so what it makes of them depends on the "
+        "plant's mode and on the one that it is told: certify with one C for all modes, or without "
+        "mode_lag."
+    )
+
+
+def too_large(order: int) -> str:
+    """An estimate of what a loop of this order would take."""
+    gigabytes, minutes = 14 * 8e-9 * order**2 + 3e-7 * order**2, 0.5 * (order / 1000) ** 3
+    return (
+        f"the lifted loop has order {order:,}: a certificate would take about {gigabytes:.1f} GB "
+        f"and {minutes:.0f} min, and {LARGEST:,} is the limit; lengthen the step."
+    )

@@ -1,0 +1,101 @@
+"""A law and what it remembers as one table: a linear update from period to period.
+
+Before the sample at t_k a `Memory` holds w_k = (x̄_k, s_k): its prediction, and of the sums of
+errors s_k = q_{k−1} + h v_{k−1}/2. What the law's rows are multiplied with is linear in x_k and
+w_k, and so is what it holds a period later. In the mode i that is told at t_k
+
+    x̂ = x̄ + L_i (C x − C_i x̄),    q = s + h v/2,    v = H C x,
+    u_k = F_c (x̂, q) + Σ_j G_{c,j} u_{k−j},
+    x̄⁺ = Φ_i x̂ + Σ_l Γ_{i,l} u_{k−l},    s⁺ = s + h v,
+
+l over the lags at which inputs reach the model, C and C_i the true outputs and the model's. So
+(w_{k+1}, u_k) are rows of a table over (x_k, w_k, u_{k−1}, …). The first `Feedback.memory` of what
+it gives are w: the plant does not read them, and the law reads the last of them. The reference is
+0, every sample is measured, and every input is applied as asked for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.feedback.law import Law, TableLaw
+from deadtime.feedback.memory import Memory, WithMemory
+from deadtime.feedback.table import Feedback
+from deadtime.switching import SwitchingSignal
+
+
+def recurrence_of(law: Law, step: float) -> Feedback | None:
+    """A law's table, with what it remembers among its outputs; None of a law that is no table.
+
+    The law must not foresee the signal.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
+    >>> observer = dt.luenberger(problem.plant, [[1.0, 0.0]], poles=[-4, -5], step=0.1)
+    >>> table = recurrence_of(dt.OutputFeedback(law, observer), 0.1)
+    >>> table.memory, table.context, table.state_gain.shape, table.input_gain.shape
+    (2, 'mode', (2, 3, 2), (2, 10, 3, 3))
+    """
+    anyhow = SwitchingSignal.constant(0)
+    if isinstance(law, TableLaw):
+        return law.digital(step, anyhow, 1)
+    if not isinstance(law, WithMemory) or law.outputs is None:
+        return None
+    tables = law.tables(step, anyhow, 1)
+    if tables is None or tables.feedback is None or tables.memory is None:
+        return None
+    return _joined(tables.feedback, tables.memory, law.outputs)
+
+
+def same_outputs(law: Law) -> bool:
+    """Whether a law measures the same of the state in every mode.
+
+    Else what a law sees that is told another mode than the plant's depends on both.
+    """
+    return law.outputs is None or bool(np.all(law.outputs == law.outputs[:1]))
+
+
+def _joined(feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"]) -> Feedback:
+    """The table of (w, u) from those of u and of w, `outputs` being the plant's C."""
+    modes, _, n = outputs.shape
+    by_mode = feedback.context == "none" and modes > 1
+    context = "mode" if by_mode else feedback.context
+    rows = range(modes if by_mode else len(feedback.state_gain))
+    pairs = [(c, 0) if by_mode else (c // feedback.ages, c) for c in rows]
+    taps = max(feedback.taps, int(memory.lag.max()))
+    found = np.stack([_row(feedback, memory, outputs[i], i, row, taps) for i, row in pairs])
+    m, q = feedback.state_gain.shape[1], memory.gain.shape[1] + memory.push.shape[2]
+    G = np.zeros((len(found), taps, q + m, q + m))
+    G[:, 0, :, :q] = found[:, :, n : n + q]
+    past = found[:, :, n + q :].reshape(len(found), q + m, taps, m)
+    G[:, :, :, q:] = past.transpose(0, 2, 1, 3)
+    F = np.ascontiguousarray(found[:, :, :n])
+    return Feedback(F, G, context, feedback.step, feedback.ages, memory=q)
+
+
+def _row(
+    feedback: Feedback,
+    memory: Memory,
+    C: Float[np.ndarray, "p n"],
+    mode: int,
+    row: int,
+    taps: int,
+) -> Float[np.ndarray, "out columns"]:
+    """(w_{k+1}, u_k) over (x_k, w_k, u_{k−1}, …, u_{k−taps}), under a row in a mode."""
+    n, n_o, sums = C.shape[1], memory.gain.shape[1], memory.push.shape[2]
+    F, m, h = feedback.state_gain[row], feedback.state_gain.shape[1], memory.step
+    unit = np.eye(n + n_o + sums + taps * m)
+    x, x_bar, s, past = np.split(unit, np.cumsum([n, n_o, sums]))
+    measured, v = C @ x, memory.tracked[:sums] @ (C @ x)
+    estimate = x_bar + memory.gain[mode] @ (measured - memory.C[mode] @ x_bar)
+    u = F[:, :n_o] @ estimate + F[:, n_o : n_o + sums] @ (s + h / 2.0 * v)
+    u = u + feedback.latest_first[row] @ past[: feedback.taps * m]
+    line, channels = np.stack((u, *past.reshape(taps, m, -1))), np.arange(m)
+    for piece in range(memory.first[mode], memory.first[mode + 1]):
+        acting = line[memory.lag[piece], channels]
+        estimate = memory.Phi[piece] @ estimate + memory.Gamma[piece] @ acting
+    return np.concatenate((estimate, s + h * v, u))
