@@ -14,7 +14,7 @@ FAST := $(addprefix tests/,plant/test_plant.py gains problems/test_problem_file.
 QUIET := -W ignore::DeprecationWarning -W ignore::PendingDeprecationWarning
 TOOLS := pytest pytest-xdist hypothesis beartype mpmath
 
-.PHONY: reproduce study test lint types pytest long fuzz browser bench examples schema docs clean
+.PHONY: reproduce study test lint types pytest long as-users fuzz browser bench examples schema docs clean
 .PHONY: lowest pythons wheel cortex-m
 
 reproduce: .venv/installed
@@ -40,15 +40,23 @@ types: .venv/installed-test
 TESTED := env -u PYTHONDONTWRITEBYTECODE OPENBLAS_NUM_THREADS=1
 PARALLEL := --numprocesses auto --dist worksteal
 
-# The tests compile as much as they run: one level of optimisation takes less than three.
-# `make long` compiles as users do, into a cache of its own: Numba's does not tell levels apart.
+# The tests compile as much as they run: one level of optimisation takes less than three, and what
+# one target has compiled the other finds.
+COMPILED := $(TESTED) NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba
 pytest: .venv/installed-test
-	$(TESTED) NUMBA_OPT=1 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba $(BIN)/pytest $(PARALLEL)
+	$(COMPILED) $(BIN)/pytest $(PARALLEL)
 
 # What is too long for every change: the whole report, certificates of N = 100 put back, and the
 # other cases of claims of which `make pytest` tries a few.
-long: .venv/installed-test
-	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-long $(BIN)/pytest -m long $(PARALLEL)
+long: as-users .venv/installed-test
+	$(COMPILED) $(BIN)/pytest -m long $(PARALLEL)
+
+# Every engine once more against its second method, compiled as users compile it, into a cache of
+# its own: Numba's does not tell levels apart.
+ENGINES := $(addprefix tests/,simulation/test_digital_loop.py simulation/test_ideal_loop.py \
+	scenarios/test_engines.py certificates/test_falsify_search.py)
+as-users: .venv/installed-test
+	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-users $(BIN)/pytest $(PARALLEL) $(ENGINES)
 
 # Mutants of every kind of file that the package reads: make fuzz FUZZ="--kind log --count 100000".
 FUZZ ?= --count 2000 --seconds 120

@@ -34,7 +34,7 @@ def certified(name):
 # -- what is proved, against the definition ----------------------------------------------------
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", mostly_long(CASES, "delays-short", "delays-both"))
 def test_the_function_falls_at_every_step_of_the_loop_by_definition(name):
     plant, law, certificate = certified(name)
     loop = delayed_loops.Loop(plant, law.digital(certificate.evidence.setting.step))

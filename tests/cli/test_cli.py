@@ -9,6 +9,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.entry import main
+from shares import mostly_long
 
 
 def run(capsys, *arguments):
@@ -24,7 +25,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("example", dt.problems.NAMED)
+@pytest.mark.parametrize("example", mostly_long(dt.problems.NAMED, "three-mode"))
 def test_init_writes_a_file_that_simulate_runs(folder, capsys, example):
     code, out, err = run(capsys, "init", "mine.toml", "--example", example)
     assert (code, err) == (0, "")

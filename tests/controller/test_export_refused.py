@@ -9,6 +9,7 @@ import deadtime as dt
 import plants
 from c_code import needs_compiler
 from deadtime.controller.export.forms import dense, low_ranks
+from shares import mostly_long
 
 GENERIC = plants.generic()
 
@@ -54,7 +55,9 @@ def spoilt(tmp_path, name, factor=1.01):
 
 
 @needs_compiler
-@pytest.mark.parametrize(("ages", "tables"), [(0, ["LAST", "WHOLE"]), (1, ["G"])])
+@pytest.mark.parametrize(
+    ("ages", "tables"), mostly_long([(0, ["LAST", "WHOLE"]), (1, ["G"])], (0, ["LAST", "WHOLE"]))
+)
 def test_a_spoilt_number_is_found_however_long_the_window_and_whichever_row(tmp_path, ages, tables):
     """Of 1,000 past inputs the oldest; of the ages the last, within tight limits."""
     plant = plants.paper(0.5)

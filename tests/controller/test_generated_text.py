@@ -17,6 +17,7 @@ from deadtime.controller.export.compiler import self_check
 from deadtime.controller.export.names import in_comment
 from deadtime.problems.file import load_problem
 from deadtime.simulation.figure import plot_run
+from shares import mostly_long
 
 NAMES = {
     "control": "a\x01b\x1bc\x7fd\x85e\x9f",
@@ -36,6 +37,12 @@ def called(request):
     return NAMES[request.param]
 
 
+# What ends a line, a comment, a tag and a text.
+FEW = pytest.mark.parametrize(
+    "called", mostly_long(NAMES, "lines", "comment", "markup", "no character"), indirect=True
+)
+
+
 def test_what_is_left_of_a_text_is_one_line_that_prints(called):
     text = one_line(called)
     assert len(text.splitlines()) == 1
@@ -49,6 +56,7 @@ def test_ordinary_names_stay_as_they_are():
         assert one_line(text) == text
 
 
+@FEW
 @needs_compiler
 def test_c_with_any_names_compiles_and_passes(tmp_path, called):
     plant = plants.generic()
@@ -60,6 +68,7 @@ def test_c_with_any_names_compiles_and_passes(tmp_path, called):
     assert f"u[1]: {in_comment(called)}" in header
 
 
+@FEW
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_an_fmu_with_any_names_is_well_formed(tmp_path, monkeypatch, called, version):
     monkeypatch.setattr(compiler, "compiler", lambda: None)
@@ -106,7 +115,9 @@ step = 0.1
 EVIL = '\\u0000 \\u202e \\u0001 \\\\ \\"\\"\\" \\n import os'
 
 
-@pytest.mark.parametrize("name", ["deadtime", "numpy", "two inputs", "ü"])
+@pytest.mark.parametrize(
+    "name", mostly_long(["deadtime", "numpy", "two inputs", "ü"], "numpy", "ü")
+)
 def test_a_script_runs_under_its_own_name_in_an_empty_folder(tmp_path, name):
     """And deadtime still imports there, whatever the problem is called."""
     source, folder = tmp_path / f"{name}.toml", tmp_path / "empty"

@@ -18,7 +18,10 @@ from shares import mostly_long
 SCRIPTS = sorted((Path(__file__).parents[2] / "examples" / "gallery").glob("plot_*.py"))
 NAMES = [path.stem.split("_", 2)[2] for path in SCRIPTS]
 # Those that compile or search for seconds; tests of what they find are long, too.
-LONG = ("epidemic", "shared_network", "follower", "two_pipes")
+LONG = (
+    *("epidemic", "shared_network", "follower", "two_pipes"),
+    *("robot_joint", "load_frequency", "three_modes"),
+)
 
 
 @functools.cache

@@ -113,15 +113,3 @@ def test_a_run_lays_its_belief_on_the_times_asked_for():
     assert (run.to_pandas()["belief[2]"].to_numpy() == run.belief[2]).all()
     assert (run.to_xarray()["belief"].to_numpy() == run.belief).all()
     assert dt.simulate(PLANT, LAWS["mode"], *args[2:]).belief is None
-
-
-@pytest.mark.long  # with imperfections in `test_believing_batches`
-def test_many_runs_are_single_runs():
-    plant, model = plants.paper(), plants.markov(2)
-    law = dt.ExpectedPredictor(plant, plants.gains(plant), model)
-    believing = dt.BeliefPredictor(law, dt.ModeFilter(plant, model, 0.1, disturbance=1e-4))
-    signals = [model.sample(3.0, seed=seed) for seed in range(2)]
-    data = dt.monte_carlo(plant, [believing], signals, [-1.0, 1.0], 3.0, 0.1, scenarios=2)
-    for i, signal in enumerate(signals):
-        run = dt.simulate(plant, believing, signal, [-1.0, 1.0], 3.0, 0.1)
-        assert data["cost"].values[0, i] == pytest.approx(run.metrics()["cost"], rel=1e-12)

@@ -63,15 +63,6 @@ def test_no_mode_is_read():
         assert (other.estimates == run.estimates).all()
 
 
-def test_many_runs_are_single_runs():
-    law, model = dt.BeliefPredictor(LAWS["mode"], made()), plants.markov(3)
-    signals = [model.sample(2.0, seed=seed) for seed in range(2)]
-    data = dt.monte_carlo(PLANT, [law], signals, X0, 2.0, STEP, scenarios=2)
-    for i, signal in enumerate(signals):
-        run = dt.simulate(PLANT, law, signal, X0, 2.0, STEP)
-        assert data["cost"].values[0, i] == pytest.approx(run.metrics()["cost"], rel=1e-12)
-
-
 def test_a_rule_may_decide_the_mode():
     plant, model = plants.paper(), plants.markov(2)
     law = dt.ExpectedPredictor(plant, plants.gains(plant), model)

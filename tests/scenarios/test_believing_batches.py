@@ -37,25 +37,32 @@ def believing(plant=BELIEVED, model: Any = MARKOV, law=None, **options):
 
 LIMITED = [Noise(0.02), Dropout(0.2), RateLimit([3.0, 4.0]), Saturation(-1.0, 1.2)]
 AWARE = dt.AveragedPredictor(BELIEVED, plants.gains(BELIEVED), None, 0.31)
+# Made when they are asked for: their filters compile.
 CASES = {
-    "of another model": (TRUTH, believing(), []),
-    "delays of every mode and input": (OWN, believing(OWN), LIMITED),
-    "disturbed": (
+    "delays of every mode and input": lambda: (OWN, believing(OWN), LIMITED),
+    "disturbed": lambda: (
         TRUTH,
         believing(switches="samples", forgetting=1e-4),
         [WhiteDisturbance(0.05), Noise([0.02, 0.0, 0.03]), Dropout(0.2), RateLimit([3.0, 4.0])],
     ),
-    "ages": (BELIEVED, believing(model=SEMI, ages=12), [WhiteDisturbance(0.05), WrongMode(0.3)]),
-    "ages of the table alone": (BELIEVED, believing(law=AWARE), [LateSamples(2, 0.2)]),
-    "measured within periods": (TRUTH, believing(), [Jitter(0.05), ModeDelay(2), Noise(0.02)]),
+    "ages": lambda: (
+        BELIEVED,
+        believing(model=SEMI, ages=12),
+        [WhiteDisturbance(0.05), WrongMode(0.3)],
+    ),
+    "ages of the table alone": lambda: (BELIEVED, believing(law=AWARE), [LateSamples(2, 0.2)]),
+    "measured within periods": lambda: (
+        TRUTH,
+        believing(),
+        [Jitter(0.05), ModeDelay(2), Noise(0.02)],
+    ),
 }
-# Rows by the mode, behind limits; rows by the mode and its age, under a force.
-FEW = ("delays of every mode and input", "ages")
 
 
-@pytest.mark.parametrize("case", mostly_long(list(CASES), *FEW))
+# Others on the same kernel are below.
+@pytest.mark.parametrize("case", mostly_long(list(CASES), "delays of every mode and input"))
 def test_scenarios_on_a_belief_are_those_of_single_runs(case):
-    truth, law, given = CASES[case]
+    truth, law, given = CASES[case]()
     require_single_runs(truth, {case: law}, given)
 
 
@@ -73,34 +80,34 @@ def observing(C, **options):
 
 
 OUTPUTS = {
-    "outputs of every mode, lost and limited": (
+    "outputs of every mode, lost and limited": lambda: (
         observing(BY_MODE),
         [WhiteDisturbance(0.05), Noise([0.02, 0.01]), Dropout(0.2), Saturation(-1.0, 1.2)],
     ),
-    "observers": (
+    "observers": lambda: (
         observing(dt.luenberger(NEAR, C, [-3.0, -4.0, -5.0], H), switches="samples"),
         [Noise(0.02)],
     ),
-    "measured within periods": (observing(C), [Jitter(0.05), ModeDelay(2), Noise(0.02)]),
+    "measured within periods": lambda: (observing(C), [Jitter(0.05), ModeDelay(2), Noise(0.02)]),
 }
 
 
 @pytest.mark.parametrize("case", mostly_long([*OUTPUTS], "outputs of every mode, lost and limited"))
 def test_scenarios_on_a_belief_from_outputs_are_those_of_single_runs(case):
-    law, given = OUTPUTS[case]
+    law, given = OUTPUTS[case]()
     require_single_runs(NEAR, {case: law}, given)
 
 
 def test_without_noise_scenarios_are_single_runs_as_no_belief_is_left_to_round_off():
-    law = believing(disturbance=0.0, noise=0.0)
-    require_single_runs(BELIEVED, {"exact": law}, [Noise(0.0), Saturation(-1.0, 1.2)], horizon=4.03)
+    law = believing(OWN, disturbance=0.0, noise=0.0)
+    require_single_runs(OWN, {"exact": law}, [Noise(0.0), Saturation(-1.0, 1.2)], horizon=4.03)
 
 
 def test_a_row_without_noise_in_one_mode_and_without_size_is_left_out():
     """x₁ follows x₂, which alone is disturbed of both, in mode 0 only; and both rest at 0."""
     A = np.array([np.diag([-1.0, -1.0, own]) for own in (0.3, -0.2, 0.6)])
     A[0, 0, 1] = 1.0
-    plant = dt.SwitchedSystem(A, [[[0.0, 0.0], [0.0, 0.0], [1.0, 0.5]]] * 3, 0.3)
+    plant = dt.SwitchedSystem(A, [[[0.0, 0.0], [0.0, 0.0], [1.0, 0.5]]] * 3, OWN.delays)
     law = dt.ExpectedPredictor(plant, [[[0.0, 0.0, -1.5], [0.0, 0.0, 0.0]]] * 3, MARKOV)
     believed = believing(plant, law=law, disturbance=[0.0, 0.1, 0.1], noise=0.0)
     given = [Noise(0.0), Saturation(-1.0, 1.2)]

@@ -17,7 +17,6 @@ from deadtime.imperfections import (
     StepDisturbance,
     WhiteDisturbance,
 )
-from shares import mostly_long
 
 BELIEVED = plants.generic(0.3, seed=5)
 LAWS = {name: plants.LAWS[name](BELIEVED) for name in ("averaged", "exact")}
@@ -59,7 +58,8 @@ def test_disturbed_scenarios_are_those_of_single_runs(case):
     require_single_runs(plants.generic(0.234), LAWS, CASES[case])
 
 
-@pytest.mark.parametrize("case", mostly_long(["white", "beside other imperfections"], "white"))
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["white", "beside other imperfections"])
 def test_so_are_they_with_a_delay_per_input(case):
     plant, own = plants.generic([0.234, 0.11]), plants.generic([0.3, 0.07], seed=5)
     require_single_runs(plant, {"averaged": plants.LAWS["averaged"](own)}, CASES[case])

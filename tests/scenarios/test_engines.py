@@ -86,7 +86,7 @@ def test_limited_inputs_are_as_simulated(name):
     check_as_simulated(loop_of(actuators=LIMITS), plants.LAWS[name](BELIEVED))
 
 
-@pytest.mark.parametrize("name", ["averaged", "exact"])
+@pytest.mark.parametrize("name", mostly_long(["averaged", "exact"], "averaged"))
 def test_a_window_longer_than_the_run_is_as_simulated(name):
     loop = loop_of(plants.generic(8.04))
     assert loop.sampled.longest_lag > loop.whole + 1

@@ -63,8 +63,8 @@ CASES = {
 }  # fmt: skip
 
 
-# At every change one that knows how old a mode is; below, one that follows a reference. Without
-# imperfections: `test_output_feedback.py`.
+# At every change one that knows how old a mode is.
+# Without imperfections: `test_output_feedback.py`.
 FEW = (("all", ("modes apart",)),)
 
 
@@ -77,7 +77,8 @@ def test_remembering_scenarios_are_those_of_single_runs(case, names):
     require_single_runs(TRUTH, {name: laws[name] for name in names}, given)
 
 
-@pytest.mark.parametrize("name", mostly_long(["observed", "tracking"], "tracking"))
+@pytest.mark.long  # one follows a reference; at every change single runs do: `test_tracking.py`
+@pytest.mark.parametrize("name", ["observed", "tracking"])
 def test_so_are_they_with_delays_of_every_mode_and_input(name):
     own = [[0.3, 0.07], [0.21, 0.1], [0.3, 0.26]]
     believed = plants.generic(own, seed=5)
