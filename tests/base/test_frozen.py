@@ -31,6 +31,12 @@ def disturbed():
     return dt.simulate(PLANT, LAW, SIGNAL, [-1, 1], 2.0, step=H, imperfections=wave)
 
 
+def predicted():
+    controller = dt.Controller(LAW, H)
+    controller.update([1.0, -1.0])
+    return controller.prediction
+
+
 def mode_filter():
     return dt.ModeFilter(PLANT, SWITCHING, H, disturbance=1e-3)
 
@@ -67,6 +73,7 @@ OBJECTS = {
     "BeliefPredictor": lambda: dt.BeliefPredictor(
         dt.ExpectedPredictor(PLANT, GAINS, SWITCHING), mode_filter()
     ),
+    "Prediction": predicted,
     "Feedback": lambda: LAW.digital(H),
     "Feedback of a user": lambda: dt.Feedback(np.ones((1, 1, 2)), np.ones((1, 3, 1, 1)), "none", H),
     "Problem": lambda: dataclasses.replace(

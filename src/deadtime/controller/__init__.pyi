@@ -12,4 +12,5 @@ from .interop import (
     loop_to_control as loop_to_control,
     plant_to_control as plant_to_control,
 )
+from .prediction import Prediction as Prediction
 from .status import Status as Status

@@ -86,6 +86,14 @@ class ModeBelief:
         share_rows(self._state)
         past.mean(self.weight, x, u)
 
+    def known(self, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The share of every row, the state that it is given, and the covariance of that."""
+        from deadtime.estimation.belief_kernel import share_rows
+
+        share_rows(self._state)
+        n = self._before.size
+        return self.weight.copy(), np.tile(self._before, (rows, 1)), np.zeros((rows, n, n))
+
     def snapshot(self) -> dict[str, Any]:
         """Copies of everything that changes."""
         return {
@@ -138,6 +146,11 @@ class OutputBelief(ModeBelief):
         super().ask(past, self._zero, u)
         estimates = np.repeat(self._all.x, len(self._gains) // len(self._all.x), axis=0)
         u += np.einsum("c,cma,ca->m", self.weight, self._gains, estimates)
+
+    def known(self, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        share, _, _ = super().known(rows)
+        each = rows // len(self._all.x)
+        return share, np.repeat(self._all.x, each, axis=0), np.repeat(self._all.P, each, axis=0)
 
     def snapshot(self) -> dict[str, Any]:
         own = {"belief_estimates": self._all.x.copy(), "belief_covariances": self._all.P.copy()}

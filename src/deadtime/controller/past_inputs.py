@@ -36,6 +36,11 @@ class DensePast:
 
         push(u, self.place, self.ring)
 
+    @property
+    def recent(self) -> Float[np.ndarray, "N m"]:
+        """The last N inputs, the oldest first; a view that changes."""
+        return self.ring[self.place[0] :][: self.table.taps]
+
     def row(self, row: int, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " m"]) -> None:
         """Write the input that the row asks for into u."""
         from deadtime.controller.kernel import dense_row

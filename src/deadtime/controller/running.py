@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,13 +19,18 @@ from deadtime.controller.status import Clock, Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
+from deadtime.feedback.prediction import PredictionTable, prediction_table
 from deadtime.simulation.initial_input import InitialInput, held_samples
+
+if TYPE_CHECKING:
+    from deadtime.controller.prediction import Prediction
 
 
 class RunningLaw:
     """A law that runs: `update` once a period; see `Controller` for parameters and attributes.
 
-    `measured` is the number of states, or outputs, that are measured at a sample.
+    `measured` is the number of states, or outputs, that are measured at a sample, and `inner` is
+    the law whose table it runs.
     """
 
     def __init__(
@@ -46,7 +52,7 @@ class RunningLaw:
         self.law, self.step = law, positive("step", step)
         if isinstance(law, BeliefPredictor):
             law.require_step(self.step)
-        self.table = inner.digital(self.step)
+        self.inner, self.table = inner, inner.digital(self.step)
         self.observing = Observing(law, self.step) if isinstance(law, OutputFeedback) else None
         self.believing = believing_of(law, self.table) if isinstance(law, BeliefPredictor) else None
         self.low, self.high = limits_of(limits, law.plant.inputs)
@@ -56,6 +62,7 @@ class RunningLaw:
         self.measured = law.plant.states if law.outputs is None else law.outputs.shape[1]
         self._clock, self._nothing = Clock(self.step), np.full(self.measured, np.nan)
         self._u, self._latest, self._asked = np.zeros((3, law.plant.inputs))
+        self._x = np.empty(self.measured)  # of the last sample, which only predictions read
         self.reset(u0, mode_age)
 
     def reset(self, u0: InitialInput = None, mode_age: int = 0) -> None:
@@ -72,6 +79,7 @@ class RunningLaw:
         if self.observing:
             self.observing.begin(history)
         self._clock.reset()
+        self._x[:] = np.nan
         self.status, self.refused, self.late, self.samples = Status.OK, 0, 0, 0
 
     def update(
@@ -133,6 +141,7 @@ class RunningLaw:
             self.status, self.refused = Status.OUT_OF_ORDER, self.refused + 1
             return self._answer(out)
         self._pass(applied, periods - 1)
+        self._x[:] = x
         status = self._remember(applied)
         status = self._see(mode) or status
         if self.believing:
@@ -266,6 +275,23 @@ class RunningLaw:
         return None if self.believing is None else self.believing.now.sum(axis=1)
 
     @property
+    def prediction(self) -> Prediction:
+        """The state that the input of the last `update` will meet, and how surely; see there.
+
+        Its tables are made at the first call, and take a few times as long as the law's. Raises
+        `ArgumentError` where there is nothing to predict from, as before the first sample and
+        after one whose state was not finite, and of a law that has no forecast.
+        """
+        from deadtime.controller.prediction import prediction_of
+
+        return prediction_of(self)
+
+    @cached_property
+    def prediction_table(self) -> PredictionTable:
+        """The rows of `prediction`."""
+        return prediction_table(self.inner, self.step)
+
+    @property
     def state(self) -> dict[str, Any]:
         """Everything that the next periods depend on, to `restore` it: copies."""
         return {
@@ -295,6 +321,7 @@ class RunningLaw:
         self._past.load(state)
         if self.observing:
             self.observing.load(state)
+        self._x[:] = np.nan
         self._mode, self._age = int(state["mode"]), int(state["age"])
         self.samples, self.refused = int(state["samples"]), int(state["refused"])
         self.late, self._clock.state[:] = int(state["late"]), state["clock"]

@@ -17,6 +17,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback.forecast import Forecast
 from deadtime.feedback.foresight import Foresight
 from deadtime.feedback.functional import Functional
+from deadtime.feedback.known import Known
 from deadtime.feedback.outlook import Outlook
 from deadtime.feedback.table import Feedback
 from deadtime.plant import SampledPlant, SwitchedSystem, Window
@@ -135,6 +136,36 @@ class TableLaw(Law):
         `signal` and `steps` as in `digital`.
         """
         return None
+
+    @property
+    def horizons(self) -> Float[np.ndarray, "future m"]:
+        """How far ahead it predicts for each input, seconds, by the system its forecast ends in."""
+        return self.plant.delays
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        """The law with the same forecast for a larger plant, with gains `rows` of inputs after m.
+
+        Of that its predictions are made (`deadtime.feedback.prediction`). Raises `ArgumentError`
+        for a law that has no prediction.
+        """
+        raise ArgumentError(
+            f"law must predict for a prediction: {type(self).__name__} ({self.label}) has no "
+            "forecast of its own. Make the controller of a law that has one, such as "
+            "ExpectedPredictor or AveragedPredictor."
+        )
+
+    def spread(
+        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "case input future n n"]:
+        """The covariance of x(t_k + D_j) in every row that may apply and every future.
+
+        W is the intensity of white noise that acts on dx/dt. Raises `ArgumentError` for a law
+        that has none.
+        """
+        raise ArgumentError(
+            f"law must say how it is uncertain for a covariance: {type(self).__name__} "
+            f"({self.label}) does not."
+        )
 
     def online(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

@@ -54,10 +54,10 @@ class Factor(NamedTuple):
         return result
 
 
-def side_by_side(taps: Float[np.ndarray, "context N m m"]) -> Float[np.ndarray, "context m past"]:
-    """Taps as one matrix a row, (contexts, m, N·m), in the order given."""
-    contexts, count, m, _ = taps.shape
-    return taps.transpose(0, 2, 1, 3).reshape(contexts, m, count * m)
+def side_by_side(taps: Float[np.ndarray, "context N r m"]) -> Float[np.ndarray, "context r past"]:
+    """Taps as one matrix a row, (contexts, m, N·m), in the order given; rows may be of others."""
+    contexts, count, rows, m = taps.shape
+    return taps.transpose(0, 2, 1, 3).reshape(contexts, rows, count * m)
 
 
 def require_finite_gains(*gains: np.ndarray) -> None:

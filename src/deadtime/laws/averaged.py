@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional, Outlook
+from deadtime.feedback.known import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
+from deadtime.feedback.prediction import extended_gains
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -169,6 +171,19 @@ class AveragedPredictor(TableLaw):
         from deadtime.laws.tables.constant_mode import constant_table
 
         return constant_table(plant, *parts, step)
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        gains = extended_gains(self.gains, rows)
+        return AveragedPredictor(plant, gains, self.weights, self.dwell_time, allow_unstable=True)
+
+    def spread(
+        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "case input future n n"]:
+        from deadtime.laws.spread.held import dwelling_spread, held_spread
+
+        if self.dwell_time is None:
+            return held_spread(self.plant, known, W)
+        return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
         plant, rest = self.plant, self.dwell_time

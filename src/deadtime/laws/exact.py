@@ -14,6 +14,7 @@ from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Foresight, Outlook
 from deadtime.feedback.law import TableLaw
+from deadtime.feedback.prediction import extended_gains
 from deadtime.feedback.table import require_finite_gains
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SampledPlant, SwitchedSystem
@@ -148,6 +149,10 @@ class ExactPredictor(TableLaw):
         else:
             F, G = foresight.rows(samples)
         return Feedback(F, G, "step", sampled.step)
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        gains = extended_gains(self.gains, rows)
+        return ExactPredictor(plant, gains, self.signal, allow_unstable=True)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Outlook:
         plant, known = self.plant, self._require_signal(signal, horizon)

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback.known import Known
 from deadtime.feedback.law import TableLaw, remember_table, require_room, room
+from deadtime.feedback.prediction import extended_gains
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov, SwitchingSignal
@@ -117,6 +119,24 @@ class ExpectedPredictor(TableLaw):
         ages = table_ages(model, h, self.ages, most)
         chain = model.hazard(h, ages + longest), model.transition
         return semi_markov_table(self.gains, *chain, ages, sampled)
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        gains = extended_gains(self.gains, rows)
+        return ExpectedPredictor(plant, gains, self.model, ages=self.ages, allow_unstable=True)
+
+    def spread(
+        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "case input future n n"]:
+        sampled = self.sampled_plant(step)
+        if isinstance(self.model, Markov):
+            from deadtime.laws.spread.markov import markov_spread
+
+            return markov_spread(sampled, self.model.generator, known, W)
+        from deadtime.laws.spread.semi_markov import semi_markov_spread
+
+        ages = self.digital(step).ages
+        hazard = self.model.hazard(step, ages + sampled.longest_lag)
+        return semi_markov_spread(sampled, hazard, self.model.transition, ages, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         plant, model = self.plant, self.model

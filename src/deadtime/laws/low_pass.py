@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import instance, real_array, require_unmasked
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Factor, Feedback, Forecast, Foresight, Law
+from deadtime.feedback.known import Known
 from deadtime.feedback.law import TableLaw
+from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
 
@@ -111,6 +113,18 @@ class LowPassPredictor(TableLaw):
 
         kept = expm(-step * np.linalg.inv(self.time_constant))
         return kept, np.eye(self.plant.inputs) - kept
+
+    @property
+    def horizons(self) -> Float[np.ndarray, "future m"]:
+        return self.law.horizons
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        return self.law.extend(plant, rows)  # it is what the wrapped law predicts that is filtered
+
+    def spread(
+        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "case input future n n"]:
+        return self.law.spread(step, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:
         raise ArgumentError(

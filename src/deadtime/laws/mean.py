@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback, Forecast, Functional, Outlook
+from deadtime.feedback.known import Known
 from deadtime.feedback.law import TableLaw, check_dwell_time, remember_table
+from deadtime.feedback.prediction import extended_gains
 from deadtime.gains.checked import check_gains, require_hurwitz
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -122,6 +124,25 @@ class MeanPredictor(TableLaw):
         from deadtime.laws.tables.constant_mode import constant_table
 
         return constant_table(mean, K, np.ones(1), step)
+
+    @property
+    def horizons(self) -> Float[np.ndarray, "future m"]:
+        return self._mean_plant.delays
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        (A, B), more, further = self.mean, plant.states - self.plant.states, rows.shape[1]
+        mean = np.pad(A, (0, more)), np.pad(B, ((0, more), (0, further)))
+        gain = extended_gains(self.gain[None], rows)[0]
+        return MeanPredictor(plant, gain, None, self.dwell_time, mean, allow_unstable=True)
+
+    def spread(
+        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "case input future n n"]:
+        from deadtime.laws.spread.held import dwelling_spread, held_spread
+
+        if self.dwell_time is None:
+            return held_spread(self._mean_plant, known, W)
+        return dwelling_spread(self.plant, self._mean_plant, self.dwell_time, step, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
         plant, mean, rest = self.plant, self._mean_plant, self.dwell_time

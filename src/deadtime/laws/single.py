@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import index
 from deadtime.feedback import Feedback, Forecast, Functional
+from deadtime.feedback.known import Known
 from deadtime.feedback.law import TableLaw, remember_table
+from deadtime.feedback.prediction import extended_gains
 from deadtime.gains.checked import check_gains
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
@@ -74,6 +76,17 @@ class SingleModePredictor(TableLaw):
         from deadtime.laws.tables.constant_mode import constant_table
 
         return constant_table(self._own, self.gains[self.mode : self.mode + 1], np.ones(1), step)
+
+    def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        gains = extended_gains(self.gains, rows)
+        return SingleModePredictor(plant, gains, self.mode, allow_unstable=True)
+
+    def spread(
+        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "case input future n n"]:
+        from deadtime.laws.spread.held import held_spread
+
+        return held_spread(self.plant, known, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional:
         plant, gain = self._own, self.gains[self.mode : self.mode + 1]

@@ -1,0 +1,1 @@
+from .held import held_spread as held_spread
