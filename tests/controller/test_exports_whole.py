@@ -121,8 +121,8 @@ def test_names_of_inputs_reach_figures_headers_and_descriptions(folder):
     from deadtime.simulation.figure import plot_run
 
     run = problem.simulate("averaged")
-    lines = plot_run(run, inputs=problem.inputs).axes[1].get_lines()
-    assert [line.get_label() for line in lines] == ["throttle", "brake (N)"]
+    panels = plot_run(run, inputs=problem.inputs).axes[2:4]
+    assert [panel.get_title(loc="left") for panel in panels] == ["throttle", "brake (N)"]
     labels = [axes.get_ylabel() for axes in plot_laws({"a": run}, inputs=problem.inputs).axes]
     assert labels[2:4] == ["throttle", "brake (N)"]
     (folder / "two.toml").write_text(

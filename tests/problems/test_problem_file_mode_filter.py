@@ -108,9 +108,10 @@ def test_the_filter_believes_in_the_laws_own_model(tmp_path):
 def test_the_figure_of_a_run_has_a_strip_with_the_belief(tmp_path):
     problem = load_problem(write(tmp_path, MARKOV, FILTER, RUN))
     with_belief = plot_run(problem.simulate("belief")).axes
-    assert [axes.get_ylabel() for axes in with_belief] == ["state", "input", "belief", ""]
-    assert len(plot_run(problem.simulate("expected")).axes) == 3
-    (strip,) = with_belief[2].collections
+    assert [axes.get_title(loc="left") for axes in with_belief] == ["x₁", "x₂", "u", "", ""]
+    assert [axes.get_ylabel() for axes in with_belief[3:]] == ["belief", ""]
+    assert len(plot_run(problem.simulate("expected")).axes) == 4
+    (strip,) = with_belief[3].collections
     shown = strip.get_array()
     assert shown is not None
     assert shown.shape == (2, 20)

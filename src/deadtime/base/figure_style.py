@@ -13,7 +13,7 @@ from deadtime.base.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILI
 from deadtime.base.wording import one_line
 
 COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, BLACK)
-LINES = ("-", "--", "-.", ":")
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6.0, 1.5, 1.0, 1.5, 1.0, 1.5)))
 WIDTH = 4.6
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,

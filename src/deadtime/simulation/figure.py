@@ -15,6 +15,12 @@ from deadtime.base.wording import input_names, subscript
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
 
+_ONE_COLUMN = 6  # panels above each other
+_PANEL, _STRIP, _SMALL = 1.0, 0.25, 8.5  # inches of height; points
+_REFERENCE: dict[str, Any] = {
+    "color": COLOURS[6], "drawstyle": "steps-post", "linestyle": "--", "linewidth": 1.0
+}  # fmt: skip
+
 
 class Run(Protocol):
     """What the figure reads of a `Trajectory`."""
@@ -71,63 +77,66 @@ def plot_run(
     modes: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
 ) -> Figure:
-    """States, inputs and mode of a run over time, and what it believed of the modes."""
-    n, m = run.states.shape[0], run.inputs.shape[0]
+    """A panel for each state and input of a run over time, its mode, and what it believed of it.
+
+    Names head the panels, with the units that they state; of many states and inputs two panels
+    stand side by side.
+    """
+    n, m, count = run.states.shape[0], run.inputs.shape[0], run.plant.modes
     states = [f"x{subscript(i + 1)}" for i in range(n)] if states is None else states
-    count = run.plant.modes
     modes = [f"mode {i}" for i in range(count)] if modes is None else modes
     inputs = input_names(m) if inputs is None else inputs
     states, modes, inputs = (list(map(plain, names)) for names in (states, modes, inputs))
+    # A run that ended at once still needs an axis.
+    end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
     with rc_context(STYLE):
-        strip, belief = 0.5 + 0.25 * count, run.belief if run.time.size > 1 else None
-        heights = (3.0, 2.2, *([strip] if belief is None else [strip, strip]))
-        figure = Figure(figsize=(WIDTH, 4.0 if belief is None else 4.0 + 0.7 * strip))
-        upper, middle, *strips = figure.subplots(
-            len(heights), 1, sharex=True, height_ratios=heights
-        )
-        lower = strips[-1]
-        for i, name in enumerate(states):
-            upper.plot(run.time, run.states[i], color=COLOURS[i % 7], label=name)
-        for i, name in enumerate(inputs):
-            style = "steps-post" if run.record.held else "default"
-            colour = COLOURS[(i + 4) % 7]
-            middle.plot(run.time, run.inputs[i], drawstyle=style, color=colour, label=name)
-        labels = [*states, *inputs, *_draw_references(upper, run, states)]
-        upper.set_ylabel("state")
-        middle.set_ylabel("input")
-        # A run that ended at once still needs an axis.
-        end = float(run.time[-1]) if run.time[-1] > run.time[0] else float(run.time[0]) + 1.0
+        belief = run.belief if run.time.size > 1 else None
+        beside, others = _references(run)
+        figure, panels, strips = _panels(n + m + len(others), count, 1 if belief is None else 2)
+        held: Any = {"drawstyle": "steps-post" if run.record.held else "default"}
+        curves = [(name, x, COLOURS[0], {}) for name, x in zip(states, run.states, strict=True)]
+        curves += [(f"output {i}", y, COLOURS[0], {}) for i, y, _ in others]
+        curves += [(name, u, COLOURS[1], held) for name, u in zip(inputs, run.inputs, strict=True)]
+        beside |= {n + i: reference for i, (_, _, reference) in enumerate(others)}
+        for i, (panel, (name, values, colour, look)) in enumerate(zip(panels, curves, strict=True)):
+            panel.plot(run.time, values, color=colour, label=name, **look)
+            if i in beside:
+                panel.plot(run.time, beside[i], label=f"{name}, reference", **_REFERENCE)
+                name += "; dashed its reference"
+            panel.set_title(name, fontsize=_SMALL)
         if belief is not None:
             belief_strip(strips[0], run.time, belief, modes)
-        mode_strip(lower, *signal_steps(run.signal, end), modes)
-        lower.set_xlabel("time (s)")
-        lower.set_xlim(run.time[0], end)
-        figure.align_ylabels()
-        figure.legend(loc="outside lower center", ncols=_columns(len(labels), labels))
+        mode_strip(strips[-1], *signal_steps(run.signal, end), modes)
+        strips[-1].set_xlabel("time (s)")
+        strips[-1].set_xlim(run.time[0], end)
         if title:
-            upper.set_title(plain(title))
+            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
     return figure
 
 
-def _draw_references(axes: Axes, run: Run, states: Sequence[str]) -> list[str]:
-    """References as dashes: of a state in its colour, of another output beside that output."""
-    labels: list[str] = []
+def _references(
+    run: Run,
+) -> tuple[dict[int, np.ndarray], list[tuple[int, np.ndarray, np.ndarray]]]:
+    """References by the state that follows them; and of other outputs number, output, reference."""
+    beside, others = {}, []
     if run.reference is None or run.tracked is None:
-        return labels
+        return beside, others
     for i, (y, r) in enumerate(zip(run.tracked, run.reference, strict=True)):
         same = [j for j, x in enumerate(run.states) if np.array_equal(x, y)]
-        colour, name = COLOURS[(len(states) + i) % 7], f"output {i}"
         if same:
-            colour, name = COLOURS[same[0] % 7], states[same[0]]
+            beside[same[0]] = r
         else:
-            axes.plot(run.time, y, color=colour, label=name)
-            labels.append(name)
-        labels.append(f"{name}, reference")
-        dashes = {"drawstyle": "steps-post", "linestyle": "--", "linewidth": 1.0}
-        axes.plot(run.time, r, color=colour, label=labels[-1], **dashes)
-    return labels
+            others.append((i, y, r))
+    return beside, others
 
 
-def _columns(count: int, labels: Sequence[str]) -> int:
-    """How many legend columns fit the width."""
-    return max(1, min(count, 62 // (max(map(len, labels)) + 6)))
+def _panels(curves: int, modes: int, strips: int) -> tuple[Figure, list[Axes], list[Axes]]:
+    """A panel a curve, in two columns where there are many, above strips of the full width."""
+    columns = 1 if curves <= _ONE_COLUMN else 2
+    rows, strip = -(-curves // columns), _STRIP + 0.17 * modes
+    cells = [[min(columns * i + j, curves - 1) for j in range(columns)] for i in range(rows)]
+    layout: Any = [*cells, *([f"strip {i}"] * columns for i in range(strips))]
+    heights = [_PANEL] * rows + [strip] * strips
+    figure = Figure(figsize=(WIDTH * (1.0 if columns == 1 else 1.4), 0.5 + sum(heights)))
+    found: Any = figure.subplot_mosaic(layout, sharex=True, height_ratios=heights)
+    return figure, [found[i] for i in range(curves)], [found[f"strip {i}"] for i in range(strips)]

@@ -6,6 +6,7 @@ Drawn with matplotlib and returned as `Figure` objects: save or show them yourse
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -69,26 +70,46 @@ def plot_window(signal: SwitchingSignal, delay: float, end: float, modes: Sequen
 
 
 def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figure:
-    """|x| of several runs on one logarithmic axis; a run far above the others leaves the frame."""
+    """|x| of several runs on logarithmic axes; a run far above the others leaves the frame.
+
+    More than five are shared out among panels with the same axes.
+    """
     norms = {name: np.linalg.norm(run.states, axis=0) for name, run in runs.items()}
     tops = sorted(float(norm.max()) for norm in norms.values())
     bottom = min(float(norm[norm > 0.0].min(initial=1.0)) for norm in norms.values())
     top = tops[-1] if len(tops) < 2 or tops[-1] < 1e3 * tops[-2] else 30.0 * tops[-2]
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.3))
-        axes = figure.subplots()
+        groups = _shared_out(list(runs))
+        figure = Figure(figsize=(WIDTH, 0.9 + 2.4 * len(groups)))
+        panels = figure.subplots(len(groups), sharex=True, sharey=True, squeeze=False)[:, 0]
         looks = looks_of(list(runs))
-        for name, norm in norms.items():
-            colour, dash = looks[name].colour, LINES[looks[name].dash % len(LINES)]
-            axes.semilogy(runs[name].time, visible(norm), dash, color=colour, label=plain(name))
-        axes.set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
-        axes.set_xlim(0.0, max(run.time[-1] for run in runs.values()))
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("|x|")
-        figure.legend(loc="outside lower center", ncols=3)
+        for panel, group in zip(panels, groups, strict=True):
+            for line, name in zip(LINES, group, strict=False):
+                time, norm = runs[name].time, visible(norms[name])
+                panel.semilogy(
+                    time, norm, linestyle=line, color=looks[name].colour, label=plain(name)
+                )
+            panel.set_ylabel("|x|")
+            panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, handlelength=2.6)
+        panels[0].set_ylim(max(bottom / 2.0, 1e-9 * top), 2.0 * max(top, bottom))
+        panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+        panels[-1].set_xlabel("time (s)")
         if title:
-            axes.set_title(plain(title))
+            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
     return figure
+
+
+def _shared_out(names: Sequence[str]) -> list[Sequence[str]]:
+    """Groups of at most five, as even as can be.
+
+    Examples
+    --------
+    >>> _shared_out("abcdef")
+    ['abc', 'def']
+    """
+    count = -(-len(names) // len(LINES))
+    size = -(-len(names) // count)
+    return [names[i : i + size] for i in range(0, len(names), size)]
 
 
 def plot_verdict(result: Comparison) -> Figure:
@@ -103,7 +124,9 @@ def plot_verdict(result: Comparison) -> Figure:
             shown = held.time <= end
             norm = np.linalg.norm(held.states[:, shown], axis=0)
             label = f"stays in {plain(problem.modes[i])}: {as_rate(rate)} /s"
-            axes.semilogy(held.time[shown], visible(norm), color=COLOURS[1 + i % 5], label=label)
+            line = LINES[(1 + i) % len(LINES)]
+            look: Any = {"color": COLOURS[1 + i % 5], "linestyle": line, "label": label}
+            axes.semilogy(held.time[shown], visible(norm), **look)
         norm = np.linalg.norm(run.states, axis=0)
         switching = run.signal.times[1:].size and run.signal.times[1] < run.end
         label = "switches" if switching else "as given"
@@ -115,5 +138,5 @@ def plot_verdict(result: Comparison) -> Figure:
         top = max(float(line.get_ydata().max()) for line in axes.lines)  # pyright: ignore
         axes.set_ylim(max(float(norm.min()) / 3.0, 1e-9 * top), 3.0 * top)
         axes.set_title(plain(f"Law: {result.lead}"))
-        figure.legend(loc="outside lower center", ncols=2)
+        figure.legend(loc="outside lower center", ncols=2, handlelength=2.6)
     return figure

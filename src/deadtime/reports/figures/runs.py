@@ -80,7 +80,12 @@ def plot_laws(
         figure.align_ylabels()
         handles = panels[0].get_lines()
         columns = 3 if max(map(len, runs)) < 18 else 2
-        figure.legend(handles=handles, loc="outside lower center", ncols=min(columns, len(runs)))
+        figure.legend(
+            handles=handles,
+            loc="outside lower center",
+            ncols=min(columns, len(runs)),
+            handlelength=2.6,
+        )
         if title:
             panels[0].set_title(plain(title))
     return figure
@@ -95,12 +100,12 @@ def _panel(
     floor: float = 0.0,
 ) -> None:
     """One signal of every run."""
-    for law, (run, values) in rows.items():
+    for i, (law, (run, values)) in enumerate(rows.items()):
         style = "steps-post" if held and run.record.held else "default"
         panel.plot(
             run.time,
             values,
-            LINES[looks[law].dash % len(LINES)],
+            linestyle=LINES[i % len(LINES)],
             drawstyle=style,
             color=looks[law].colour,
             label=plain(law),
