@@ -1,7 +1,7 @@
 """The documentation site: `make docs`.
 
-Formulas are Unicode text, here as in the docstrings, so no page needs a renderer of maths, a font
-or a network. Pages read on a file system without either.
+Formulas are Unicode text, here as in the docstrings; those that are displayed become MathML when
+the pages are built, so no page needs a script for them, a font or a network.
 """
 
 import os
@@ -17,6 +17,7 @@ project = "deadtime"
 author = "The deadtime developers"
 copyright = "The deadtime developers, BSD-3-Clause"
 release = version = __version__
+repository = os.environ.get("REPOSITORY", "")  # make docs REPOSITORY=https://…
 
 extensions = [
     "myst_parser",
@@ -26,9 +27,12 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "docstrings",
     "equations",
+    "formulas",
     "links",
     "names",
+    "openings",
 ]
+templates_path = ["templates"]
 exclude_patterns = ["_build"]
 highlight_language = "none"
 nitpicky = True
@@ -60,7 +64,8 @@ sphinx_gallery_conf = {
 }
 
 html_theme = "pydata_sphinx_theme"
-html_title = "deadtime"
+html_title = f"deadtime {release}"
+html_context = {"repository": repository}
 html_static_path = ["static"]
 html_css_files = ["deadtime.css"]
 html_copy_source = False
@@ -71,7 +76,7 @@ html_theme_options = {
     "navigation_depth": 2,
     "show_toc_level": 2,
     "secondary_sidebar_items": ["page-toc"],
-    "footer_start": ["copyright"],
+    "footer_start": ["clone", "copyright"],
     "footer_end": ["theme-version"],
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",

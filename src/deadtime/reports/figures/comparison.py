@@ -80,7 +80,7 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
     top = tops[-1] if len(tops) < 2 or tops[-1] < 1e3 * tops[-2] else 30.0 * tops[-2]
     with rc_context(STYLE):
         groups = _shared_out(list(runs))
-        figure = Figure(figsize=(WIDTH, 0.9 + 2.4 * len(groups)))
+        figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if len(groups) == 1 else 1.8) * len(groups)))
         panels = figure.subplots(len(groups), sharex=True, sharey=True, squeeze=False)[:, 0]
         looks = looks_of(list(runs))
         for panel, group in zip(panels, groups, strict=True):
