@@ -128,6 +128,9 @@ poles = [-4.0, -5.0]
     _with(("poles", "allow_unstable = false\npoles"), end="""
 [[law]]
 kind = "averaged"
+[[offset]]
+mode = 1
+force = [0.0, 0.5]
 [servo]
 tracked = [[0.0, 1.0]]
 reference = [0.5]

@@ -196,3 +196,50 @@ def test_design_is_for_loops_that_come_to_zero(tmp_path, capsys):
         main(["design", str(path), "--delay-margin", "0.1"])
     assert stopped.value.code == 2
     assert "follows a reference" in capsys.readouterr().err
+
+
+OFFSET = "[[offset]]\nmode = 1\nforce = [0.0, 0.6]\n"
+
+
+def test_an_offset_is_a_force_in_its_mode(tmp_path):
+    problem = load_problem(write(tmp_path, SERVO, OBSERVER, LAWS, OFFSET, RUN))
+    force = dt.imperfections.StepDisturbance([[0.0, 0.0], [0.0, 0.6]])
+    (made,) = problem.imperfections
+    assert np.array_equal(made.force, force.force)
+    run = dt.simulate(
+        problem.plant,
+        problem.laws["averaged"],
+        problem.signal,
+        problem.x0,
+        10.0,
+        0.1,
+        imperfections=[force],
+    )
+    assert np.array_equal(problem.simulate("averaged").states, run.states)
+
+
+def test_the_steady_input_answers_the_offset_too(tmp_path):
+    steady = SERVO.replace("3.0", "1.5").replace("[1.0", "[1.5")
+    path = write(tmp_path, steady, LIMITS, OFFSET.replace("0.6", "0.9"), RUN)
+    with pytest.raises(dt.ProblemFileError, match=r"in mode 1 it takes the steady input -1\.125"):
+        load_problem(path)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ((OFFSET.replace("mode = 1", "mode = 2"),), "mode must be in 0..1, got 2"),
+        ((OFFSET, OFFSET), "mode 1 has an offset already"),
+        ((OFFSET.replace("0.6]", "0.6, 0.0]"),), "force must have shape (n,) = (2,), got (3,)"),
+    ],
+)
+def test_an_offset_that_does_not_fit_is_refused_in_one_line(tmp_path, parts, message):
+    with pytest.raises(dt.ProblemFileError, match=re.escape(message)):
+        load_problem(write(tmp_path, SERVO, *parts, RUN))
+
+
+def test_an_offset_acts_at_samples(tmp_path):
+    plain = PLANT.replace("lqr = { Q", "poles = [-1.0, -2.0] # ")
+    ideal = RUN.replace("step = 0.1", 'step = "ideal"')
+    with pytest.raises(dt.ProblemFileError, match="at which offsets and imperfections act"):
+        load_problem(write(tmp_path, OFFSET, ideal, plant=plain))

@@ -150,6 +150,15 @@ class Disturbance(Imperfection):
     def spread(self, sizes: Sizes, pieces: Sequence[Piece]) -> np.ndarray:
         """(n, r): from a stretch's numbers to what w adds to x over these pieces of it."""
 
+    @property
+    def goes_by_mode(self) -> bool:
+        """Whether w depends on the mode; `force_by_mode` then says how."""
+        return False
+
+    def force_by_mode(self, sizes: Sizes) -> np.ndarray | None:
+        """c (modes, n) of w = c_σ times the one number drawn; None where w is anything else."""
+        return None
+
 
 class Stacked(ABC):
     """A disturbance that spreads over many stretches at once: a base beside `Disturbance`."""
@@ -191,7 +200,7 @@ def require(one: Imperfection, sizes: Sizes) -> None:
             one.actuator(sizes)
         case Disturbance():
             one.draws(sizes, (sizes.step, 0.0), 0, rng)
-            one.spread(sizes, [(np.zeros((sizes.states, sizes.states)), sizes.step)])
+            one.spread(sizes, [(np.zeros((sizes.states, sizes.states)), sizes.step)] * sizes.modes)
         case _:
             pass
 

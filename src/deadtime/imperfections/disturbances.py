@@ -145,8 +145,9 @@ class StepDisturbance(DrawnDisturbance):
 
     Parameters
     ----------
-    force : array_like, shape (n,)
-        Units of x per second.
+    force : array_like, shape (n,) or (modes, n)
+        Units of x per second; with a row per mode the force changes with the mode, at the instant
+        of the switch: dx/dt = A_σ x + B_σ u(t − D) + c_σ.
     start, end : float
         Seconds, 0 ≤ start < end.
     """
@@ -178,13 +179,25 @@ class StepDisturbance(DrawnDisturbance):
     def spreads_in(
         self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
     ) -> np.ndarray:
-        name = "StepDisturbance.force"
-        force = real_array(name, self.force, "(n,)", 1)
-        require_shape(name, force, (sizes.states,), "(n,)")
-        n = sizes.states
+        force, n = self._check(sizes), sizes.states
         joint = np.zeros((len(A), n + 1, n + 1))
         joint[:, :n, :n], joint[:, :n, n] = A, force
         return accumulate(joint, None, rates(A), mode, tau)[0][:, :n, n:]
+
+    @property
+    def goes_by_mode(self) -> bool:
+        return np.ndim(self.force) == 2
+
+    def force_by_mode(self, sizes: Sizes) -> np.ndarray | None:
+        return self._check(sizes) if self.goes_by_mode else None
+
+    def _check(self, sizes: Sizes) -> np.ndarray:
+        name, modes, n = "StepDisturbance.force", sizes.modes, sizes.states
+        given = as_floats(name, self.force, f"({n},) or ({modes}, {n})")
+        if given.ndim == 2:
+            force = real_array(name, given, "(modes, n)", 2)
+            return require_shape(name, force, (modes, n), "(modes, n)")
+        return require_shape(name, real_array(name, given, "(n,)", 1), (n,), "(n,)")
 
 
 @kernel(eager=True, nogil=True)

@@ -38,6 +38,8 @@ def is_known(each: Imperfection) -> bool:
 
 def is_batched(each: Imperfection) -> bool:
     """Whether the engine of many scenarios can take all that it does."""
+    if isinstance(each, Disturbance) and each.goes_by_mode:
+        return False  # within a period that is cut it is no one force
     drawing = (Relaying, TimingImperfection, Disturbance)
     # One that draws as two of these shares a stream between them: no array is each part's alone.
     return is_known(each) and sum(isinstance(each, part) for part in drawing) <= 1

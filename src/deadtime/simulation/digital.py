@@ -156,17 +156,18 @@ def run_table(
     step, memory, belief = sampled.step, tables.memory, tables.belief
     cuts = cuts_of(signal, sampled)
     table = sampled.along(cuts, grid.periods)
-    shift, forces = np.zeros((0, x0.size)), None
+    shift, forces, through = np.zeros((0, x0.size)), None, None
     if disturbances:
         forcing = Forcing(sampled, grid.periods, disturbances)
         shift, forces = forcing.along(table, cuts)
+        through = forcing.through
 
     def mode_at(time: np.ndarray) -> np.ndarray:
         return modes_at(signal, time, step)
 
     modes = mode_at(np.arange(samples) * step)
     rows = _rows(tables, modes, initial_age(signal, step), arrays)
-    sight = Sight.of(arrays, sampled, table, cuts, forces, law.outputs, modes)
+    sight = Sight.of(arrays, sampled, table, cuts, forces, through, law.outputs, modes)
     measured = x0.size if law.outputs is None else law.outputs.shape[1]
     line = Line.of(grid, arrays, measured, 0 if memory is None else memory.start.size)
     clip = arrays.clip if arrays else no_clip(sampled.plant.inputs)
@@ -186,6 +187,7 @@ def run_table(
         past,
         kept,
         forces,
+        through=through,
     )
     diverged = kept < samples
     end = (kept - 1) * step if diverged else None

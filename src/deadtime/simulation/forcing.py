@@ -26,6 +26,9 @@ _SINGULAR = 1e-8  # of a piece
 class Forcing:
     """What the disturbances of a run draw, and how to read it along the plant's modes.
 
+    `through` (modes, n, f) is how what acts does so on dx/dt: d by itself, and behind it, for each
+    disturbance whose force goes by the mode, that force, times whether it acts.
+
     They are drawn for the stretches of a period, which are the same time in all modes (the plant is
     `SampledPlant.cut_alike`). A switch to a mode that reads its inputs with other delays cuts a
     stretch into pieces: the force that adds as much as was drawn is held over all of them.
@@ -41,8 +44,15 @@ class Forcing:
         self._step, self._sizes = sampled.step, Sizes.of(plant, sampled.step)
         self._starts = np.array([part.start for part in sampled.stretches(0)])
         lengths = lengths_of(sampled)
-        self._kinds = [force for force, _ in disturbances]
-        self._draws = [force.draws(self._sizes, lengths, steps, rng) for force, rng in disturbances]
+        drawn = [(each, each.draws(self._sizes, lengths, steps, rng)) for each, rng in disturbances]
+        by_mode = [force.force_by_mode(self._sizes) for force, _ in drawn]
+        parted = list(zip(drawn, by_mode, strict=True))
+        self._kinds = [force for (force, _), c in parted if c is None]
+        self._draws = [draws for (_, draws), c in parted if c is None]
+        self._offsets = [(force, draws) for (force, draws), c in parted if c is not None]
+        columns = [c[:, :, None] for c in by_mode if c is not None]
+        unit = np.broadcast_to(np.eye(plant.states), plant.A.shape)
+        self.through = np.concatenate((unit, *columns), axis=2)
         held = [sampled.stretches(mode) for mode in range(plant.modes)]
         self._first = np.cumsum([0, *map(len, held)])
         self._held = [
@@ -52,8 +62,8 @@ class Forcing:
 
     def along(
         self, table: PieceTable, cuts: Cuts
-    ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece n"]]:
-        """ξ and d over the pieces of a known signal."""
+    ) -> tuple[Float[np.ndarray, "piece n"], Float[np.ndarray, "piece f"]]:
+        """ξ and what acts, d and whether forces by the mode do, over the pieces of a signal."""
         shift = np.zeros((table.entry.size, self._plant.states))
         period, entry = table.period, table.entry
         place = np.searchsorted(self._starts, table.start[entry], "right") - 1
@@ -76,14 +86,23 @@ class Forcing:
             given = _stacked([own[entry[q] - first] for q in parts])
             Gamma = pushed_over(self._plant.A, *given)
             shift[parts] = np.einsum("qij,qj->qi", Gamma, force[parts])
+        for kind, draws in self._offsets:
+            spread = spread_over(kind, self._sizes, self._plant.A, *_stacked(self._held + own))
+            active = draws[period, place]
+            shift += np.einsum("qnr,qr->qn", spread[entry], active)
+            force = np.hstack((force, active))
         return shift, force
 
-    def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " n"]:
-        """d over a stretch that starts in a mode; a switch within it leaves d as it is."""
+    def of_mode(self, k: int, piece: int, mode: int) -> Float[np.ndarray, " f"]:
+        """What acts over a stretch that starts in a mode; a switch within it leaves d as it is."""
         (spreads, inverse), entry = self._of_held, self._first[mode] + piece
         pairs = zip(spreads, self._draws, strict=True)
-        shift = np.sum([spread[entry] @ draws[k, piece] for spread, draws in pairs], axis=0)
-        return inverse[entry] @ shift
+        shift = np.zeros(self._plant.states)
+        shift = np.sum(
+            [shift, *(spread[entry] @ draws[k, piece] for spread, draws in pairs)], axis=0
+        )
+        active = [draws[k, piece] for _, draws in self._offsets]
+        return np.concatenate((inverse[entry] @ shift, *active))
 
     def _maps(self, entries: list[list[tuple[int, float]]]) -> tuple[list[np.ndarray], np.ndarray]:
         """How each disturbance's numbers become ξ over every entry, and Γ_I⁻¹."""

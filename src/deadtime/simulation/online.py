@@ -76,6 +76,7 @@ def run_online(
         kept,
         forces,
         truth.slides if truth.slides and truth.slides.steps else None,
+        truth.through,
     )
     end, diverged, note = (None, False, "") if stop is None else stop
     if record.slides is not None:

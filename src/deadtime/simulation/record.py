@@ -31,10 +31,12 @@ class DigitalRecord(Frozen):
         Held inputs; u_k is inputs[past + k], the first `past` rows are the history.
     samples : int
         Samples 0, …, samples − 1 belong to the run.
-    forces : (pieces, n) or None
-        The force that disturbances hold over each piece.
+    forces : (pieces, f) or None
+        What disturbances hold over each piece.
     slides : Slides or None
         The steps in which the plant slid along a boundary, if it did.
+    through : (modes, n, f) or None
+        How the forces act on dx/dt in every mode.
     """
 
     sampled: SampledPlant
@@ -44,8 +46,9 @@ class DigitalRecord(Frozen):
     inputs: Float[np.ndarray, "held m"]
     past: int
     samples: int
-    forces: Float[np.ndarray, "piece n"] | None = None
+    forces: Float[np.ndarray, "piece f"] | None = None
     slides: Slides | None = None
+    through: Float[np.ndarray, "mode n f"] | None = None
     held: ClassVar[bool] = True
 
     @property
@@ -79,15 +82,14 @@ class DigitalRecord(Frozen):
     @cached_property
     def driving_inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """B (modes, n, q) and what acts through it, u and the forces, (pieces, q)."""
-        A, B, pieces = self.plant.A, self.plant.B, self.path.shape[0]
+        B, pieces = self.plant.B, self.path.shape[0]
         # The last piece may have begun only: it acts on nothing where an input is missing.
         sample = self.past + self.table.sample[:pieces]
         known = np.minimum(sample, self.inputs.shape[0] - 1)
         acting = np.where(sample == known, self.inputs[known, np.arange(B.shape[2])], 0.0)
-        if self.forces is None:
+        if self.forces is None or self.through is None:
             return B, read_only(acting)
-        unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
-        forced = read_only(np.concatenate((B, unit), axis=2))
+        forced = read_only(np.concatenate((B, self.through), axis=2))
         return forced, read_only(np.hstack((acting, self.forces[: acting.shape[0]])))
 
     def grid(self, end: float) -> Float[np.ndarray, " T"]:

@@ -20,9 +20,9 @@ class Sight(NamedTuple):
     piece : (samples,), the piece in which x is measured; −1 where nothing is heard
     step : (samples,), the period of that piece
     way : (samples,), how x follows from the start of the piece; −1 where it is measured there
-    Phi : (ways, n, n), Gamma : (ways, n, q), from x and what acts to x; q = m, or m + n with
+    Phi : (ways, n, n), Gamma : (ways, n, q), from x and what acts to x; q = m, or m + f with
         the forces of the pieces behind the inputs
-    force : (pieces, n) or (pieces, 0)
+    force : (pieces, f) or (pieces, 0)
     noise : (samples, p) or (0, 0), what is added
     C : (modes, p, n), or (1, 0, n) where x is measured itself
     mode : (samples,), that of C
@@ -46,6 +46,7 @@ class Sight(NamedTuple):
         table: PieceTable,
         cuts: Cuts,
         forces: np.ndarray | None,
+        through: np.ndarray | None,
         outputs: np.ndarray | None,
         modes: Int[np.ndarray, " sample"],
     ) -> Sight:
@@ -59,7 +60,7 @@ class Sight(NamedTuple):
             heard, noise = arrays.heard.sample, arrays.heard.noise
             piece = np.where(heard < 0, -1, table.first[heard])
         if arrays is not None and arrays.lags is not None:
-            place = _within(arrays.lags, heard, sampled, table, cuts, forces)
+            place = _within(arrays.lags, heard, sampled, table, cuts, through)
         else:
             ways = np.full(heard.size, -1), np.empty((0, n, n)), np.empty((0, n, m))
             place = piece, heard, *ways
@@ -73,7 +74,7 @@ def _within(
     sampled: SampledPlant,
     table: PieceTable,
     cuts: Cuts,
-    forces: np.ndarray | None,
+    through: np.ndarray | None,
 ) -> tuple[np.ndarray, ...]:
     """`piece`, `step`, `way`, `Phi` and `Gamma` of measurements that may lie within periods."""
     A, B = sampled.plant.A, sampled.plant.B
@@ -90,8 +91,8 @@ def _within(
         piece[inside] = np.where(begun, q, piece[inside])
     pairs = table.entry[piece[inside]] + 1j * offset[inside]
     distinct, way[inside] = np.unique(pairs, return_inverse=True)
-    if forces is not None:
-        B = read_only(np.concatenate((B, np.broadcast_to(np.eye(A.shape[1]), A.shape)), axis=2))
+    if through is not None:
+        B = read_only(np.concatenate((B, through), axis=2))
     entry, at = distinct.real.astype(np.int64), distinct.imag.copy()
     Phi, Gamma = ways(A, B, table, cuts.offset, cuts.mode, entry, at)
     return np.where(step < 0, -1, piece), step, way, Phi, Gamma

@@ -39,11 +39,14 @@ class Truth(ABC):
         When the plant began to chatter; from there on its mode is held.
     slides : Slides or None
         The periods in which the plant slid along a boundary.
+    through : (modes, n, f) or None
+        How disturbances act on dx/dt in every mode.
     """
 
     mode: int
     chatter: Chatter | None = None
     slides: Slides | None = None
+    through: np.ndarray | None = None
 
     @abstractmethod
     def lags(self, k: int) -> list[np.ndarray]:
@@ -62,7 +65,7 @@ class Truth(ABC):
     @abstractmethod
     def along(
         self, table: PieceTable, path: np.ndarray
-    ) -> tuple[Float[np.ndarray, "start n"], Float[np.ndarray, "piece n"] | None]:
+    ) -> tuple[Float[np.ndarray, "start n"], Float[np.ndarray, "piece f"] | None]:
         """x at the start of every piece of a table, from x at the start of those moved over, and
         the force that disturbances hold over each.
         """
@@ -91,6 +94,7 @@ class KnownTruth(Truth):
         if disturbances:
             forcing = Forcing(sampled, steps, disturbances)
             self._shift, self._forces = forcing.along(self._table, self._cuts)
+            self.through = forcing.through
 
     def lags(self, k: int) -> list[np.ndarray]:
         first, stop = self._table.first[k : k + 2]
@@ -110,10 +114,9 @@ class KnownTruth(Truth):
         piece = int(np.searchsorted(table.start[entries], offset, "right")) - 1
         q, entry = table.first[k] + piece, entries[piece]
         u = acting(k, table.lag[entry])
-        if self._forces is not None:
+        if self._forces is not None and self.through is not None:
             u = np.concatenate((u, self._forces[q]))
-            unit = np.broadcast_to(np.eye(A.shape[1]), A.shape)
-            B = read_only(np.concatenate((B, unit), axis=2))
+            B = read_only(np.concatenate((B, self.through), axis=2))
         Phi, Gamma = up_to(A, B, table, cuts.offset, cuts.mode, entry, offset)
         return Phi @ path[q] + Gamma @ u
 
@@ -147,9 +150,10 @@ class RuleTruth(Truth):
         self._forces: np.ndarray | None = None
         if disturbances:
             self._forcing = Forcing(sampled, steps, disturbances)
-            self._forces = np.zeros((steps * len(self._stretches), plant.states))
-            unit = np.broadcast_to(np.eye(plant.states), plant.A.shape)
-            pushed = np.concatenate((plant.B, unit), axis=2)
+            self.through = self._forcing.through
+            size = self.through.shape[2]
+            self._forces = np.zeros((steps * len(self._stretches), size))
+            pushed = np.concatenate((plant.B, self.through), axis=2)
             plant = plant.like(plant.A, pushed, np.full(pushed.shape[::2], plant.longest_delay))
         lengths = tuple(part.stop - part.start for part in self._stretches)
         self._motion = rule.motion(plant, lengths)

@@ -11,12 +11,12 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import numbered
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
-from deadtime.imperfections import Imperfection, Sizes
+from deadtime.imperfections import Imperfection, Sizes, StepDisturbance
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.gains import as_numbers, build_gains, servo_gains
-from deadtime.problems.file.imperfections import build_imperfections
+from deadtime.problems.file.imperfections import build_imperfections, offsets_of
 from deadtime.problems.file.laws import Laws, change_plant
 from deadtime.problems.file.observer import add_observers, names_of
 from deadtime.problems.file.servo import FileServo
@@ -104,21 +104,23 @@ def _imperfections(
     following: FileServo | None,
 ) -> tuple[Imperfection, ...]:
     """The imperfections of the file, checked against what its laws measure and follow."""
-    if not file.imperfection:
+    if not file.imperfection and not file.offset and following is None:
         return ()
     if step is None:
         with _section("run"):
             raise ArgumentError(
-                'step = "ideal" has no samples, at which imperfections act: give a period.'
+                'step = "ideal" has no samples, at which offsets and imperfections act: give a '
+                "period."
             )
     outputs = next(iter(laws.values())).outputs
     measured = None if outputs is None else outputs.shape[1]
     sizes = Sizes(plant.modes, plant.states, plant.inputs, step)
+    force = offsets_of(file.offset, plant)
     imperfections = build_imperfections(file.imperfection, sizes, measured)
     if following is not None:
         with _section("servo"):
-            following.require_reach(plant, imperfections, step)
-    return imperfections
+            following.require_reach(plant, imperfections, step, force)
+    return (StepDisturbance(force.tolist()), *imperfections) if file.offset else imperfections
 
 
 def _weight(file: schema.ProblemFile, plant: SwitchedSystem) -> Weight | None:

@@ -278,6 +278,15 @@ Signal = Annotated[
 ]
 
 
+class OffsetSection(Section):
+    """A constant force in one mode: dx/dt = A_σ x + B_σ u(t − D) + force, as of a load."""
+
+    mode: int
+    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
+        description="Units of x per second."
+    )
+
+
 class ProblemFile(Section):
     """A deadtime problem."""
 
@@ -307,6 +316,9 @@ class ProblemFile(Section):
     run: RunSection
     truth: ModelSection | None = Field(
         None, description="The plant that is simulated, where it differs from [plant]."
+    )
+    offset: list[OffsetSection] = Field(
+        [], description="Constant forces on the plant, mode by mode; none in modes without one."
     )
     imperfection: list[ImperfectionEntry] = Field(
         [], description="Disturbances, sensors and actuators, in order."

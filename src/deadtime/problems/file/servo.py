@@ -119,15 +119,22 @@ class FileServo:
         )
 
     def require_reach(
-        self, plant: SwitchedSystem, imperfections: Sequence[Imperfection], step: float
+        self,
+        plant: SwitchedSystem,
+        imperfections: Sequence[Imperfection],
+        step: float,
+        force: Float[np.ndarray, "mode n"],
     ) -> None:
-        """Refuse a reference that no input within the limits holds, in some mode."""
+        """Refuse a reference that no input within the limits holds, in some mode.
+
+        `force` is what acts on dx/dt in every mode.
+        """
         schedule, servo = self.reference.schedule, self.of_plant(plant)
         if schedule is None:
             return
         for low, high in absolute_limits(imperfections, Sizes.of(plant, step)):
             for r in schedule.values:
-                steady = servo.steady_input(r)
+                steady = servo.steady_input(r, force)
                 beyond = ((steady < low) | (steady > high)).any(axis=1)
                 if beyond.any():
                     mode = int(np.argmax(beyond))

@@ -55,8 +55,8 @@ class StepDisturbanceSection(ImperfectionSection):
     made: ClassVar = StepDisturbance
 
     kind: Literal["step-disturbance"]
-    force: Annotated[Vector, Shape("(n,)", [0.0, 1.0])] = Field(
-        description="Units of x per second."
+    force: Annotated[Vector | Matrix, Shape("(n,) or (modes, n)", [0.0, 1.0])] = Field(
+        description="Units of x per second; or a row for every mode."
     )
     start: float = Field(0.0, description="Seconds.")
     end: float = Field(math.inf, description="Seconds.", json_schema_extra=_without_default)
