@@ -11,6 +11,7 @@ from deadtime.certificates.dwell.centre import loop_matrix
 from deadtime.certificates.dwell.leaps import plant_rows
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Transition
+from deadtime.cli.entry import main
 from deadtime.feedback.recurrence import recurrence_of
 from exponential_products import ellipses
 
@@ -162,3 +163,62 @@ def test_an_observer_that_grows_under_switching_is_refuted_and_the_witness_grows
     certificate = dt.certify(plant, law, 0.3, STEP)
     assert certificate.stable is False
     assert certificate.witness.proven
+
+
+def test_no_law_inside_that_is_not_linear_and_no_mode_told_late_of_other_outputs_is_certified():
+    two = dt.SwitchedSystem(A[:2], B[:2], 0.17)
+    gains = dt.lqr(two, np.eye(2), np.eye(2))
+    ruled = dt.StateDependentPredictor(two, gains, dt.HalfSpace([1.0, 0.0]))
+    loop = dt.OutputFeedback(ruled, dt.luenberger(two, [[1.0, 0.0]], [-3.0, -4.0], STEP))
+    refused = dt.certify(two, loop, 0.3, STEP)
+    assert refused.stable is None
+    assert "OutputFeedback is no linear update of what it remembers" in refused.message
+    late = dt.certify(THREE, observed(THREE, SEEN), 0.8, STEP, mode_lag=1)
+    assert late.stable is None
+    assert "certify with one C for all modes, or without mode_lag" in late.message
+
+
+def test_bounds_of_growth_hold_what_the_eigenvalues_say():
+    plant, law = servo()
+    low, high = dt.growth_bounds(plant, law, 0, STEP)
+    assert low <= dt.growth_rate(plant, law, 0, STEP) + 1e-9 <= high + 2e-9
+    assert high - low < 1e-9
+
+
+@pytest.mark.long
+def test_margins_and_the_command_line_follow(tmp_path):
+    plant, law = servo()
+    alone = dt.delay_margin(plant, law, STEP, upto=0.3)
+    proved = dt.delay_margin(plant, law, STEP, dwell_time=0.8, upto=0.3)
+    assert proved.certified
+    assert alone.lower <= proved.lower < 0.17 < proved.upper <= alone.upper
+    file, out = tmp_path / "mine.toml", tmp_path / "cert.json"
+    file.write_text(PROBLEM)
+    for command in (["certify", str(file), "--out", str(out)], ["verify", str(out)]):
+        with pytest.raises(SystemExit, match="^0$"):
+            main([*command, *(["--problem", str(file)] if command[0] == "verify" else [])])
+
+
+PROBLEM = """\
+[plant]
+A = [[[0.0, 1.0], [-1.0, -0.8]], [[0.0, 1.0], [-1.3, -0.6]]]
+B = [[[0.0], [1.0]], [[0.0], [1.1]]]
+delay = 0.14
+[gains]
+poles = [-1.0, -2.0]
+[[law]]
+kind = "averaged"
+[signal]
+kind = "random"
+dwell_time = 0.5
+mean_sojourn = 1.2
+seed = 1
+[run]
+x0 = [1.0, 0.0]
+horizon = 2.0
+step = 0.1
+[observer]
+kind = "luenberger"
+C = [[1.0, 0.0]]
+poles = [-4.0, -5.0]
+"""

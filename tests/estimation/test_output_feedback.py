@@ -383,22 +383,3 @@ SMALL = plants.paper()
 def test_what_does_not_belong_together_is_refused_by_name(call, message):
     with pytest.raises(dt.ArgumentError, match=re.escape(message)):
         call()
-
-
-def test_a_law_inside_that_is_not_linear_has_no_certificate_and_is_told_so():
-    rule = dt.HalfSpace([1.0] + [0.0] * (MODEL.states - 1), 0.0)
-    model = dt.SwitchedSystem(MODEL.A[:2], MODEL.B[:2], MODEL.delay)
-    law = dt.StateDependentPredictor(model, plants.gains(model), rule)
-    whole = dt.luenberger(model, np.eye(model.states), [-3.0] * model.states, STEP)
-    certificate = dt.certify(model, dt.OutputFeedback(law, whole), 0.3, STEP)
-    assert certificate.stable is None
-    assert "OutputFeedback is no linear update of what it remembers" in certificate.message
-
-
-def test_a_mode_told_late_asks_for_one_measurement_of_all_modes():
-    seen = np.eye(MODEL.states)[None, :2] * np.arange(1.0, MODEL.modes + 1)[:, None, None]
-    observer = dt.kalman(MODEL, seen, np.eye(MODEL.states), np.eye(2), STEP)
-    loop = dt.OutputFeedback(plants.LAWS["averaged"](MODEL), observer)
-    certificate = dt.certify(MODEL, loop, 0.3, STEP, mode_lag=1)
-    assert certificate.stable is None
-    assert "certify with one C for all modes, or without mode_lag" in certificate.message

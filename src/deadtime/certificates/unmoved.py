@@ -36,8 +36,8 @@ def why_unmoved(plants: Sequence[SwitchedSystem]) -> str:
     return (
         f"No certificate: in every mode, and whatever the input, {what} keeps its value, as a "
         "reference or a constant disturbance does, so that no law makes all of the state decay. "
-        "Certify what moves: of a Servo the plant "
-        "`servo.driven`, with a law of it whose gains are K[:, :, servo.moving]."
+        "Certify what moves: of a Servo its `OutputFeedback(law, observer, servo=servo)`, or the "
+        "plant `servo.driven`, with a law of it whose gains are K[:, :, servo.moving]."
     )
 
 

@@ -126,9 +126,9 @@ class OutputFeedback(WithMemory, Law):
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None
     ) -> Feedback:
         raise ArgumentError(
-            "OutputFeedback has no table: it remembers an estimate. `growth_rate` and the margins "
-            "take it; for the rest ask about its .law, which is given the state, and its .observer "
-            "(.rates, .switched_rate)."
+            "OutputFeedback has no table: it remembers an estimate. `growth_rate`, the margins, "
+            "`certify` and `falsify` take it; for the rest ask about its .law, which is given the "
+            "state, and its .observer (.rates, .switched_rate)."
         )
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast:

@@ -25,10 +25,11 @@ from deadtime.feedback.table import Feedback
 from deadtime.switching import SwitchingSignal
 
 
-def recurrence_of(law: Law, step: float) -> Feedback | None:
+def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) -> Feedback | None:
     """A law's table, with what it remembers among its outputs; None of a law that is no table.
 
-    The law must not foresee the signal.
+    `signal` is what a law sees that foresees it, mode 0 for ever by default; such a law with a
+    memory is none.
 
     Examples
     --------
@@ -40,12 +41,12 @@ def recurrence_of(law: Law, step: float) -> Feedback | None:
     >>> table.memory, table.context, table.state_gain.shape, table.input_gain.shape
     (2, 'mode', (2, 3, 2), (2, 10, 3, 3))
     """
-    anyhow = SwitchingSignal.constant(0)
+    signal = SwitchingSignal.constant(0) if signal is None else signal
     if isinstance(law, TableLaw):
-        return law.digital(step, anyhow, 1)
+        return law.digital(step, signal, 1)
     if not isinstance(law, WithMemory) or law.outputs is None:
         return None
-    tables = law.tables(step, anyhow, 1)
+    tables = law.tables(step, signal, 1)
     if tables is None or tables.feedback is None or tables.memory is None:
         return None
     return _joined(tables.feedback, tables.memory, law.outputs)

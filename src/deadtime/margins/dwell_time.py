@@ -16,7 +16,8 @@ from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.clock import CLOCK_TOLERANCE, MOST_PERIODS
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.law import require_match
+from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import GROWS, growth_bounds, growth_rate
@@ -76,7 +77,8 @@ def least_dwell_time(
     plant : SwitchedSystem
         The truth, with two modes or more; the law has a model of its own.
     law : Law
-        A law that is a table. One that relies on a dwell time keeps relying on its own.
+        A law that is a table, or an `OutputFeedback` of one. One that relies on a dwell time keeps
+        relying on its own.
     step : float
         Sampling period h > 0, seconds.
     ratio : float
@@ -112,7 +114,7 @@ def least_dwell_time(
             "plant must have two modes or more, got one: without switches there is no dwell time. "
             "growth_rate says whether its loop is stable."
         )
-    if not isinstance(law, TableLaw) or law.foresees:
+    if law.foresees or recurrence_of(law, step) is None:
         raise ArgumentError(
             "law must be a table whose rows do not depend on the future, got "
             f"{type(law).__name__}: no dwell time of its loop can be certified."

@@ -15,7 +15,8 @@ from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw, require_match
+from deadtime.feedback.law import require_match
+from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.spectrum import GROWS
@@ -121,12 +122,12 @@ def longest_mode_lag(
     instance("law", law, Law)
     require_match(plant, law)
     step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
-    if not isinstance(law, TableLaw) or law.foresees:
+    table = None if law.foresees else recurrence_of(law, step)
+    if table is None:
         raise ArgumentError(
             "law must be a table whose rows do not depend on the future, got "
             f"{type(law).__name__}: no lag of its mode can be certified."
         )
-    table = law.digital(step)
     most = round(snap(DELAYS * (max(plant.longest_delay, table.taps * step) + dwell_time) / step))
     most = most if upto is None else count("upto", upto)
     asked = _Asked.of(plant, law, dwell_time, step)

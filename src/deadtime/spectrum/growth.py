@@ -8,10 +8,10 @@ from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation import OutputFeedback
 from deadtime.feedback import Feedback, Law
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum.arguments import check_mode
-from deadtime.spectrum.lifted import LiftedLoop, aged_row
+from deadtime.spectrum.lifted import LiftedLoop, aged_row, with_memory
 from deadtime.switching import SwitchingSignal
 
 _PRECISION = 1e-4  # of the ideal loop, per delay
@@ -125,7 +125,7 @@ def growth_bounds(
     Parameters
     ----------
     plant, law, mode
-        As `growth_rate` takes them; the law must be a table.
+        As `growth_rate` takes them; the law must be a table, or an `OutputFeedback` of one.
     step : float
         Sampling period h, in seconds.
 
@@ -138,8 +138,8 @@ def growth_bounds(
     Raises
     ------
     ArgumentError
-        As by `growth_rate`; also if the law remembers an estimate, or if the loop is of an order
-        n + N m above 3,000. An order of 1,000 takes about a second.
+        As by `growth_rate`; also if the loop is of an order n + N m above 3,000; with q numbers
+        that the law remembers n + N (q + m). An order of 1,000 takes about a second.
 
     Examples
     --------
@@ -153,13 +153,14 @@ def growth_bounds(
     from deadtime.spectrum.enclosure import LARGEST, enclose_growth
 
     instance("law", law, Law)
-    if not isinstance(law, TableLaw):
+    mode, step = check_mode(plant, law, mode), positive("step", step)
+    feedback = recurrence_of(law, step, SwitchingSignal.constant(mode))
+    if feedback is None:
         raise ArgumentError(
             f"law must be a table, got {type(law).__name__}: bounds of its growth are not known; "
             "`growth_rate` has a number where there is one."
         )
-    mode, step = check_mode(plant, law, mode), positive("step", step)
-    feedback = law.digital(step, SwitchingSignal.constant(mode), 1)
+    plant = with_memory(plant, feedback)
     row = aged_row(feedback, mode)
     order = LiftedLoop.of(plant, feedback, mode, row).order
     if order > LARGEST:
