@@ -9,6 +9,7 @@ import deadtime as dt
 from deadtime.app.script import script_of
 from deadtime.cli.entry import main
 from deadtime.problems.file import load_problem
+from deadtime.problems.file.named import template
 
 PLANT = """\
 [plant]
@@ -243,3 +244,26 @@ def test_an_offset_acts_at_samples(tmp_path):
     ideal = RUN.replace("step = 0.1", 'step = "ideal"')
     with pytest.raises(dt.ProblemFileError, match="at which offsets and imperfections act"):
         load_problem(write(tmp_path, OFFSET, ideal, plant=plain))
+
+
+@pytest.mark.parametrize("name", ["motor", "quadrotor"])
+def test_the_servos_that_init_writes_hold_their_references_in_both_modes(tmp_path, name):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        re.sub(r'kind = "noise"\nstd = .*', 'kind = "noise"\nstd = 0.0', template(name))
+    )
+    problem = load_problem(path)
+    law, horizon = problem.laws["averaged"], 4.0 * problem.horizon
+    for mode in (0, 1):
+        run = dt.simulate(
+            problem.plant,
+            law,
+            dt.SwitchingSignal.constant(mode),
+            problem.x0,
+            horizon,
+            problem.step,
+            imperfections=problem.imperfections,
+        )
+        assert abs(run.step_info()["SteadyStateError"]) < 1e-3
+        assert run.commanded is not None
+        assert dt.growth_rate(problem.plant, law, mode, problem.step) < -0.3

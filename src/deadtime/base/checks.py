@@ -123,7 +123,7 @@ def _raw_array(name: str, value: object, reals: str, shape: str) -> np.ndarray:
     except ValueError:
         raise ArgumentError(
             f"{name} must {shape}, got rows of different lengths: "
-            "give every mode the same number of states and inputs."
+            "give every row, and every matrix, as many numbers as the others."
         ) from None
     if raw.dtype.kind not in "biuf":
         what = _WHAT.get(raw.dtype.kind, "")

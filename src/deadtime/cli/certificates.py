@@ -320,6 +320,12 @@ def _dwell_time_and_step(problem: Problem, dwell_time: float | None) -> tuple[Gi
     """The dwell time and the period that a problem asks about, in seconds."""
     from deadtime.problems.asked import dwell_time_of, step_of
 
+    if dwell_time is None and problem.dwell_time is None and problem.switching is not None:
+        raise ArgumentError(
+            f"the problem {problem.name!r} has a model of its switching, which promises no dwell "
+            "time, and no [signal] that does: the shortest sojourn of one drawn signal says "
+            "nothing of others. Give --dwell-time."
+        )
     return dwell_time_of(problem, problem.signal, dwell_time), step_of(problem)
 
 

@@ -11,7 +11,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import FILES, START, AsJson, Flag, app, lines
 from deadtime.cli.printing import print_json
 
-Name = Literal["paper", "three-mode", "follower"]
+Name = Literal["paper", "three-mode", "follower", "motor", "quadrotor"]
 
 
 @app.command(
@@ -19,6 +19,7 @@ Name = Literal["paper", "three-mode", "follower"]
     help_epilogue=lines(
         "deadtime init",
         "deadtime init car.toml --example follower",
+        "deadtime init servo.toml --example quadrotor",
     ),
 )
 def init(

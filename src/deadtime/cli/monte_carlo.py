@@ -48,8 +48,9 @@ def monte_carlo(
 ) -> int:
     """Run every law of a problem over many random switching signals, all on the same ones.
 
-    Sojourns are the dwell time plus an exponential time; the next mode is any other, each as
-    likely. Ctrl-C ends the run early and keeps what is done.
+    They are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
+    given here, sojourns are the dwell time plus an exponential time and the next mode is any
+    other, each as likely. Ctrl-C ends the run early and keeps what is done.
 
     Parameters
     ----------
@@ -82,7 +83,12 @@ def monte_carlo(
 
     chosen = problem_of(problem)
     period = _period(chosen, step)
-    sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
+    _require_signals(chosen)
+    asked = dwell_time is not None or mean_sojourn is not None
+    model, sojourn = chosen.switching, None
+    if model is None or asked:
+        sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
+        model = _model(chosen, sojourn.dwell.value, sojourn.mean.value)
     picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
     picture = picture if picture.suffix else picture.with_suffix(".png")
     # Before the run: an hour of work should not end at a name that cannot be written.
@@ -92,7 +98,7 @@ def monte_carlo(
     result = compare(
         chosen.plant,
         chosen.laws,
-        _model(chosen, sojourn.dwell.value, sojourn.mean.value),
+        model,
         chosen.x0,
         chosen.horizon,
         period,
@@ -173,11 +179,10 @@ class Sojourn(NamedTuple):
     mean: Given
 
 
-def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
-    """Dwell time and mean sojourn, where the problem's plant is one that signals switch."""
+def _require_signals(problem: Problem) -> None:
+    """Refuse a problem whose plant is none that random signals switch."""
     import numpy as np
 
-    from deadtime.problems.asked import mean_sojourn_of
     from deadtime.switching import SwitchingSignal
 
     if problem.plant.modes == 1:
@@ -196,7 +201,13 @@ def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojou
             f"Carlo runs have, got u0 = {np.asarray(problem.u0).tolist()} and predict = "
             f"{problem.predict!r}: change the file."
         )
-    shortest = _dwell_time(problem, problem.signal, dwell)
+
+
+def _sojourn(problem: Problem, dwell: float | None, mean: float | None) -> Sojourn:
+    """Dwell time and mean sojourn of the signals."""
+    from deadtime.problems.asked import mean_sojourn_of
+
+    shortest = _dwell_time(problem, problem.given_signal, dwell)
     least = shortest.value
     whole = mean_sojourn_of(problem, least, mean)
     if least < 0.0 or least == whole.value == 0.0:
@@ -246,24 +257,19 @@ def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
-def _print(problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summary) -> None:
+def _print(problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome: Summary) -> None:
     """Heading, remarks and tables on the terminal."""
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.tables import tracking
 
-    dwell, mean = sojourn.dwell.value, sojourn.mean.value
-    signals = "signal" if outcome.scenarios == 1 else "signals"
     print_heading(problem.title)
-    print(
-        f"{outcome.scenarios:,} random {signals}, sojourns of {dwell:g} s + "
-        f"Exp({mean - dwell:g} s), {problem.horizon:g} s each, "
-        f"sampled every {data.attributes['step']:g} s, seed {data.attributes['seed']}."
-    )
-    print(
-        f"• Dwell time {dwell:g} s: {sojourn.dwell.source}. "
-        f"Mean sojourn {mean:g} s: {sojourn.mean.source}."
-    )
+    print(_drawn(problem, sojourn, data, outcome))
+    if sojourn is not None:
+        print(
+            f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "
+            f"Mean sojourn {sojourn.mean.value:g} s: {sojourn.mean.source}."
+        )
     for sentence in slips_of(problem, data.attributes["step"]):
         print(f"• {sentence}")
     if data.attributes["imperfections"]:
@@ -282,8 +288,22 @@ def _print(problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summar
         print_table(tracking.HEADINGS, tracking.rows_of_many(data, i))
 
 
+def _drawn(problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome: Summary) -> str:
+    """How many signals, and what of."""
+    signals = "signal" if outcome.scenarios == 1 else "signals"
+    if sojourn is None:
+        what = f"of the file's [switching], {problem.switching!r}"
+    else:
+        dwell, mean = sojourn.dwell.value, sojourn.mean.value
+        what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
+    return (
+        f"{outcome.scenarios:,} random {signals}, {what}, {problem.horizon:g} s each, "
+        f"sampled every {data.attributes['step']:g} s, seed {data.attributes['seed']}."
+    )
+
+
 def _record(
-    problem: Problem, sojourn: Sojourn, data: Comparison, outcome: Summary
+    problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome: Summary
 ) -> dict[str, object]:
     """The results for JSON."""
     from deadtime.plant.weight import record_of
@@ -292,8 +312,9 @@ def _record(
     return {
         "problem": problem.name,
         "scenarios": outcome.scenarios,
-        "dwell_time": sojourn.dwell.value,
-        "mean_sojourn": sojourn.mean.value,
+        "dwell_time": None if sojourn is None else sojourn.dwell.value,
+        "mean_sojourn": None if sojourn is None else sojourn.mean.value,
+        "model": repr(problem.switching) if sojourn is None else None,
         "horizon": problem.horizon,
         **{name: data.attributes[name] for name in ("step", "seed", "backend", "message")},
         "interrupted": bool(data.attributes["interrupted"]),

@@ -98,7 +98,7 @@ class OutputModeFilter(Frozen):
         step: float,
         C: ArrayLike | Observer,
         *,
-        covariance: ArrayLike,
+        covariance: ArrayLike | None = None,
         disturbance: ArrayLike = 0.0,
         noise: ArrayLike = 0.0,
         estimate: ArrayLike | None = None,
@@ -108,6 +108,11 @@ class OutputModeFilter(Frozen):
         ages: int | None = None,
         allow_alike: bool = False,
     ) -> None:
+        if covariance is None:
+            raise ArgumentError(
+                "covariance must be given, of the first state about the estimate: a number, (n,) "
+                "or (n, n), such as 1.0; how well the state at time 0 is known."
+            )
         chain = ModeFilter(
             plant,
             model,

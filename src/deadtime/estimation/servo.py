@@ -224,10 +224,12 @@ class Servo(Frozen):
         """
         n, modes = self.base.states, self.base.modes
         r = check_reference(reference, self.tracked.shape[0])
-        c = np.zeros(n) if force is None else as_floats("force", force, "(n,) or (modes, n)")
-        c = np.tile(c, (modes, 1)) if c.ndim == 1 else c
-        c = require_shape(
-            "force", real_array("force", c, "(modes, n)", 2), (modes, n), "(modes, n)"
+        given = np.zeros(n) if force is None else as_floats("force", force, "(n,) or (modes, n)")
+        if given.shape not in ((n,), (modes, n)):
+            form = f"(n,) = ({n},) or (modes, n) = ({modes}, {n})"
+            raise ArgumentError(f"force must have shape {form}, got {given.shape}.")
+        c = np.broadcast_to(
+            real_array("force", given, "(n,) or (modes, n)", given.ndim), (modes, n)
         )
         held = [np.linalg.lstsq(self._regulator(i), np.r_[-c[i], r])[0] for i in range(modes)]
         return np.stack(held)[:, n:]
@@ -313,7 +315,7 @@ def _require_decay(
 def _forces(disturbance: ArrayLike, plant: SwitchedSystem) -> Float[np.ndarray, "mode n k"]:
     """E of every mode."""
     modes, n = plant.modes, plant.states
-    shape = np.shape(disturbance)
+    shape = as_floats("disturbance", disturbance, "(n, k) or (modes, n, k)").shape
     if len(shape) not in (2, 3) or shape[-2] != n:
         raise ArgumentError(
             f"disturbance must have n = {n} rows and a column per constant force, shape (n, k) or "

@@ -77,6 +77,9 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
     if kind == "missing":
         return f"{name} is missing: add it."
     if kind == "extra_forbidden":
+        if place.elsewhere:
+            kinds = " or ".join(f'"{kind}"' for kind in place.elsewhere[:3])
+            return f"{name} is not of this kind, but of kind = {kinds}: remove it, or change kind."
         return f"{name} is not known: {_advice(str(place.path[-1]), place.siblings)}"
     if kind == "union_tag_not_found":
         return f"{name}.kind is missing: add it."

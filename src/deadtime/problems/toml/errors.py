@@ -34,6 +34,8 @@ def section(*path: str | int) -> Iterator[None]:
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             yield
+    except SectionError:
+        raise  # of a table within this one, or beside it
     except ArgumentError as error:
         raise SectionError(str(error), path) from None
     except (ArithmeticError, np.linalg.LinAlgError):

@@ -32,6 +32,8 @@ class Place:
         Whether it holds a list of them, and the path does not say which.
     item : tuple of int
         The number of an item, in a list of anything but tables.
+    elsewhere : tuple of str
+        The other kinds of the same section that know the key.
     """
 
     path: Keys
@@ -40,6 +42,7 @@ class Place:
     tables: bool
     listed: bool
     item: tuple[int, ...] = ()
+    elsewhere: tuple[str, ...] = ()
 
 
 def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: bool = True) -> Place:
@@ -51,6 +54,7 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
     """
     path: list[str | int] = []
     models: Models = [model]
+    others: Models = []
     around: Models = [model]
     field: FieldInfo | None = None
     item: list[int] = []
@@ -60,7 +64,7 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
             continue
         if (known or number < len(location) - 1) and _is_no_key(part, models):
             if chosen := _choose(part, models):
-                models = chosen
+                models, others = chosen, [one for one in models if one not in chosen]
             continue
         fields = [one.model_fields[part] for one in models if part in one.model_fields]
         around, field = models or around, fields[0] if fields else None
@@ -69,7 +73,14 @@ def place_of(location: tuple[str | int, ...], model: type[BaseModel], known: boo
     siblings = tuple(dict.fromkeys(name for one in around for name in one.model_fields))
     inside = bool(path) and isinstance(path[-1], int)
     listed = bool(models) and not inside and _is_list(field)
-    return Place(tuple(path), field, siblings, bool(models), listed, tuple(item))
+    elsewhere = [one for one in others if path and path[-1] in one.model_fields]
+    kinds = tuple(kind for one in elsewhere for kind in _kinds_of(one))
+    return Place(tuple(path), field, siblings, bool(models), listed, tuple(item), kinds)
+
+
+def _kinds_of(model: type[BaseModel]) -> tuple[str, ...]:
+    kind = model.model_fields.get("kind")
+    return () if kind is None else getattr(kind.annotation, "__args__", ())
 
 
 def _is_no_key(part: str, models: Models) -> bool:
