@@ -42,6 +42,7 @@ def export(
     accuracy: float | None = None,
     rom_budget: int | None = None,
     name: str = "controller",
+    prediction: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     fmi: Literal["3.0", "2.0"] = "3.0",
     json_output: AsJson = False,
 ) -> int:
@@ -73,11 +74,15 @@ def export(
         Bytes that the tables may take.
     name
         Prefix of names and files in the C.
+    prediction
+        Let the C say, too, which state its input will meet: NAME_predict.
     fmi
         Version of FMI.
     json_output
         Print what was written as JSON instead of text.
     """
+    if prediction and c is None:
+        raise ArgumentError("--prediction is for the C: give --c FOLDER, too.")
     if c is None and fmu is None and plant_fmu is None:
         raise ArgumentError("nothing to write: give --c FOLDER, --fmu FILE or --plant-fmu FILE.")
     from deadtime.controller.export import Names, Staging, export_c, export_fmu, export_plant_fmu
@@ -91,9 +96,8 @@ def export(
     code = law_fmu = model = None
     with Staging() as staging:  # all that is asked for, or nothing
         if c is not None:
-            code = export_c(
-                controller, c, rom_budget=rom_budget, name=name, staging=staging, **shared
-            )
+            own: dict[str, Any] = {"rom_budget": rom_budget, "name": name, "prediction": prediction}
+            code = export_c(controller, c, staging=staging, **own, **shared)
         if fmu is not None:
             law_fmu = export_fmu(
                 controller, fmu, version=fmi, u0=chosen.u0, staging=staging, **shared

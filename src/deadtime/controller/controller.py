@@ -74,6 +74,7 @@ class Controller(RunningLaw):
         rom_budget: int | None = None,
         name: str = "controller",
         names: Names | None = None,
+        prediction: bool = False,
     ) -> Exported:
         """Write this controller as self-contained C99, with a check of itself.
 
@@ -98,6 +99,8 @@ class Controller(RunningLaw):
             Of the files, and the prefix of all names in them.
         names : deadtime.controller.export.Names, optional
             Of the law, its states and modes, for the header's comment.
+        prediction : bool
+            Whether the C also has `{name}_predict`, the states of `prediction`.
 
         Raises
         ------
@@ -115,6 +118,7 @@ class Controller(RunningLaw):
             rom_budget=rom_budget,
             name=name,
             names=names,
+            prediction=prediction,
         )
 
     def export_fmu(

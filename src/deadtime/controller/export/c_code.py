@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from deadtime.base.checks import count, number
 from deadtime.base.errors import ArgumentError
 from deadtime.base.version import __version__
-from deadtime.controller.export import belief_code, observer_code
+from deadtime.controller.export import belief_code, observer_code, prediction_code
 from deadtime.controller.export.bounds import bounds, largest
 from deadtime.controller.export.compiler import Check, self_check
 from deadtime.controller.export.files import require_own
@@ -28,6 +28,7 @@ from deadtime.controller.export.forms import (
 from deadtime.controller.export.literals import brackets, hexadecimal, initializer, literal
 from deadtime.controller.export.names import Names, in_comment
 from deadtime.controller.export.observer_code import ObserverForm
+from deadtime.controller.export.prediction_code import PredictionForm
 from deadtime.controller.export.refusals import require_exportable, require_limits
 from deadtime.controller.export.staging import Staging, unwritable
 
@@ -89,10 +90,12 @@ def export_c(
     rom_budget: int | None = None,
     name: str = "controller",
     names: Names | None = None,
+    prediction: bool = False,
     staging: Staging | None = None,
 ) -> Exported:
     """See `Controller.export_c`; with `staging` the files appear together with its others."""
-    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, names or Names())
+    told = names or Names()
+    texts, form = c_sources(controller, precision, accuracy, rom_budget, name, told, prediction)
     folder = Path(folder)
     require_own(folder, texts)
     with Staging() if staging is None else nullcontext(staging) as staged:
@@ -108,7 +111,7 @@ def export_c(
         folder,
         tuple(texts),
         description(form),
-        *_room(controller, form, precision),
+        *_room(controller, form, precision, prediction),
         form.error,
         check,
     )
@@ -121,6 +124,7 @@ def c_sources(
     rom_budget: int | None,
     name: str,
     names: Names,
+    prediction: bool = False,
 ) -> tuple[dict[str, str], Form]:
     """The text of every file, and the form that the table took."""
     from deadtime.controller.export.vectors import vectors
@@ -132,13 +136,13 @@ def c_sources(
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
     budget = None if rom_budget is None else count("rom_budget", rom_budget)
     # Of these tables nothing can be spared: what they leave of the budget is the law's.
-    beside = _beside(controller, precision)
+    beside = _beside(controller, precision, prediction)
     left = None if budget is None else budget - beside.rom
     form = form_of(controller.table, accuracy, precision, left)
     require_budget(controller.table, form, precision, budget, beside)
     made = vectors(controller)
     values = (
-        _values(controller, form, precision, name)
+        _values(controller, form, precision, name, prediction)
         | _words(controller, names)
         | {
             "scale": literal(made.scale, "double"),
@@ -186,7 +190,9 @@ def description(form: Form) -> str:
     return "dense: a period costs one product a past input"
 
 
-def _values(controller: RunningLaw, form: Form, precision: Precision, name: str) -> dict[str, Any]:
+def _values(
+    controller: RunningLaw, form: Form, precision: Precision, name: str, prediction: bool
+) -> dict[str, Any]:
     """What the templates are filled with."""
     import numpy as np
 
@@ -196,6 +202,9 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
     rows, more = len(table.state_gain) if belief else 1, 1.0
     if observer is not None:
         more = observer_code.gain(observer, largest(precision))
+    ahead = PredictionForm.of(controller) if prediction else None
+    if ahead is not None:
+        more = max(more, prediction_code.gain(ahead, rows))
     limits = bounds(table, form, precision, rows, more)
     require_limits(controller, limits["bound"])
     if observer is not None:
@@ -209,9 +218,10 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "HIGH": (_inside(high, precision, -np.inf), "limits of the inputs"),
         **({} if belief is None else belief_code.arrays(belief)),
         **({} if observer is None else observer_code.arrays(observer)),
+        **({} if ahead is None else prediction_code.arrays(ahead)),
     }
     tables = [_table(key, *array, precision) for key, array in arrays.items()]
-    rom, ram = _room(controller, form, precision)
+    rom, ram = _room(controller, form, precision, prediction)
     told = (tables, controller.step, table.ages, __version__)
     belief_values = None if belief is None else belief_code.values(belief)
     outputs = belief_code.outputs_of(belief)
@@ -239,6 +249,7 @@ def _values(controller: RunningLaw, form: Form, precision: Precision, name: str)
         "belief": belief_values,
         "outputs": outputs,
         "observer": observer_values,
+        "prediction": None if ahead is None else prediction_code.values(ahead),
         **given_of(observer, outputs),
         "magic": _magic(repr((*told, *beside))),
     }
@@ -280,15 +291,20 @@ def _table(name: str, array: np.ndarray, comment: str, precision: Precision) -> 
     return {"name": name, "comment": comment, "shape": brackets(array), "text": text}
 
 
-def _room(controller: RunningLaw, form: Form, precision: Precision) -> tuple[int, int]:
+def _room(
+    controller: RunningLaw, form: Form, precision: Precision, prediction: bool
+) -> tuple[int, int]:
     """Bytes of constants, and of one controller."""
-    beside = _beside(controller, precision)
+    beside = _beside(controller, precision, prediction)
     rom = rom_bytes(controller.table, form, precision) + beside.rom
     return rom, ram_bytes(controller.table, form, precision) + beside.ram
 
 
-def _beside(controller: RunningLaw, precision: Precision) -> Beside:
+def _beside(controller: RunningLaw, precision: Precision, prediction: bool) -> Beside:
     """What the law's table is not alone with."""
+    if prediction:
+        ahead = PredictionForm.of(controller)
+        return prediction_code.added(_beside(controller, precision, False), ahead, precision)
     if controller.believing is not None:
         belief = controller.believing
         rom, ram = belief_code.rom_bytes(belief), belief_code.ram_bytes(belief)

@@ -1,0 +1,71 @@
+"""The prediction of a controller in C: its rows, its room and its bounds.
+
+`{name}_predict` gives x̂(t_k + D_j) of the last sample that was served, the sum over the futures. It
+reads the past inputs that the controller keeps anyway, and changes nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.controller.export.forms import BYTES, Beside, Precision
+
+if TYPE_CHECKING:
+    from deadtime.controller.running import RunningLaw
+
+
+class PredictionForm(NamedTuple):
+    """Rows by context, horizon and state; taps with the latest input first.
+
+    state : (rows, horizons, n, n), input : (rows, horizons, n, N, m)
+    of_input : (m,), the horizon of each
+    """
+
+    state: Float[np.ndarray, "row horizon n n"]
+    input: Float[np.ndarray, "row horizon n N m"]
+    of_input: Int[np.ndarray, " m"]
+
+    @classmethod
+    def of(cls, controller: RunningLaw) -> PredictionForm:
+        """Of a controller; `ArgumentError` where its law predicts nothing."""
+        table, m = controller.prediction_table, controller.law.plant.inputs
+        taps = table.input.sum(axis=2)
+        taps = taps.reshape(*taps.shape[:3], -1, m)[..., ::-1, :]
+        return cls(table.state.sum(axis=2), np.ascontiguousarray(taps), table.of_input)
+
+
+def arrays(form: PredictionForm) -> dict[str, tuple[np.ndarray, str]]:
+    """What goes into ROM, with a comment each."""
+    rows, horizons, n = form.state.shape[:3]
+    taps = form.input.reshape(rows, horizons * n, *form.input.shape[3:])
+    return {
+        "AHEAD_X": (form.state.reshape(rows, horizons * n, n), "the state ahead, of the state now"),
+        "AHEAD_U": (taps, "the state ahead, of past inputs, the latest first"),
+    }
+
+
+def values(form: PredictionForm) -> dict[str, Any]:
+    """What the templates are filled with."""
+    return {"horizons": form.state.shape[1], "of_input": form.of_input.tolist()}
+
+
+def rom_bytes(form: PredictionForm, precision: Precision) -> int:
+    """Of the tables; integers take four bytes."""
+    numbers = sum(array.size for array, _ in arrays(form).values())
+    return BYTES[precision] * numbers + 4 * form.of_input.size
+
+
+def added(beside: Beside, form: PredictionForm, precision: Precision) -> Beside:
+    """What else the law's table is with, and the prediction."""
+    name = "the prediction" if beside.rom == 0 else f"{beside.name} and the prediction"
+    single = None if beside.single is None else beside.single + rom_bytes(form, "float")
+    return Beside(name, beside.rom + rom_bytes(form, precision), beside.ram, single)
+
+
+def gain(form: PredictionForm, rows: int) -> float:
+    """How many times a number may be exceeded by sums over so many rows at once: for `bounds`."""
+    each = np.abs(form.state).sum(axis=3) + np.abs(form.input).sum(axis=(3, 4))
+    return 2.0 * rows * float(each.max())
