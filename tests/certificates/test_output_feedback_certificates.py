@@ -195,7 +195,7 @@ def test_margins_and_the_command_line_follow(tmp_path):
     file, out = tmp_path / "mine.toml", tmp_path / "cert.json"
     file.write_text(PROBLEM)
     for command in (["certify", str(file), "--out", str(out)], ["verify", str(out)]):
-        with pytest.raises(SystemExit, match="^0$"):
+        with pytest.raises(SystemExit, match=r"^0$"):
             main([*command, *(["--problem", str(file)] if command[0] == "verify" else [])])
 
 
