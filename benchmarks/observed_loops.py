@@ -68,10 +68,12 @@ class Case:
 
 CASES = (
     Case("paper's, D = 0.3 s", observed, PAPER.like(PAPER.A, PAPER.B, 0 * PAPER.delays + 0.3), 0.3),
-    Case("two inputs, own delays", observed, PAIR, 0.4),
+    Case("two inputs, own delays", observed, PAIR, 0.4, 20.0),
     Case("three modes, 2 % off", off_by_two_percent, THREE, 0.5),
-    Case("motor, sums", tracking, MOTOR, 0.6),
-    Case("motor, sums, disturbance", lambda plant: tracking(plant, [[0.0], [1.0]]), MOTOR, 0.6),
+    Case("motor, sums", tracking, MOTOR, 0.6, 20.0),
+    Case(
+        "motor, sums, disturbance", lambda plant: tracking(plant, [[0.0], [1.0]]), MOTOR, 0.6, 20.0
+    ),
 )
 
 
