@@ -203,7 +203,8 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         _each(signals["maximum_dwell"], lambda value: None if value is None else _float(value)),
         signals["chatter"],
         _float(signals["clock_tolerance"]),
-        *(_count(law, name) for name in COUNTS),
+        _count(law, "mode_lag"),
+        _count(law, "memory"),
         _following(signals),
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
