@@ -147,15 +147,23 @@ def certificate(content):
     out = c.q + c.m  # of the table: what is remembered, then the inputs
     c.F, c.G = array(F, "F", rows, out, c.n), array(G, "G", rows, None, out, out)
     need(not any(x for r in c.G for g in r[1:] for y in g for x in y[: c.q]), "G reads an old w")
-    keys = "dwell_time maximum_dwell chatter clock_tolerance"
-    dwell, maximum, chatter, tolerance = take(signals, "signals", keys)
-    c.dwell, c.tolerance = real(dwell, "dwell_time"), real(tolerance, "clock_tolerance")
-    c.chatter, c.maximum = whole(chatter, "chatter", 1), maximum
-    fits = c.step > 0 and c.dwell > 0 and 1e-8 <= c.tolerance < 1
+    ways = "transitions" in signals
+    keys = "dwell_time maximum_dwell chatter clock_tolerance" + " transitions" * ways
+    dwell, maximum, chatter, tolerance, *matrix = take(signals, "signals", keys)
+    c.dwell, c.maximum = per_mode(dwell, "dwell_time", c), per_mode(maximum, "maximum_dwell", c)
+    c.chatter, c.tolerance = whole(chatter, "chatter", 1), real(tolerance, "clock_tolerance")
+    c.follow = (
+        following(matrix[0], c) if ways else [{*range(c.modes)} - {i} for i in range(c.modes)]
+    )
+    fits = c.step > 0 and all(x and x > 0 for x in c.dwell) and 1e-8 <= c.tolerance < 1
     fits = fits and all(0 < low <= high for row in c.D for low, high in row)
     need(fits and 0 < c.rho <= 1, "delays, step, dwell_time, clock_tolerance or rho out of range")
-    fits = maximum is None or (c.dwell <= real(maximum, "maximum_dwell") and c.chatter == 1)
+    pairs = [*zip(c.dwell, c.maximum, strict=True)]
+    fits = all(x is None or low <= x for low, x in pairs)
+    fits = fits and (c.chatter == 1 or (maximum is None and type(dwell) is not list))
     need(fits, "maximum_dwell is below dwell_time, or chatter is not 1")
+    fits = all(c.follow[i] or c.maximum[i] is None or c.modes == 1 for i in range(c.modes))
+    need(fits, "transitions lead nowhere from a mode that has to be left")
     c.linear = lyapunov["kind"] == "linear"
     kind, knots, P, *rest = take(lyapunov, "lyapunov", "kind knots P" + " Psi S" * c.linear)
     fits = c.linear or (kind == "stretches" and c.chatter == 1)
@@ -167,6 +175,26 @@ def certificate(content):
     c.Psi = array(rest[0], "Psi", None, None) if c.linear else []
     c.S = array(rest[1], "S", c.modes, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
     return c
+
+
+def per_mode(value, name, c):
+    """A number, or None, for each mode; a list only where they are not all one."""
+    several = type(value) is list
+    need(
+        not several or (len(value) == c.modes and len({*value}) > 1), f"{name} is no time per mode"
+    )
+    each = value if several else [value] * c.modes
+    need(name != "dwell_time" or None not in each, "dwell_time is missing")
+    return [None if x is None else real(x, name) for x in each]
+
+
+def following(matrix, c):
+    """The modes that each may switch to; not all of them, for then the file says nothing."""
+    rows = nested(matrix, "transitions", c.modes, c.modes)
+    fits = all(type(x) is int and x in (0, 1) for row in matrix for x in row)
+    need(fits and not any(row[i] for i, row in enumerate(rows)), "transitions is no matrix of 0, 1")
+    need(sum(map(sum, rows)) < c.modes * (c.modes - 1), "transitions allows all: to be left out")
+    return [{j for j, x in enumerate(row) if x} for row in rows]
 
 
 def ball(x):
@@ -285,20 +313,24 @@ class Loop:
         return places, sorted(reads | {(at[0], j) for j, at in every if at[1] < 1})
 
     def ages(self):
-        """q₀, q₁ (None: no bound) and `last`."""
+        """q₀, q₁ (None: no bound) and `last` of every mode."""
         c, tolerance, room = self.c, Fraction(repr(self.c.tolerance)), Fraction(1, 2**50)
-        h, dwell, most = (Fraction(repr(float(x or 1))) for x in (c.step, c.dwell, c.maximum))
-        self.shortest = (1 - tolerance) * (1 - room) * dwell / h
-        self.longest = (1 + tolerance) * (1 + room) * most / h
-        self.bucket, q0 = c.chatter > 1 and c.modes > 1, math.floor(self.shortest) - 1
+        h, number = Fraction(repr(c.step)), lambda x: Fraction(repr(float(x or 1)))
+        self.shortest = [(1 - tolerance) * (1 - room) * number(x) / h for x in c.dwell]
+        self.longest = [(1 + tolerance) * (1 + room) * number(x) / h for x in c.maximum]
+        self.bucket = c.chatter > 1 and c.modes > 1
         if c.modes == 1:
-            return 0, None, c.ages - 1
-        need(q0 >= 0, "the dwell time is below one period")
-        if c.maximum is not None:
-            return q0, math.ceil(self.longest) - 1, math.ceil(self.longest) - 1
+            return [0], [None], [c.ages - 1]
+        first = [math.floor(x) - 1 for x in self.shortest]
+        need(min(first) >= 0, "the dwell time is below one period")
+        ends = [math.ceil(x) - 1 for x in self.longest]
+        ends = [None if x is None else q for x, q in zip(c.maximum, ends, strict=True)]
         # Without a bucket the last age stands for all later ones.
-        last = math.ceil(c.chatter * dwell / h) if self.bucket else max(q0 + 1, c.ages - 1 + c.lag)
-        return q0, None, max(q0, last)
+        lasts = [max(q + 1, c.ages - 1 + c.lag) for q in first]
+        if self.bucket:
+            lasts = [max(q, math.ceil(c.chatter * number(c.dwell[0]) / h)) for q in first]
+        lasts = [q if end is None else end for q, end in zip(lasts, ends, strict=True)]
+        return first, ends, lasts
 
     def rows(self, mode, age):
         """The rows that may act: of what the law may have been told."""
@@ -313,8 +345,8 @@ class Loop:
         # Modes of the sojourns before, the last first, each of q₀ + 1 samples or more.
         here, seen = {mode}, 0
         while seen < late:
-            here = {j for j in self.modes for i in here if i != j}
-            seen += self.q0 + 1
+            here = {j for j in self.modes for i in here if i in self.c.follow[j]}
+            seen += min(self.q0) + 1
             least = min(max(0, seen - late), ages - 1)
             told |= {i * ages + a for i in here for a in range(least, ages)}
         return sorted(told)
@@ -495,8 +527,8 @@ class Loop:
         """Cells that cover the parameters: part of the period, simplices of u, of f and of λ."""
         count, found = range(self.c.vertices), []
         f = ((fmpq(0),), (fmpq(1),)) if self.ranged else ((fmpq(0),),)
-        low = 0 if self.bucket or i == j else max(0, self.shortest - age - 1)
-        high = 0 if i == j else min(1, self.longest - age) if self.c.maximum else 1
+        low = 0 if self.bucket or i == j else max(0, self.shortest[i] - age - 1)
+        high = 0 if i == j else min(1, self.longest[i] - age) if self.c.maximum[i] else 1
         low, high = (self.h * x.numerator / x.denominator for x in (low, high))  # s of a switch
         weights = tuple(tuple(fmpq(p == q) for p in count[1:]) for q in count)
         if self.boxed:
@@ -539,38 +571,54 @@ def fraction(x):
 
 
 def linear(loop):
-    V, last, c = loop.V, loop.last, loop.c
-    found = {0, last, loop.q0, loop.q0 + 1, *c.knots, *range(min(c.ages, last + 1))}
-    found |= {k + loop.q0 for k in c.knots if loop.bucket}
+    for i in loop.modes:
+        linear_in(loop, i, loop.q0[i], loop.last[i])
+
+
+def linear_in(loop, i, q0, last):
+    """The steps from the ages of one mode."""
+    V, c = loop.V, loop.c
+    found = {0, last, q0, q0 + 1, *c.knots, *range(min(c.ages, last + 1))}
+    found |= {k + q0 for k in c.knots if loop.bucket}
     found |= set(range(min(c.lag + c.ages, last + 1) * (c.lag > 0)))
     starts = {a for a in found if a <= last}
-    for a, i in itertools.product(sorted(starts | {a - 1 for a in starts if a > 0}), loop.modes):
+    for a in sorted(starts | {a - 1 for a in starts if a > 0}):
         for row in loop.rows(i, a):
-            if loop.q1 is None or a < last:
+            if loop.q1[i] is None or a < last:
                 prove(loop, f"mode {i} at age {a}", V(i, a), V(i, min(a + 1, last)), row, (i, i))
-            for j in (j for j in loop.modes if j != i and a >= loop.q0):
-                V_next = V(j, a - loop.q0 if loop.bucket else 0)
+            for j in (j for j in sorted(c.follow[i]) if a >= q0):
+                V_next = V(j, a - q0 if loop.bucket else 0)
                 prove(loop, f"the switch {i} to {j} at age {a}", V(i, a), V_next, row, (i, j), a)
 
 
 def stretches(loop):
-    knots, last, V, unbounded = loop.c.knots, loop.last, loop.V, loop.q1 is None
-    need(unbounded * last <= knots[-1] <= last, f"the last knot is not the last age, {last}")
-    need(len(loop.modes) == 1 or knots[0] <= loop.q0, "the first knot is past a switch")
-    fixed = not loop.ranged and loop.c.vertices == 1
-    need(fixed or len(knots) > last, "not every age is a knot, though delay or plant varies")
-    need(loop.c.lag <= knots[0], "the first knot is before the lag of the mode")
-    for i, (start, end) in itertools.product(loop.modes, itertools.pairwise([*knots, last + 1])):
-        for a in range(start, end):
-            (row,), name, L = loop.rows(i, a), f"mode {i} from age {start} to {a}", a - start + 1
-            before = loop.full(i, start, a)
-            for j in (j for j in loop.modes if j != i and a >= loop.q0):
-                to = f"{name}, then {j}", V(i, start), V(j, knots[0]), row, (i, j), a
-                first = min(a + 1 - loop.c.lag, loop.c.ages) * (loop.c.lag > 0)
-                after = loop.after(i * (loop.c.lag > 0), first, j, knots[0])
-                prove(loop, *to, L + knots[0], before, after)
-            if a + 1 == end and (end <= last or unbounded):
-                prove(loop, name, V(i, start), V(i, min(end, last)), row, (i, i), a, L, before)
+    knots, c, highest = loop.c.knots, loop.c, max(loop.last)
+    need(knots[-1] <= highest, f"the last knot is past the last age, {highest}")
+    need(len(loop.modes) == 1 or knots[0] <= min(loop.q0), "the first knot is past a switch")
+    fixed = not loop.ranged and c.vertices == 1
+    need(fixed or len(knots) > highest, "not every age is a knot, though delay or plant varies")
+    need(c.lag <= knots[0], "the first knot is before the lag of the mode")
+    for i in loop.modes:
+        own = [age for age in knots if age <= loop.last[i]]
+        fits = loop.q1[i] is not None or own[-1:] == [loop.last[i]]
+        need(own and fits, f"the last age of mode {i}, {loop.last[i]}, is no knot")
+        for start, end in itertools.pairwise([*own, loop.last[i] + 1]):
+            stretches_from(loop, i, start, end)
+
+
+def stretches_from(loop, i, start, end):
+    """The stretches from the node at one age; the mode's next one is at `end`, or past its last."""
+    V, last, first_node, lag = loop.V, loop.last[i], loop.c.knots[0], loop.c.lag
+    for a in range(start, end):
+        (row,), name, L = loop.rows(i, a), f"mode {i} from age {start} to {a}", a - start + 1
+        before = loop.full(i, start, a)
+        for j in (j for j in sorted(loop.c.follow[i]) if a >= loop.q0[i]):
+            to = f"{name}, then {j}", V(i, start), V(j, first_node), row, (i, j), a
+            first = min(a + 1 - lag, loop.c.ages) * (lag > 0)
+            after = loop.after(i * (lag > 0), first, j, first_node)
+            prove(loop, *to, L + first_node, before, after)
+        if a + 1 == end and (end <= last or loop.q1[i] is None):
+            prove(loop, name, V(i, start), V(i, min(end, last)), row, (i, i), a, L, before)
 
 
 def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=None):
@@ -617,10 +665,17 @@ def halves(q, simplices, index):
 
 def summary(c):
     """The loop in its first numbers, and its signals in words."""
-    longest = "or more" if c.maximum is None else f"to {c.maximum!r} s"
-    signals = f"sojourns of {c.dwell!r} s {longest}"
+    each = [
+        f"{x!r} s {'or more' if y is None else f'to {y!r} s'}"
+        for x, y in zip(c.dwell, c.maximum, strict=True)
+    ]
+    signals = "sojourns of " + (", ".join(each) if len({*each}) > 1 else each[0])
     if c.chatter > 1:
-        signals = f"{c.chatter} + T/({c.dwell!r} s) switches or fewer in any T, one in a period"
+        signals = f"{c.chatter} + T/({c.dwell[0]!r} s) switches or fewer in any T, one in a period"
+    if sum(map(len, c.follow)) < c.modes * (c.modes - 1):
+        signals += " that switch only " + ", ".join(
+            f"{i} to {sorted(x)}" for i, x in enumerate(c.follow)
+        )
     (low, high), D = c.D[0][0], c.delays if type(c.delays[0]) is list else c.delays[0]
     low, high = c.delays if c.box else (low, high)
     D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"

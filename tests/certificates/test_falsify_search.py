@@ -7,6 +7,7 @@ import pytest
 
 import deadtime as dt
 import plants
+from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import SampledLoop
@@ -81,8 +82,9 @@ def test_the_compressed_loop_ranks_cycles_as_the_loop_does_whatever_is_late():
     law = dt.ExpectedPredictor(plant, plants.gains(plant), plants.markov(2))
     loop = SampledLoop.of(plant, law.digital(0.02), 0.0)
     lengths = np.arange(10, 120)
-    kinds = Kinds.of(loop.feedback, 2, mixed=True)
-    sojourns = compress(loop, lengths, kinds)
+    signals = Admissible((Dwell(9.9, np.inf),) * 2, ((1,), (0,)), (0, 1))
+    kinds = Kinds.of(loop.feedback, signals)
+    sojourns = compress(loop, lengths, kinds, signals)
     assert sojourns.matrix.shape[2] < loop.order / 3
     rng = np.random.default_rng(1)
     for count in (2, 4, 6):

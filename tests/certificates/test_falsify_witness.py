@@ -9,7 +9,8 @@ import pytest
 import deadtime as dt
 import plants
 import reference
-from deadtime.certificates.worst_case.cycles import Cycle, Dwell
+from deadtime.certificates.worst_case.admissible import Dwell
+from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.certificates.worst_case.witness import repeat
 from shares import mostly_long
@@ -94,7 +95,7 @@ def test_the_witness_grows_in_an_independent_simulation_of_another_plant(name):
     law = plants.LAWS[name](model)
     worst = dt.falsify(plant, law, 0.17, H, maximum_dwell=0.63, budget=QUICK)
     assert len(worst.modes) > 1
-    signal = repeat(worst.cycle, 2, 0.17, H)
+    signal = repeat(worst.cycle, 2, (0.17,) * plant.modes, H)
     near = [round(t / H) for t in signal.times]  # within 1e-9 periods of a sample is at it
     cuts = [
         Fraction(k, 10) if abs(t / H - k) < 1e-9 else Fraction(t)
@@ -125,5 +126,5 @@ def test_a_dwell_time_is_kept_to_the_last_digit():
         r = Dwell.of(dwell, None, H).least
         for offset in (0.0, 0.3, 0.999):
             gaps = (r, r, np.ceil(4 * r) - 2 * r)
-            signal = repeat(Cycle((0, 1, 2), gaps, offset), 200, dwell, H)
+            signal = repeat(Cycle((0, 1, 2), gaps, offset), 200, (dwell,) * 3, H)
             assert dwell <= signal.dwell_time <= dwell * (1.0 + 1e-12)

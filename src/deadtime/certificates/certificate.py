@@ -95,7 +95,8 @@ class Certificate:
         if evidence is None:
             raise ArgumentError(f"certificate has no Lyapunov function: {self.message}")
         mode = index("mode", mode, evidence.setting.A.shape[1])
-        return evidence.lyapunov(mode, min(count("age", age, 0), evidence.setting.transitions.last))
+        last = evidence.setting.transitions.clocks[mode].last
+        return evidence.lyapunov(mode, min(count("age", age, 0), last))
 
     def save(self, path: str | Path) -> Path:
         """Write the certificate to a JSON file, which `verify` proves again.

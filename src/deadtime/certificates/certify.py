@@ -22,7 +22,6 @@ from deadtime.certificates.clock import (
     CLOCK_TOLERANCE,
     clock_tolerance_in_range,
     lag_in_range,
-    require_periods,
 )
 from deadtime.certificates.dwell.frame import whole
 from deadtime.certificates.dwell.search import Level, Search
@@ -32,6 +31,7 @@ from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.certificates.reach import LARGEST, out_of_reach, told_late, too_large, why_no_table
+from deadtime.certificates.signals import admissible_signals, of_setting, times_and_ways
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
@@ -39,6 +39,7 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
+from deadtime.switching.constraint import PerMode as Times
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
 REMEMBERED_LEVELS = (Level(0), None, Level(2), Level(4))  # filters of left eigenvectors are rounded
@@ -52,10 +53,11 @@ SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 def certify(
     plant: SwitchedSystem | Sequence[SwitchedSystem],
     law: Law,
-    dwell_time: float,
+    dwell_time: Times,
     step: float = 0.01,
     *,
-    maximum_dwell: float | None = None,
+    maximum_dwell: Times | None = None,
+    transitions: ArrayLike | None = None,
     chatter: int = 1,
     delays: tuple[ArrayLike, ArrayLike] | None = None,
     decay_rate: float | None = None,
@@ -78,12 +80,14 @@ def certify(
         A law that is a table with rows by nothing, by mode, or by mode and age; or an
         `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
         sums of errors and the inputs on their way, at a reference and a disturbance of 0.
-    dwell_time : float
+    dwell_time : float, or one per mode
         Shortest sojourn τ_d, in seconds, more than one period.
     step : float
         Sampling period h, in seconds.
-    maximum_dwell : float, optional
-        Longest sojourn, in seconds; without it a mode may be held without end.
+    maximum_dwell : float, or one per mode, optional
+        Longest sojourn, in seconds; without it, or where it is inf, a mode may be held without end.
+    transitions : (modes, modes) of bool, optional
+        Whether the signal may switch from mode i (row) to mode j (column); all by default.
     chatter : int
         N₀: above 1, `dwell_time` is an average dwell time τ_a, and any window of T s may hold
         N₀ + T/τ_a switches, at most one per period.
@@ -134,19 +138,15 @@ def certify(
     instance("law", law, Law)
     for corner in plants:
         require_match(corner, law)
-    step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
-    if maximum_dwell is not None and positive("maximum_dwell", maximum_dwell) < dwell_time:
-        raise ArgumentError(
-            f"maximum_dwell must be at least dwell_time = {dwell_time:g} s, got {maximum_dwell:g}."
-        )
-    if count("chatter", chatter) > 1 and maximum_dwell is not None:
-        raise ArgumentError("chatter > 1 and maximum_dwell exclude each other: give one of them.")
+    step = positive("step", step)
+    chatter, modes = count("chatter", chatter), plants[0].modes
+    signals = admissible_signals(modes, dwell_time, maximum_dwell, transitions, step, chatter)
     if decay_rate is not None and number("decay_rate", decay_rate) < 0.0:
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
-    require_periods(dwell_time, step, maximum_dwell, chatter)
     mode_lag = lag_in_range(mode_lag)
-    reason = out_of_reach(plants, law, dwell_time, step, tolerance) or why_unmoved(plants)
+    reason = out_of_reach(plants, law, min(signals.dwell_time), step, tolerance)
+    reason = reason or why_unmoved(plants)
     if reason:
         return Certificate(None, reason)
     table = recurrence_of(law, step)
@@ -155,6 +155,7 @@ def certify(
     late = told_late(law, mode_lag)
     if late:
         return Certificate(None, late)
+    least, most, following = times_and_ways(signals)
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
@@ -164,12 +165,13 @@ def certify(
         table.context,
         table.ages,
         step,
-        dwell_time,
-        maximum_dwell,
+        least,
+        most,
         chatter,
         tolerance,
         mode_lag if table.context != "none" and plants[0].modes > 1 else 0,
         table.memory,
+        following,
     )
     if setting.mode_lag * len(setting.F) > MOST_TOLD:
         return Certificate(
@@ -198,8 +200,10 @@ def _decide(
         for one in corners
         for mode in range(one.modes)
     ]
-    slowest, mode, corner = max(rates, key=lambda item: item[0])
-    if setting.maximum_dwell is None:
+    lasting = of_setting(setting).lasting
+    if lasting:
+        constant = (rate for rate in rates if rate[1] in lasting)
+        slowest, mode, corner = max(constant, key=lambda item: item[0])
         if slowest > GROWS and not search_signals:
             return Certificate(None, f"Held in mode {mode} it grows at {slowest:+.4g} 1/s.")
         if slowest > GROWS:
@@ -301,13 +305,15 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
     """The worst signal: False if the loop provably grows under it, else None with the signal."""
     from deadtime.certificates.worst_case import falsify
 
+    signals = of_setting(setting)
     try:
         worst = falsify(
             plant,
             law,
-            setting.dwell_time,
+            signals.dwell_time,
             setting.step,
-            maximum_dwell=setting.maximum_dwell,
+            maximum_dwell=signals.maximum_dwell,
+            transitions=signals.transitions,
             clock_tolerance=setting.clock_tolerance,
             mode_lag=setting.mode_lag,
         )

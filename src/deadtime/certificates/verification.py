@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
@@ -21,9 +23,11 @@ from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.statement import decay_rate, signals_in_words, statement
 from deadtime.certificates.proof.validate import why_malformed
+from deadtime.certificates.signals import of_setting
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
+from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
 
 SHOWN = 12  # digits of a digest
 FIRST = 4  # numbers of an array
@@ -64,8 +68,9 @@ class Asked:
     plant: SwitchedSystem | None = None
     law: Law | None = None
     step: float | None = None
-    dwell_time: float | None = None
-    maximum_dwell: float | None = None
+    dwell_time: Times | None = None
+    maximum_dwell: Times | None = None
+    transitions: ArrayLike | None = None
     chatter: int | None = None
     clock_tolerance: float | None = None
     mode_lag: int | None = None
@@ -116,16 +121,10 @@ class Asked:
         """The class that was asked for has to lie in that of the certificate."""
         if setting.A.shape[1] == 1:
             return ""
-        proved = f"the certificate is {signals_in_words(setting)}"
-        if self.dwell_time is not None and self.dwell_time < setting.dwell_time:
-            return f"{proved}, not {self.dwell_time!r} s."
-        longest, chatter = self.maximum_dwell, self.chatter
-        asked_longest = self.dwell_time is not None or longest is not None
-        if asked_longest and setting.maximum_dwell is not None:
-            if longest is None:
-                return f"{proved}, not for sojourns of any length."
-            if longest > setting.maximum_dwell:
-                return f"{proved}, not {longest!r} s."
+        proved, chatter = f"the certificate is {signals_in_words(setting)}", self.chatter
+        beyond = self._beyond(of_setting(setting))
+        if beyond:
+            return f"{proved}, not {beyond}."
         if chatter is not None and chatter > setting.chatter:
             return f"{proved}, not for a chatter of {chatter}."
         tolerance = self.clock_tolerance
@@ -136,6 +135,27 @@ class Asked:
             )
         return ""
 
+    def _beyond(self, proved: SwitchingConstraint) -> str:
+        """What is asked for and not among the signals proved, if anything."""
+        given = (self.dwell_time, self.maximum_dwell, self.transitions)
+        if all(value is None for value in given):
+            return ""
+        asked, modes = SwitchingConstraint.of(proved.modes, *given), range(proved.modes)
+        several = len(set(proved.dwell_time)) > 1 or len(set(asked.dwell_time)) > 1
+        several = several or len(set(proved.maximum_dwell)) > 1
+        for i in modes:
+            where = f" in mode {i}" if several else ""
+            if self.dwell_time is not None and asked.dwell_time[i] < proved.dwell_time[i]:
+                return f"{asked.dwell_time[i]!r} s{where}"
+            longest = asked.maximum_dwell[i]
+            if longest > proved.maximum_dwell[i]:
+                endless = math.isinf(longest)
+                return f"for sojourns of any length{where}" if endless else f"{longest!r} s{where}"
+            more = set(asked.following[i]) - set(proved.following[i])
+            if more:
+                return f"for a switch from mode {i} to mode {min(more)}"
+        return ""
+
 
 def verify(
     path: str | Path,
@@ -143,8 +163,9 @@ def verify(
     law: Law | None = None,
     *,
     step: float | None = None,
-    dwell_time: float | None = None,
-    maximum_dwell: float | None = None,
+    dwell_time: Times | None = None,
+    maximum_dwell: Times | None = None,
+    transitions: ArrayLike | None = None,
     chatter: int | None = None,
     clock_tolerance: float | None = None,
     mode_lag: int | None = None,
@@ -162,9 +183,11 @@ def verify(
         The plant; of a polytope, one of its corners.
     law : Law, optional
         The law whose table it is.
-    step, dwell_time, maximum_dwell : float, optional
-        The period, the shortest and the longest sojourn, in seconds. A dwell time without a
-        maximum asks for sojourns of any length.
+    step : float, optional
+        The period, in seconds.
+    dwell_time, maximum_dwell, transitions : optional
+        The signals, as `certify` takes them. A dwell time without a maximum asks for sojourns of
+        any length, and without transitions for all switches.
     chatter : int, optional
         N₀ of an average dwell time.
     clock_tolerance : float, optional
@@ -193,16 +216,17 @@ def verify(
     """
     began = time.perf_counter()
     times = {"step": step, "dwell_time": dwell_time, "maximum_dwell": maximum_dwell}
-    step, dwell_time, maximum_dwell = (
-        None if value is None else positive(name, value) for name, value in times.items()
-    )
+    for name, value in times.items():
+        if value is not None and not np.iterable(value):
+            positive(name, value)
+    step = None if step is None else positive("step", step)
     for name, value, kind in (("plant", plant, SwitchedSystem), ("law", law, Law)):
         if value is not None:
             instance(name, value, kind)
     chatter = None if chatter is None else count("chatter", chatter)
     tolerance = None if clock_tolerance is None else number("clock_tolerance", clock_tolerance)
     lag = None if mode_lag is None else lag_in_range(mode_lag)
-    asked = Asked(plant, law, step, dwell_time, maximum_dwell, chatter, tolerance, lag)
+    asked = Asked(plant, law, step, dwell_time, maximum_dwell, transitions, chatter, tolerance, lag)
     archived = load_evidence(Path(path))
     evidence, setting = archived.evidence, archived.evidence.setting
 

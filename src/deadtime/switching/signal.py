@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +21,11 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.models.jump_process import require_few
 from deadtime.switching.random import random_switches
+
+if TYPE_CHECKING:
+    from deadtime.switching.constraint import PerMode
+else:
+    PerMode = object  # checked inside, with better messages
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -163,6 +169,43 @@ class SwitchingSignal(Frozen):
             )
         return self
 
+    def require_admissible(
+        self,
+        dwell_time: PerMode | None = None,
+        maximum_dwell: PerMode | None = None,
+        transitions: ArrayLike | None = None,
+        *,
+        modes: int | None = None,
+    ) -> SwitchingSignal:
+        """The signal itself, when all that it does is allowed; an error names what first is not.
+
+        Parameters
+        ----------
+        dwell_time, maximum_dwell : float, or one per mode, optional
+            The shortest and the longest sojourn, seconds.
+        transitions : (modes, modes) of bool, optional
+            Whether it may switch from mode i (row) to mode j (column).
+        modes : int, optional
+            Number of modes; by default that of `transitions`, or of the largest mode plus one.
+
+        Raises
+        ------
+        ArgumentError
+            If a sojourn is too short or too long, or a switch is not allowed, with its time.
+
+        Examples
+        --------
+        >>> signal = SwitchingSignal([0.0, 0.5, 0.75], [0, 1, 0])
+        >>> signal.require_admissible(dwell_time=[0.4, 0.2]) is signal
+        True
+        """
+        from deadtime.switching.constraint import SwitchingConstraint
+
+        if modes is None:
+            modes = len(transitions) if np.ndim(transitions) == 2 else int(self.modes.max()) + 1  # pyright: ignore
+        SwitchingConstraint.of(modes, dwell_time, maximum_dwell, transitions).require(self)
+        return self
+
     def require_modes(self, modes: int) -> SwitchingSignal:
         """The signal itself, when all its modes are in 0, …, modes − 1; an error otherwise."""
         if self.modes.max() >= modes:
@@ -221,7 +264,9 @@ class SwitchingSignal(Frozen):
         modes: int,
         horizon: float,
         *,
-        dwell_time: float | None = None,
+        dwell_time: PerMode | None = None,
+        maximum_dwell: PerMode | None = None,
+        transitions: ArrayLike | None = None,
         average_dwell_time: float | None = None,
         mean_sojourn: float | None = None,
         chatter: int = 2,
@@ -243,8 +288,14 @@ class SwitchingSignal(Frozen):
             Number of modes, at least 1.
         horizon : float
             The signal ends here, in seconds.
-        dwell_time, average_dwell_time : float
-            Give exactly one, in seconds.
+        dwell_time : float, or one per mode
+        average_dwell_time : float
+            Give exactly one of the two, in seconds.
+        maximum_dwell : float, or one per mode, optional
+            The longest sojourn, with a dwell time, s: sojourns are drawn as without it, given that
+            they are no longer.
+        transitions : (modes, modes) of bool, optional
+            Whether it may switch from mode i (row) to mode j (column); all by default.
         mean_sojourn : float, optional
             Mean time between switches (between proposed switches for an average dwell time), s.
         chatter : int
@@ -270,6 +321,8 @@ class SwitchingSignal(Frozen):
             modes,
             horizon,
             dwell_time=dwell_time,
+            maximum_dwell=maximum_dwell,
+            transitions=transitions,
             average_dwell_time=average_dwell_time,
             mean_sojourn=mean_sojourn,
             chatter=chatter,

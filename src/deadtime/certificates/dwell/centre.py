@@ -95,7 +95,7 @@ class Model:
 
 def oldest_row(setting: Setting, mode: int) -> int:
     """The table's row in a mode that has lasted as long as it may."""
-    return setting.transitions.row(mode, setting.transitions.last)
+    return setting.transitions.row(mode, setting.transitions.clocks[mode].last)
 
 
 def loop_matrix(setting: Setting, E: np.ndarray, row: int) -> np.ndarray:

@@ -194,9 +194,9 @@ def _ages_to_visit(setting: Setting) -> set[int] | None:
     last = setting.transitions.last
     if setting.context != "mode_age" or last <= MOST_AGES:
         return None
+    ends = {age for clock in setting.transitions.clocks for age in (clock.first, clock.last - 1)}
     return {int(age) for age in np.linspace(0, last, MOST_AGES).round()} | {
-        setting.transitions.first,
-        max(last - 1, 0),
+        *(max(age, 0) for age in ends)
     }
 
 

@@ -50,6 +50,9 @@ def knots_of(setting: Setting) -> tuple[int, ...]:
     if _unknown(setting):
         return tuple(range(graph.last + 1))
     pieces = PIECES if setting.order <= whole(setting) else 1
+    if len(set(graph.clocks)) > 1:  # each mode's own ages, so many that no piece is needed
+        own = {age for clock in graph.clocks for age in (clock.first, clock.last)}
+        return tuple(sorted(own))
     marks = np.linspace(graph.first, graph.last, pieces + 1).round().astype(int)
     return tuple(sorted({int(mark) for mark in marks}))
 
@@ -78,8 +81,7 @@ class StretchSearch:
         entries = min(d, most) * (min(d, most) + 1) // 2 + 1
         if modes * len(knots_of(setting)) * entries > MOST_UNKNOWNS:
             return False
-        leaps = 2 * modes * (modes - 1) * (graph.last - graph.first + 1)
-        return leaps * max(d, 8) ** 3 <= MOST_WORK
+        return 2 * graph.switching * max(d, 8) ** 3 <= MOST_WORK
 
     def propose(self, rho: float) -> StretchEvidence | None:
         """V at the nodes with a margin at all leaps known, or None."""
@@ -117,7 +119,8 @@ class StretchSearch:
     def _loops(self, rho: float) -> Loops | None:
         """The leaps at one ρ; None where a constant mode grows."""
         graph = self.setting.transitions
-        periods = [self.leaps.full(i, graph.last, graph.last + 1) for i in range(graph.modes)]
+        lasts = [clock.last for clock in graph.clocks]
+        periods = [self.leaps.full(i, last, last + 1) for i, last in enumerate(lasts)]
         units = balancing_units(periods)
         leaps = [(leap.here, leap.there, leap.in_units(rho, units)) for leap in self.known]
         lasting = [M for here, there, M in leaps if here == there]
@@ -127,7 +130,9 @@ class StretchSearch:
         staying = [leap for leap in leaps if leap[0][0] == leap[1][0]]
         moving = [leap for leap in leaps if leap[0][0] != leap[1][0]]
         H = functionals(moving, len(T), whole(self.setting))
-        nodes = tuple((i, k) for i in range(graph.modes) for k in range(len(self.knots)))
+        nodes = tuple(
+            (i, k) for i in range(graph.modes) for k in range(len(graph.knots_of(i, self.knots)))
+        )
         if _unknown(self.setting):
             shape, moving = Shape.of(H, {}, {}, nodes), leaps
         else:
@@ -169,8 +174,8 @@ class StretchSearch:
     def _evidence(self, loops: Loops, V: dict[Node, np.ndarray], rho: float) -> StretchEvidence:
         modes, d = self.setting.transitions.modes, self.setting.order
         P = np.zeros((modes, len(self.knots), d, d))
-        for (mode, knot), X in V.items():
-            P[mode, knot] = loops.frame.T @ X @ loops.frame
+        for (mode, knot), X in sorted(V.items(), key=lambda item: item[0]):
+            P[mode, knot:] = loops.frame.T @ X @ loops.frame  # past a mode's last age it is unused
         P = P / np.trace(P[0, 0])
         return StretchEvidence(self.setting, 0.5 * (P + np.swapaxes(P, -1, -2)), self.knots, rho)
 

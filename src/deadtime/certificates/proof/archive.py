@@ -13,9 +13,10 @@ import hashlib
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from deadtime.certificates.proof.evidence import Centre, Evidence, Setting
 from deadtime.certificates.proof.family import Delays
 from deadtime.certificates.proof.statement import decay_rate
 from deadtime.certificates.proof.stretches import StretchEvidence
+from deadtime.certificates.proof.transitions import Following
+
+T = TypeVar("T")
 
 FORMAT = "deadtime certificate 2"
 COUNTS = ("mode_lag", "memory")  # of the law
@@ -37,7 +41,7 @@ TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays",
     "law": "context ages step F G mode_lag memory",
-    "signals": "dwell_time maximum_dwell chatter clock_tolerance",
+    "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions",
 }
 LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P"}
 
@@ -76,6 +80,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "maximum_dwell": setting.maximum_dwell,
             "chatter": setting.chatter,
             "clock_tolerance": setting.clock_tolerance,
+            **_transitions(setting),
         },
         "rho": evidence.rho,
         **_function(evidence),
@@ -88,6 +93,14 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             f"path {str(path)!r} cannot be written ({error.strerror}): choose another one."
         ) from None
     return path
+
+
+def _transitions(setting: Setting) -> dict[str, Any]:
+    """Which mode may follow which, where not every one may."""
+    if setting.following is None:
+        return {}
+    modes = range(len(setting.following))
+    return {"transitions": [[int(j in after) for j in modes] for after in setting.following]}
 
 
 def _function(evidence: Evidence | StretchEvidence) -> dict[str, Any]:
@@ -177,7 +190,6 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
     if V["kind"] not in list(LYAPUNOV):
         raise ValueError(f"lyapunov.kind {V['kind']!r:.40} is neither 'linear' nor 'stretches'")
     _require_keys("lyapunov", V, LYAPUNOV[V["kind"]])
-    maximum = signals["maximum_dwell"]
     setting = Setting(
         _array_of(plant["A"]),
         _array_of(plant["B"]),
@@ -187,11 +199,13 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         _text(law["context"]),
         law["ages"],
         _float(law["step"]),
-        _float(signals["dwell_time"]),
-        None if maximum is None else _float(maximum),
+        _each(signals["dwell_time"], _float),
+        _each(signals["maximum_dwell"], lambda value: None if value is None else _float(value)),
         signals["chatter"],
         _float(signals["clock_tolerance"]),
-        *(_count(law, name) for name in COUNTS),
+        _count(law, "mode_lag"),
+        _count(law, "memory"),
+        _following(signals),
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":
@@ -223,6 +237,24 @@ def _count(law: dict[str, Any], name: str) -> int:
     if name in law and count == 0:
         raise ValueError(f"law.{name} 0 must be left out")
     return count
+
+
+def _each(value: Any, read: Callable[[Any], T]) -> T | tuple[T, ...]:
+    """One value, or the tuple of a list of them; that they are not all one `validate` asks."""
+    return tuple(read(one) for one in value) if isinstance(value, list) else read(value)
+
+
+def _following(signals: dict[str, Any]) -> Following | None:
+    """The modes that each may switch to, from a matrix of 0 and 1."""
+    if "transitions" not in signals:
+        return None
+    matrix = signals["transitions"]
+    for i, row in enumerate(matrix):
+        if len(row) != len(matrix) or any(type(x) is not int or x not in (0, 1) for x in row):
+            raise ValueError("signals.transitions is no square matrix of 0 and 1")
+        if row[i]:
+            raise ValueError("signals.transitions holds a 1 on its diagonal")
+    return tuple(tuple(j for j, x in enumerate(row) if x) for row in matrix)
 
 
 def _text(value: Any) -> Any:

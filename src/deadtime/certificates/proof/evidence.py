@@ -35,7 +35,13 @@ from deadtime.base.frozen import Frozen
 from deadtime.certificates.clock import CLOCK_TOLERANCE
 from deadtime.certificates.proof.box import Box, family_of
 from deadtime.certificates.proof.family import Delays, Family
-from deadtime.certificates.proof.transitions import Transitions, interpolation
+from deadtime.certificates.proof.transitions import (
+    Following,
+    PerMode,
+    Transitions,
+    interpolation,
+    per_mode,
+)
 
 if TYPE_CHECKING:
     from deadtime.feedback.table import Context
@@ -58,7 +64,7 @@ class Setting(Frozen):
         As in `Feedback`.
     dwell_time, maximum_dwell, chatter
         The admissible signals: seconds, seconds or None for sojourns without end, and N₀; above
-        1, dwell_time is an average dwell time.
+        1, dwell_time is an average dwell time. The first two may be tuples of one per mode.
     clock_tolerance : float
         δ: sojourns last from (1 − δ) dwell_time to (1 + δ) maximum_dwell.
     mode_lag : int
@@ -67,6 +73,8 @@ class Setting(Frozen):
     memory : int
         q, how many of the table's outputs, the first ones, the law remembers for one period; of
         these G has nothing beyond the first tap.
+    following : tuple of tuples of int, or None
+        The modes that each may switch to; None for all others.
 
     Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
@@ -79,12 +87,13 @@ class Setting(Frozen):
     context: Context
     ages: int
     step: float
-    dwell_time: float
-    maximum_dwell: float | None = None
+    dwell_time: PerMode[float]
+    maximum_dwell: PerMode[float | None] = None
     chatter: int = 1
     clock_tolerance: float = CLOCK_TOLERANCE
     mode_lag: int = 0
     memory: int = 0
+    following: Following | None = None
 
     @cached_property
     def family(self) -> Family | Box:
@@ -104,7 +113,18 @@ class Setting(Frozen):
             self.context,
             self.ages,
             self.mode_lag,
+            self.following,
         )
+
+    @property
+    def shortest(self) -> tuple[float, ...]:
+        """The dwell time of every mode, seconds."""
+        return per_mode(self.dwell_time, self.A.shape[1])
+
+    @property
+    def longest(self) -> tuple[float | None, ...]:
+        """The longest sojourn in every mode, seconds; None for those without end."""
+        return per_mode(self.maximum_dwell, self.A.shape[1])
 
     @property
     def longest_delay(self) -> float:

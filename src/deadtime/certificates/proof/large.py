@@ -33,18 +33,24 @@ class LargeInequalities:
         self.rho2 = small.rho2
 
     def positive(self) -> bool:
-        """P + Ψᵀ S Ψ ≻ 0 at one (mode, age): by the inequalities then everywhere.
+        """P + Ψᵀ S Ψ ≻ 0 where every walk can end: by the inequalities then everywhere.
 
-        V ≻ V(next)/ρ² ⪰ 0 at every step into a place where V ≻ 0, and each can be reached.
+        V ≻ V(next)/ρ² ⪰ 0 at every step into a place where V ≻ 0. The last age of mode 0 can be
+        reached from everywhere, unless some switches are not allowed; then that of every mode is
+        asked about, which staying leads to.
         """
+        graph = self.evidence.setting.transitions
+        ends = range(1 if graph.is_free or not self.s else graph.modes)
+        return all(self._positive_at(mode, graph.clocks[mode].last) for mode in ends)
+
+    def _positive_at(self, mode: int, age: int) -> bool:
         evidence, psi = self.evidence, self.evidence.centre.Psi
         error: np.ndarray | float = 0.0
         value = evidence.P
         if self.s:
-            last = evidence.setting.transitions.last
             Psi = balls.exact(psi)
             value, error = balls.split(
-                balls.exact(evidence.P) + Psi.transpose() * self.small.S(0, last) * Psi
+                balls.exact(evidence.P) + Psi.transpose() * self.small.S(mode, age) * Psi
             )
             even = 0.5 * (value + value.T)
             error = error + np.abs(even - value) + np.spacing(np.abs(even))

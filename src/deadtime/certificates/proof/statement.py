@@ -26,6 +26,33 @@ def round_down(rate: float, digits: int = 4) -> str:
 
 def signals_in_words(setting: Setting) -> str:
     """The admissible signals."""
+    return _sojourns(setting) + _switches(setting)
+
+
+def _switches(setting: Setting) -> str:
+    """Which modes may follow, where not all may; nothing elsewhere."""
+    if setting.following is None:
+        return ""
+    each = [
+        f"from mode {i} {'to ' + ' or '.join(map(str, after)) if after else 'never'}"
+        for i, after in enumerate(setting.following)
+    ]
+    return f", and that switches only so: {', '.join(each)}"
+
+
+def _sojourns_in_words(setting: Setting) -> str:
+    """How long every mode may last."""
+    each = [
+        f"at least {least!r} s in mode {i}"
+        if most is None
+        else f"between {least!r} and {most!r} s in mode {i}"
+        for i, (least, most) in enumerate(zip(setting.shortest, setting.longest, strict=True))
+    ]
+    return ", ".join(each)
+
+
+def _sojourns(setting: Setting) -> str:
+    """The signals by their sojourns."""
     dwell = f"{setting.dwell_time!r} s"
     if setting.A.shape[1] == 1:
         return "with the plant's one mode"
@@ -34,6 +61,8 @@ def signals_in_words(setting: Setting) -> str:
             f"for every switching signal with an average dwell time of {dwell} (at most "
             f"{setting.chatter} + T/{dwell} switches in any T, at most one per period)"
         )
+    if isinstance(setting.dwell_time, tuple) or isinstance(setting.maximum_dwell, tuple):
+        return f"for every switching signal whose sojourns last {_sojourns_in_words(setting)}"
     if setting.maximum_dwell is not None:
         return (
             f"for every switching signal whose sojourns last between {dwell} and "

@@ -1,7 +1,8 @@
 """V at nodes of mode and age, pulled back exactly along stretches of periods; the second kind.
 
-The nodes are (i, a) with a in `knots`, a_0 < a_1 < …, and V_{i,k}(ξ) = ξᵀ P_{i,k} ξ there. From a
-node the loop goes along one of these stretches to the next node that it meets:
+The nodes are (i, a) with a in `knots`, a_0 < a_1 < …, as far as mode i lasts, and V_{i,k}(ξ) =
+ξᵀ P_{i,k} ξ there. From a node the loop goes along one of these stretches to the next node that it
+meets:
 
     full steps to the next knot; from the last one, where a mode may last, one full step to it;
     full steps to an age at which the plant may switch, a mixed step to j, a_0 full steps there.
@@ -62,15 +63,16 @@ class StretchEvidence(Frozen):
 
         Between nodes it may be singular, and need not fall over a period with a switch.
         """
-        knot = bisect_left(self.knots, age)
+        knots = self.setting.transitions.knots_of(mode, self.knots)
+        knot = bisect_left(knots, age)
         if age < self.setting.mode_lag:
             raise ArgumentError(
                 f"age must be at least the mode's lag, {self.setting.mode_lag}, got {age}: before "
                 "that the Lyapunov function depends on the mode before."
             )
-        if knot == len(self.knots):
+        if knot == len(knots):
             raise ArgumentError(
-                f"age must be at most {self.knots[-1]}, got {age}: after it the mode has to be "
+                f"age must be at most {knots[-1]}, got {age}: after it the mode has to be "
                 "left, and the Lyapunov function depends on when."
             )
         with precision():

@@ -19,7 +19,8 @@ which is τ_d/h − 2 where τ_d/h is whole. At that q the sojourn has to end la
 A longest sojourn of (1 + δ) τ_max = R h allows q ≤ ⌈R⌉ − 1, at that q with s' ≤ (R − q) h, for
 h − s ≥ 0; without one a mode may last for any time. All else that s and s' have to do with each
 other is left out, and their range is closed: [0, h]. So the graph has every admissible signal and
-a few more.
+a few more. Where modes have dwell times of their own these numbers are the mode's, its `Clock`; and
+a mixed step leads to the modes that may follow, all others unless the class of signals says less.
 
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
@@ -30,7 +31,8 @@ A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) wher
 by what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
 so that the k-th sojourn back is told only if b > (k − 1) p, and then at an age of at least k p − b.
 Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In the
-graph any row that may be told may act: V knows the mode and its age and not what was before.
+graph any row that may be told may act: V knows the mode and its age and not what was before. Of
+dwell times of their own p is the least, and the k-th mode back one from which k switches lead here.
 """
 
 from __future__ import annotations
@@ -38,10 +40,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 
 from deadtime.feedback.table import Context, row_of
+
+T = TypeVar("T")
+PerMode = T | tuple[T, ...]
+Following = tuple[tuple[int, ...], ...]
 
 READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
 
@@ -73,6 +80,47 @@ def longest(maximum_dwell: float, step: float, tolerance: float) -> tuple[int, f
     periods = part * decimal(maximum_dwell) / decimal(step)
     most = math.ceil(periods) - 1
     return most, min(1.0, math.nextafter(float(periods - most), 1.0))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When a mode may be left, by its age in samples.
+
+    Attributes
+    ----------
+    first : int
+        The least age from which a step may switch.
+    last : int
+        The largest age that is told apart.
+    ends : bool
+        Whether the mode must be left at the age `last` (a maximum dwell time).
+    earliest, latest : float
+        The first instant of a switch at the age `first`, and the last at `last` where the mode must
+        be left then: fractions of the period.
+    """
+
+    first: int
+    last: int
+    ends: bool = False
+    earliest: float = 0.0
+    latest: float = 1.0
+
+    @classmethod
+    def of(
+        cls,
+        dwell_time: float,
+        maximum_dwell: float | None,
+        step: float,
+        tolerance: float,
+        told: int,
+    ) -> Clock:
+        """Of a dwell time and a maximum; `told` is the last age at which rows may change."""
+        first, earliest = shortest(dwell_time, step, tolerance)
+        if maximum_dwell is not None:
+            last, latest = longest(maximum_dwell, step, tolerance)
+            return cls(first, last, True, earliest, latest)
+        # The last age stands for all later ones, at which a mode may be left at any instant.
+        return cls(first, max(first + 1, told), False, earliest)
 
 
 @dataclass(frozen=True)
@@ -127,64 +175,86 @@ class Transitions:
 
     Attributes
     ----------
-    modes : int
-        Number of modes.
-    first : int
-        The least age, in samples, from which a step may switch.
-    last : int
-        The largest age that is told apart.
-    ends : bool
-        Whether a mode must be left at the age `last` (a maximum dwell time).
+    clocks : tuple of Clock
+        When each mode may be left.
+    following : tuple of tuples of int
+        The modes that each may switch to.
     bucket : int or None
         What a switch takes from the age; None where it sets it to 0.
     context : str
         What selects the table's row.
     ages : int
         Rows per mode of a (mode, age) table.
-    earliest, latest : float
-        The first instant of a switch at the age `first`, and the last at `last` where a mode must
-        be left then: fractions of the period.
     lag : int
         L, how many samples ago the mode was that the law is told.
     """
 
-    modes: int
-    first: int
-    last: int
-    ends: bool
+    clocks: tuple[Clock, ...]
+    following: tuple[tuple[int, ...], ...]
     bucket: int | None
     context: Context
     ages: int
-    earliest: float = 0.0
-    latest: float = 1.0
     lag: int = 0
 
     @classmethod
     def of(
         cls,
         modes: int,
-        times: tuple[float, float | None],
+        times: tuple[PerMode[float], PerMode[float | None]],
         chatter: int,
         step: float,
         tolerance: float,
         context: Context,
         ages: int,
         lag: int = 0,
+        following: Following | None = None,
     ) -> Transitions:
-        """The graph of a (dwell time, maximum dwell time) at a period, in seconds."""
-        dwell_time, maximum_dwell = times
+        """The graph of a (dwell time, maximum dwell time) at a period, in seconds.
+
+        Either is one for all modes or a tuple of one per mode; every other mode may follow one
+        where `following` says nothing.
+        """
+        following = everywhere(modes) if following is None else following
         if modes == 1:
-            return cls(1, 0, ages - 1, False, None, context, ages)
-        first, earliest = shortest(dwell_time, step, tolerance)
+            return cls((Clock(0, ages - 1),), following, None, context, ages)
+        each = zip(*(per_mode(time, modes) for time in times), strict=True)
+        told = ages - 1 + lag
+        clocks = tuple(Clock.of(low, high, step, tolerance, told) for low, high in each)
         if chatter > 1:
+            first, (dwell_time, *_) = clocks[0].first, per_mode(times[0], modes)
             last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
-            return cls(modes, first, last, False, first, context, ages, lag=lag)
-        if maximum_dwell is not None:
-            last, latest = longest(maximum_dwell, step, tolerance)
-            return cls(modes, first, last, True, None, context, ages, earliest, latest, lag)
-        # The last age stands for all later ones, at which a mode may be left at any instant.
-        last = max(first + 1, ages - 1 + lag)
-        return cls(modes, first, last, False, None, context, ages, earliest, lag=lag)
+            return cls((Clock(first, last),) * modes, following, first, context, ages, lag)
+        return cls(clocks, following, None, context, ages, lag)
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return len(self.clocks)
+
+    @property
+    def first(self) -> int:
+        """The least age, in samples, from which a step of some mode may switch."""
+        return min(clock.first for clock in self.clocks)
+
+    @property
+    def last(self) -> int:
+        """The largest age that is told apart in some mode."""
+        return max(clock.last for clock in self.clocks)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether every mode may follow every other one."""
+        return self.following == everywhere(self.modes)
+
+    @property
+    def switching(self) -> int:
+        """How many (mode, age, mode after) have a switch."""
+        each = zip(self.clocks, self.following, strict=True)
+        return sum(len(after) * (clock.last - clock.first + 1) for clock, after in each)
+
+    def knots_of(self, mode: int, knots: tuple[int, ...]) -> tuple[int, ...]:
+        """Those of some ages that a mode comes to."""
+        return tuple(age for age in knots if age <= self.clocks[mode].last)
 
     def row(self, mode: int, age: int) -> int:
         """The row of the table at (mode, age), where that is what the law is told."""
@@ -212,9 +282,10 @@ class Transitions:
 
     def _sojourns_back(self, mode: int, back: int) -> list[int]:
         """The modes that may have been so many sojourns before one."""
-        if self.modes == 2:
-            return [(mode + back) % 2]
-        return self.others(mode) if back == 1 else list(range(self.modes))
+        found = {mode}
+        for _ in range(back):
+            found = {i for i in range(self.modes) if not found.isdisjoint(self.following[i])}
+        return sorted(found)
 
     def rows_after(self, step: Transition, follows: int) -> list[int]:
         """The rows of the first periods after a switch, as far as the mode before it is told.
@@ -235,19 +306,21 @@ class Transitions:
         segment imply the others.
         """
         changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
-        marks = {*knots, self.first, self.first + 1, self.last, 0, changing + self.lag}
+        shared = {*knots, 0, changing + self.lag}
         if self.lag:
-            marks |= self._changes()
-        marks |= {knot + (self.bucket or 0) for knot in knots}
-        ends = {a for mark in marks for a in (mark - 1, mark)}
+            shared |= self._changes()
+        shared |= {knot + (self.bucket or 0) for knot in knots}
         transitions = []
-        for i in range(self.modes):
-            for a in range(self.last + 1):
+        for i, clock in enumerate(self.clocks):
+            marks = {*shared, clock.first, clock.first + 1, clock.last}
+            ends = {a for mark in marks for a in (mark - 1, mark)}
+            for a in range(clock.last + 1):
                 if not (self.lag <= a < self.lag + changing or a in ends):
                     continue
                 for row in self.rows(i, a):
-                    if a < self.last or not self.ends:
-                        transitions.append(Transition(i, a, row, i, min(a + 1, self.last)))
+                    if a < clock.last or not clock.ends:
+                        after = min(a + 1, clock.last)
+                        transitions.append(Transition(i, a, row, i, after))
                     transitions += self.switches(i, a, row)
         return transitions
 
@@ -259,34 +332,43 @@ class Transitions:
     def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
         stretches = []
-        for i in range(self.modes):
-            for k, age in enumerate(knots):
-                if k + 1 < len(knots):
-                    end = knots[k + 1]
+        for i, clock in enumerate(self.clocks):
+            own = self.knots_of(i, knots)
+            for k, age in enumerate(own):
+                if k + 1 < len(own):
+                    end = own[k + 1]
                     full = Transition(i, end - 1, self.row(i, end - 1), i, end)
                     stretches.append(Stretch(k, end - 1 - age, full, 0, k + 1))
                 else:
-                    end = self.last + 1
-                    if not self.ends:
-                        full = Transition(i, self.last, self.row(i, self.last), i, self.last)
+                    end = clock.last + 1
+                    if not clock.ends:
+                        full = Transition(i, clock.last, self.row(i, clock.last), i, clock.last)
                         stretches.append(Stretch(k, 0, full, 0, k))
-                for at in range(max(self.first, age), end):
+                for at in range(max(clock.first, age), end):
                     mixed = self.switches(i, at, self.row(i, at))
                     stretches += [Stretch(k, at - age, step, knots[0], 0) for step in mixed]
         return stretches
 
     def switches(self, mode: int, age: int, row: int) -> list[Transition]:
         """The mixed steps from (mode, age)."""
-        if age < self.first:
+        clock = self.clocks[mode]
+        if age < clock.first:
             return []
         after = 0 if self.bucket is None else age - self.bucket
-        low = self.earliest if age == self.first else 0.0
-        high = self.latest if age == self.last else 1.0
-        return [Transition(mode, age, row, j, after, (low, high)) for j in self.others(mode)]
+        low = clock.earliest if age == clock.first else 0.0
+        high = clock.latest if age == clock.last else 1.0
+        steps = self.following[mode]
+        return [Transition(mode, age, row, j, after, (low, high)) for j in steps]
 
-    def others(self, mode: int) -> list[int]:
-        """The modes that one may switch to."""
-        return [j for j in range(self.modes) if j != mode]
+
+def everywhere(modes: int) -> Following:
+    """Every mode may follow every other one."""
+    return tuple(tuple(j for j in range(modes) if j != i) for i in range(modes))
+
+
+def per_mode(value: PerMode[T], modes: int) -> tuple[T, ...]:
+    """One value for all modes, or the tuple of one per mode that is given."""
+    return value if isinstance(value, tuple) else (value,) * modes
 
 
 def interpolation(knots: tuple[int, ...], age: int) -> list[tuple[int, Fraction]]:

@@ -44,11 +44,14 @@ def _numbers(setting: Setting) -> str:
     times: dict[str, Any] = {
         **{f"delays{list(at)}": delay.item() for at, delay in np.ndenumerate(setting.delays)},
         "step": setting.step,
-        "dwell_time": setting.dwell_time,
     }
-    if setting.maximum_dwell is not None:
-        times["maximum_dwell"] = setting.maximum_dwell
+    for name in ("dwell_time", "maximum_dwell"):
+        value = getattr(setting, name)
+        each = value if isinstance(value, tuple) else (value,)
+        times |= {f"{name}[{i}]" if each is value else name: t for i, t in enumerate(each)}
     for name, value in times.items():
+        if value is None and name.startswith("maximum_dwell"):
+            continue
         if not (isinstance(value, float) and math.isfinite(value) and value > 0.0):
             return f"{name} is not a positive number"
     for name in ("ages", "chatter"):
@@ -107,24 +110,34 @@ def _context(setting: Setting) -> str:
 
 def _times(setting: Setting) -> str:
     """Delays within one period; a class of signals that the graph describes."""
+    for name in ("dwell_time", "maximum_dwell"):
+        value = getattr(setting, name)
+        if isinstance(value, tuple) and (len(value) != setting.A.shape[1] or len({*value}) == 1):
+            return f"{name} is neither one number nor several, one for each mode"
     ends = np.array(setting.delays)
     if (isinstance(setting.delays, tuple) or ends.ndim == 3) and np.any(ends[0] > ends[1]):
         return "delays do not ascend"
-    longest = max(setting.longest_delay, setting.dwell_time)
+    longest = max(setting.longest_delay, *setting.shortest)
     if longest / setting.step > MOST_AGES:
         return "the period is too short for these times"
-    if setting.maximum_dwell is not None:
-        if setting.maximum_dwell < setting.dwell_time:
-            return "maximum_dwell is below dwell_time"
-        if setting.chatter > 1:
+    if setting.chatter > 1:
+        if setting.maximum_dwell is not None:
             return "chatter and maximum_dwell exclude each other"
-        if setting.maximum_dwell / setting.step > MOST_AGES:
+        if isinstance(setting.dwell_time, tuple):
+            return "an average dwell time is one for all modes"
+    for least, most in zip(setting.shortest, setting.longest, strict=True):
+        if most is not None and most < least:
+            return "maximum_dwell is below dwell_time"
+        if most is not None and most / setting.step > MOST_AGES:
             return "the period is too short for these times"
     if (
         setting.chatter > MOST_AGES
-        or setting.chatter * setting.dwell_time > MOST_AGES * setting.step
+        or setting.chatter * max(setting.shortest) > MOST_AGES * setting.step
     ):
         return "the period is too short for these times"
+    reason = _ways(setting)
+    if reason:
+        return reason
     try:
         family = setting.family
     except ValueError as error:
@@ -133,6 +146,24 @@ def _times(setting: Setting) -> str:
         return "the delays lie in no period"
     if setting.transitions.first < 0:
         return "the dwell time is below one period"
+    return ""
+
+
+def _ways(setting: Setting) -> str:
+    """Which modes may follow: lists of other modes, and a way out of those that have to be left."""
+    modes, following = setting.A.shape[1], setting.following
+    if following is None:
+        return ""
+    others = [set(range(modes)) - {i} for i in range(modes)]
+    if len(following) != modes or all(
+        set(after) == rest for after, rest in zip(following, others, strict=True)
+    ):
+        return "transitions is no matrix of the modes, or allows all"
+    for after, rest, most in zip(following, others, setting.longest, strict=True):
+        if not set(after) <= rest or len(set(after)) != len(after):
+            return "transitions is no matrix of the modes"
+        if not after and most is not None:
+            return "a mode that has to be left leads nowhere"
     return ""
 
 
@@ -178,12 +209,12 @@ def _stretches(evidence: StretchEvidence) -> str:
         return f"knots must begin at the lag of the mode, {setting.mode_lag}, or later"
     if knots[0] > graph.first or knots[-1] > graph.last:
         return f"knots must begin at {graph.first} or before, and end at {graph.last}"
-    if not graph.ends and knots[-1] != graph.last:
-        return f"knots must end at {graph.last}, from where a mode may last"
+    for own in graph.clocks:
+        if not own.ends and own.last not in knots:
+            return f"knots must hold {own.last}, from where a mode may last"
     if (family.ranges or len(setting.A) > 1) and knots != tuple(range(graph.last + 1)):
         return "knots must be all ages where the steps of a stretch are not known"
-    switching = graph.modes * len(graph.others(0)) * (graph.last - graph.first + 1)
-    if max(switching, graph.modes * len(knots)) > MOST_STRETCHES:
+    if max(graph.switching, graph.modes * len(knots)) > MOST_STRETCHES:
         return "there are too many stretches"
     return ""
 

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
+from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.products import Sojourns, compress
@@ -26,7 +27,8 @@ from deadtime.certificates.worst_case.words import Word, climb
 LENGTHS = 200  # of sojourns that the compressed loop knows
 DELAYS = 8  # the longest of them, at least
 STARTS = 14  # random cycles per mode
-MOST_SOJOURNS = 6  # in a random cycle
+MOST_SOJOURNS = 6  # in a random cycle, or as many as modes that may not all follow each other
+DRAWS = 100  # for one that closes
 TOLERANCE = 1e-2  # of the branch and bound: growth over a delay
 SLOWEST = 2000.0  # samples; slower motions do not make sojourns any longer
 TIGHT = 6  # cycles that are tried over the shortest length, too
@@ -44,53 +46,64 @@ class Candidates:
 
 
 def candidates(
-    loop: SampledLoop, constants: list[tuple[Cycle, Growth]], dwell: Dwell, budget: int
+    loop: SampledLoop, constants: list[tuple[Cycle, Growth]], signals: Admissible, budget: int
 ) -> Candidates:
     """Cycles that are worth evaluating; `constants` are the constant modes and their growth."""
-    lengths = _lengths(loop, constants, dwell)
+    lengths = _lengths(loop, constants, signals)
     if lengths.size == 0:
-        return Candidates(list(_without_grid(loop.plant.modes, dwell)), None, 0)
+        return Candidates(list(_without_grid(signals)), None, 0)
     step, modes = loop.step, loop.plant.modes
-    floor = max(growth.rate for _, growth in constants) - loop.shift
-    floor = -math.inf if math.isfinite(dwell.most) else floor * step
-    late, mixed = dwell.late
-    kinds = Kinds.of(loop.feedback, modes, mixed, loop.lag)
-    sojourns = compress(loop, lengths, kinds)
-    letters = _letters(lengths, max(3, LETTERS // modes))
+    known = [constants[mode][1].rate for mode in signals.lasting]
+    floor = (max(known) - loop.shift) * step if known else -math.inf
+    kinds = Kinds.of(loop.feedback, signals, loop.lag)
+    sojourns = compress(loop, lengths, kinds, signals)
+    letters = _letters(sojourns, max(3, LETTERS // modes))
     searched = branch_and_bound(sojourns, letters, floor, TOLERANCE / loop.past, budget // 2)
     rates: dict[Cycle, float] = {}
     climbing = 0
-    for start in chain(searched.words, _random_words(sojourns, STARTS * modes)):
+    for start in chain(searched.words, _random_words(sojourns, signals, STARTS * modes)):
         word, looked = climb(sojourns, start)
         climbing += looked
         parts = (kinds.mode[word.kinds], lengths[word.index], kinds.late[word.kinds])
-        cycle = Cycle.on_grid(list(zip(*(part.tolist() for part in parts), strict=True)), late)
+        cycle = Cycle.on_grid(
+            list(zip(*(part.tolist() for part in parts), strict=True)), signals.late[0]
+        )
         if not cycle.constant:
             rates[cycle] = max(word.rate, rates.get(cycle, -math.inf))
         if climbing >= budget // 2:
             break
     best = sorted(rates, key=lambda cycle: -rates[cycle])
     upper = None if searched.bound is None else loop.shift + searched.bound / step
-    tried = [*_tight(best[:TIGHT], dwell), *best]
+    tried = [*_tight(best[:TIGHT], signals), *best]
     return Candidates(tried, upper, searched.evaluated + climbing)
 
 
 def _lengths(
-    loop: SampledLoop, constants: list[tuple[Cycle, Growth]], dwell: Dwell
+    loop: SampledLoop, constants: list[tuple[Cycle, Growth]], signals: Admissible
 ) -> Int[np.ndarray, " length"]:
-    """Sojourns in samples, dense where they are short, over delays and oscillations."""
-    shortest = math.ceil(dwell.least)
+    """Sojourns in samples, dense where they are short, over delays and oscillations.
+
+    All that some mode may have; none where a mode has no sojourn of whole periods.
+    """
     slow = max(2.0 * _period(loop, *rated) for rated in constants)
-    span = max(DELAYS * loop.past, round(min(slow, SLOWEST)))
-    if math.isfinite(dwell.most):
-        span = min(span, math.floor(dwell.most) - shortest)
-    if span < 0:
-        return np.empty(0, np.int64)
-    offsets = np.append(0.0, np.geomspace(1.0, max(span, 1), LENGTHS))
-    return shortest + np.unique(np.round(offsets).astype(np.int64))[: span + 1]
+    found = []
+    for dwell in {signals.dwell[i] for i in signals.recurring}:
+        span = max(DELAYS * loop.past, round(min(slow, SLOWEST)))
+        span = int(min(span, dwell.longest - dwell.shortest))
+        if span < 0:
+            return np.empty(0, np.int64)
+        offsets = np.append(0.0, np.geomspace(1.0, max(span, 1), LENGTHS))
+        found.append(dwell.shortest + np.unique(np.round(offsets).astype(np.int64))[: span + 1])
+    return np.unique(np.concatenate(found))
 
 
-def _letters(lengths: Int[np.ndarray, " length"], count: int) -> Int[np.ndarray, " letter"]:
+def _letters(sojourns: Sojourns, count: int) -> list[Int[np.ndarray, " letter"]]:
+    """Indices of about `count` lengths of each kind."""
+    ends = zip(sojourns.low, sojourns.high, strict=True)
+    return [low + _some(sojourns.length[low : high + 1], count) for low, high in ends]
+
+
+def _some(lengths: Int[np.ndarray, " length"], count: int) -> Int[np.ndarray, " letter"]:
     """Indices of about `count` lengths: the shortest, then longer ones in a constant ratio."""
     added = lengths - lengths[0]
     last = max(1.0, float(added[-1]))
@@ -109,51 +122,57 @@ def _period(loop: SampledLoop, cycle: Cycle, growth: Growth) -> float:
     return 2.0 * math.pi / max(turn, 1e-12)
 
 
-def _random_words(sojourns: Sojourns, number: int) -> Iterator[Word]:
+def _random_words(sojourns: Sojourns, signals: Admissible, number: int) -> Iterator[Word]:
     """Cycles to climb from."""
     rng, follows = np.random.default_rng(2), sojourns.kinds.follows
     span = float(max(2, sojourns.length[-1] - sojourns.length[0]))
-    while number:
-        count = int(rng.integers(2, MOST_SOJOURNS + 1))
+    longest = MOST_SOJOURNS if signals.is_free else max(MOST_SOJOURNS, len(signals.recurring))
+    for _ in range(DRAWS * number):
+        if not number:
+            return
+        count = int(rng.integers(2, longest + 1))
         word = [int(rng.integers(len(follows)))]
         while len(word) < count:
             word.append(int(rng.choice(np.flatnonzero(follows[word[-1]]))))
         if not follows[word[-1], word[0]]:
             continue
         number, kinds = number - 1, np.array(word)
-        added = span ** rng.random(count)
-        index = np.searchsorted(sojourns.length, sojourns.length[0] + added)
-        index = index.clip(0, sojourns.length.size - 1)
+        added, low = span ** rng.random(count), sojourns.low[kinds]
+        index = np.searchsorted(sojourns.length, sojourns.length[low] + added)
+        index = index.clip(low, sojourns.high[kinds])
         yield Word(kinds, index, float(sojourns.rates(kinds, index[None])[0]))
 
 
-def _tight(cycles: list[Cycle], dwell: Dwell) -> list[Cycle]:
-    """The same modes over the shortest whole length, where the dwell time is off the grid."""
-    if dwell.least == math.floor(dwell.least):
+def _tight(cycles: list[Cycle], signals: Admissible) -> list[Cycle]:
+    """The same modes over the shortest whole length, where a dwell time is off the grid."""
+    if all(signals.dwell[i].least == signals.dwell[i].shortest for i in signals.recurring):
         return []
     words = {cycle.modes: cycle for cycle in cycles}
-    shortest = {modes: dwell.totals(len(modes)) for modes in words}
+    shortest = {modes: signals.totals(modes) for modes in words}
     return [
-        _equal(modes, dwell, totals[0]) for modes, totals in shortest.items() if totals is not None
+        _equal(modes, signals, totals[0])
+        for modes, totals in shortest.items()
+        if totals is not None
     ]
 
 
-def _equal(modes: tuple[int, ...], dwell: Dwell, total: int) -> Cycle:
-    gaps = dwell.near(np.full(len(modes), total / len(modes)), total)
+def _equal(modes: tuple[int, ...], signals: Admissible, total: int) -> Cycle:
+    gaps = signals.near(np.full(len(modes), total / len(modes)), total, modes)
     return Cycle(modes, tuple(gaps.tolist()))
 
 
-def _without_grid(modes: int, dwell: Dwell) -> Iterator[Cycle]:
-    """Cycles of equal sojourns, where no whole number is admissible."""
+def _without_grid(signals: Admissible) -> Iterator[Cycle]:
+    """Cycles of about equal sojourns, where no whole number is admissible."""
     number = 0
     for turns in range(2, TURNS + 1):
-        totals = dwell.totals(turns)
-        if totals is None:
-            continue
         short = turns <= MOST_SOJOURNS
-        for word in islice(mode_cycles(modes, turns) if short else _rounds(modes, turns), WORDS):
+        words = signals.cycles(turns) if short else _rounds(signals, turns)
+        for word in islice(words, WORDS):
+            totals = signals.totals(word)
+            if totals is None:
+                continue
             number += 1
-            yield _equal(word, dwell, totals[0])
+            yield _equal(word, signals, totals[0])
         if number >= WORDS or (number and not short):
             return
     if not number:
@@ -163,8 +182,9 @@ def _without_grid(modes: int, dwell: Dwell) -> Iterator[Cycle]:
         )
 
 
-def _rounds(modes: int, turns: int) -> Iterator[tuple[int, ...]]:
-    """Two modes, or all modes, in turn; nothing where that does not close."""
-    for size in {2, modes}:
-        if turns % size == 0:
-            yield tuple(i % size for i in range(turns))
+def _rounds(signals: Admissible, turns: int) -> Iterator[tuple[int, ...]]:
+    """Two modes, or all modes, in turn; where not all may follow each other, any short cycle."""
+    for size in {2, signals.modes} if signals.is_free else range(2, MOST_SOJOURNS + 1):
+        word = next(signals.cycles(size), None)
+        if word is not None and turns % size == 0:
+            yield word * (turns // size)

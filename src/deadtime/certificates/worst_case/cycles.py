@@ -8,94 +8,11 @@ themselves may be any real numbers, and the first switch may fall anywhere in a 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
-from jaxtyping import Float
 
-from deadtime.plant.steps import snap
 from deadtime.switching import SwitchingSignal
-
-INSIDE = 1.0 - 1e-6  # of the clock's tolerance: so that no sojourn leaves it by round-off
-LATE = 2.0**-10  # of a period: how long after its sample a switch is, at most, to be late
-SEEN = 1e-7  # of a period: what is closer to its sample might count as at it
-
-
-@dataclass(frozen=True)
-class Dwell:
-    """The admissible sojourns, in sampling periods: from `least` to `most`, which may be inf."""
-
-    least: float
-    most: float
-
-    @classmethod
-    def of(
-        cls, dwell_time: float, maximum_dwell: float | None, step: float, tolerance: float = 0.0
-    ) -> Dwell:
-        """From seconds, and how wrong the clock may be; a ratio within 1e-9 of an integer is it."""
-        longest = math.inf if maximum_dwell is None else snap(maximum_dwell / step)
-        part = tolerance * INSIDE
-        return cls(snap(dwell_time / step) * (1.0 - part), longest * (1.0 + part))
-
-    @property
-    def late(self) -> tuple[float, bool]:
-        """How long after its sample a late switch falls, in periods, and whether it may be alone.
-
-        A sojourn that begins late and ends in time is shorter by that than its samples tell, one
-        that begins in time and ends late is longer. Where either is not allowed, all switches of a
-        cycle are late or none.
-
-        Examples
-        --------
-        >>> Dwell(2.0, math.inf).late, Dwell(1.9, math.inf).late
-        ((0.0009765625, False), (0.0009765625, True))
-        """
-        spare = math.ceil(self.least) - self.least
-        if math.isfinite(self.most):
-            spare = min(spare, self.most - math.floor(self.most))
-        late = min(LATE, 0.5 * spare)
-        return (late, True) if late >= SEEN else (LATE, False)
-
-    def totals(self, count: int) -> tuple[int, int] | None:
-        """The least and the largest whole length of `count` sojourns; None if there is none.
-
-        Examples
-        --------
-        >>> Dwell(2.5, 2.7).totals(2), Dwell(2.5, 2.7).totals(1)
-        ((5, 5), None)
-        """
-        least = math.ceil(snap(count * self.least))
-        most = count * self.most if math.isinf(self.most) else snap(count * self.most)
-        if least > most:
-            return None
-        return least, 10**9 if math.isinf(most) else math.floor(most)
-
-    def near(
-        self, gaps: Float[np.ndarray, " sojourn"], total: int
-    ) -> Float[np.ndarray, " sojourn"]:
-        """Admissible sojourns of this total near `gaps`: what is missing is shared out evenly.
-
-        The total must be one that `totals` allows.
-
-        Examples
-        --------
-        >>> Dwell(2.5, 9.0).near(np.array([1.0, 4.0]), 6)
-        array([2.5, 3.5])
-        """
-        result = np.clip(gaps, self.least, self.most)
-        for _ in range(2 * gaps.size):
-            missing = total - result.sum()
-            if missing == 0.0:
-                break
-            free = result < self.most if missing > 0.0 else result > self.least
-            if not free.any():
-                break
-            result[free] += missing / free.sum()
-            result = np.clip(result, self.least, self.most)
-        return result
 
 
 @dataclass(frozen=True)
@@ -174,17 +91,3 @@ class Cycle:
         begins = late * np.array(after)
         gaps = np.array(lengths) + np.roll(begins, -1) - begins
         return cls(modes, tuple(gaps.tolist()), float(begins[0])).reduce()
-
-
-def mode_cycles(modes: int, count: int) -> Iterator[tuple[int, ...]]:
-    """Sequences of `count` modes whose neighbours differ all round, one of each rotation.
-
-    Examples
-    --------
-    >>> list(mode_cycles(3, 3))
-    [(0, 1, 2), (0, 2, 1)]
-    """
-    for word in product(range(modes), repeat=count):
-        turns = [word[i:] + word[:i] for i in range(count)]
-        if word == min(turns) and all(a != b for a, b in zip(word, turns[-1], strict=True)):
-            yield word

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
@@ -12,10 +13,11 @@ from deadtime.certificates.clock import (
     CLOCK_TOLERANCE,
     clock_tolerance_in_range,
     lag_in_range,
-    require_periods,
 )
+from deadtime.certificates.signals import admissible_signals
+from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.candidates import candidates
-from deadtime.certificates.worst_case.cycles import Cycle, Dwell
+from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.runs import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.selection import Rated, improve, worst_of
@@ -25,15 +27,17 @@ from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, same_outputs
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import aged_row, constant_growth, with_memory
+from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
 
 
 def falsify(
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: float,
+    dwell_time: Times,
     step: float = 0.01,
     *,
-    maximum_dwell: float | None = None,
+    maximum_dwell: Times | None = None,
+    transitions: ArrayLike | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
     mode_lag: int = 0,
     budget: int = 80_000,
@@ -53,13 +57,15 @@ def falsify(
         A law that does not foresee the signal. One that is no table is run instead: growth is then
         measured, to about 1 % of 1/D where the slowest motion stands out, and never proved. An
         `OutputFeedback` of a table is one with its estimate and its sums, at a reference of 0.
-    dwell_time : float
+    dwell_time : float, or one per mode
         τ_d > 0, seconds, at least one period: the shortest sojourn.
     step : float
         Sampling period h, seconds.
-    maximum_dwell : float, optional
-        The longest sojourn, seconds; constant modes are not admissible then (but for a plant of
-        one mode).
+    maximum_dwell : float, or one per mode, optional
+        The longest sojourn, seconds, inf in a list for none; constant modes are not admissible
+        then (but for a plant of one mode).
+    transitions : (modes, modes) of bool, optional
+        Whether the signal may switch from mode i (row) to mode j (column); all by default.
     clock_tolerance : float
         How far the controller's clock may be off, relative, from 0 to 0.1: sojourns of
         `dwell_time` (1 − tolerance) are admissible, and of `maximum_dwell` (1 + tolerance). So a
@@ -100,26 +106,30 @@ def falsify(
     >>> worst.simulate(cycles=5).diverged
     False
     """
-    _require(plant, law, dwell_time, maximum_dwell, step)
+    _require(plant, law)
+    step = positive("step", step)
+    given = admissible_signals(
+        plant.modes, dwell_time, maximum_dwell, transitions, step, laid_out=False
+    )
+    _require_seen(given, step)
     count("budget", budget)
     mode_lag, tolerance = lag_in_range(mode_lag), clock_tolerance_in_range(clock_tolerance, 0.0)
-    bounded = maximum_dwell is not None and plant.modes > 1
-    dwell = Dwell.of(dwell_time, maximum_dwell if bounded else None, step, tolerance)
+    signals, least = Admissible.of(given, step, tolerance), given.dwell_time
     feedback = None if mode_lag and not same_outputs(law) else _table(law, step)
     if feedback is None:
-        run = RunLoop(plant, law, step, mode_lag, dwell_time)
-        return worst_in_runs(run, dwell, not bounded, budget)
+        run = RunLoop(plant, law, step, mode_lag, least)
+        return worst_in_runs(run, signals, budget)
     lag = mode_lag if plant.modes > 1 and feedback.context != "none" else 0
     constants, loop = _constants(with_memory(plant, feedback), feedback, lag)
-    known = [] if bounded else constants
+    known = [constants[mode] for mode in signals.lasting]
     evaluated, upper = len(constants), None
-    if plant.modes > 1:
-        tried = candidates(loop, constants, dwell, budget)
-        floor = -math.inf if bounded else max(growth.rate for _, growth in constants)
-        better, looked = improve(loop, dwell, tried.cycles, floor)
+    if signals.recurring:
+        tried = candidates(loop, constants, signals, budget)
+        floor = max((growth.rate for _, growth in known), default=-math.inf)
+        better, looked = improve(loop, signals, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         known = [*known, *better]
-    about = plant, law, dwell_time
+    about = plant, law, least
     result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
     if result.proven or result.growth_rate <= 0.0:
         return result
@@ -132,9 +142,7 @@ def falsify(
     return result
 
 
-def _require(
-    plant: SwitchedSystem, law: Law, dwell_time: float, maximum_dwell: float | None, step: float
-) -> None:
+def _require(plant: SwitchedSystem, law: Law) -> None:
     """Refuse arguments that do not belong together."""
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
@@ -144,17 +152,15 @@ def _require(
             f"law must not depend on the future, got {type(law).__name__}: it foresees the signal, "
             "so no signal can be chosen against it."
         )
-    step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
-    require_periods(dwell_time, step)
-    if plant.modes > 1 and Dwell.of(dwell_time, None, step).least < 1.0:
+
+
+def _require_seen(signals: SwitchingConstraint, step: float) -> None:
+    """Refuse sojourns of which the law might see nothing."""
+    shortest = min(signals.dwell_time)
+    if signals.modes > 1 and Dwell.of(shortest, None, step).least < 1.0:
         raise ArgumentError(
-            f"dwell_time must be at least one period, got {dwell_time:g} s with step = {step:g} "
+            f"dwell_time must be at least one period, got {shortest:g} s with step = {step:g} "
             "s: shorten the step, so that the law sees every mode."
-        )
-    if maximum_dwell is not None and positive("maximum_dwell", maximum_dwell) < dwell_time:
-        raise ArgumentError(
-            f"maximum_dwell must be at least dwell_time = {dwell_time:g} s, got "
-            f"{maximum_dwell:g} s."
         )
 
 

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deadtime.certificates.worst_case.cycles import Cycle, Dwell
+from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growing, Growth, SampledLoop
 
 REACH = 1.0 / 40.0  # of the longest sojourn: where the search begins
@@ -28,7 +29,7 @@ GAIN = 1e-9  # per period; a smaller gain is none
 
 def polish(
     loop: Growing,
-    dwell: Dwell,
+    signals: Admissible,
     cycle: Cycle,
     growth: Growth,
     most: int,
@@ -43,7 +44,7 @@ def polish(
     seen = {_key(cycle)}
     while scale >= FINEST:
         better = False
-        for trial in _neighbours(cycle, dwell, scale):
+        for trial in _neighbours(cycle, signals, scale):
             if evaluated >= most:
                 return cycle, growth, evaluated
             key = _key(trial)
@@ -61,7 +62,7 @@ def polish(
 
 
 def refine(
-    loop: SampledLoop, dwell: Dwell, cycle: Cycle, growth: Growth, most: int
+    loop: SampledLoop, signals: Admissible, cycle: Cycle, growth: Growth, most: int
 ) -> tuple[Cycle, Growth, int]:
     """The cycle repeated a few times over a length that it does not divide, where that is better.
 
@@ -77,7 +78,7 @@ def refine(
             total = times * cycle.periods + extra
             scale = total / (times * cycle.periods)
             gaps = tuple(scale * gap for gap in cycle.gaps) * times
-            trial = admissible(Cycle(cycle.modes * times, gaps, cycle.offset), dwell, total)
+            trial = admissible(Cycle(cycle.modes * times, gaps, cycle.offset), signals, total)
             if trial is None:
                 continue
             evaluated += 1
@@ -86,23 +87,23 @@ def refine(
                 best = trial, trial_growth
     if best[0] is cycle:
         return cycle, growth, evaluated
-    better, faster, looked = polish(loop, dwell, *best, most)
+    better, faster, looked = polish(loop, signals, *best, most)
     evaluated += looked
     if (faster.rate - growth.rate) * cycle.periods * loop.step < WORTH:
         return cycle, growth, evaluated
     return better, faster, evaluated
 
 
-def admissible(cycle: Cycle, dwell: Dwell, total: int) -> Cycle | None:
+def admissible(cycle: Cycle, signals: Admissible, total: int) -> Cycle | None:
     """The nearest admissible cycle of a whole length; None if there is none."""
-    allowed = dwell.totals(len(cycle.modes))
+    allowed = signals.totals(cycle.modes)
     if allowed is None or not allowed[0] <= total <= allowed[1]:
         return None
-    gaps = dwell.near(np.array(cycle.gaps), total)
+    gaps = signals.near(np.array(cycle.gaps), total, cycle.modes)
     return Cycle(cycle.modes, tuple(gaps.tolist()), cycle.offset)
 
 
-def _neighbours(cycle: Cycle, dwell: Dwell, scale: float) -> Iterator[Cycle]:
+def _neighbours(cycle: Cycle, signals: Admissible, scale: float) -> Iterator[Cycle]:
     """The admissible cycles at this reach."""
     count, total = len(cycle.modes), cycle.periods
     gaps = np.array(cycle.gaps)
@@ -113,22 +114,22 @@ def _neighbours(cycle: Cycle, dwell: Dwell, scale: float) -> Iterator[Cycle]:
             moved[i] -= sign
             if i == 0:
                 offset += sign
-            yield from _valid(cycle, dwell, moved, offset, total)
+            yield from _valid(cycle, signals, moved, offset, total)
         if scale < 1.0:
-            yield from _valid(cycle, dwell, gaps, cycle.offset + sign, total)
+            yield from _valid(cycle, signals, gaps, cycle.offset + sign, total)
             continue
         for i in range(count):
             moved = gaps.copy()
             moved[i] += sign
-            yield from _valid(cycle, dwell, moved, cycle.offset, total + round(sign))
-        yield from _valid(cycle, dwell, gaps + sign, cycle.offset, total + count * round(sign))
+            yield from _valid(cycle, signals, moved, cycle.offset, total + round(sign))
+        yield from _valid(cycle, signals, gaps + sign, cycle.offset, total + count * round(sign))
 
 
 def _valid(
-    cycle: Cycle, dwell: Dwell, gaps: np.ndarray, offset: float, total: int
+    cycle: Cycle, signals: Admissible, gaps: np.ndarray, offset: float, total: int
 ) -> Iterator[Cycle]:
     moved = Cycle(cycle.modes, tuple(gaps.tolist()), offset - math.floor(offset))
-    cycle_in_range = admissible(moved, dwell, total)
+    cycle_in_range = admissible(moved, signals, total)
     if cycle_in_range is not None:
         yield cycle_in_range
 

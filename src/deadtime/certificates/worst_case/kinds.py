@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
+from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.feedback import Feedback
 
 
@@ -46,15 +47,19 @@ class Kinds:
     follows: Bool[np.ndarray, "kind kind"]
 
     @classmethod
-    def of(cls, feedback: Feedback, modes: int, mixed: bool, lag: int = 0) -> Kinds:
-        """For a law's table; `mixed` where late switches and others may alternate."""
-        each = [(i, p) for i in range(modes) for p in range(modes) if p != i]
-        found = [(i, -1, 0, 0) for i in range(modes)]
+    def of(cls, feedback: Feedback, signals: Admissible, lag: int = 0) -> Kinds:
+        """For a law's table and the cycles that are admissible."""
+        mixed, recurring = signals.late[1], signals.recurring
+        each = [(i, p) for i in recurring for p in recurring if i in signals.following[p]]
+        found = [(i, -1, 0, 0) for i in recurring]
         if feedback.context != "none":
             found = [(i, p, lag, 0) for i, p in each] if lag else found
             found += [(i, p, lag + 1, 1) for i, p in each]
         mode, before, wait, late = np.array(found).T
-        follows = mode[:, None] != mode
+        allowed = np.zeros((signals.modes, signals.modes), dtype=bool)
+        for i in recurring:
+            allowed[i, list(signals.following[i])] = True
+        follows = allowed[mode[:, None], mode]
         follows &= (before == -1) | (before == mode[:, None])
         if not mixed:
             follows &= late[:, None] == late

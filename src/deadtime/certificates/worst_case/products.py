@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.certificates.worst_case.admissible import Admissible
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import SampledLoop, Table
@@ -44,12 +45,16 @@ class Sojourns:
         The logarithm of what was divided by.
     kinds : Kinds
         Of which mode each sojourn is, and what may follow what.
+    low, high : (kinds,)
+        The first and the last length that a kind may have, as indices of `length`.
     """
 
     length: Int[np.ndarray, " length"]
     matrix: Float[np.ndarray, "kind length rank rank"]
     log: Float[np.ndarray, "kind length"]
     kinds: Kinds
+    low: Int[np.ndarray, " kind"]
+    high: Int[np.ndarray, " kind"]
 
     def rates(
         self, word: Int[np.ndarray, " sojourn"], index: Int[np.ndarray, "cycle sojourn"]
@@ -64,13 +69,17 @@ class Sojourns:
         return logs / self.length[index].sum(axis=1)
 
 
-def compress(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kinds) -> Sojourns:
+def compress(
+    loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kinds, signals: Admissible
+) -> Sojourns:
     """The sojourns of all kinds and these lengths, in samples."""
+    low, high = ranges(lengths, signals)
     n, m, W = loop.plant.states, loop.plant.inputs, loop.past
     longest = int(lengths[-1])
     entries = zip(kinds.mode.tolist(), kinds.before.tolist(), kinds.wait.tolist(), strict=True)
-    tables = [_entry_table(loop, *entry, int(lengths[0]), longest) for entry in entries]
-    V, U = _projection(loop, tables, lengths, kinds)
+    tables = [_entry_table(loop, *entry, int(lengths[low[entry[1]]]), longest) for entry in entries]
+    low, high = low[kinds.mode], high[kinds.mode]
+    V, U = _projection(loop, tables, lengths, kinds, low, high)
     rank = V.shape[1]
     matrix = np.empty((len(tables), lengths.size, rank, rank))
     for kind, table in enumerate(tables):
@@ -82,7 +91,16 @@ def compress(loop: SampledLoop, lengths: Int[np.ndarray, " length"], kinds: Kind
     size = np.sqrt((matrix**2).sum(axis=(2, 3)))
     with np.errstate(divide="ignore"):
         log = np.log(size)
-    return Sojourns(lengths, matrix / np.maximum(size, 1e-300)[:, :, None, None], log, kinds)
+    matrix = matrix / np.maximum(size, 1e-300)[:, :, None, None]
+    return Sojourns(lengths, matrix, log, kinds, low, high)
+
+
+def ranges(lengths: np.ndarray, signals: Admissible) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the last of some lengths that every mode may have, as indices."""
+    shortest = [dwell.shortest for dwell in signals.dwell]
+    longest = [dwell.longest for dwell in signals.dwell]
+    low = np.searchsorted(lengths, shortest).clip(0, lengths.size - 1)
+    return low, np.searchsorted(lengths, longest, side="right") - 1
 
 
 def _entry_table(
@@ -97,15 +115,20 @@ def _entry_table(
 
 
 def _projection(
-    loop: SampledLoop, tables: list[Table], lengths: np.ndarray, kinds: Kinds
+    loop: SampledLoop,
+    tables: list[Table],
+    lengths: np.ndarray,
+    kinds: Kinds,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """V (order, rank) and U (rank, order)."""
     order = loop.order
     if order <= RANK:
         return np.eye(order), np.eye(order)
     rng = np.random.default_rng(1)
-    X = _snapshots(loop, tables, lengths, kinds, rng, back=False)
-    Y = _snapshots(loop, tables, lengths, kinds, rng, back=True)
+    X = _snapshots(loop, tables, lengths, kinds, (low, high), rng, back=False)
+    Y = _snapshots(loop, tables, lengths, kinds, (low, high), rng, back=True)
     P, S, Qt = np.linalg.svd(Y.T @ X)
     rank = max(1, min(RANK, int(np.count_nonzero(S / S[0] > SMALLEST))))
     root = np.sqrt(S[:rank])
@@ -117,6 +140,7 @@ def _snapshots(
     tables: list[Table],
     lengths: np.ndarray,
     kinds: Kinds,
+    ends: tuple[np.ndarray, np.ndarray],
     rng: np.random.Generator,
     back: bool,
 ) -> np.ndarray:
@@ -127,8 +151,8 @@ def _snapshots(
         z = rng.normal(size=loop.order)
         kind, time = int(rng.integers(len(tables))), 0
         while True:
-            wanted = lengths[0] + rng.exponential(W) * rng.integers(2)
-            k = int(lengths[min(np.searchsorted(lengths, wanted), lengths.size - 1)])
+            wanted = lengths[ends[0][kind]] + rng.exponential(W) * rng.integers(2)
+            k = int(lengths[min(np.searchsorted(lengths, wanted), ends[1][kind])])
             part = tables[kind].until(k)
             z = loop.before(part, z) if back else loop.after(part, 1, z)
             size = float(np.abs(z).max())

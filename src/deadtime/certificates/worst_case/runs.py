@@ -22,7 +22,8 @@ from functools import cached_property
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.cycles import Cycle, Dwell, mode_cycles
+from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.instants import COARSE, polish
 from deadtime.certificates.worst_case.loop import Growth
 from deadtime.certificates.worst_case.proof import GrowthProof
@@ -54,7 +55,7 @@ class RunLoop:
     law: Law
     step: float
     lag: int
-    dwell_time: float
+    dwell_time: tuple[float, ...]
 
     @cached_property
     def window(self) -> int:
@@ -104,14 +105,13 @@ class RunLoop:
         )
 
 
-def worst_in_runs(loop: RunLoop, dwell: Dwell, constants: bool, budget: int) -> WorstCase:
-    """The worst cycle found in about budget / 400 runs; `constants`: whether a mode may last."""
+def worst_in_runs(loop: RunLoop, signals: Admissible, budget: int) -> WorstCase:
+    """The worst cycle found in about budget / 400 runs, modes that may last among them."""
     runs, evaluated = max(10, budget // COST), 0
-    modes = loop.plant.modes
     known: list[Rated] = []
     window = float(loop.window)
-    steady = [Cycle((mode,), (window,)) for mode in range(modes)] if constants else []
-    cycles = [*steady, *_drawn(modes, dwell, DELAYS * window, runs // 2)]
+    steady = [Cycle((mode,), (window,)) for mode in signals.lasting]
+    cycles = [*steady, *_drawn(signals, DELAYS * window, runs // 2)]
     for cycle in cycles:
         tolerance = 0.0 if cycle.constant else COARSE
         growth, evaluated = loop.growth(cycle, tolerance), evaluated + 1
@@ -120,7 +120,7 @@ def worst_in_runs(loop: RunLoop, dwell: Dwell, constants: bool, budget: int) -> 
     moving = sorted((one for one in known if not one[0].constant), key=lambda one: -one[1].rate)
     for cycle, growth in moving[:POLISHED]:
         most = runs // (2 * POLISHED)
-        better, faster, looked = polish(loop, dwell, cycle, growth, most)
+        better, faster, looked = polish(loop, signals, cycle, growth, most)
         known.append((better, faster))
         evaluated += looked
     cycle, growth = worst_of(known, loop)
@@ -132,35 +132,35 @@ def worst_in_runs(loop: RunLoop, dwell: Dwell, constants: bool, budget: int) -> 
     return of_cycle(kept, cycle, growth.rate, proof, (loop.start, u0), 0.0, evaluated, None)
 
 
-def _drawn(modes: int, dwell: Dwell, longest: float, number: int) -> Iterator[Cycle]:
+def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:
     """Random cycles, the ones of the shortest sojourns first."""
-    if modes == 1:
+    if not signals.recurring:
         return
     rng = np.random.default_rng(3)
-    words = [word for count in range(2, MOST_SOJOURNS + 1) for word in mode_cycles(modes, count)]
-    words = [word for word in words if dwell.totals(len(word)) is not None]
+    words = [word for count in range(2, MOST_SOJOURNS + 1) for word in signals.cycles(count)]
+    words = [word for word in words if signals.totals(word) is not None]
     if not words:
         raise ArgumentError(
             "maximum_dwell leaves no cycle of a whole number of periods with up to "
             f"{MOST_SOJOURNS} sojourns: raise it, or shorten the step."
         )
-    span = min(longest, dwell.most - dwell.least)
     for k in range(number):
         word = words[k % len(words)]
+        span = np.minimum(longest, signals.most(word) - signals.least(word))
         added = span * rng.random(len(word)) ** SHORT if k >= len(words) else np.zeros(len(word))
-        yield _cycle(rng, word, dwell, dwell.least + added)
+        yield _cycle(rng, word, signals, signals.least(word) + added)
 
 
 def _cycle(
-    rng: np.random.Generator, word: tuple[int, ...], dwell: Dwell, gaps: np.ndarray
+    rng: np.random.Generator, word: tuple[int, ...], signals: Admissible, gaps: np.ndarray
 ) -> Cycle:
     """About these sojourns; switches at samples or right after them, or anywhere in a period."""
-    late, mixed = dwell.late
+    late, mixed = signals.late
     lengths = np.ceil(gaps)
-    if rng.random() < ON_GRID and (lengths <= dwell.most).all():
+    if rng.random() < ON_GRID and (lengths <= signals.most(word)).all():
         after = rng.random(len(word) if mixed else 1) < 0.5
         each = np.broadcast_to(after, len(word)).tolist()
         return Cycle.on_grid(list(zip(word, lengths.astype(int).tolist(), each, strict=True)), late)
-    low, high = dwell.totals(len(word)) or (0, 0)
+    low, high = signals.totals(word) or (0, 0)
     total = min(max(round(float(gaps.sum())), low), high)
-    return Cycle(word, tuple(dwell.near(gaps, total).tolist()), float(rng.random()))
+    return Cycle(word, tuple(signals.near(gaps, total, word).tolist()), float(rng.random()))

@@ -16,7 +16,7 @@ The norm is Euclidean in coordinates in which the mean over sojourns of |A z|² 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -70,17 +70,15 @@ class _Level:
 @dataclass(eq=False)
 class _Search:
     sojourns: Sojourns
-    letters: Int[np.ndarray, " letter"]
+    letters: list[Int[np.ndarray, " letter"]]
     tolerance: float
     best: float
     cycles: dict[int, list[Word]] = field(default_factory=dict)
 
     def first(self) -> _Level:
         """The words of one sojourn."""
-        S, letters = self.sojourns, self.letters
-        count = S.matrix.shape[0]
-        kinds = np.repeat(np.arange(count), letters.size)[:, None]
-        index = np.tile(letters, count)[:, None]
+        S = self.sojourns
+        kinds, index = (part[:, None] for part in _each(self.letters))
         product, log = S.matrix[kinds[:, 0], index[:, 0]], S.log[kinds[:, 0], index[:, 0]]
         time = S.length[index[:, 0]].astype(float)
         return _Level(kinds, index, product, log, time, (log + _excess(product)) / time)
@@ -90,14 +88,15 @@ class _Search:
         S, parts = self.sojourns, []
         for kind in range(S.matrix.shape[0]):
             parents = np.flatnonzero(S.kinds.follows[level.kinds[:, -1], kind])
-            count, letters = parents.size, self.letters.size
-            product = S.matrix[kind, self.letters][None] @ level.product[parents][:, None]
+            own = self.letters[kind]
+            count, letters = parents.size, own.size
+            product = S.matrix[kind, own][None] @ level.product[parents][:, None]
             product, size = _normalise(product)
-            log = size + level.log[parents][:, None] + S.log[kind, self.letters]
-            time = level.time[parents][:, None] + S.length[self.letters]
+            log = size + level.log[parents][:, None] + S.log[kind, own]
+            time = level.time[parents][:, None] + S.length[own]
             bound = np.minimum(level.bound[parents][:, None], (log + _excess(product)) / time)
             kinds = np.full((count * letters, 1), kind)
-            index = np.tile(self.letters, count)[:, None]
+            index = np.tile(own, count)[:, None]
             parts.append((
                 np.hstack((np.repeat(level.kinds[parents], letters, axis=0), kinds)),
                 np.hstack((np.repeat(level.index[parents], letters, axis=0), index)),
@@ -130,12 +129,12 @@ class _Search:
 
 def branch_and_bound(
     sojourns: Sojourns,
-    letters: Int[np.ndarray, " letter"],
+    letters: list[Int[np.ndarray, " letter"]],
     floor: float,
     tolerance: float,
     budget: int,
 ) -> Found:
-    """Words of sojourns with `letters` for the indices of their lengths.
+    """Words of sojourns with `letters` for the indices of their lengths, a list of each kind.
 
     `floor` is a rate per sample that is known to be reached; `budget` is how many words may be
     looked at.
@@ -170,13 +169,19 @@ def _most_promising(level: _Level) -> np.ndarray:
     return np.sort(order[np.argsort(place, kind="stable")[:WIDTH]])
 
 
-def _adapt(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
+def _each(letters: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """All sojourns of these letters: their kinds, and the indices of their lengths."""
+    sizes = [own.size for own in letters]
+    return np.repeat(np.arange(len(letters)), sizes), np.concatenate(letters)
+
+
+def _adapt(sojourns: Sojourns, letters: list[np.ndarray], floor: float) -> Sojourns:
     """The same sojourns in the coordinates of the adapted norm."""
-    rank = sojourns.matrix.shape[2]
-    time = sojourns.length[letters]
-    rate = floor if math.isfinite(floor) else float((sojourns.log[:, letters] / time).max())
-    weight = np.exp(np.clip(sojourns.log[:, letters] - rate * time, -60.0, 60.0))
-    A = (sojourns.matrix[:, letters] * weight[:, :, None, None]).reshape(-1, rank, rank)
+    rank, each = sojourns.matrix.shape[2], _each(letters)
+    time, log = sojourns.length[each[1]], sojourns.log[each]
+    rate = floor if math.isfinite(floor) else float((log / time).max())
+    weight = np.exp(np.clip(log - rate * time, -60.0, 60.0))
+    A = sojourns.matrix[each] * weight[:, None, None]
     P = np.eye(rank)
     for _ in range(50):
         P = np.einsum("aji,jk,akl->il", A, P, A, optimize=True)
@@ -184,7 +189,7 @@ def _adapt(sojourns: Sojourns, letters: np.ndarray, floor: float) -> Sojourns:
         P += 1e-9 * np.eye(rank)
     L = np.linalg.cholesky(P).T
     matrix, size = _normalise(L @ sojourns.matrix @ np.linalg.inv(L))
-    return Sojourns(sojourns.length, matrix, sojourns.log + size, sojourns.kinds)
+    return replace(sojourns, matrix=matrix, log=sojourns.log + size)
 
 
 def _normalise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

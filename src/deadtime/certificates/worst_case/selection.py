@@ -6,7 +6,8 @@ import math
 from dataclasses import replace
 
 from deadtime.base.errors import ArgumentError
-from deadtime.certificates.worst_case.cycles import Cycle, Dwell
+from deadtime.certificates.worst_case.admissible import Admissible
+from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.instants import COARSE, polish, refine
 from deadtime.certificates.worst_case.loop import Growing, Growth, SampledLoop
 
@@ -23,7 +24,7 @@ Rated = tuple[Cycle, Growth]
 
 
 def improve(
-    loop: SampledLoop, dwell: Dwell, cycles: list[Cycle], floor: float
+    loop: SampledLoop, signals: Admissible, cycles: list[Cycle], floor: float
 ) -> tuple[list[Rated], int]:
     """The cycles with their growth, the best of them improved off the grid.
 
@@ -42,13 +43,13 @@ def improve(
         most, longest = MOVES * len(cycle.modes), math.inf
         if growth.rate < floor:  # it would grow longer and longer, towards the constant signal
             most, longest = most // 4, LONGER * cycle.periods
-        better, faster, looked = polish(loop, dwell, cycle, growth, most, longest)
+        better, faster, looked = polish(loop, signals, cycle, growth, most, longest)
         rated.append((better, faster))
         evaluated += looked
     rated.sort(key=lambda pair: -pair[1].rate)
     if rated:
         most = MOVES * len(rated[0][0].modes)
-        better, faster, looked = refine(loop, dwell, rated[0][0], rated[0][1], most)
+        better, faster, looked = refine(loop, signals, rated[0][0], rated[0][1], most)
         rated.insert(0, (better, faster))
         evaluated += looked
     return rated, evaluated

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count
 from deadtime.base.frozen import Frozen
+from deadtime.certificates.proof.transitions import per_mode
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
@@ -20,6 +21,7 @@ from deadtime.imperfections import ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal
+from deadtime.switching.constraint import one_or_each
 
 DELAYS = 20  # the signal is at least this long
 CYCLES = 10
@@ -70,7 +72,7 @@ class WorstCase(Frozen):
     proof: GrowthProof
     plant: SwitchedSystem = field(repr=False)
     law: Law = field(repr=False)
-    dwell_time: float = field(repr=False)
+    dwell_time: float | tuple[float, ...] = field(repr=False)
     step: float = field(repr=False)
     cycle: Cycle = field(repr=False)
     mode_lag: int = field(default=0, repr=False)
@@ -99,7 +101,8 @@ class WorstCase(Frozen):
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
-            signal = repeat(self.cycle, cycles, self.dwell_time, self.step)
+            least = per_mode(self.dwell_time, self.plant.modes)
+            signal = repeat(self.cycle, cycles, least, self.step)
         late = [ModeDelay(self.mode_lag)] if self.mode_lag else []
         return simulate(
             self.plant,
@@ -123,7 +126,7 @@ def worst_case(
     loop: SampledLoop,
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: float,
+    dwell_time: tuple[float, ...],
     cycle: Cycle,
     growth: Growth,
     evaluated: int,
@@ -146,7 +149,7 @@ class Kept(NamedTuple):
 
     plant: SwitchedSystem
     law: Law
-    dwell_time: float
+    dwell_time: tuple[float, ...]
     step: float
     lag: int
 
@@ -170,13 +173,17 @@ def of_cycle(
     else:
         number = max(CYCLES, math.ceil(DELAYS * plant.longest_delay / (cycle.periods * step)))
         signal = repeat(cycle, number, dwell_time, step)
-        missing = [dwell_time - gap * step for gap in cycle.gaps]
-        sojourns = tuple(dwell_time if 0.0 < t < SLACK * step else dwell_time - t for t in missing)
+        least = [dwell_time[mode] for mode in cycle.modes]
+        missing = [low - gap * step for low, gap in zip(least, cycle.gaps, strict=True)]
+        sojourns = tuple(
+            low if 0.0 < t < SLACK * step else low - t
+            for low, t in zip(least, missing, strict=True)
+        )
     modes, sojourns = _pattern(cycle.modes, sojourns)
     message = _message(rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
     return WorstCase(
         signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
-        plant, law, dwell_time, step, cycle, lag,
+        plant, law, one_or_each(dwell_time), step, cycle, lag,
     )  # fmt: skip
 
 
@@ -200,20 +207,24 @@ def _pattern(
     return modes, sojourns
 
 
-def repeat(cycle: Cycle, cycles: int, dwell_time: float, step: float) -> SwitchingSignal:
-    """The cycle over and over, no sojourn shorter than `dwell_time` by round-off, seconds."""
+def repeat(
+    cycle: Cycle, cycles: int, dwell_time: tuple[float, ...], step: float
+) -> SwitchingSignal:
+    """The cycle over and over, no sojourn shorter than its mode's dwell time by round-off, s."""
     starts = cycle.periods * np.arange(cycles)[:, None]
     times = ((starts + cycle.instants()) * step).ravel()
     modes, age = np.tile(cycle.modes, cycles), 0.0
     if cycle.offset > 0.0:
         times, modes = np.append(0.0, times), np.append(cycle.modes[-1], modes)
         age = (cycle.gaps[-1] - cycle.offset) * step
-        while 0.0 < dwell_time - (times[1] + age) < SLACK * step:
-            age = float(np.nextafter(age + 1e-16 * dwell_time, np.inf))
+        least = dwell_time[modes[0]]
+        while 0.0 < least - (times[1] + age) < SLACK * step:
+            age = float(np.nextafter(age + 1e-16 * least, np.inf))
     for i in range(1 if age == 0.0 else 2, times.size):
-        if 0.0 < dwell_time - (times[i] - times[i - 1]) < SLACK * step:
-            times[i] = times[i - 1] + dwell_time
-            while times[i] - times[i - 1] < dwell_time:
+        least = dwell_time[modes[i - 1]]
+        if 0.0 < least - (times[i] - times[i - 1]) < SLACK * step:
+            times[i] = times[i - 1] + least
+            while times[i] - times[i - 1] < least:
                 times[i] = np.nextafter(times[i], np.inf)
     return SwitchingSignal(times, modes, cycles * cycle.periods * step, initial_age=age)
 
@@ -233,13 +244,16 @@ def _direction(vector: np.ndarray, n: int, m: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _how(
-    modes: tuple[int, ...], sojourns: tuple[float, ...], phase: float, dwell_time: float
+    modes: tuple[int, ...],
+    sojourns: tuple[float, ...],
+    phase: float,
+    dwell_time: tuple[float, ...],
 ) -> str:
     """The signal in words; a sojourn below the dwell time with all the digits that show it."""
     if len(modes) == 1:
         return f"mode {modes[0]} is constant"
     parts = [
-        f"mode {i} for {s:{'.10g' if s < dwell_time else '.4g'}} s"
+        f"mode {i} for {s:{'.10g' if s < dwell_time[i] else '.4g'}} s"
         for i, s in zip(modes, sojourns, strict=True)
     ]
     how = ", ".join(parts[:-1]) + f" and {parts[-1]} "

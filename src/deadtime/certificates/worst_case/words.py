@@ -63,14 +63,14 @@ def climb(sojourns: Sojourns, word: Word) -> tuple[Word, int]:
 
     One sojourn is changed, two neighbours against each other, or all together.
     """
-    count, top = word.index.size, sojourns.length.size - 1
+    count, low, high = word.index.size, sojourns.low[word.kinds], sojourns.high[word.kinds]
     eye = np.eye(count, dtype=np.int64)
     moves = np.vstack((eye, eye - np.roll(eye, 1, axis=1), np.ones((1, count), np.int64)))
     moves = np.unique(np.vstack((moves, -moves)), axis=0)
     index, rate, evaluated = word.index, word.rate, 0
     reach = max(1, sojourns.length.size // 8)
     while reach and evaluated < MOST_CLIMBED:
-        trials = np.clip(index + reach * moves, 0, top)
+        trials = np.clip(index + reach * moves, low, high)
         rates = sojourns.rates(word.kinds, trials)
         evaluated += len(trials)
         best = int(np.argmax(rates))

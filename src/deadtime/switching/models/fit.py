@@ -12,9 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
+from deadtime.switching.constraint import SwitchingConstraint
 from deadtime.switching.models.families import EQUAL, FAMILIES, Goodness, Observed, estimate
 from deadtime.switching.models.sojourns import Distribution, Fixed
 from deadtime.switching.signal import SwitchingSignal
@@ -25,7 +27,11 @@ NAMES = (*FAMILIES, "fixed")
 
 
 def fit_model(
-    signals: object, family: object = "auto", modes: int | None = None, first: str = "whole"
+    signals: object,
+    family: object = "auto",
+    modes: int | None = None,
+    first: str = "whole",
+    transitions: ArrayLike | None = None,
 ) -> tuple[list[Distribution], Float[np.ndarray, "mode mode"], tuple[Goodness, ...]]:
     """Sojourn distributions, jump probabilities and goodness of a semi-Markov model.
 
@@ -53,6 +59,8 @@ def fit_model(
     first : {"whole", "drop"}
         Whether logs begin with a switch or amid a sojourn, whose length is then not known. The
         first sojourn of a signal with an `initial_age` is dropped in any case.
+    transitions : (modes, modes) of bool, optional
+        The switches that can be: a log with another one is refused.
 
     Raises
     ------
@@ -67,6 +75,10 @@ def fit_model(
     """
     logs = _check(signals)
     observed = sojourns_of(logs, first, modes)
+    if transitions is not None:
+        allowed = SwitchingConstraint.of(len(observed), transitions=transitions)
+        for log in logs:
+            allowed.require(log)
     names = _families(family, len(observed))
     for mode, seen in enumerate(observed):
         if seen.complete.size < LEAST:

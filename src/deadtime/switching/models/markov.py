@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array
@@ -85,6 +85,11 @@ class Markov(JumpModel):
     def modes(self) -> int:
         """Number of modes."""
         return self.rates.shape[0]
+
+    @property
+    def transitions(self) -> Bool[np.ndarray, "mode mode"]:
+        """Whether a signal may switch from mode i (row) to mode j (column): where rates are > 0."""
+        return self.rates > 0.0
 
     @property
     def generator(self) -> Float[np.ndarray, "mode mode"]:

@@ -8,11 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count, number, real_array, require_shape
 from deadtime.base.errors import ArgumentError
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
 from deadtime.switching.models.families import Goodness
 from deadtime.switching.models.hazards import count_ages, hazards, require_short
 from deadtime.switching.models.jump_process import JumpProcess
@@ -25,6 +26,7 @@ from deadtime.switching.models.sojourns import (
     mean_sojourn,
     survival,
 )
+from deadtime.switching.models.truncation import truncate
 from deadtime.switching.signal import SwitchingSignal
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ class SemiMarkov(JumpModel):
         equally likely.
     modes : int, optional
         Number of modes, where neither of the above tells; 2 by default.
+    dwell_time, maximum_dwell : float, or one per mode, optional
+        The shortest and the longest sojourn, seconds: sojourns are as given, but only those in
+        between are drawn. Which mode may follow which is said by the zeros of `transition`.
 
     Attributes
     ----------
@@ -66,7 +71,8 @@ class SemiMarkov(JumpModel):
     ------
     ArgumentError
         If there are fewer than two modes, the arguments disagree on how many, a sojourn is no
-        distribution of positive times, or the rows of `transition` are no probabilities.
+        distribution of positive times, none of a mode lies between its shortest and longest one,
+        or the rows of `transition` are no probabilities.
 
     References
     ----------
@@ -97,6 +103,8 @@ class SemiMarkov(JumpModel):
         transition: ArrayLike | None = None,
         *,
         modes: int | None = None,
+        dwell_time: PerMode | None = None,
+        maximum_dwell: PerMode | None = None,
     ) -> None:
         table = None if transition is None else _transition(transition)
         number = None if modes is None else count("modes", modes, least=2)
@@ -109,6 +117,10 @@ class SemiMarkov(JumpModel):
             number = table.shape[0]
         sojourns = check_sojourns(sojourn, number)
         number = len(sojourns)
+        if dwell_time is not None or maximum_dwell is not None:
+            bounds = SwitchingConstraint.of(number, dwell_time, maximum_dwell)
+            ends = zip(sojourns, bounds.dwell_time, bounds.maximum_dwell, strict=True)
+            sojourns = tuple(truncate(f"sojourn[{i}]", *each) for i, each in enumerate(ends))
         if table is None:
             table = (1.0 - np.eye(number)) / (number - 1)
             table.flags.writeable = False
@@ -118,6 +130,19 @@ class SemiMarkov(JumpModel):
     def modes(self) -> int:
         """Number of modes."""
         return len(self.sojourn)
+
+    @property
+    def transitions(self) -> Bool[np.ndarray, "mode mode"]:
+        """Whether a signal may switch from mode i (row) to mode j (column), as `certify` takes it.
+
+        Examples
+        --------
+        >>> SemiMarkov(0.3, [[0, 1, 0], [0, 0, 1], [0.5, 0.5, 0]]).transitions.astype(int)
+        array([[0, 1, 0],
+               [0, 0, 1],
+               [1, 1, 0]])
+        """
+        return self.transition > 0.0
 
     @cached_property
     def mean(self) -> Float[np.ndarray, " mode"]:
@@ -216,10 +241,12 @@ class SemiMarkov(JumpModel):
         family: Families = "auto",
         modes: int | None = None,
         first: str = "whole",
+        transitions: ArrayLike | None = None,
     ) -> SemiMarkov:
         """The model of maximum likelihood for logged signals.
 
-        See `deadtime.switching.models.fit.fit_model` for what the arguments mean, and for what few
+        Logs with a switch that `transitions` does not allow are refused, by their first one. See
+        `deadtime.switching.models.fit.fit_model` for what the other arguments mean, and what few
         sojourns are worth: with fewer than about 50 per mode, name the family.
 
         Examples
@@ -231,7 +258,7 @@ class SemiMarkov(JumpModel):
         """
         from deadtime.switching.models.fit import fit_model
 
-        sojourn, transition, goodness = fit_model(signals, family, modes, first)
+        sojourn, transition, goodness = fit_model(signals, family, modes, first, transitions)
         model = cls(sojourn, transition)
         vars(model).update(goodness=goodness)
         return model

@@ -1,0 +1,244 @@
+"""What a class of switching signals allows: sojourns of every mode, and which mode may follow.
+
+A signal is admissible if every sojourn in mode i that ends in a switch lasts at least
+`dwell_time[i]` and none lasts longer than `maximum_dwell[i]`, and if it switches from i to j only
+where `transitions[i, j]` allows it. It may begin in any mode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from jaxtyping import Bool
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import positive, real_array, require_shape
+from deadtime.base.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from deadtime.switching.signal import SwitchingSignal
+
+    PerMode = float | Sequence[float] | np.ndarray
+else:
+    PerMode = object  # checked inside, with better messages
+
+T = TypeVar("T")
+ROUND_OFF = 1e-9  # of a dwell time, which a sum of times may miss
+
+
+@dataclass(frozen=True)
+class SwitchingConstraint:
+    """The admissible signals of some modes (immutable).
+
+    Attributes
+    ----------
+    dwell_time, maximum_dwell : tuple of float, one per mode
+        The shortest and the longest sojourn, seconds; 0 and inf for none.
+    following : tuple of tuples of int, one per mode
+        The modes that each may switch to, ascending.
+
+    Examples
+    --------
+    >>> ring = SwitchingConstraint.of(3, 0.2, transitions=[[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    >>> ring.following, ring.is_free
+    (((1,), (2,), (0,)), False)
+    """
+
+    dwell_time: tuple[float, ...]
+    maximum_dwell: tuple[float, ...]
+    following: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(
+        cls,
+        modes: int,
+        dwell_time: PerMode | None = None,
+        maximum_dwell: PerMode | None = None,
+        transitions: ArrayLike | None = None,
+    ) -> SwitchingConstraint:
+        """From what users give: numbers in seconds or one per mode, and a matrix of 0 and 1.
+
+        Parameters
+        ----------
+        modes : int
+            Number of modes.
+        dwell_time, maximum_dwell : float, or one per mode
+            Seconds; `inf` in a list of maximum dwell times for a mode that may last without end.
+        transitions : array_like of bool, shape (modes, modes)
+            Whether a signal may switch from mode i (row) to mode j (column); all by default. The
+            diagonal says nothing: how long a mode may last is said by `maximum_dwell`.
+
+        Raises
+        ------
+        ArgumentError
+            If a shape is wrong, a time is not positive, a maximum is below its minimum, a mode
+            that has to be left leads nowhere, or one is neither entered nor left.
+        """
+        least = (0.0,) * modes
+        if dwell_time is not None:
+            least = _per_mode("dwell_time", dwell_time, modes)
+        most = (math.inf,) * modes
+        if maximum_dwell is not None:
+            most = _per_mode("maximum_dwell", maximum_dwell, modes, unbounded=True)
+        for i, (low, high) in enumerate(zip(least, most, strict=True)):
+            if high < low:
+                of = f"[{i}]" if np.iterable(dwell_time) or np.iterable(maximum_dwell) else ""
+                raise ArgumentError(
+                    f"maximum_dwell{of} must be at least dwell_time{of} = {low:g} s, got {high:g}."
+                )
+        allowed = _allowed(modes, transitions)
+        following = tuple(tuple(np.flatnonzero(row).tolist()) for row in allowed)
+        if modes > 1:
+            _require_ways(allowed, most)
+        return cls(least, most, following)
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return len(self.following)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether every mode may follow every other one."""
+        return all(len(after) == self.modes - 1 for after in self.following)
+
+    @property
+    def lasting(self) -> tuple[int, ...]:
+        """The modes that may last without end; the one mode of a plant that has no other does."""
+        if self.modes == 1:
+            return (0,)
+        return tuple(i for i, most in enumerate(self.maximum_dwell) if math.isinf(most))
+
+    @property
+    def transitions(self) -> Bool[np.ndarray, "mode mode"]:
+        """Whether a signal may switch from mode i (row) to mode j (column)."""
+        result = np.zeros((self.modes, self.modes), dtype=bool)
+        for i, after in enumerate(self.following):
+            result[i, list(after)] = True
+        return result
+
+    @cached_property
+    def recurring(self) -> tuple[tuple[int, ...], ...]:
+        """As `following`, but only switches from which a signal can come back."""
+        reach = self.transitions
+        for _ in range(self.modes.bit_length()):
+            reach = reach | (reach.astype(int) @ reach.astype(int) > 0)
+        return tuple(
+            tuple(j for j in after if reach[j, i]) for i, after in enumerate(self.following)
+        )
+
+    def require(self, signal: SwitchingSignal, tolerance: float = ROUND_OFF) -> None:
+        """Refuse a signal that is not admissible, by the first switch or sojourn that is not.
+
+        Sojourns may be shorter and longer by the part `tolerance`, as a clock counts them.
+        """
+        signal.require_modes(self.modes)
+        starts = signal.times.copy()
+        starts[0] -= signal.initial_age
+        ends = np.append(signal.times[1:], signal.end)
+        for k, mode in enumerate(signal.modes.tolist()):
+            lasts, last = float(ends[k] - starts[k]), k == signal.switches
+            least, most = self.dwell_time[mode], self.maximum_dwell[mode]
+            where = f"stays in mode {mode} from {starts[k]:g} s"
+            if lasts > most * (1.0 + tolerance):
+                until = f"to {ends[k]:g} s" if ends[k] < np.inf else "on without end"
+                raise ArgumentError(
+                    f"signal {where} {until}, longer than its maximum_dwell of {most:g} s: raise "
+                    "maximum_dwell, or end the sojourn earlier."
+                )
+            if last:
+                return
+            if lasts < least * (1.0 - tolerance):
+                raise ArgumentError(
+                    f"signal {where} to {ends[k]:g} s, shorter than its dwell_time of {least:g} s: "
+                    "lower dwell_time, or let the sojourn last."
+                )
+            after = int(signal.modes[k + 1])
+            if after not in self.following[mode]:
+                may = _may_follow(self.following[mode])
+                raise ArgumentError(
+                    f"signal switches from mode {mode} to mode {after} at {ends[k]:g} s, which "
+                    f"transitions does not allow: from mode {mode} {may}."
+                )
+
+
+def _per_mode(name: str, value: object, modes: int, unbounded: bool = False) -> tuple[float, ...]:
+    """A positive time for every mode; infinite ones only in a list, where that is a meaning."""
+    if not np.iterable(value) or isinstance(value, (str, bytes)):
+        return (positive(name, value),) * modes
+    given = list(value)  # pyright: ignore[reportCallIssue, reportArgumentType]
+    if len(given) != modes:
+        raise ArgumentError(
+            f"{name} must be a number of seconds, or one for each of the {modes} modes, got "
+            f"{len(given)} of them."
+        )
+    times = []
+    for i, time in enumerate(given):
+        endless = unbounded and isinstance(time, (float, np.floating)) and time == np.inf
+        times.append(math.inf if endless else positive(f"{name}[{i}]", time))
+    return tuple(times)
+
+
+def _allowed(modes: int, transitions: ArrayLike | None) -> Bool[np.ndarray, "mode mode"]:
+    """The matrix of allowed switches, nothing on the diagonal."""
+    others = ~np.eye(modes, dtype=bool)
+    if transitions is None:
+        return others
+    table = np.asarray(transitions)
+    if table.dtype != bool:
+        table = real_array("transitions", transitions, "(modes, modes)", 2)
+    require_shape("transitions", table, (modes, modes), "(modes, modes)")
+    wrong = np.argwhere((table != 0) & (table != 1))
+    if wrong.size:
+        i, j = wrong[0].tolist()
+        raise ArgumentError(
+            f"transitions[{i}, {j}] must be True or False (1 or 0), got {float(table[i, j]):g}: of "
+            "rates or probabilities give those that are above 0, as in rates > 0."
+        )
+    return (table != 0) & others
+
+
+def _require_ways(allowed: Bool[np.ndarray, "mode mode"], most: tuple[float, ...]) -> None:
+    """Refuse modes that must be left and lead nowhere, and modes on their own."""
+    for i in np.flatnonzero(~allowed.any(axis=1)).tolist():
+        if most[i] < np.inf:
+            raise ArgumentError(
+                f"transitions[{i}] allows no switch, but maximum_dwell says that mode {i} is left "
+                f"after {most[i]:g} s at most: allow a switch from it, or give it a maximum_dwell "
+                "of inf."
+            )
+        if not allowed[:, i].any():
+            raise ArgumentError(
+                f"transitions allows no switch to mode {i} and none from it: allow one, or leave "
+                "the mode out of the plant."
+            )
+
+
+def _may_follow(modes: tuple[int, ...]) -> str:
+    """Which modes may follow, in words.
+
+    Examples
+    --------
+    >>> _may_follow(()), _may_follow((2,)), _may_follow((0, 2))
+    ('none may follow', 'only mode 2 may follow', 'only modes 0 and 2 may follow')
+    """
+    if not modes:
+        return "none may follow"
+    names = " and ".join(map(str, modes)) if len(modes) < 3 else ", ".join(map(str, modes))
+    return f"only mode{'s' if len(modes) > 1 else ''} {names} may follow"
+
+
+def one_or_each(values: tuple[T, ...]) -> T | tuple[T, ...]:
+    """A time that all modes share as one number.
+
+    Examples
+    --------
+    >>> one_or_each((0.2, 0.2)), one_or_each((0.2, 0.5))
+    (0.2, (0.2, 0.5))
+    """
+    return values[0] if len(set(values)) == 1 else values
