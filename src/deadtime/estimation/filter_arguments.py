@@ -76,7 +76,9 @@ def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.n
     """W, or a covariance, as a matrix."""
     given = as_floats(name, value, "one, (n,) or (n, n)")
     if given.ndim < 2 and (given < 0.0).any():
-        raise ArgumentError(f"{name} must be ≥ 0, a variance, got {given.tolist()}.")
+        raise ArgumentError(
+            f"{name} must be ≥ 0, a variance or an intensity, got {given.tolist()}."
+        )
     if given.ndim < 2:
         given = np.diag(np.full(n, given) if given.ndim == 0 else given)
     W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
