@@ -76,3 +76,12 @@ def test_bad_requests_get_one_line_and_code_2(tmp_path, monkeypatch, capsys, arg
     assert err.startswith("deadtime: error: ")
     assert err.count("\n") == 1
     assert message in err
+
+
+def test_export_of_a_prediction_is_one_of_the_c_alone(tmp_path, capsys):
+    code, _, _ = run(capsys, "export", "paper", "--c", str(tmp_path), "--prediction")
+    assert code == 0
+    assert "controller_predict(" in (tmp_path / "controller.h").read_text()
+    code, _, err = run(capsys, "export", "paper", "--fmu", str(tmp_path / "a.fmu"), "--prediction")
+    assert code != 0
+    assert "--prediction is for the C: give --c FOLDER, too." in " ".join(err.split())
