@@ -109,13 +109,17 @@ def at_point(A, B, delays, step, cell_order, u, f, weights, reading=None) -> np.
 
 
 class Loop:
-    """The lifted loop ξ⁺ = M ξ, ξ = (x_k, u_{k−1}, …, u_{k−W}), of a plant under a table."""
+    """The lifted loop ξ⁺ = M ξ of a plant under a table.
+
+    ξ = (x_k, w_k, u_{k−1}, …, u_{k−W}), w what the law remembers, if it does.
+    """
 
     def __init__(self, A, B, delay, table, digits=False) -> None:
         self.plant, self.table = Plant(A, B, delay, table.step, digits), table
         self.silent = not (np.any(table.state_gain) or np.any(table.input_gain))
         self.held = 0 if self.silent else max(self.plant.count, table.taps)
-        self.order = self.plant.n + self.held * self.plant.m
+        self.memory = getattr(table, "memory", 0)
+        self.order = self.plant.n + self.memory + self.held * self.plant.m
 
     def row(self, mode: int, age: int) -> int:
         """The table's row."""
@@ -123,25 +127,28 @@ class Loop:
         places = {"none": 0, "mode": mode, "mode_age": mode * ages + min(age, ages - 1)}
         return places[self.table.context]
 
-    def inputs(self, row: int) -> np.ndarray:
-        """u_k, u_{k−1}, …, u_{k−W} as functions of ξ."""
-        n, m = self.plant.n, self.plant.m
+    def outputs(self, row: int) -> tuple[np.ndarray, np.ndarray]:
+        """w_{k+1}, and u_k, u_{k−1}, …, u_{k−W}, as functions of ξ."""
+        n, m, q = self.plant.n, self.plant.m, self.memory
         u = np.zeros((self.held + 1, m, self.order))
         for j in range(1, self.held + 1):
-            u[j, :, n + (j - 1) * m : n + j * m] = np.eye(m)
-        u[0, :, :n] = self.table.state_gain[row]
+            u[j, :, n + q + (j - 1) * m : n + q + j * m] = np.eye(m)
+        now = np.zeros((q + m, self.order))
+        now[:, :n] = self.table.state_gain[row]
+        now[:, n : n + q] = self.table.input_gain[row][0, :, :q]
         for j, G in enumerate(self.table.input_gain[row]):
-            u[0, :, n + j * m : n + (j + 1) * m] = G
-        return many_digits(u) if self.plant.digits else u
+            now[:, n + q + j * m : n + q + (j + 1) * m] = G[:, q:]
+        u[0] = now[q:]
+        return (many_digits(now[:q]), many_digits(u)) if self.plant.digits else (now[:q], u)
 
     def step(self, mode: int, age: int, after: int | None = None, s=1) -> np.ndarray:
         """M of a period that begins in `mode` at an age; a switch at the fraction `s` of it."""
         if self.silent:  # no input is ever on its way
             return self.plant.rows(mode, after, s)[:, : self.plant.n]
-        u, N = self.inputs(self.row(mode, age)), self.plant.count
+        (w, u), N = self.outputs(self.row(mode, age)), self.plant.count
         state = np.eye(self.plant.n, self.order).astype(u.dtype)
         x = self.plant.rows(mode, after, s) @ np.concatenate((state, u[N], u[N - 1]))
-        return np.concatenate((x, *u[: self.held]))
+        return np.concatenate((x, w, *u[: self.held]))
 
 
 def decreases(before, after, M, rho) -> bool:

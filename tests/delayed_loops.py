@@ -53,7 +53,7 @@ class Loop(reference.Loop):
 
     def step(self, mode: int, age: int, after: int | None = None, s=1) -> np.ndarray:
         """M of a period that begins in `mode` at an age; a switch at the fraction `s` of it."""
-        u = self.inputs(self.row(mode, age))
+        w, u = self.outputs(self.row(mode, age))
         state = np.eye(self.plant.n, self.order).astype(u.dtype)
         x = self.plant.rows(mode, after, s) @ np.concatenate((state, *u[: self.plant.count + 1]))
-        return np.concatenate((x, *u[: self.held]))
+        return np.concatenate((x, w, *u[: self.held]))

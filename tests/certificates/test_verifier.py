@@ -43,7 +43,7 @@ def by_the_package(path):
 
 def test_the_verifier_is_one_short_file_that_imports_python_and_flint_alone():
     text = VERIFY.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 660
+    assert len(text.splitlines()) <= 720
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -145,11 +145,11 @@ def test_whatever_is_no_certificate_gets_a_line_and_no_traceback(tmp_path):
         (("rate", forgeries.put("rho", 0.2)), "mode 0 at age 0: V does not decrease"),
         (
             ("stretches-maximum-free", forgeries.put("lyapunov.knots", [30])),
-            "the last knot is not",
+            "the last knot is past the last age, 18",
         ),
         (
             ("stretches-range", forgeries.put("lyapunov.knots", [0, 1, 3])),
-            "not the last age, 2",
+            "the last knot is past the last age, 2",
         ),
         (("paper-far", forgeries.put("signals.dwell_time", 0.11)), "the switch"),
     ],
@@ -244,10 +244,10 @@ def test_periods_at_delays_in_their_ranges_are_those_of_the_definition(seed):
     loop = object.__new__(verify.Loop)
     loop.c = c = SimpleNamespace(
         **{name: np.array(content["plant"][name]).tolist() for name in "AB"},
-        **{"vertices": 1, "modes": 2, "n": 2, "m": 2, "step": 0.1, "maximum": None},
+        **{"vertices": 1, "modes": 2, "n": 2, "m": 2, "step": 0.1, "maximum": [None] * 2},
         D=np.stack([low, high], axis=2).tolist(),
     )
-    loop.n, loop.h, loop.bucket, loop.shortest = 2, verify.ball(0.1), False, Fraction(1)
+    loop.n, loop.h, loop.bucket, loop.shortest = 2, verify.ball(0.1), False, [Fraction(1)] * 2
     loop.places, loop.reads = loop.box_clock()
     loop.k, loop.X_of, loop.ranged, loop.boxed = 2 + len(loop.reads), loop.generator_of, True, True
     delays = low + rng.choice([0.0, 1.0, rng.uniform()], size=low.shape) * (high - low)
