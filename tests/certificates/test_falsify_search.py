@@ -7,12 +7,15 @@ import pytest
 
 import deadtime as dt
 import plants
-from deadtime.certificates.worst_case.admissible import Admissible, Dwell
+from deadtime.certificates.worst_case.admissible import Admissible, Dwell, mode_cycles
+from deadtime.certificates.worst_case.candidates import _without_grid
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.kinds import Kinds
 from deadtime.certificates.worst_case.loop import SampledLoop
 from deadtime.certificates.worst_case.products import compress
+from deadtime.certificates.worst_case.runs import _drawn
 from deadtime.certificates.worst_case.words import Word, _apart
+from deadtime.switching.constraint import SwitchingConstraint
 from worst_case_laws import QUICK, TURNING, H, free
 
 # -- relations ---------------------------------------------------------------------------------
@@ -151,3 +154,33 @@ def test_words_are_as_far_apart_as_the_nearest_of_their_turns(seed):
     assert _apart(one, other) == (min(found) if found else None)
     longer = Word(np.append(other.kinds, 0), np.append(other.index, 3), 0.0)
     assert _apart(one, longer) is None
+
+
+# -- which mode may follow which ---------------------------------------------------------------
+
+
+def ring(modes: int, dwell: float, longest: float | None) -> Admissible:
+    signals = SwitchingConstraint.of(modes, dwell, longest, np.roll(np.eye(modes), 1, 1))
+    return Admissible.of(signals, H, 1e-5)
+
+
+@pytest.mark.parametrize("modes", [2, 3, 4])
+def test_cycles_are_all_sequences_that_come_back_one_of_each_rotation(modes):
+    allowed = np.random.default_rng(modes).random((modes, modes)) < 0.7
+    following = [
+        tuple(j for j in np.flatnonzero(row).tolist() if j != i) for i, row in enumerate(allowed)
+    ]
+    for count in range(2, 7):
+        expected = [
+            word
+            for word in itertools.product(range(modes), repeat=count)
+            if word == min(word[i:] + word[:i] for i in range(count))
+            and all(word[k] in following[word[k - 1]] for k in range(count))
+        ]
+        assert list(mode_cycles(following, count)) == expected
+
+
+def test_a_ring_of_many_modes_is_gone_round():
+    (whole,) = _without_grid(ring(7, 2.5 * H, 2.5 * H))  # twice, so that 35 periods are whole
+    assert (whole.modes, whole.periods) == ((0, 1, 2, 3, 4, 5, 6) * 2, 35)
+    assert {cycle.modes for cycle in _drawn(ring(5, 3 * H, None), 10.0, 5)} == {(0, 1, 2, 3, 4)}

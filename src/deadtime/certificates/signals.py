@@ -24,7 +24,7 @@ def admissible_signals(
 ) -> SwitchingConstraint:
     """The signals that these arguments describe; `laid_out`: whether to the longest sojourn."""
     signals = SwitchingConstraint.of(modes, dwell_time, maximum_dwell, transitions)
-    if chatter > 1 and maximum_dwell is not None:
+    if chatter > 1 and any(map(math.isfinite, signals.maximum_dwell)):
         raise ArgumentError("chatter > 1 and maximum_dwell exclude each other: give one of them.")
     if chatter > 1 and len(set(signals.dwell_time)) > 1:
         raise ArgumentError(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -173,9 +172,7 @@ class Admissible:
 
     def cycles(self, count: int) -> Iterator[tuple[int, ...]]:
         """The sequences of `count` modes that may be gone through again and again."""
-        for word in mode_cycles(self.modes, count):
-            if all(j in self.following[i] for i, j in zip(word, word[1:] + word[:1], strict=True)):
-                yield word
+        return mode_cycles(self.following, count)
 
 
 def _sum(lengths: list[float]) -> float:
@@ -183,15 +180,22 @@ def _sum(lengths: list[float]) -> float:
     return sum(number * length for length, number in Counter(lengths).items())
 
 
-def mode_cycles(modes: int, count: int) -> Iterator[tuple[int, ...]]:
-    """Sequences of `count` modes whose neighbours differ all round, one of each rotation.
+def mode_cycles(following: Sequence[Sequence[int]], count: int) -> Iterator[tuple[int, ...]]:
+    """Sequences of `count` modes, each with one after it that may follow, one of each rotation.
 
     Examples
     --------
-    >>> list(mode_cycles(3, 3))
+    >>> list(mode_cycles([(1, 2), (0, 2), (0, 1)], 3))
     [(0, 1, 2), (0, 2, 1)]
     """
-    for word in product(range(modes), repeat=count):
-        turns = [word[i:] + word[:i] for i in range(count)]
-        if word == min(turns) and all(a != b for a, b in zip(word, turns[-1], strict=True)):
+    walks = [(first,) for first in reversed(range(len(following)))]
+    while walks:
+        word = walks.pop()
+        if len(word) < count:
+            # The first rotation begins with the least mode.
+            after = [j for j in following[word[-1]] if j >= word[0]]
+            walks += [(*word, j) for j in reversed(after)]
+        elif word[0] in following[word[-1]] and word == min(
+            word[i:] + word[:i] for i in range(count)
+        ):
             yield word

@@ -178,13 +178,14 @@ def _without_grid(signals: Admissible) -> Iterator[Cycle]:
     if not number:
         raise ArgumentError(
             "maximum_dwell leaves no cycle of a whole number of periods with up to "
-            f"{TURNS} sojourns: raise it, or shorten the step."
+            f"{TURNS} sojourns that transitions allows: raise it, or shorten the step."
         )
 
 
 def _rounds(signals: Admissible, turns: int) -> Iterator[tuple[int, ...]]:
     """Two modes, or all modes, in turn; where not all may follow each other, any short cycle."""
-    for size in {2, signals.modes} if signals.is_free else range(2, MOST_SOJOURNS + 1):
+    longest = max(MOST_SOJOURNS, len(signals.recurring))
+    for size in {2, signals.modes} if signals.is_free else range(2, longest + 1):
         word = next(signals.cycles(size), None)
         if word is not None and turns % size == 0:
             yield word * (turns // size)

@@ -137,12 +137,16 @@ def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:
     if not signals.recurring:
         return
     rng = np.random.default_rng(3)
-    words = [word for count in range(2, MOST_SOJOURNS + 1) for word in signals.cycles(count)]
-    words = [word for word in words if signals.totals(word) is not None]
+    words, longest = [], max(MOST_SOJOURNS, len(signals.recurring))
+    for count in range(2, longest + 1):
+        if count <= MOST_SOJOURNS or not words:
+            words += [word for word in signals.cycles(count) if signals.totals(word) is not None]
+    if not words and signals.lasting:
+        return
     if not words:
         raise ArgumentError(
             "maximum_dwell leaves no cycle of a whole number of periods with up to "
-            f"{MOST_SOJOURNS} sojourns: raise it, or shorten the step."
+            f"{longest} sojourns that transitions allows: raise it, or shorten the step."
         )
     for k in range(number):
         word = words[k % len(words)]
