@@ -36,5 +36,5 @@ class Estimate:
     noise: Float[np.ndarray, " p"]
     spare: Int[np.ndarray, " mode"]
     tests: ResidualTests
-    white: list[Float[np.ndarray, "sample n"]]
+    white: list[Float[np.ndarray, "sample p"]]
     observations: int

@@ -50,7 +50,7 @@ def plot_identification(fit: Identification) -> Figure:
 def _draw_likelihood(axes: Axes, fit: Identification) -> None:
     """The profile over every delay, about its estimate."""
     found, layout = fit._found, fit._found.log.layout
-    places = np.arange(layout.size)[layout.at_delays]
+    places = np.arange(layout.size)[layout.at_delays].tolist()
     names = delay_names(fit._recording, found)
     for row, (place, name) in enumerate(zip(places, names, strict=True)):
         D = float(found.best.theta[place])

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from deadtime.identification.estimate import Estimate
 
+_SAME = 1e-13  # of the least eigenvalue of the correlation of states
 _SHORTEST = 1e-6  # of a period: the shortest delay
 
 
@@ -107,6 +108,9 @@ def identify(
     _require_units(recording, high)
     sensors = _sensors(C, recording)
     direct = _as_states(recording, sensors)
+    count = sensors.shape[1]
+    named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
+    _require_states(direct, named)
     bounds = max(low, _SHORTEST * recording.step), high
     layout = Layout(len(recording.modes), sensors.shape[1], len(recording.inputs), per_mode)
     within = switches == "anywhere"
@@ -114,8 +118,6 @@ def identify(
     if C is not None or noise or (noise is None and not found.tests.white):
         found = estimate_with_noise(recording, sensors, found, within, bounds)
     model, why = fit_switching(recording)
-    count = sensors.shape[1]
-    named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
     return Identification.of(found, recording, model, why, sensors, named)
 
 
@@ -171,6 +173,26 @@ def _as_states(recording: Recording, C: Float[np.ndarray, "p n"]) -> Recording:
     back = np.linalg.pinv(C).T
     parts = tuple(part._replace(output=part.output @ back) for part in recording.parts)
     return recording._replace(parts=parts)
+
+
+def _require_states(recording: Recording, names: Sequence[str]) -> None:
+    """Refuse states that never move, or that others say already."""
+    every = np.vstack([part.output for part in recording.parts])
+    every = every[np.isfinite(every).all(axis=1)]
+    spread = every.std(axis=0) if len(every) else np.zeros(len(names))
+    still = [name for name, one in zip(names, spread, strict=True) if not one > 0.0]
+    if still:
+        raise ArgumentError(
+            f"{still[0]} must move, got the same in every row where all states are known: leave it "
+            "out by states=[…]."
+        )
+    values, vectors = np.linalg.eigh(np.corrcoef(every.T).reshape(len(names), -1))
+    if values[0] < _SAME:
+        part = [name for name, one in zip(names, vectors[:, 0], strict=True) if abs(one) > 0.1]
+        raise ArgumentError(
+            f"{', '.join(part)} must be states of their own, got such that one is a sum of the "
+            "others: leave it out by states=[…]."
+        )
 
 
 def _exact(

@@ -48,8 +48,8 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
         y, r = root[:, :n], root[:, n:]
         e = y - r @ P.T
         S = e.T @ e / count
-        scale = np.diag((y**2).sum(axis=0) / count)
-        S = S + 1e-24 * scale + np.finfo(float).tiny * np.eye(n)  # of a log without any noise
+        size = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / count
+        S = S + np.diag(size + np.finfo(float).tiny)  # of a log without any noise, too
         L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, e.T)
         moved = np.linalg.solve(L, by_P @ r.T).reshape(len(place), -1)
