@@ -55,14 +55,12 @@ def sampled(A, B, D):
 
 
 def made(case, count, rng):
-    """A log of a case, as a table; modes of 1 s on average, which change at samples."""
+    """A log of a case, as a table; modes last 1 s on average, and change at samples."""
     A, B, D, s, sensor, K = CASES[case]
     A, B = np.array(A), np.array(B)
     modes, n, m = B.shape
-    mode = np.zeros(count, int)
-    for k in range(1, count):
-        stays = modes == 1 or rng.random() > H
-        mode[k] = mode[k - 1] if stays else (mode[k - 1] + rng.integers(1, modes)) % modes
+    length = rng.integers(10, 31, count)  # samples of each sojourn: half a second to one and a half
+    mode = np.repeat(np.arange(count) % modes, length)[:count]
     parts = [sampled(a, b, D) for a, b in zip(A, B, strict=True)]
     Q = [np.linalg.cholesky(_noise(a, s)) for a in A]
     x, u = np.zeros((count, n)), rng.standard_normal((count, m))

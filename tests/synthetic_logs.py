@@ -13,7 +13,7 @@ class Plant:
     def __init__(self, A, B, D, W=None):
         self.A, self.B = np.array(A, float), np.array(B, float)
         self.D = np.broadcast_to(np.asarray(D, float), (len(self.A), self.B.shape[2]))
-        self.W, self.kept = W, {}
+        self.W, self.kept = np.zeros(self.A[0].shape) if W is None else W, {}
 
     def piece(self, mode, length):
         """Φ and Γ of a stretch."""
@@ -66,7 +66,7 @@ class Plant:
             if k + 1 < t.size:
                 Phi, added = self.period(t, u, mode, k)
                 x[k + 1] = Phi @ x[k] + added
-                if self.W is not None:
+                if self.W.any():
                     Q = self.covariance(mode[k], round(t[k + 1] - t[k], 13))
                     x[k + 1] += np.linalg.cholesky(Q) @ rng.standard_normal(n)
         return y, u

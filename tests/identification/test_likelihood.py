@@ -1,5 +1,7 @@
 """Likelihoods against the dense Gaussian of the whole log, and scores against differences."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -20,6 +22,12 @@ from deadtime.identification.uneven import nodes_for, uneven_terms
 from synthetic_logs import Plant, oscillator
 
 H, T = 0.05, 40
+
+
+def normal(mean, cov) -> Any:
+    return multivariate_normal(mean, cov)
+
+
 RNG = np.random.default_rng(3)
 TRUE = oscillator()
 MODE = (np.arange(T) // 7) % 2
@@ -64,7 +72,7 @@ def dense(record, theta, first, start, noise, sensor):
     y = part.output[first:].ravel()
     cov = cov.reshape(y.size, y.size) + np.diag(np.tile(sensor**2, count))
     known = np.isfinite(y)
-    return multivariate_normal(mean.ravel()[known], cov[np.ix_(known, known)]).logpdf(y[known])
+    return normal(mean.ravel()[known], cov[np.ix_(known, known)]).logpdf(y[known])
 
 
 def slopes(value, theta, size):
@@ -89,7 +97,7 @@ def test_the_largest_likelihood_over_the_covariance_is_the_normal_density_of_the
     for k in range(7, T - 1):
         Phi, added = plant.period(part.time, part.input, part.mode, k)
         expected = Phi @ part.output[k] + added
-        total += multivariate_normal(expected, S[part.mode[k]]).logpdf(part.output[k + 1])
+        total += normal(expected, S[part.mode[k]]).logpdf(part.output[k + 1])
     assert found.value == pytest.approx(total, rel=1e-9)
 
 
@@ -152,7 +160,7 @@ def test_the_likelihood_of_noisy_states_is_the_dense_gaussian_of_the_whole_log(r
     for k in range(first):
         known = np.isfinite(output[k])
         cov = (log.P0 + np.diag(SENSOR**2))[np.ix_(known, known)]
-        before += multivariate_normal(np.zeros(known.sum()), cov).logpdf(output[k][known])
+        before += normal(np.zeros(known.sum()), cov).logpdf(output[k][known])
     whole = dense(record, THETA, first, log.P0, W, SENSOR)
     assert found - before == pytest.approx(whole, rel=1e-9)
 

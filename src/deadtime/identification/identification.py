@@ -148,6 +148,21 @@ class Identification(Frozen):
         more += [f"noise[{j}]" for j in range(p)] if self.noise.any() else []
         return (*self._found.log.layout.names(), *more)
 
+    def estimate(self, name: str) -> float:
+        """The likeliest value of one unknown, by its name; see `interval`."""
+        layout, place = self._found.log.layout, self._place(name)
+        if place < layout.size:
+            return float(self._found.best.theta[place])
+        diagonal = np.diagonal(self.disturbance, axis1=1, axis2=2)
+        return float(np.concatenate((diagonal.ravel(), self.noise))[place - layout.size])
+
+    def _place(self, name: str) -> int:
+        """Where in `names` a name is."""
+        names = self.names
+        if name not in names:
+            raise ArgumentError(f"name must be one of {', '.join(names)}, got {brief(name)}.")
+        return names.index(name)
+
     def interval(self, name: str) -> tuple[float, float]:
         """The ends of the 95 % interval of one unknown.
 
@@ -163,11 +178,8 @@ class Identification(Frozen):
         ArgumentError
             If there is no such name.
         """
-        names = self.names
-        if name not in names:
-            raise ArgumentError(f"name must be one of {', '.join(names)}, got {brief(name)}.")
         layout, found = self._found.log.layout, self._found
-        place = names.index(name)
+        place = self._place(name)
         if layout.size - layout.delays <= place < layout.size:
             low, high = found.intervals[place - layout.size + layout.delays]
             return float(low), float(high)

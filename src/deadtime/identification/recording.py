@@ -156,7 +156,7 @@ def _columns(
     """The columns of states or inputs."""
     found = list(table.frame.columns)
     if given is None:
-        form = re.compile(rf"{letter}[ _]?(\d*)")
+        form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?")
         places = {name: match[1] for name in found if (match := form.fullmatch(name))}
         chosen = sorted(places, key=lambda name: int(places[name] or 0))
     else:
