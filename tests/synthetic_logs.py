@@ -1,6 +1,7 @@
 """Logs of plants that are known, by matrix exponentials between cuts; no code of the package."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 from scipy.integrate import simpson
@@ -54,7 +55,7 @@ class Plant:
             Phi, added = over @ Phi, over @ added + gamma @ now
         return Phi, added
 
-    def log(self, t, u, rng, mode=None, sensor=0.0, feedback=None):
+    def log(self, t, u, rng, mode=None, sensor: Any = 0.0, feedback=None):
         """States as measured, and the inputs; `feedback` adds K y_k to them."""
         n, u = self.A.shape[1], u.copy()
         mode = np.zeros(t.size, int) if mode is None else mode
@@ -72,7 +73,7 @@ class Plant:
         return y, u
 
 
-def oscillator(D=0.312, W=1e-3):
+def oscillator(D: Any = 0.312, W=1e-3):
     """Two modes of an oscillator."""
     A = [[[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]]
     return Plant(A, [[[0.0], [1.0]], [[0.0], [1.2]]], D, W * np.eye(2))

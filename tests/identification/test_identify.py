@@ -104,7 +104,7 @@ def test_a_log_that_is_written_with_few_digits_is_even():
 
 
 def test_noise_of_sensors_is_noticed_and_told_from_that_of_the_plant():
-    log = made(ONE, 500, sensor=np.array([0.02, 0.04]))
+    log = made(ONE, 300, sensor=np.array([0.02, 0.04]))
     log.loc[100:103, "x1"] = np.nan
     fit = dt.identify(log, modes=None, delay=(0.0, 0.6))
     assert holds(fit, ONE) > 0.6
@@ -118,6 +118,7 @@ def test_noise_of_sensors_is_noticed_and_told_from_that_of_the_plant():
     assert abs(quiet.plant.A[0, 1, 1] + 1.0) > 4.0 * abs(fit.plant.A[0, 1, 1] + 1.0)
 
 
+@pytest.mark.long
 def test_redundant_outputs_are_states():
     log = made(ONE, 300)
     C = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])

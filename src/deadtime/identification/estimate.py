@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.frozen import Frozen
 from deadtime.identification.intervals import Spread
 from deadtime.identification.maximum import Likelihood
 from deadtime.identification.residuals import ResidualTests
@@ -14,8 +15,8 @@ from deadtime.identification.scoring import Maximum
 from deadtime.plant import SwitchedSystem
 
 
-@dataclass(frozen=True)
-class Estimate:
+@dataclass(frozen=True, eq=False)
+class Estimate(Frozen):
     """The likeliest plant under one description of the noise.
 
     log, best, window : the likelihood, where it is largest, and the delays that it was sought in
@@ -36,5 +37,5 @@ class Estimate:
     noise: Float[np.ndarray, " p"]
     spare: Int[np.ndarray, " mode"]
     tests: ResidualTests
-    white: list[Float[np.ndarray, "sample p"]]
+    white: tuple[Float[np.ndarray, "sample p"], ...]
     observations: int

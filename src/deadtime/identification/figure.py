@@ -82,7 +82,7 @@ def _draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
 
 def _draw_residuals(axes: Axes, fit: Identification) -> None:
     """The residuals' correlation with themselves, and where it would be by chance."""
-    r, count = autocorrelation(fit._found.white)
+    r, count = autocorrelation(list(fit._found.white))
     lags = np.arange(1, LAGS + 1)
     for i in range(r.shape[1]):
         shift = 0.15 * (i - 0.5 * (r.shape[1] - 1))

@@ -231,6 +231,6 @@ def _exact(
         np.zeros(layout.n),
         spare,
         judge_residuals(white, recording, float(delays.max())),
-        white,
+        tuple(white),
         observations,
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from deadtime.base.frozen import Frozen
 from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
@@ -18,8 +19,8 @@ from deadtime.identification.uneven import uneven_terms, usable
 _REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
 
 
-@dataclass(frozen=True)
-class ExactLog:
+@dataclass(frozen=True, eq=False)
+class ExactLog(Frozen):
     """The likelihood of a recording whose states are measured without noise.
 
     within : whether the mode may change within periods

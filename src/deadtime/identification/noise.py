@@ -85,7 +85,7 @@ def estimate_with_noise(
         noise.deviation,
         exact.spare,
         judge_residuals(white, recording, float(delays.max())),
-        white,
+        tuple(white),
         observations,
     )
 

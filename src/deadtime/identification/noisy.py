@@ -16,11 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from deadtime.base.checks import read_only
+from deadtime.base.frozen import Frozen
 from deadtime.identification.filter_kernel import innovations
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
@@ -40,8 +43,8 @@ class Noise(NamedTuple):
     deviation: Float[np.ndarray, " p"]
 
 
-@dataclass(frozen=True)
-class NoisyLog:
+@dataclass(frozen=True, eq=False)
+class NoisyLog(Frozen):
     """The likelihood of a recording with measurement noise.
 
     Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
@@ -78,12 +81,12 @@ class NoisyLog:
             starts.append(start)
         return starts
 
-    @property
+    @cached_property
     def P0(self) -> Float[np.ndarray, "n n"]:
         """Of a state of which nothing is known."""
         known = np.vstack([part.output for part in self.recording.parts])
         size = float(np.nanmean(known**2) / np.mean((self.C**2).sum(axis=1)))
-        return _VAGUE * size * np.eye(self.layout.n)
+        return read_only(_VAGUE * size * np.eye(self.layout.n))
 
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -141,7 +144,8 @@ class NoisyLog:
             if len(self._acting) > 3 * len(self.recording.parts):
                 self._acting.clear()
             part = self.recording.parts[number]
-            self._acting[key] = acting_in(part, np.flatnonzero(~start) - 1, delays, self.nodes)
+            acts = acting_in(part, np.flatnonzero(~start) - 1, delays, self.nodes)
+            self._acting[key] = Acting(*map(read_only, acts))
         return self._acting[key].held
 
     def _kinds(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.base.checks import brief
+from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def _part(
     if column is not None:
         codes, values = table.frame[column].factorize()
         mode = np.array([labels[_label(value)] for value in values])[codes]
-    return Part(time, output, entered, mode)
+    return Part(*map(read_only, (time, output, entered, mode)))
 
 
 def _numbers(table: _Table, column: str) -> Float[np.ndarray, " sample"]:
