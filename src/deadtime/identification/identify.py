@@ -99,7 +99,7 @@ def identify(
     >>> log = pd.DataFrame({"t": 0.1 * np.arange(300), "x": x, "u": u})
     >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
     >>> fit.delays.round(3), fit.delay_interval.round(3)
-    (array([[0.271]]), array([[[0.269, 0.272]]]))
+    (array([[0.27]]), array([[[0.269, 0.271]]]))
     """
     if switches not in ("anywhere", "samples"):
         raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')

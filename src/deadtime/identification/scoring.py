@@ -51,7 +51,7 @@ def climb(
     --------
     >>> def parabola(theta):
     ...     return Evaluation(-0.5 * (theta[0] - 2.0)**2, np.array([2.0 - theta[0]]), np.eye(1))
-    >>> climb(parabola, np.array([0.0]), np.array([-1.0]), np.array([9.0])).theta.round(9)
+    >>> climb(parabola, np.array([0.0]), np.array([-1.0]), np.array([9.0])).theta.round(6)
     array([2.])
     """
     theta = np.clip(theta, low, high)
