@@ -120,8 +120,9 @@ def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list
         raise ArgumentError(
             f"beside must have the modes, states and inputs of the log, {sizes[0]}, got {sizes[1]}."
         )
-    margin = delay_margin(fit.plant, law, step_of(problem))
-    return [f"Law “{chosen}”, each mode held: {fit.verdict(margin)}"]
+    step = step_of(problem)
+    margin = delay_margin(fit.plant, law, step)
+    return [f"Law “{chosen}”, each mode held: {fit.verdict(margin, law, step)}"]
 
 
 def _rows(fit: Identification) -> list[tuple[str, str, str, str]]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import brief, instance
+from deadtime.base.checks import brief, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
@@ -21,6 +21,8 @@ from deadtime.switching import SemiMarkov
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from deadtime.feedback import Law
 
 
 @runtime_checkable
@@ -35,6 +37,8 @@ class Margin(Protocol):
     def nominal(self) -> float: ...
     @property
     def input(self) -> int | None: ...
+    @property
+    def certified(self) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -203,13 +207,22 @@ class Identification(Frozen):
         wide = float(np.exp(reach * errors[place]))
         return float(values[place]) / wide, float(values[place]) * wide
 
-    def verdict(self, margin: Margin) -> str:
+    def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
         """Whether a law stands every delay that the log allows.
+
+        A margin is of delays that all err alike. Of several delays it is "enough" only where the
+        law is given, too: then each input's delay alone is held against its margin, and the loop
+        must decay in every mode, held, at all corners of the box of intervals (up to 4 inputs).
+        Delays between corners, and different errors while modes switch, are not looked at.
 
         Parameters
         ----------
         margin : DelayMargin
             Of the law on `plant`: `deadtime.delay_margin(fit.plant, law, fit.step, dwell_time)`.
+        law : Law, optional
+            The law, for errors that differ.
+        step : float, optional
+            Its sampling period, seconds; that of the log by default.
 
         Examples
         --------
@@ -225,7 +238,14 @@ class Identification(Frozen):
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2595 s (0.259 … 0.2599); the law bears 0 … 1.054 s: enough.
         """
-        return verdict_of(self.delays, self.delay_interval, margin)
+        from deadtime.identification.separate_errors import MOST_INPUTS, failure_of
+
+        failure = None
+        if law is not None and self._found.log.layout.delays > 1:
+            period = self.step if step is None else positive("step", step)
+            if self.plant.inputs <= MOST_INPUTS and margin.lower is not None:
+                failure = failure_of(self.plant, self.delay_interval, law, period)
+        return verdict_of(self.delays, self.delay_interval, margin, failure)
 
     def save(
         self, path: str | PathLike[str], *, title: str = "", horizon: float | None = None

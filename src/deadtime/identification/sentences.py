@@ -11,6 +11,7 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.recording import Recording
 
 _EDGE = 1e-6  # of the range searched
+_NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
 
 
@@ -24,7 +25,7 @@ def sentences_of(found: Estimate, recording: Recording, why: str) -> tuple[str, 
 
 
 def _uses_switches(found: Estimate) -> bool:
-    return bool(getattr(found.log, "within", True))
+    return found.log.within
 
 
 def _delays(found: Estimate, recording: Recording) -> list[str]:
@@ -102,12 +103,18 @@ def _period(found: Estimate, recording: Recording) -> list[str]:
     return said
 
 
-def verdict_of(delays: np.ndarray, interval: np.ndarray, margin: Any) -> str:
-    """The intervals beside a margin: how far every delay may be off beside how far it is borne."""
+def verdict_of(
+    delays: np.ndarray, interval: np.ndarray, margin: Any, failure: str | None = None
+) -> str:
+    """The intervals beside a margin: how far every delay may be off beside how far it is borne.
+
+    A margin is of delays that all err alike. Of several, `failure` says what fails where each errs
+    by itself, "" if nothing does; None where that was not looked at.
+    """
     j = margin.input
     column = slice(None) if j is None else slice(j, j + 1)
     D, ends = delays[:, column], interval[:, column]
-    if (D[0] == D).all():
+    if (D[0] == D).all() and (ends[0] == ends).all():
         D, ends = D[:1], ends[:1]
     one = D.size == 1
     if one:
@@ -121,10 +128,28 @@ def verdict_of(delays: np.ndarray, interval: np.ndarray, margin: Any) -> str:
     shift = margin.lower - margin.nominal, margin.upper - margin.nominal
     left, right = float((ends[..., 0] - D).min()), float((ends[..., 1] - D).max())
     enough = shift[0] <= left and right <= shift[1]
-    end = (
-        "enough" if enough else "not enough, so design a law with a wider margin or log for longer"
-    )
     if one:
-        return f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: {end}."
+        return (
+            f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: "
+            f"{_end(enough, interval.shape[1] > 1)}."
+        )
     together = "" if j is not None else ", of all together"
-    return f"{said}; the law bears {shift[0]:+.2g} … {shift[1]:+.2g} s{together}: {end}."
+    said = f"{said}; the law bears {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
+    if failure is None or not enough:
+        alike = (
+            "enough if all err alike; nothing is said of errors that differ: verdict(margin, law) "
+            "looks at them"
+        )
+        return f"{said}: {alike if enough else _end(False)}."
+    if failure:
+        return f"{said}, but errors differ: {failure}: {_end(False)}."
+    return (
+        f"{said}, in each mode held the error of every input's delay alone, and every corner of "
+        f"the box of intervals: {_end(True)}{_NO_SWITCHES if margin.certified else ''}."
+    )
+
+
+def _end(enough: bool, others: bool = False) -> str:
+    if not enough:
+        return "not enough, so design a law with a wider margin or log for longer"
+    return "enough, if the other delays are what they are taken for" if others else "enough"
