@@ -15,6 +15,7 @@ from deadtime.base.wording import one_line
 if TYPE_CHECKING:
     from deadtime.identification.identification import Identification
 
+_LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
 _DELAYS = 20.0  # a run lasts so many of the longest one
 
 
@@ -63,21 +64,34 @@ def _switching(fit: Identification) -> list[str]:
     sojourns = [_sojourn(dist) for dist in fit.model.sojourn]
     lines = ["[switching]", 'kind = "semi-markov"', f"sojourn = [{', '.join(sojourns)}]"]
     lines += [f"transition = {_lists(fit.model.transition)}", ""]
-    W = fit.disturbance.mean(axis=0)
     lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
-    lines += [f"disturbance = {_lists(W)}"]
-    if fit.noise.any() and fit.noise.size == fit.plant.states:
-        lines += [f"noise = {_lists(fit.noise)}"]
+    lines += [f"disturbance = {_disturbance(fit)}"]
+    if fit.noise.any():
+        lines += [f"noise = {_lists(fit.noise)}" if _of_states(fit) else _LEFT_OUT]
     return [*lines, "", "[signal]", 'kind = "model"', ""]
 
 
 def _noise(fit: Identification) -> list[str]:
     """The noise of the log acts in the file's runs, too."""
     lines = ["", "[[imperfection]]", 'kind = "white-disturbance"']
-    lines += [f"intensity = {_lists(fit.disturbance.mean(axis=0))}"]
-    if fit.noise.any() and fit.noise.size == fit.plant.states:
+    lines += [f"intensity = {_disturbance(fit)}"]
+    if fit.noise.any() and _of_states(fit):
         lines += ["", "[[imperfection]]", 'kind = "noise"', f"std = {_lists(fit.noise)}"]
+    elif fit.noise.any():
+        lines += ["", _LEFT_OUT]
     return lines
+
+
+def _of_states(fit: Identification) -> bool:
+    """Whether sensors measure the states themselves, so that their noise is one of states."""
+    return np.array_equal(fit.C, np.eye(fit.plant.states))
+
+
+def _disturbance(fit: Identification) -> str:
+    """W, and that it is a mean where modes have their own."""
+    W = fit.disturbance
+    said = "" if (W[0] == W).all() else "    # the mean of the modes'"
+    return _lists(W.mean(axis=0)) + said
 
 
 def _sojourn(dist: Any) -> str:
