@@ -189,7 +189,9 @@ class Identification(Frozen):
             return float(low), float(high)
         if place >= layout.size:
             return self._noise_interval(place - layout.size)
-        half = found.spread.reach * float(np.sqrt(found.spread.covariance[place, place]))
+        half = float(found.spread.reach[place]) * float(
+            np.sqrt(found.spread.covariance[place, place])
+        )
         return float(found.best.theta[place] - half), float(found.best.theta[place] + half)
 
     def _noise_interval(self, place: int) -> tuple[float, float]:

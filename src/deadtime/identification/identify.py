@@ -210,14 +210,15 @@ def _exact(
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)
     terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
-    _, covariances = concentrated(terms, layout.size)
-    observations = layout.n * sum(term.periods for term in terms)
-    spread = spread_of(best, layout.names(), observations)
-    intervals = delay_intervals(log, best, window, spread)
-    A, B, delays = layout.split(best.theta)
-    plant = SwitchedSystem(A, B, delays)
+    F, covariances = concentrated(terms, layout.size)
     counts = np.array([term.periods for term in terms])
     spare = np.maximum(counts - layout.n - layout.m - 1, 1)
+    parts = [concentrated([term], layout.size)[0].information for term in terms]
+    known = np.einsum("i,iab->ab", spare / counts, parts)
+    spread = spread_of(F.information, layout.names(), known, layout.of_each(spare))
+    intervals, several = delay_intervals(log, best, window, spread, start)
+    A, B, delays = layout.split(best.theta)
+    plant = SwitchedSystem(A, B, delays)
     covariances = covariances * (counts / spare)[:, None, None]
     white = residuals_of(recording, plant, nodes, within, np.linalg.cholesky(covariances))
     return Estimate(
@@ -227,10 +228,11 @@ def _exact(
         plant,
         spread,
         intervals,
+        several,
+        start,
         continuous(A, covariances, recording.step),
         np.zeros(layout.n),
         spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
-        observations,
     )

@@ -63,7 +63,11 @@ def estimate_with_noise(
     best, window = maximise(log, theta)
     names = layout.names()
     observations = sum(int(np.isfinite(part.output).sum()) for part in recording.parts)
-    spread = spread_of(best, names, observations)
+    spare = max(observations - best.theta.size, 1)
+    F = best.found.information
+    known, every = F * (spare / observations), np.full(best.theta.size, float(spare))
+    spread = spread_of(F, names, known, every)
+    intervals, several = delay_intervals(log, best, window, spread, exact.start)
     A, B, delays = layout.split(best.theta[: layout.size])
     noise = log.noise(best.theta)
     starts = log.starts(*window)
@@ -80,13 +84,14 @@ def estimate_with_noise(
         window,
         SwitchedSystem(A, B, delays),
         spread,
-        delay_intervals(log, best, window, spread),
+        intervals,
+        several,
+        exact.start,
         np.tile(noise.W, (layout.modes, 1, 1)),
         noise.deviation,
         exact.spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
-        observations,
     )
 
 

@@ -72,6 +72,16 @@ class Layout:
         """A, B and delays of a vector."""
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
 
+    def of_each(self, count: Int[np.ndarray, " mode"]) -> Float[np.ndarray, " size"]:
+        """Of every unknown a count of its mode's; of a delay that modes share that of all."""
+        result = np.empty(self.size)
+        result[self.at_delays] = count.sum()
+        for i in range(self.modes):
+            result[self.of_A[i]], result[self.of_B[i]] = count[i], count[i]
+            if self.per_mode:
+                result[self.of_delay[i]] = count[i]
+        return result
+
     def names(self) -> list[str]:
         """What each unknown is called.
 

@@ -46,8 +46,12 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
     for root, count, P, by_P, place in terms:
         n = len(P)
         y, r = root[:, :n], root[:, n:]
-        e = y - r @ P.T
-        S = e.T @ e / count
+        with np.errstate(all="ignore"):
+            e = y - r @ P.T
+            S = e.T @ e / count
+        if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
+            nothing = Evaluation(-np.inf, score, np.eye(score.size))
+            return nothing, np.full((len(terms), n, n), np.nan)
         size = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / count
         S = S + np.diag(size + np.finfo(float).tiny)  # of a log without any noise, too
         L = np.linalg.cholesky(S)

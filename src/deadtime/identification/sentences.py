@@ -12,6 +12,7 @@ from deadtime.identification.recording import Recording
 
 _EDGE = 1e-6  # of the range searched
 _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
+_WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
 
 
@@ -31,7 +32,8 @@ def _uses_switches(found: Estimate) -> bool:
 def _delays(found: Estimate, recording: Recording) -> list[str]:
     low, high = found.log.bounds
     names, said = delay_names(recording, found), []
-    for name, D, (left, right) in zip(names, _values(found), found.intervals, strict=True):
+    each = zip(names, _values(found), found.intervals, found.several, strict=True)
+    for name, D, (left, right), several in each:
         said.append(f"{name} is {D:.4g} s, at 95 % within {left:.4g} … {right:.4g} s.")
         margin = _EDGE * (high - low)
         if low + margin > D or high - margin < D:
@@ -39,10 +41,11 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
                 f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
                 "delay=(low, high)."
             )
-        elif right - left > 0.5 * (high - low):
+        if several or right - left > _WIDE * (high - low):
+            apart = ", and others that lie apart explain it nearly as well" if several else ""
             said.append(
-                f"The log hardly tells {name[0].lower()}{name[1:]}: move the input more, or log "
-                "for longer."
+                f"The log hardly tells {name[0].lower()}{name[1:]}{apart}: move the input more, or "
+                "log for longer."
             )
     return said
 
