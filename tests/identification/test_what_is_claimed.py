@@ -1,6 +1,7 @@
 """What an identification claims no more than: joint delays, sensors, few rows, faint inputs."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ def table(t, y, u, mode=None):
 
 OPPOSED = dt.SwitchedSystem([[[1.0]]], [[[1.0, 1.0]]], [0.2, 0.2])
 LAW = dt.AveragedPredictor(OPPOSED, [[[-8.0], [6.0]]])
-MARGIN = dt.delay_margin(OPPOSED, LAW, H)
+MARGIN: Any = dt.delay_margin(OPPOSED, LAW, H)
 
 
 def box(error):
@@ -55,7 +56,7 @@ def test_delays_that_err_against_each_other_are_no_common_shift():
 
 
 def test_corners_find_what_no_delay_alone_shows():
-    alone = dt.delay_margin(OPPOSED, LAW, H, input=0), dt.delay_margin(OPPOSED, LAW, H, input=1)
+    alone: Any = [dt.delay_margin(OPPOSED, LAW, H, input=j) for j in (0, 1)]
     borne = min(min(m.shorter, m.longer) for m in alone)
     said = failure_of(OPPOSED, box(0.95 * borne), LAW, H)
     assert "does not decay" in said
@@ -66,7 +67,7 @@ def test_corners_find_what_no_delay_alone_shows():
 
 def saved(C, noise, W):
     """The text of a file, from what its writer reads."""
-    fit = SimpleNamespace(
+    fit: Any = SimpleNamespace(
         plant=dt.SwitchedSystem([-np.eye(2)] * 2, [[[1.0], [0.0]]] * 2, 0.2),
         delays=np.full((2, 1), 0.2),
         delay_interval=np.tile([0.19, 0.21], (2, 1, 1)),
