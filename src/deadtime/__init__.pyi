@@ -41,6 +41,7 @@ from .gains import (
     place as place,
     stabilize as stabilize,
 )
+from .identification import Identification as Identification, identify as identify
 from .laws import (
     AveragedPredictor as AveragedPredictor,
     DelayedStateFeedback as DelayedStateFeedback,

@@ -5,6 +5,7 @@ import dataclasses
 import pickle
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import deadtime as dt
@@ -41,6 +42,16 @@ def mode_filter():
     return dt.ModeFilter(PLANT, SWITCHING, H, disturbance=1e-3)
 
 
+def identified():
+    """Of a log whose sensors are noisy: a filter's tables are kept, too."""
+    rng = np.random.default_rng(0)
+    x, u = np.zeros(60), rng.standard_normal(60)
+    for k in range(1, 59):
+        x[k + 1] = 0.9 * x[k] + 0.05 * (u[k] + u[k - 1]) + 0.02 * rng.standard_normal()
+    log = pd.DataFrame({"t": H * np.arange(60), "x": x + 0.02 * rng.standard_normal(60), "u": u})
+    return dt.identify(log, modes=None, delay=(0.0, 0.3), noise=True)
+
+
 # What users hold: one of each kind, made in as little time as possible.
 OBJECTS = {
     "SwitchedSystem": lambda: PLANT,
@@ -74,6 +85,7 @@ OBJECTS = {
         dt.ExpectedPredictor(PLANT, GAINS, SWITCHING), mode_filter()
     ),
     "Prediction": predicted,
+    "Identification": identified,
     "Feedback": lambda: LAW.digital(H),
     "Feedback of a user": lambda: dt.Feedback(np.ones((1, 1, 2)), np.ones((1, 3, 1, 1)), "none", H),
     "Problem": lambda: dataclasses.replace(

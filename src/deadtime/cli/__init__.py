@@ -1,7 +1,7 @@
 """The command line, `deadtime`: one file per group of commands.
 
 `init`, `simulate`, `reproduce`; `certify`, `verify`, `bound`, `loop`, `robustness`; `monte-carlo`,
-`study`, `sweep`, `plot`; `design`, `export`, `fit`; `schema`, `completion`.
+`study`, `sweep`, `plot`; `design`, `export`, `fit`, `identify`; `schema`, `completion`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when the answer
 is no (`certify --law` proves nothing, `verify` finds that a file proves nothing, `design` does not
@@ -18,6 +18,7 @@ from deadtime.cli import (
     explorer,
     export,
     files,
+    identify,
     loop,
     models,
     monte_carlo,
@@ -37,6 +38,7 @@ __all__ = [
     "explorer",
     "export",
     "files",
+    "identify",
     "loop",
     "main",
     "models",

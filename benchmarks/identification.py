@@ -1,0 +1,169 @@
+"""From a log to a law: coverage, bias, efficiency and time of `dt.identify`.
+
+    python benchmarks/identification.py coverage --draws 200
+    python benchmarks/identification.py speed
+
+Logs are made here, by SciPy's exponentials, with no code of the package. Coverage: the share of
+95 % intervals that hold the truth, of the delays and of all entries of A and B; the standard error
+of the delay over the draws beside what the information promises (Cramér and Rao's bound), and its
+bias beside that of the peak of `scipy.signal.correlate`, of the input with the state's increments.
+"""
+
+import argparse
+import resource
+import time
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import expm
+from scipy.signal import correlate
+
+import deadtime as dt
+
+H = 0.05
+SLOW, FAST = [[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]
+THIRD = [[0.0, 1.0], [-1.0, -1.5]]
+PUSH = [[0.0], [1.0]]
+BOTH = [[0.2, 1.0], [1.0, -0.5]]
+# name: A, B, delays, process noise s (s √h a sample), sensors' deviation, feedback
+CASES = {
+    "one mode": ([SLOW], [PUSH], [0.312], 0.03, 0.0, None),
+    "two modes": ([SLOW, FAST], [PUSH] * 2, [0.312], 0.03, 0.0, None),
+    "three modes": ([SLOW, FAST, THIRD], [PUSH] * 3, [0.312], 0.03, 0.0, None),
+    "two inputs": ([SLOW], [BOTH], [0.312, 0.174], 0.03, 0.0, None),
+    "unstable, closed loop": ([[[0.5]]], [[[1.0]]], [0.23], 0.03, 0.0, [[-1.2]]),
+    "noisy sensors": ([SLOW], [PUSH], [0.312], 0.03, 0.02, None),
+    "noisy, two modes": ([SLOW, FAST], [PUSH] * 2, [0.312], 0.03, 0.02, None),
+    "noisy, closed loop": ([[[0.5]]], [[[1.0]]], [0.23], 0.03, 0.02, [[-1.2]]),
+}
+
+
+def sampled(A, B, D):
+    """Φ(h), and the weights of u_{k−N} and u_{k−N+1} with N of every input, by exponentials."""
+    n, m = B.shape
+
+    def over(time):
+        Z = np.zeros((n + m, n + m))
+        Z[:n, :n], Z[:n, n:] = A, B
+        E = expm(Z * time)
+        return E[:n, :n], E[:n, n:]
+
+    Phi, whole = over(H)
+    N = np.ceil(np.array(D) / H - 1e-9).astype(int)
+    new = np.column_stack([over(N[j] * H - D[j])[1][:, j] for j in range(m)])
+    return Phi, whole - new, new, N
+
+
+def made(case, count, rng):
+    """A log of a case, as a table; modes last 1 s on average, and change at samples."""
+    A, B, D, s, sensor, K = CASES[case]
+    A, B = np.array(A), np.array(B)
+    modes, n, m = B.shape
+    length = rng.integers(10, 31, count)  # samples of each sojourn: half a second to one and a half
+    mode = np.repeat(np.arange(count) % modes, length)[:count]
+    parts = [sampled(a, b, D) for a, b in zip(A, B, strict=True)]
+    Q = [np.linalg.cholesky(_noise(a, s)) for a in A]
+    x, u = np.zeros((count, n)), rng.standard_normal((count, m))
+    y, v, w = x.copy(), sensor * rng.standard_normal((count, n)), rng.standard_normal((count, n))
+    for k in range(count):
+        y[k] = x[k] + v[k]
+        if K is not None:
+            u[k] += np.array(K) @ y[k]
+        if k + 1 == count:
+            break
+        Phi, old, new, N = parts[mode[k]]
+        x[k + 1] = Phi @ x[k] + Q[mode[k]] @ w[k]
+        for j in range(m):
+            late, soon = k - N[j], k - N[j] + 1
+            x[k + 1] += old[:, j] * (u[late, j] if late >= 0 else 0.0)
+            x[k + 1] += new[:, j] * (u[soon, j] if soon >= 0 else 0.0)
+    columns = {"t": H * np.arange(count), "mode": mode}
+    columns |= {f"x{i}": one for i, one in enumerate(y.T)}
+    return pd.DataFrame(columns | {f"u{j}": one for j, one in enumerate(u.T)})
+
+
+def _noise(A, s):
+    """∫₀^h e^{Aτ} s² e^{Aᵀτ} dτ, by Gauss's rule of ten points."""
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    E = expm(A * (0.5 * H * (nodes + 1.0))[:, None, None])
+    return 0.5 * H * s**2 * np.einsum("q,qab,qcb->ac", weights, E, E)
+
+
+def correlated(log):
+    """The delay by the peak of the correlation of u with what x gains in a period."""
+    last = log.filter(regex="x").to_numpy()[:, -1]
+    gain, u = np.diff(last - last.mean()), log["u0"].to_numpy()[:-1]
+    found = np.abs(correlate(gain, u - u.mean(), mode="full"))[u.size - 1 : u.size + 20]
+    return H * float(np.argmax(found))
+
+
+def coverage(draws, first, count, cases):
+    print(f"{count} samples, h = {H} s, {draws} logs of each kind")
+    print("case | delays inside | A, B inside | error (ms) | claimed | ratio | bias | correlation")
+    for case in cases:
+        A, B, D, _, sensor, _ = CASES[case]
+        inside_D, inside_AB, error, claimed, peak = [], [], [], [], []
+        for seed in range(first, first + draws):
+            log = made(case, count, np.random.default_rng(seed))
+            noise = sensor > 0.0
+            fit = dt.identify(log, delay=(0.0, 1.0), noise=noise, switches="samples")
+            ends = fit.delay_interval[0]
+            inside_D += [low < true < high for (low, high), true in zip(ends, D, strict=True)]
+            for name, whole in (("A", np.array(A)), ("B", np.array(B))):
+                for (i, a, b), true in np.ndenumerate(whole):
+                    low, high = fit.interval(f"{name}[{i}][{a},{b}]")
+                    inside_AB.append(low < true < high)
+            error.append(fit.delays[0] - D)
+            claimed.append(np.diff(ends)[:, 0] / 3.93)
+            peak.append(correlated(log) - D[0])
+        ratio = np.std(error, axis=0) / np.sqrt(np.mean(np.square(claimed), axis=0))
+        figures = (1e3 * np.std(error, axis=0), 1e3 * np.mean(claimed, axis=0), ratio)
+        said = [np.array2string(one, precision=3) for one in figures]
+        bias = np.array2string(1e3 * np.mean(error, axis=0), precision=3)
+        print(
+            f"{case} | {100 * np.mean(inside_D):.1f} % | {100 * np.mean(inside_AB):.1f} % | "
+            f"{' | '.join(said)} | {bias} | {1e3 * np.mean(peak):.1f}",
+            flush=True,
+        )
+
+
+def speed():
+    """Seconds of a processor, and memory, of long logs: three states and two modes."""
+    A = np.array(
+        [[[0, 1, 0], [0, 0, 1], [-1, -3, -2]], [[0, 1, 0], [0, 0, 1], [-2, -3, -1.5]]], float
+    )
+    B = np.tile([[0.0], [0.0], [1.0]], (2, 1, 1))
+    CASES["long"] = A, B, [0.312], 0.03, 0.0, None
+    CASES["long, noisy"] = A, B, [0.312], 0.03, 0.02, None
+    for count, case in ((10_000, "long"), (10_000, "long, noisy"), (1_000_000, "long")):
+        log = made(case, count, np.random.default_rng(1))
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        for turn in ("first", "again"):
+            began = time.process_time()
+            fit = dt.identify(log, noise="noisy" in case, switches="samples")
+            took = time.process_time() - began
+            more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+            low, high = fit.interval("delay")
+            print(
+                f"{count:,} samples, {case}, {turn}: {took:.2f} s, {more / 1024:.0f} MB more, "
+                f"delay {low:.5f} … {high:.5f} s",
+                flush=True,
+            )
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("what", choices=["coverage", "speed"])
+    parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--samples", type=int, default=400)
+    parser.add_argument("--case", nargs="*", default=list(CASES), choices=list(CASES))
+    given = parser.parse_args()
+    if given.what == "speed":
+        speed()
+    else:
+        coverage(given.draws, given.first, given.samples, given.case)
+
+
+if __name__ == "__main__":
+    main()

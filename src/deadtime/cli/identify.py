@@ -1,0 +1,149 @@
+"""`deadtime identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from deadtime.base.errors import ArgumentError
+from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, lines
+from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.problems import problem_of
+
+if TYPE_CHECKING:
+    from deadtime.identification import Identification
+
+
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime identify log.csv --out problem.toml",
+        "deadtime identify log.csv --one-mode --delay 0 0.5",
+        "deadtime identify monday.csv tuesday.csv --modes gear --beside problem.toml",
+    ),
+)
+def identify(
+    *logs: Path,
+    modes: str = "mode",
+    one_mode: Flag = False,
+    delay: tuple[float, float] = (0.0, 2.0),
+    per_mode: Flag = False,
+    noise: Annotated[bool | None, Parameter(negative="--no-noise")] = None,
+    switches: Literal["anywhere", "samples"] = "anywhere",
+    states: list[str] | None = None,
+    inputs: list[str] | None = None,
+    beside: Path | None = None,
+    law: str | None = None,
+    out: File = None,
+    figure: Path | None = None,
+    json_output: AsJson = False,
+) -> None:
+    """What plant is this the log of? Matrices, delays and noise, each with its 95 % interval.
+
+    Parameters
+    ----------
+    logs
+        CSV files with columns t (seconds), x1, x2, …, u1, u2, … and the mode.
+    modes
+        The column of the mode.
+    one_mode
+        The plant has one mode, and the log no column of it.
+    delay
+        The range in which delays are looked for, two numbers, in seconds.
+    per_mode
+        Every mode has delays of its own.
+    noise
+        Whether measurements are noisy; tried by default, where the residuals are not white.
+    switches
+        Whether the mode changes at any time or at samples only.
+    states
+        Columns of the states, where they are not x1, x2, …
+    inputs
+        Columns of the inputs, where they are not u1, u2, …
+    beside
+        A problem file with a law: its delay margin is put beside the delay's interval.
+    law
+        The law of that file, by its name; the first by default.
+    out
+        The problem file to write.
+    figure
+        The figure to write, PNG, SVG or PDF.
+    json_output
+        Print the result as JSON instead of text.
+    """
+    from deadtime.identification import identify as identified
+
+    if not logs:
+        raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
+    fit = identified(
+        list(logs),
+        None if one_mode else modes,
+        delay,
+        per_mode=per_mode,
+        noise=noise,
+        switches=switches,
+        states=states,
+        inputs=inputs,
+    )
+    said = [*fit.sentences, *_verdict(fit, beside, law)]
+    written = [path for path in (out, figure) if path is not None]
+    if out is not None:
+        fit.save(out)
+    if figure is not None:
+        save_figure(fit.plot(), figure)
+    if json_output:
+        print_json(_record(fit, said), written)
+        return
+    print_heading(f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s", said)
+    print()
+    print_table(("", "estimate", "from", "to"), _rows(fit))
+    for path in written:
+        print(f"\nWritten: {path}")
+
+
+def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list[str]:
+    """The law's delay margin beside the interval, where a law is given."""
+    if beside is None:
+        if name is not None:
+            raise ArgumentError("law needs beside: the problem file whose law it is.")
+        return []
+    from deadtime.margins import delay_margin
+    from deadtime.problems.asked import step_of
+
+    problem = problem_of(beside)
+    chosen = next(iter(problem.laws)) if name is None else name
+    law = problem.law(chosen)
+    sizes = [(p.modes, p.states, p.inputs) for p in (fit.plant, law.plant)]
+    if sizes[0] != sizes[1]:
+        raise ArgumentError(
+            f"beside must have the modes, states and inputs of the log, {sizes[0]}, got {sizes[1]}."
+        )
+    step = step_of(problem)
+    margin = delay_margin(fit.plant, law, step)
+    return [f"Law “{chosen}”, each mode held: {fit.verdict(margin, law, step)}"]
+
+
+def _rows(fit: Identification) -> list[tuple[str, str, str, str]]:
+    rows = []
+    for name in fit.names:
+        low, high = fit.interval(name)
+        rows.append((name, *(f"{value:.5g}" for value in (fit.estimate(name), low, high))))
+    return rows
+
+
+def _record(fit: Identification, said: list[str]) -> dict:
+    return {
+        "samples": fit.samples,
+        "step": fit.step,
+        "A": fit.plant.A,
+        "B": fit.plant.B,
+        "delays": fit.delays,
+        "delay_interval": fit.delay_interval,
+        "disturbance": fit.disturbance,
+        "noise": fit.noise,
+        "intervals": {name: list(fit.interval(name)) for name in fit.names},
+        "log_likelihood": fit.log_likelihood,
+        "sentences": said,
+    }

@@ -1,0 +1,2 @@
+from .identification import Identification as Identification
+from .identify import identify as identify

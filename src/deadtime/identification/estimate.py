@@ -1,0 +1,44 @@
+"""An estimate as it is worked on, before it is handed over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from deadtime.base.frozen import Frozen
+from deadtime.identification.intervals import Spread
+from deadtime.identification.maximum import Likelihood
+from deadtime.identification.residuals import ResidualTests
+from deadtime.identification.scoring import Maximum
+from deadtime.identification.start import Start
+from deadtime.plant import SwitchedSystem
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate(Frozen):
+    """The likeliest plant under one description of the noise.
+
+    log, best, window : the likelihood, where it is largest, and the delays that it was sought in
+    spread : of all unknowns; intervals : (delays, 2), seconds
+    several : (delays,), whether an interval holds other peaks; start : the first guess
+    disturbance : (modes, n, n), W of each mode, x² per second
+    noise : (p,), standard deviations of the sensors
+    spare : (modes,), how many periods each W rests on beyond those that the matrices cost
+    white : of every log, the whitened residuals, NaN where there are none
+    """
+
+    log: Likelihood
+    best: Maximum
+    window: tuple[float, float]
+    plant: SwitchedSystem
+    spread: Spread
+    intervals: Float[np.ndarray, "delay 2"]
+    several: Bool[np.ndarray, " delay"]
+    start: Start
+    disturbance: Float[np.ndarray, "mode n n"]
+    noise: Float[np.ndarray, " p"]
+    spare: Int[np.ndarray, " mode"]
+    tests: ResidualTests
+    white: tuple[Float[np.ndarray, "sample p"], ...]

@@ -1,0 +1,93 @@
+"""The figure of an identification: how sure the delay is, and how the model follows the log."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
+from deadtime.identification.intervals import profile
+from deadtime.identification.recording import Part
+from deadtime.identification.residuals import LAGS, autocorrelation, forecast
+from deadtime.identification.sentences import delay_names
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from deadtime.identification.identification import Identification
+
+_SHOWN = 400  # samples of the log at most
+_POINTS = 13  # of a likelihood
+_FAR = 3.0  # of a log's range: a free run that leaves it is cut there
+
+
+def plot_identification(fit: Identification) -> Figure:
+    """Likelihood over each delay, predictions and free run over the log, residuals, modes."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    part = fit._recording.parts[0]
+    part = Part(*(column[:_SHOWN] for column in part))
+    n, several = fit.plant.states, fit.plant.modes > 1
+    rows = n + 2 + several
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(1.5 * WIDTH, 1.2 * rows + 0.8), layout="constrained")
+        grid = figure.add_gridspec(rows, 1)
+        _draw_likelihood(figure.add_subplot(grid[0]), fit)
+        axes = [figure.add_subplot(grid[1 + i]) for i in range(n)]
+        _draw_log(axes, fit, part)
+        if several:
+            modes = figure.add_subplot(grid[n + 1], sharex=axes[0])
+            modes.step(part.time, part.mode, where="post", color=COLOURS[0])
+            modes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
+            modes.set_xlabel("t (s)")
+        _draw_residuals(figure.add_subplot(grid[rows - 1]), fit)
+    return figure
+
+
+def _draw_likelihood(axes: Axes, fit: Identification) -> None:
+    """The profile over every delay, about its estimate."""
+    found, layout = fit._found, fit._found.log.layout
+    places = np.arange(layout.size)[layout.at_delays].tolist()
+    names = delay_names(fit._recording, found)
+    for row, (place, name) in enumerate(zip(places, names, strict=True)):
+        D = float(found.best.theta[place])
+        reach = 1.7 * np.abs(found.intervals[row] - D).max()
+        delays = np.clip(np.linspace(D - reach, D + reach, _POINTS), *found.window)
+        falls = [profile(found.log, found.best, found.window, place, float(d)) for d in delays]
+        colour = COLOURS[row % len(COLOURS)]
+        axes.plot(1e3 * (delays - D), falls, color=colour, label=plain(f"{name}: {D:.4g} s"))
+        for end in found.intervals[row]:
+            axes.axvline(1e3 * (end - D), color=colour, linewidth=0.8, linestyle=":")
+    axes.set_xlabel("delay − estimate (ms); dotted: 95 %")
+    axes.set_ylabel("log L")
+    axes.legend(loc="lower center")
+
+
+def _draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
+    """States as logged, as foretold a sample before, and as foretold from the first row on."""
+    ahead, free = forecast(part, fit.plant, fit._found.log.nodes, fit.C)
+    for i, own in enumerate(axes):
+        x = part.output @ np.linalg.pinv(fit.C).T[:, i]
+        middle, span = np.nanmean(x), max(float(np.nanmax(x) - np.nanmin(x)), 1e-300)
+        far = np.where(np.abs(free[:, i] - middle) < _FAR * span, free[:, i], np.nan)
+        own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
+        own.plot(part.time, ahead[:, i], color=COLOURS[0], linewidth=0.9, label="a sample ahead")
+        own.plot(part.time, far, color=COLOURS[1], linestyle="--", label="free run")
+        own.set_ylabel(plain(fit.states[i]))
+    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
+
+
+def _draw_residuals(axes: Axes, fit: Identification) -> None:
+    """The residuals' correlation with themselves, and where it would be by chance."""
+    r, count = autocorrelation(list(fit._found.white))
+    lags = np.arange(1, LAGS + 1)
+    for i in range(r.shape[1]):
+        shift = 0.15 * (i - 0.5 * (r.shape[1] - 1))
+        axes.vlines(lags + shift, 0.0, r[:, i], color=COLOURS[i % len(COLOURS)])
+    for side in (-1.0, 1.0):
+        axes.plot(lags, side * 1.96 / np.sqrt(np.maximum(count, 1)), color="#666666", linestyle=":")
+    axes.set_xlabel("samples between residuals; dotted: 95 % by chance")
+    axes.set_ylabel("correlation")

@@ -1,0 +1,305 @@
+"""Identification: a plant from a log, how well the log knows it, and what to do with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import brief, instance, positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.recording import Recording
+from deadtime.identification.residuals import ResidualTests
+from deadtime.identification.sentences import sentences_of, verdict_of
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import SemiMarkov
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from deadtime.feedback import Law
+
+
+@runtime_checkable
+class Margin(Protocol):
+    """What a law tolerates: a `margins.DelayMargin`."""
+
+    @property
+    def lower(self) -> float | None: ...
+    @property
+    def upper(self) -> float | None: ...
+    @property
+    def nominal(self) -> float: ...
+    @property
+    def input(self) -> int | None: ...
+    @property
+    def certified(self) -> bool: ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Frozen):
+    """A plant that `identify` found, with intervals at 95 % (immutable).
+
+    Attributes
+    ----------
+    plant : SwitchedSystem
+        The likeliest plant.
+    delay_interval : (modes, m, 2) array
+        Of every delay, seconds.
+    step : float
+        The sampling period of the log, seconds; its mean where rows are uneven.
+    disturbance : (modes, n, n) array
+        Intensity W of the process noise in each mode, x² per second; one for all modes where
+        sensors are noisy.
+    noise : (p,) array
+        Standard deviations of the sensors; 0 where measurements are taken as exact.
+    model : SemiMarkov or None
+        How the mode switches, where enough sojourns were logged.
+    tests : ResidualTests
+        Whether what is left looks like chance.
+    states, inputs, modes : tuple of str
+        Names: those of the log's columns and of its modes.
+    log_likelihood : float
+    samples : int
+        Rows of the log.
+    sentences : tuple of str
+        What there is to say, in words.
+
+    Examples
+    --------
+    See `identify`.
+    """
+
+    plant: SwitchedSystem
+    delay_interval: Float[np.ndarray, "mode m 2"]
+    step: float
+    disturbance: Float[np.ndarray, "mode n n"]
+    noise: Float[np.ndarray, " p"]
+    model: SemiMarkov | None
+    tests: ResidualTests
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    modes: tuple[str, ...]
+    log_likelihood: float
+    samples: int
+    sentences: tuple[str, ...]
+    _found: Estimate = field(repr=False)
+    _recording: Recording = field(repr=False)
+    _C: Float[np.ndarray, "p n"] = field(repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        found: Estimate,
+        recording: Recording,
+        model: SemiMarkov | None,
+        why: str,
+        C: Float[np.ndarray, "p n"],
+        states: tuple[str, ...],
+    ) -> Identification:
+        """What there is to hand over of an estimate; `why` there is no switching model."""
+        return cls(
+            found.plant,
+            found.log.layout.spread(found.intervals),
+            recording.step,
+            found.disturbance,
+            found.noise,
+            model,
+            found.tests,
+            states,
+            recording.inputs,
+            recording.modes,
+            found.best.found.value,
+            recording.samples,
+            sentences_of(found, recording, why),
+            found,
+            recording,
+            C,
+        )
+
+    @property
+    def delays(self) -> Float[np.ndarray, "mode m"]:
+        """The likeliest delay of every mode and input, seconds."""
+        return self.plant.delays
+
+    @property
+    def C(self) -> Float[np.ndarray, "p n"]:
+        """What the log's columns are of the states; the identity where they are the states."""
+        return self._C
+
+    @property
+    def largest_states(self) -> Float[np.ndarray, " n"]:
+        """The largest |x| of every state in the log."""
+        back = np.linalg.pinv(self._C).T
+        every = np.vstack([part.output @ back for part in self._recording.parts])
+        return np.nanmax(np.abs(every), axis=0)
+
+    @property
+    def message(self) -> str:
+        """The sentences, as one text."""
+        return " ".join(self.sentences)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What `interval` knows by name: entries A[i][a,b], B[i][a,j] of mode i, delays, noise."""
+        n, p = self.plant.states, self.noise.size
+        more = [f"disturbance[{i}][{a},{a}]" for i in range(self.plant.modes) for a in range(n)]
+        more += [f"noise[{j}]" for j in range(p)] if self.noise.any() else []
+        return (*self._found.log.layout.names(), *more)
+
+    def estimate(self, name: str) -> float:
+        """The likeliest value of one unknown, by its name; see `interval`."""
+        layout, place = self._found.log.layout, self._place(name)
+        if place < layout.size:
+            return float(self._found.best.theta[place])
+        diagonal = np.diagonal(self.disturbance, axis1=1, axis2=2)
+        return float(np.concatenate((diagonal.ravel(), self.noise))[place - layout.size])
+
+    def _place(self, name: str) -> int:
+        """Where in `names` a name is."""
+        names = self.names
+        if name not in names:
+            raise ArgumentError(f"name must be one of {', '.join(names)}, got {brief(name)}.")
+        return names.index(name)
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """The ends of the 95 % interval of one unknown.
+
+        Parameters
+        ----------
+        name : str
+            One of `names`: "delay", or "delay[j]" of input j where there are several, "delay[i][j]"
+            where every mode i has its own; "A[0][0,1]", "B[1][2,0]"; "disturbance[0][1,1]" for a
+            diagonal entry of W in mode 0; "noise[1]" for the second sensor.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such name.
+        """
+        layout, found = self._found.log.layout, self._found
+        place = self._place(name)
+        if layout.size - layout.delays <= place < layout.size:
+            low, high = found.intervals[place - layout.size + layout.delays]
+            return float(low), float(high)
+        if place >= layout.size:
+            return self._noise_interval(place - layout.size)
+        half = float(found.spread.reach[place]) * float(
+            np.sqrt(found.spread.covariance[place, place])
+        )
+        return float(found.best.theta[place] - half), float(found.best.theta[place] + half)
+
+    def _noise_interval(self, place: int) -> tuple[float, float]:
+        """Of W's diagonal, then of the sensors' deviations: logarithms are nearly normal."""
+        from scipy.stats import norm
+
+        modes, n = self.disturbance.shape[:2]
+        reach = float(norm.ppf(0.975))
+        if not self.noise.any():
+            i, a = divmod(place, n)
+            value = float(self.disturbance[i, a, a])
+            wide = np.exp(reach * np.sqrt(2.0 / self._found.spare[i]))
+            return value / float(wide), value * float(wide)
+        values, errors = _log_noise(self._found, modes)
+        wide = float(np.exp(reach * errors[place]))
+        return float(values[place]) / wide, float(values[place]) * wide
+
+    def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
+        """Whether a law stands every delay that the log allows.
+
+        A margin is of delays that all err alike. Of several delays it is "enough" only where the
+        law is given, too: then each input's delay alone is held against its margin, and the loop
+        must decay in every mode, held, at all corners of the box of intervals (up to 4 inputs).
+        Delays between corners, and different errors while modes switch, are not looked at.
+
+        Parameters
+        ----------
+        margin : DelayMargin
+            Of the law on `plant`: `deadtime.delay_margin(fit.plant, law, fit.step, dwell_time)`.
+        law : Law, optional
+            The law, for errors that differ.
+        step : float, optional
+            Its sampling period, seconds; that of the log by default.
+
+        Examples
+        --------
+        >>> import deadtime as dt, numpy as np, pandas as pd
+        >>> rng = np.random.default_rng(1)
+        >>> x, u = np.zeros(200), rng.standard_normal(200)
+        >>> for k in range(3, 199):
+        ...     x[k + 1] = 1.05 * x[k] + 0.06 * u[k - 3] + 0.04 * u[k - 2]
+        ...     x[k + 1] += 0.005 * rng.standard_normal()
+        >>> log = pd.DataFrame({"t": 0.1 * np.arange(200), "x": x, "u": u})
+        >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
+        >>> law = dt.AveragedPredictor(fit.plant, dt.place(fit.plant, [-1.0]))
+        >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
+        Delay 0.2595 s (0.259 … 0.2599); the law bears 0 … 1.054 s: enough.
+        """
+        from deadtime.identification.separate_errors import MOST_INPUTS, failure_of
+
+        failure = None
+        if law is not None and self._found.log.layout.delays > 1:
+            period = self.step if step is None else positive("step", step)
+            if self.plant.inputs <= MOST_INPUTS and margin.lower is not None:
+                failure = failure_of(self.plant, self.delay_interval, law, period)
+        return verdict_of(self.delays, self.delay_interval, margin, failure)
+
+    def save(
+        self, path: str | PathLike[str], *, title: str = "", horizon: float | None = None
+    ) -> None:
+        """Write a problem file: plant, names, switching, mode filter, and gains to begin with.
+
+        Gains are those of least ∫|x|² + |u|²; change them to yours. Laws are the paper's.
+
+        Parameters
+        ----------
+        path : path
+            The file, TOML.
+        title : str
+            Of the problem.
+        horizon : float, optional
+            Length of its run, seconds; 20 times the longest delay by default.
+        """
+        from deadtime.identification.problem_text import problem_text, write_problem
+
+        write_problem(problem_text(self, title, horizon), path)
+
+    def plot(self) -> Figure:
+        """The likelihood over the delays, predictions against the log, residuals, and modes."""
+        from deadtime.identification.figure import plot_identification
+
+        return plot_identification(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Identification(modes={self.plant.modes}, states={self.plant.states}, "
+            f"inputs={self.plant.inputs}, delay={self.delays[0].round(6).tolist()}, "
+            f"samples={self.samples})"
+        )
+
+
+def _log_noise(found: Estimate, modes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Diagonals of W mode by mode, then deviations; and the standard errors of their logarithms."""
+    from deadtime.identification.noisy import NoisyLog
+
+    instance("log", found.log, NoisyLog)
+    log, theta = found.log, found.best.theta
+    size = log.layout.size
+
+    def logarithms(vector: np.ndarray) -> np.ndarray:
+        noise = log.noise(vector)  # pyright: ignore[reportAttributeAccessIssue]
+        diagonal = np.tile(np.log(np.maximum(np.diagonal(noise.W), 1e-300)), modes)
+        return np.concatenate((diagonal, np.log(noise.deviation)))
+
+    slope = np.zeros((logarithms(theta).size, theta.size))
+    for a in range(size, theta.size):
+        step = np.zeros(theta.size)
+        step[a] = 1e-6
+        slope[:, a] = (logarithms(theta + step) - logarithms(theta - step)) / 2e-6
+    spread = slope @ found.spread.covariance @ slope.T
+    return np.exp(logarithms(theta)), np.sqrt(np.diagonal(spread))

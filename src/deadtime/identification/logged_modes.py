@@ -1,0 +1,30 @@
+"""The switching model of logged modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.recording import Recording
+from deadtime.switching import SemiMarkov, SwitchingSignal
+
+
+def signals_of(recording: Recording) -> list[SwitchingSignal]:
+    """The logged modes of every log as a signal from its first row on."""
+    signals = []
+    for part in recording.parts:
+        first = np.flatnonzero(np.diff(part.mode, prepend=-1))
+        time = part.time - part.time[0]
+        signals.append(SwitchingSignal(time[first], part.mode[first], end=float(time[-1])))
+    return signals
+
+
+def fit_switching(recording: Recording) -> tuple[SemiMarkov | None, str]:
+    """The model of how the mode switches, and why there is none where there is none."""
+    if len(recording.modes) < 2:
+        return None, ""
+    try:
+        signals = signals_of(recording)
+        return SemiMarkov.fit(signals, modes=len(recording.modes), first="drop"), ""
+    except ArgumentError as error:
+        return None, f"There is no switching model: {error}"

@@ -1,0 +1,126 @@
+"""The maximum of a log's likelihood over all unknowns, or with some of them held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from deadtime.base.frozen import Frozen
+from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Recording
+from deadtime.identification.regression import concentrated, even_terms, lags_of
+from deadtime.identification.scoring import Evaluate, Maximum, climb, climb_cells
+from deadtime.identification.uneven import uneven_terms, usable
+
+_REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
+
+
+@dataclass(frozen=True, eq=False)
+class ExactLog(Frozen):
+    """The likelihood of a recording whose states are measured without noise.
+
+    within : whether the mode may change within periods
+    bounds : of the delays, seconds
+    nodes : for uneven samples
+    """
+
+    recording: Recording
+    layout: Layout
+    within: bool
+    bounds: tuple[float, float]
+    nodes: Float[np.ndarray, " node"] = field(repr=False)
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """What bounds unknowns, delays aside: nothing."""
+        return np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
+
+    def cells(self, theta: np.ndarray) -> np.ndarray:
+        """The cells that delays lie in."""
+        return cells_of(theta[self.layout.at_delays], self.recording.step)
+
+    def terms_in(self, low: float, high: float) -> Callable[[np.ndarray], Callable]:
+        """The regressions for delays between two, seconds."""
+        record, layout = self.recording, self.layout
+        if record.even:
+            first, last = _cell(low, record.step, up=True), _cell(high, record.step)
+            lags = lags_of(record.parts, layout.modes, first - 1, last, self.within)
+            return lambda cells: (
+                lambda theta: even_terms(lags, layout, record.step, layout.spread(cells), theta)
+            )
+        good = [np.flatnonzero(usable(part, self.within, high, low)) for part in record.parts]
+        return lambda _: (
+            lambda theta: uneven_terms(record.parts, good, layout, record.step, self.nodes, theta)
+        )
+
+    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+        """The likelihood for delays between two, seconds, in cells of theirs."""
+        terms_in = self.terms_in(low, high)
+
+        def within(cells: np.ndarray) -> Evaluate:
+            terms = terms_in(cells)
+            return lambda theta: concentrated(terms(theta), self.layout.size)[0]
+
+        return within
+
+
+Likelihood = ExactLog | NoisyLog
+
+
+def _cell(delay: float, step: float, up: bool = False) -> int:
+    """The N with D in [(N − 1) h, N h]; the larger one at a whole period where `up`."""
+    ratio = delay / step
+    nearest = round(ratio)
+    if abs(ratio - nearest) < 1e-9:
+        return max(1, nearest + up)
+    return max(1, int(np.ceil(ratio)))
+
+
+def cells_of(delays: Float[np.ndarray, " delay"], step: float) -> Int[np.ndarray, " delay"]:
+    """The cell of each delay."""
+    return np.array([_cell(float(delay), step) for delay in delays])
+
+
+def window_of(
+    log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = _REACH
+) -> tuple[float, float]:
+    """Where delays are looked for next: some periods about where they are, within the bounds."""
+    h = log.recording.step
+    low = max(log.bounds[0], float(delays.min()) - reach * h)
+    return low, min(log.bounds[1], float(delays.max()) + reach * h)
+
+
+def maximise(
+    log: Likelihood,
+    theta: Float[np.ndarray, " size"],
+    fixed: Bool[np.ndarray, " size"] | None = None,
+    window: tuple[float, float] | None = None,
+) -> tuple[Maximum, tuple[float, float]]:
+    """The maximum that a start leads to, and the window of delays that it was sought in.
+
+    What is usable of a log depends on the window, so likelihoods compare in the same one only.
+    """
+    place = log.layout.at_delays
+    h, asked = log.recording.step, window
+    while True:
+        low, high = asked or window_of(log, theta[place])
+        evaluate_in, ends = log.evaluate_in(low, high), log.limits
+        if log.recording.even:
+            cells = cells_of(theta[place], h)
+            best, _ = climb_cells(evaluate_in, theta, place, cells, h, (low, high), ends, fixed)
+        else:
+            ends[0][place], ends[1][place] = low, high
+            if fixed is not None:
+                ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
+            best = climb(evaluate_in(np.zeros(0)), theta, *ends)
+        D, free = best.theta[place], np.ones(log.layout.delays, bool)
+        if fixed is not None:
+            free = ~fixed[place]
+        edge = ((low >= D) & (low > log.bounds[0])) | ((high <= D) & (high < log.bounds[1]))
+        if asked or not (edge & free).any() or np.array_equal(best.theta, theta):
+            return best, (low, high)
+        theta = best.theta

@@ -1,0 +1,131 @@
+"""An identified plant as a problem file."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import one_line
+
+if TYPE_CHECKING:
+    from deadtime.identification.identification import Identification
+
+_LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
+_DELAYS = 20.0  # a run lasts so many of the longest one
+
+
+def problem_text(fit: Identification, title: str = "", horizon: float | None = None) -> str:
+    """The problem file of an identification, with its intervals as comments."""
+    plant, n, m = fit.plant, fit.plant.states, fit.plant.inputs
+    length = _DELAYS * plant.longest_delay if horizon is None else positive("horizon", horizon)
+    length = round(fit.step * float(np.ceil(length / fit.step - 1e-9)), 12)
+    named = _text(title or f"Identified from {fit.samples} samples")
+    lines = [f"# {one_line(sentence)}" for sentence in fit.sentences]
+    lines += ["", f"title = {named}", "", "[plant]", *_delay_lines(fit)]
+    for name, matrices in (("A", plant.A), ("B", plant.B)):
+        lines += [f"{name} = [", *(f"  {_lists(one)}," for one in matrices), "]"]
+    lines += [
+        f"states = {_texts(fit.states)}",
+        f"inputs = {_texts(fit.inputs)}",
+        f"modes = {_texts(fit.modes)}",
+        "",
+        "[gains]    # of least ∫|x|² + |u|²: change them to yours",
+        f"lqr = {{Q = {_lists(np.eye(n))}, R = {_lists(np.eye(m))}}}",
+        "",
+        *_switching(fit),
+        "[run]",
+        f"x0 = {_lists(np.round(fit.largest_states, 12))}    # the largest in the log",
+        f"horizon = {_number(length)}",
+        f"step = {_number(fit.step)}",
+    ]
+    lines += _noise(fit)
+    return "\n".join([*lines, ""])
+
+
+def _delay_lines(fit: Identification) -> list[str]:
+    """The delays, and their intervals as a comment."""
+    D, ends = fit.delays, fit.delay_interval
+    same = (D[0] == D).all()
+    value = _number(D[0, 0]) if D[0].size == 1 and same else _lists(D[0] if same else D)
+    rows = ends[:1] if same else ends
+    within = "; ".join(f"{low:.6g} … {high:.6g}" for low, high in rows.reshape(-1, 2))
+    return [f"delay = {value}    # s; at 95 %: {within}"]
+
+
+def _switching(fit: Identification) -> list[str]:
+    """How the mode switches: the fitted model, or a constant mode where there is none."""
+    if fit.model is None:
+        return ["[signal]", 'kind = "constant"', "mode = 0", ""]
+    sojourns = [_sojourn(dist) for dist in fit.model.sojourn]
+    lines = ["[switching]", 'kind = "semi-markov"', f"sojourn = [{', '.join(sojourns)}]"]
+    lines += [f"transition = {_lists(fit.model.transition)}", ""]
+    lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
+    lines += [f"disturbance = {_disturbance(fit)}"]
+    if fit.noise.any():
+        lines += [f"noise = {_lists(fit.noise)}" if _of_states(fit) else _LEFT_OUT]
+    return [*lines, "", "[signal]", 'kind = "model"', ""]
+
+
+def _noise(fit: Identification) -> list[str]:
+    """The noise of the log acts in the file's runs, too."""
+    lines = ["", "[[imperfection]]", 'kind = "white-disturbance"']
+    lines += [f"intensity = {_disturbance(fit)}"]
+    if fit.noise.any() and _of_states(fit):
+        lines += ["", "[[imperfection]]", 'kind = "noise"', f"std = {_lists(fit.noise)}"]
+    elif fit.noise.any():
+        lines += ["", _LEFT_OUT]
+    return lines
+
+
+def _of_states(fit: Identification) -> bool:
+    """Whether sensors measure the states themselves, so that their noise is one of states."""
+    return np.array_equal(fit.C, np.eye(fit.plant.states))
+
+
+def _disturbance(fit: Identification) -> str:
+    """W, and that it is a mean where modes have their own."""
+    W = fit.disturbance
+    said = "" if (W[0] == W).all() else "    # the mean of the modes'"
+    return _lists(W.mean(axis=0)) + said
+
+
+def _sojourn(dist: Any) -> str:
+    """A distribution of scipy.stats as a section, or a fixed sojourn as a number."""
+    kind = getattr(dist, "dist", None)
+    if kind is None:
+        return _number(float(dist.mean()))
+    shapes, loc, scale = kind._parse_args(*dist.args, **dist.kwds)
+    names = kind.shapes.split(", ") if kind.shapes else []
+    values = {**dict(zip(names, shapes, strict=True)), "loc": loc, "scale": scale}
+    words = [f"{name} = {_number(float(value))}" for name, value in values.items()]
+    return f"{{distribution = {_text(kind.name)}, {', '.join(words)}}}"
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _lists(array: np.ndarray) -> str:
+    return str(np.asarray(array, dtype=float).tolist())
+
+
+def _text(text: str) -> str:
+    escaped = one_line(text).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _texts(names: tuple[str, ...]) -> str:
+    return f"[{', '.join(map(_text, names))}]"
+
+
+def write_problem(text: str, path: str | PathLike[str]) -> None:
+    """Write a problem file."""
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be written: {error.strerror}.") from None

@@ -1,0 +1,156 @@
+"""Maximum likelihood where states are measured: what a period adds is noise of any covariance.
+
+    x_{k+1} = P_σ(θ) r_k + w_k,    w ~ N(0, S_σ),    r_k: the state and the inputs that act
+
+The covariance that maximises the likelihood is that of the residuals, so
+
+    log L(θ) = −½ Σ_i N_i (log det S_i(θ) + n (1 + log 2π)),    S_i = Σ e eᵀ / N_i.
+
+All that it asks of the log of mode i is Σ z zᵀ, z = (x_{k+1}, r_k), of which a square root is kept:
+the triangular factor of the stacked z, block by block, so that no digit is lost to squaring.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Part
+from deadtime.identification.scoring import Evaluation
+from deadtime.identification.transition import transitions_of
+
+_BLOCK = 4_000_000  # numbers of a log that are stacked at a time
+
+
+class Term(NamedTuple):
+    """The regression of one mode.
+
+    root : (rows, n + r), rootᵀ root = Σ z zᵀ
+    periods : N_i
+    P : (n, r), by_P : (unknowns, n, r) its derivatives, place : (unknowns,) whose
+    """
+
+    root: Float[np.ndarray, "row z"]
+    periods: int
+    P: Float[np.ndarray, "n r"]
+    by_P: Float[np.ndarray, "own n r"]
+    place: Int[np.ndarray, " own"]
+
+
+def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.ndarray, "mode n n"]]:
+    """The log likelihood of all modes, and the covariances S_i that it is largest with."""
+    value, score, information, covariances = 0.0, np.zeros(size), np.zeros((size, size)), []
+    for root, count, P, by_P, place in terms:
+        n = len(P)
+        y, r = root[:, :n], root[:, n:]
+        with np.errstate(all="ignore"):
+            e = y - r @ P.T
+            S = e.T @ e / count
+        if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
+            nothing = Evaluation(-np.inf, score, np.eye(score.size))
+            return nothing, np.full((len(terms), n, n), np.nan)
+        size = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / count
+        S = S + np.diag(size + np.finfo(float).tiny)  # of a log without any noise, too
+        L = np.linalg.cholesky(S)
+        white = np.linalg.solve(L, e.T)
+        moved = np.linalg.solve(L, by_P @ r.T).reshape(len(place), -1)
+        score[place] += moved @ white.ravel()
+        information[np.ix_(place, place)] += moved @ moved.T
+        value -= 0.5 * count * (2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi * np.e))
+        covariances.append(S)
+    return Evaluation(value, score, information), np.array(covariances)
+
+
+class Lags(NamedTuple):
+    """An evenly sampled log, as roots over x_{k+1}, x_k and u_{k−low}, …, u_{k−high} per mode."""
+
+    root: list[Float[np.ndarray, "z z"]]
+    periods: Int[np.ndarray, " mode"]
+    low: int
+    high: int
+
+    def columns(self, n: int, m: int, lags: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+        """Where u_{k−l} of every input lies."""
+        return 2 * n + (lags - self.low) * m + np.arange(m)
+
+
+def rows_of(part: Part, low: int, high: int, within: bool) -> np.ndarray:
+    """The periods k of a part that can be used: all that acts in them is known.
+
+    `within`: whether the mode may change at any time, so that of a period that begins and ends in
+    other modes nothing is known.
+    """
+    count = part.time.size - 1
+    known = np.asarray(np.isfinite(part.output).all(axis=1))
+    good = known[:-1] & known[1:]
+    if within:
+        good &= part.mode[:-1] == part.mode[1:]
+    good[: min(high, count)] = False
+    lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
+    k = np.flatnonzero(good)
+    return k[lost[k - low + 1] == lost[k - high]]
+
+
+def stacked(part: Part, k: np.ndarray, low: int, high: int) -> np.ndarray:
+    """z = (x_{k+1}, x_k, u_{k−low}, …, u_{k−high}) of periods."""
+    lags = np.arange(low, high + 1)
+    u = part.input[k[:, None] - lags].reshape(k.size, -1)
+    return np.hstack((part.output[k + 1], part.output[k], u))
+
+
+def lags_of(
+    parts: tuple[Part, ...], modes: int, low: int, high: int, within: bool, root: bool = True
+) -> Lags:
+    """The sums of a log, in blocks; as a Gram matrix in place of its root where `root` is False."""
+    n, m = parts[0].output.shape[1], parts[0].input.shape[1]
+    size = 2 * n + (high - low + 1) * m
+    sums = [np.zeros((0 if root else size, size)) for _ in range(modes)]
+    counts, block = np.zeros(modes, np.int64), max(size, _BLOCK // size)
+    for part in parts:
+        rows = rows_of(part, low, high, within)
+        for start in range(0, rows.size, block):
+            k = rows[start : start + block]
+            z = stacked(part, k, low, high)
+            for i in np.unique(part.mode[k]):
+                own = z[part.mode[k] == i]
+                counts[i] += len(own)
+                if root:
+                    sums[i] = np.linalg.qr(np.vstack((sums[i], own)), mode="r")
+                else:
+                    sums[i] += own.T @ own
+    return Lags(sums, counts, low, high)
+
+
+def even_terms(
+    lags: Lags, layout: Layout, step: float, cells: Int[np.ndarray, "mode m"], theta: np.ndarray
+) -> list[Term]:
+    """The regressions of evenly sampled logs; input j of mode i is read in cell N of its delay.
+
+    x_{k+1} = Φ(h) x_k + Σ_j [(W(h) − W(s_j)) b_j u_{j,k−N} + W(s_j) b_j u_{j,k−N+1}] + w_k,
+    s_j = N h − D_j:    u_{k−N} acts until D_j − (N − 1) h, and u_{k−N+1} after it
+    """
+    A, B, delays = layout.split(theta)
+    n, m, terms = layout.n, layout.m, []
+    for i in range(layout.modes):
+        rest = cells[i] * step - delays[i]
+        over = transitions_of(A[i], np.append(rest, step))
+        P, by_P = np.zeros((n, n + 2 * m)), np.zeros((n * n + n * m + m, n, n + 2 * m))
+        P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
+        for j in range(m):
+            b, own, old, new = B[i, :, j], over.W[j], n + j, n + m + j
+            whole = over.W[-1] - own
+            P[:, old], P[:, new] = whole @ b, own @ b
+            by_P[: n * n, :, new] = over.W_by_A[j] @ b
+            by_P[: n * n, :, old] = over.W_by_A[-1] @ b - by_P[: n * n, :, new]
+            of_b = n * n + np.arange(n) * m + j
+            by_P[of_b, :, old], by_P[of_b, :, new] = whole.T, own.T
+            by_P[n * n + n * m + j, :, old] = over.Phi[j] @ b
+            by_P[n * n + n * m + j, :, new] = -over.Phi[j] @ b
+        place = np.concatenate((layout.of_A[i].ravel(), layout.of_B[i].ravel(), layout.of_delay[i]))
+        read = [lags.columns(n, m, cells[i]), lags.columns(n, m, cells[i] - 1)]
+        root = lags.root[i][:, np.concatenate((np.arange(2 * n), *read))]
+        terms.append(Term(root, int(lags.periods[i]), P, by_P, place))
+    return terms

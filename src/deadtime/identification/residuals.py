@@ -1,0 +1,170 @@
+"""What a model leaves of a log, and whether that looks like chance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.identification.recording import Part, Recording
+from deadtime.identification.transition import interpolation, plain_transitions
+from deadtime.identification.uneven import acting_in, fed, usable
+from deadtime.plant import SwitchedSystem
+
+_BLOCK = 20_000
+LAGS = 10  # at which residuals are compared with themselves
+_MOST_LAGS = 60  # with the inputs
+CHANCE = 1e-3  # a test fails whose figure has a smaller probability
+
+
+class ResidualTests(NamedTuple):
+    """Whether residuals look like white noise that the inputs have nothing to do with.
+
+    whiteness : the probability of residuals that differ from white noise by more
+    lag, correlation : of the largest correlation with themselves, in samples
+    input_chance : the probability of a larger correlation with any input
+    input_delay : after how long it is largest, seconds; input : with which
+    """
+
+    whiteness: float
+    lag: int
+    correlation: float
+    input_chance: float
+    input_delay: float
+    input: int
+
+    @property
+    def white(self) -> bool:
+        """Whether residuals pass for white noise."""
+        return self.whiteness >= CHANCE
+
+    @property
+    def unrelated(self) -> bool:
+        """Whether residuals pass for having nothing to do with the inputs."""
+        return self.input_chance >= CHANCE
+
+
+def one_step(
+    part: Part, plant: SwitchedSystem, nodes: np.ndarray, k: np.ndarray, states: np.ndarray
+) -> Float[np.ndarray, "period n"]:
+    """What the plant makes of states (periods, n) at the samples k of a part, a period later."""
+    result = np.empty((k.size, plant.states))
+    Phi_at, W_at = plain_transitions(plant.A, nodes)
+    for start in range(0, k.size, _BLOCK):
+        own = k[start : start + _BLOCK]
+        mode = part.mode[own]
+        over = interpolation(nodes, part.time[own + 1] - part.time[own])
+        held = acting_in(part, own, plant.delays, nodes).held
+        for i in np.unique(mode):
+            at = np.flatnonzero(mode == i)
+            x = states[start + at]
+            free = np.einsum("kq,qab,kb->ka", over[at], Phi_at[i], x, optimize=True)
+            forced = np.tensordot(held[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
+            result[start + at] = free + forced
+    return result
+
+
+def residuals_of(
+    recording: Recording,
+    plant: SwitchedSystem,
+    nodes: np.ndarray,
+    within: bool,
+    roots: Float[np.ndarray, "mode n n"],
+) -> list[Float[np.ndarray, "sample n"]]:
+    """Of every part, x_k less what x_{k−1} foretells, whitened by the roots; NaN where unknown."""
+    longest, shortest = float(plant.delays.max()), float(plant.delays.min())
+    found = []
+    for part in recording.parts:
+        k = np.flatnonzero(usable(part, within, longest, shortest))
+        rest = part.output[k + 1] - one_step(part, plant, nodes, k, part.output[k])
+        rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
+        white = np.full(part.output.shape, np.nan)
+        for i in range(plant.modes):
+            own = part.mode[k] == i
+            white[k[own] + 1] = np.linalg.solve(roots[i], rest[own].T).T
+        found.append(white)
+    return found
+
+
+def judge_residuals(
+    white: list[Float[np.ndarray, "sample n"]], recording: Recording, longest: float
+) -> ResidualTests:
+    """Tests of whitened residuals, by Ljung and Box, and by the largest correlation with inputs.
+
+    Of the lags of the first kind, one is spent on the matrices that were fitted.
+    """
+    from scipy.stats import chi2, norm
+
+    n, m = white[0].shape[1], recording.parts[0].input.shape[1]
+    total, pairs_at, worst = 0.0, 0, (0, 0.0)
+    for lag in range(1, LAGS + 1):
+        r, count = _correlation(white, white, lag)
+        total += count * float((r**2).sum())
+        pairs_at += count > 0
+        size = float(r.flat[np.abs(r).argmax()])
+        worst = (lag, size) if abs(size) > abs(worst[1]) else worst
+    spare = n * n * max(pairs_at - 1, 1)
+    lags = min(int(np.ceil(longest / recording.step)) + LAGS, _MOST_LAGS)
+    inputs = [_centred(part.input, recording) for part in recording.parts]
+    z = []
+    for lag in range(1, lags + 1):
+        r, count = _correlation(white, inputs, lag)
+        z.append(np.abs(r).max(axis=0) * np.sqrt(count))
+    place = np.unravel_index(int(np.argmax(z)), (lags, m))
+    chance = min(1.0, float(2.0 * norm.sf(np.max(z)) * lags * n * m))
+    return ResidualTests(
+        float(chi2.sf(total, spare)),
+        *worst,
+        chance,
+        float(recording.step * (place[0] + 1)),
+        int(place[1]),
+    )
+
+
+def _centred(u: np.ndarray, recording: Recording) -> np.ndarray:
+    """Inputs less their mean, in units of their deviation."""
+    every = np.vstack([part.input for part in recording.parts])
+    return (u - np.nanmean(every, axis=0)) / np.nanstd(every, axis=0)
+
+
+def _correlation(
+    late: list[np.ndarray], early: list[np.ndarray], lag: int
+) -> tuple[np.ndarray, int]:
+    """The correlation of samples with those `lag` before, where both are known; how many."""
+    total, count = np.zeros((late[0].shape[1], early[0].shape[1])), 0
+    for after, before in zip(late, early, strict=True):
+        if len(after) <= lag:
+            continue
+        a, b = after[lag:], before[:-lag]
+        known = np.asarray(np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1))
+        total += np.where(known[:, None], a, 0.0).T @ np.where(known[:, None], b, 0.0)
+        count += int(known.sum())
+    return total / max(count, 1), count
+
+
+def autocorrelation(
+    white: list[Float[np.ndarray, "sample n"]],
+) -> tuple[Float[np.ndarray, "lag n"], Float[np.ndarray, " lag"]]:
+    """Of each residual with itself, and how many pairs that rests on."""
+    found = [_correlation(white, white, lag) for lag in range(1, LAGS + 1)]
+    return np.array([np.diagonal(r) for r, _ in found]), np.array([float(c) for _, c in found])
+
+
+def forecast(
+    part: Part, plant: SwitchedSystem, nodes: np.ndarray, C: Float[np.ndarray, "p n"]
+) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
+    """States foretold from those a sample before, and from the first known one on; NaN without."""
+    states = part.output @ np.linalg.pinv(C).T
+    k = np.flatnonzero(fed(part, float(plant.delays.max()), float(plant.delays.min())))
+    ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)
+    ahead[k + 1] = one_step(part, plant, nodes, k, states[k])
+    forced = one_step(part, plant, nodes, k, np.zeros((k.size, plant.states)))
+    Phi_at, _ = plain_transitions(plant.A, nodes)
+    over = interpolation(nodes, part.time[k + 1] - part.time[k])
+    Phi = np.einsum("kq,kqab->kab", over, Phi_at[part.mode[k]])
+    with np.errstate(all="ignore"):
+        for row, place in enumerate(k):
+            known = np.isfinite(free[place]).all()
+            free[place + 1] = Phi[row] @ (free[place] if known else states[place]) + forced[row]
+    return ahead, free

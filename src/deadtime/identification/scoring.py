@@ -1,0 +1,135 @@
+"""Fisher scoring: the maximum of a likelihood whose score and information are known.
+
+    θ ← θ + (F + μ diag F)⁻¹ score,    kept within bounds
+
+A likelihood over a delay has a kink at every whole number of periods, where the other samples of
+the input begin to act. Between two of them, in a *cell*, it is smooth: a maximum is sought there,
+and beyond a kink only where one at the cell's end says that it goes on rising.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+_GAIN = 1e-10  # of log likelihood that is still worth a step
+_STEPS = 200
+
+
+class Evaluation(NamedTuple):
+    """A log likelihood with its derivative and the information on the unknowns."""
+
+    value: float
+    score: Float[np.ndarray, " size"]
+    information: Float[np.ndarray, "size size"]
+
+
+class Maximum(NamedTuple):
+    """Where a likelihood is largest; `bound` tells the unknowns that a bound keeps."""
+
+    theta: Float[np.ndarray, " size"]
+    found: Evaluation
+    bound: Bool[np.ndarray, " size"]
+
+
+Evaluate = Callable[[np.ndarray], Evaluation]
+
+
+def climb(
+    evaluate: Evaluate,
+    theta: Float[np.ndarray, " size"],
+    low: Float[np.ndarray, " size"],
+    high: Float[np.ndarray, " size"],
+    steps: int = _STEPS,
+) -> Maximum:
+    """The local maximum within bounds that a start leads to.
+
+    Examples
+    --------
+    >>> def parabola(theta):
+    ...     return Evaluation(-0.5 * (theta[0] - 2.0)**2, np.array([2.0 - theta[0]]), np.eye(1))
+    >>> climb(parabola, np.array([0.0]), np.array([-1.0]), np.array([9.0])).theta.round(6)
+    array([2.])
+    """
+    theta = np.clip(theta, low, high)
+    now, damping = evaluate(theta), 1e-3
+    if not np.isfinite(now.value):
+        return Maximum(theta, now, np.zeros(theta.size, bool))
+    for _ in range(steps):
+        held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
+        trial, gain = _step(theta, now, held | (low == high), damping, low, high)
+        if gain < _GAIN:
+            break
+        after = evaluate(trial)
+        if np.isfinite(after.value) and after.value > now.value:
+            theta, now, damping = trial, after, max(0.1 * damping, 1e-12)
+        elif damping > 1e8:
+            break
+        else:
+            damping = max(10.0 * damping, 1e-6)
+    return Maximum(theta, now, (theta <= low) | (theta >= high))
+
+
+def _step(
+    theta: np.ndarray,
+    now: Evaluation,
+    held: np.ndarray,
+    damping: float,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> tuple[np.ndarray, float]:
+    """The next vector, and the rise that the quadratic promises."""
+    free = np.flatnonzero(~held)
+    if free.size == 0:
+        return theta, 0.0
+    F = now.information[np.ix_(free, free)]
+    unit = np.sqrt(np.maximum(np.diagonal(F), 1e-300))
+    scaled = F / unit[:, None] / unit + damping * np.eye(free.size)
+    step = np.linalg.lstsq(scaled, now.score[free] / unit, rcond=1e-14)[0] / unit
+    trial = theta.copy()
+    trial[free] = np.clip(theta[free] + step, low[free], high[free])
+    return trial, float(now.score @ (trial - theta)) / 2.0
+
+
+def climb_cells(
+    evaluate_in: Callable[[np.ndarray], Evaluate],
+    theta: Float[np.ndarray, " size"],
+    delays: slice,
+    cells: np.ndarray,
+    step: float,
+    bounds: tuple[float, float],
+    limits: tuple[np.ndarray, np.ndarray],
+    fixed: np.ndarray | None = None,
+) -> tuple[Maximum, np.ndarray]:
+    """The maximum with delays free, from cell to cell; and the cells that it lies in.
+
+    Cell N of a delay is [(N − 1) h, N h], cut at `bounds`; `limits` are those of all unknowns.
+    `evaluate_in` gives the likelihood in cells. Where `fixed` tells, unknowns stay.
+    """
+    still = np.zeros(theta.size, bool) if fixed is None else fixed
+
+    def highest(cells: np.ndarray, start: np.ndarray) -> Maximum:
+        low, high = limits[0].copy(), limits[1].copy()
+        low[delays] = np.maximum((cells - 1) * step, bounds[0])
+        high[delays] = np.minimum(cells * step, bounds[1])
+        start = np.clip(start, low, high)
+        low[still], high[still] = start[still], start[still]
+        return climb(evaluate_in(cells), start, low, high)
+
+    best, tried = highest(cells, theta), {tuple(cells)}
+    while True:
+        options = []
+        for j in np.flatnonzero(best.bound[delays] & ~still[delays]):
+            D, beyond = best.theta[delays][j], cells.copy()
+            beyond[j] += 1 if (cells[j] - 0.5) * step < D else -1
+            reach = (beyond[j] - 1) * step < bounds[1] and beyond[j] * step > bounds[0]
+            if reach and tuple(beyond) not in tried:
+                tried.add(tuple(beyond))
+                options.append((highest(beyond, best.theta), beyond))
+        better = [o for o in options if o[0].found.value > best.found.value + _GAIN]
+        if not better:
+            return best, cells
+        best, cells = max(better, key=lambda option: option[0].found.value)

@@ -1,0 +1,158 @@
+"""What an estimate says, in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from deadtime.base.wording import amount, number_of
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.recording import Recording
+
+_EDGE = 1e-6  # of the range searched
+_NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
+_WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
+_COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
+
+
+def sentences_of(found: Estimate, recording: Recording, why: str) -> tuple[str, ...]:
+    """How well the log knows the delays, what the residuals say, and what was left out."""
+    said = [*_delays(found, recording), *_noise(found), *_tests(found, recording)]
+    said += _period(found, recording)
+    if recording.logged and not _uses_switches(found):
+        said.append("The mode is taken to change at samples only.")
+    return (*said, *([why] if why else []))
+
+
+def _uses_switches(found: Estimate) -> bool:
+    return found.log.within
+
+
+def _delays(found: Estimate, recording: Recording) -> list[str]:
+    low, high = found.log.bounds
+    names, said = delay_names(recording, found), []
+    each = zip(names, _values(found), found.intervals, found.several, strict=True)
+    for name, D, (left, right), several in each:
+        said.append(f"{name} is {D:.4g} s, at 95 % within {left:.4g} … {right:.4g} s.")
+        margin = _EDGE * (high - low)
+        if low + margin > D or high - margin < D:
+            said.append(
+                f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
+                "delay=(low, high)."
+            )
+        if several or right - left > _WIDE * (high - low):
+            apart = ", and others that lie apart explain it nearly as well" if several else ""
+            said.append(
+                f"The log hardly tells {name[0].lower()}{name[1:]}{apart}: move the input more, or "
+                "log for longer."
+            )
+    return said
+
+
+def _values(found: Estimate) -> np.ndarray:
+    return found.best.theta[found.log.layout.at_delays]
+
+
+def delay_names(recording: Recording, found: Estimate) -> list[str]:
+    """What each delay is called in sentences."""
+    layout = found.log.layout
+    if layout.delays == 1:
+        return ["The delay"]
+    inputs = [f"The delay of {name}" for name in recording.inputs]
+    if not layout.per_mode:
+        return inputs
+    return [f"{name} in mode {mode}" for mode in recording.modes for name in inputs]
+
+
+def _noise(found: Estimate) -> list[str]:
+    if not found.noise.any():
+        return ["Measurements are taken as exact, and all noise as the plant's."]
+    deviations = ", ".join(amount(float(value)) for value in found.noise)
+    return [f"Measurements are noisy: standard deviation {deviations}."]
+
+
+def _tests(found: Estimate, recording: Recording) -> list[str]:
+    tests, said = found.tests, []
+    if tests.white and tests.unrelated:
+        return ["What is left of the log looks like chance: it is white, and no input is in it."]
+    if not tests.white:
+        said.append(
+            f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
+            f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing, the "
+            "plant is not linear, or "
+            + ("noise is not white." if found.noise.any() else "sensors are noisy (noise=True).")
+        )
+    if not tests.unrelated:
+        name = recording.inputs[tests.input]
+        said.append(
+            f"What is left still has {name} of {tests.input_delay:.4g} s before in it: a second "
+            "path of that input, a delay that is not constant, or a state that is missing."
+        )
+    return said
+
+
+def _period(found: Estimate, recording: Recording) -> list[str]:
+    """Whether oscillations are so fast that others would look the same at samples."""
+    said = []
+    if not recording.even:
+        said.append(f"Rows are unevenly spaced, {recording.step:.4g} s on average.")
+    turn = np.abs(np.linalg.eigvals(found.plant.A).imag).max() * recording.step
+    if turn > _COARSE * np.pi:
+        said.append(
+            f"A mode turns by {np.degrees(turn):.0f}° in a period: one that turns by "
+            f"{np.degrees(2.0 * np.pi - turn):.0f}° the other way looks the same. Sample faster."
+        )
+    return said
+
+
+def verdict_of(
+    delays: np.ndarray, interval: np.ndarray, margin: Any, failure: str | None = None
+) -> str:
+    """The intervals beside a margin: how far every delay may be off beside how far it is borne.
+
+    A margin is of delays that all err alike. Of several, `failure` says what fails where each errs
+    by itself, "" if nothing does; None where that was not looked at.
+    """
+    j = margin.input
+    column = slice(None) if j is None else slice(j, j + 1)
+    D, ends = delays[:, column], interval[:, column]
+    if (D[0] == D).all() and (ends[0] == ends).all():
+        D, ends = D[:1], ends[:1]
+    one = D.size == 1
+    if one:
+        low, high = ends[0, 0]
+        said = f"Delay {D[0, 0]:.4g} s ({low:.4g} … {high:.4g})"
+    else:
+        off = ends - D[..., None]
+        said = f"Delays are off by {off.min():+.2g} … {off.max():+.2g} s at 95 %"
+    if margin.lower is None or margin.upper is None:
+        return f"{said}; the law bears no delay at all, not even the likeliest: design another."
+    shift = margin.lower - margin.nominal, margin.upper - margin.nominal
+    left, right = float((ends[..., 0] - D).min()), float((ends[..., 1] - D).max())
+    enough = shift[0] <= left and right <= shift[1]
+    if one:
+        return (
+            f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: "
+            f"{_end(enough, interval.shape[1] > 1)}."
+        )
+    together = "" if j is not None else ", of all together"
+    said = f"{said}; the law bears {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
+    if failure is None or not enough:
+        alike = (
+            "enough if all err alike; nothing is said of errors that differ: verdict(margin, law) "
+            "looks at them"
+        )
+        return f"{said}: {alike if enough else _end(False)}."
+    if failure:
+        return f"{said}, but errors differ: {failure}: {_end(False)}."
+    return (
+        f"{said}, in each mode held the error of every input's delay alone, and every corner of "
+        f"the box of intervals: {_end(True)}{_NO_SWITCHES if margin.certified else ''}."
+    )
+
+
+def _end(enough: bool, others: bool = False) -> str:
+    if not enough:
+        return "not enough, so design a law with a wider margin or log for longer"
+    return "enough, if the other delays are what they are taken for" if others else "enough"

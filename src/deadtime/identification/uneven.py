@@ -1,0 +1,151 @@
+"""Uneven samples: what acts in a period is cut where each input arrives, t_i + D.
+
+With c the arrivals within (t_k, t_{k+1}) and Δu what each of them changes,
+
+    x_{k+1} = Φ(τ_k) x_k + Σ_j [W(τ_k) b_j u_j(t_k − D_j) + Σ_c W(t_{k+1} − c) b_j Δu_j(c)] + w_k,
+
+and ∂x_{k+1}/∂D_j = −Σ_c Φ(t_{k+1} − c) b_j Δu_j(c). Φ and W of the many times are interpolated
+between nodes, to round-off, so that all this is a regression again, on the weights of the nodes.
+The noise of a period grows with its length: it is S_i τ_k / h.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Part
+from deadtime.identification.regression import Term
+from deadtime.identification.transition import interpolation, nodes_of, transitions_of
+
+_ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
+
+
+class Acting(NamedTuple):
+    """What acts in periods: `held` (periods, nodes, m), W's weights; `moved`, those of −∂/∂D."""
+
+    held: Float[np.ndarray, "period node m"]
+    moved: Float[np.ndarray, "period node m"]
+
+
+def usable(
+    part: Part, within: bool, longest: float, shortest: float
+) -> Bool[np.ndarray, " period"]:
+    """The periods whose mode, ends and inputs are known, for delays between two, seconds."""
+    known = np.asarray(np.isfinite(part.output).all(axis=1))
+    good = known[:-1] & known[1:] & fed(part, longest, shortest)
+    return good & (part.mode[:-1] == part.mode[1:]) if within else good
+
+
+def fed(part: Part, longest: float, shortest: float) -> Bool[np.ndarray, " period"]:
+    """The periods in which all that can act is known."""
+    t = part.time
+    lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
+    slack = _ROUND_OFF * float(np.median(np.diff(t)))
+    oldest = np.searchsorted(t, t[:-1] - longest + slack, side="right") - 1
+    newest = np.searchsorted(t, t[1:] - shortest - slack, side="left")
+    newest = np.maximum(np.minimum(newest, t.size), oldest + 1)
+    return (oldest >= 0) & (lost[newest] == lost[np.maximum(oldest, 0)])
+
+
+def acting_in(
+    part: Part,
+    k: np.ndarray,
+    delays: Float[np.ndarray, "mode m"],
+    nodes: Float[np.ndarray, " node"],
+) -> Acting:
+    """What acts in periods k of a part, each with the delays of its mode."""
+    t, m = part.time, part.input.shape[1]
+    held = np.zeros((k.size, nodes.size, m))
+    moved = np.zeros(held.shape)
+    slack = _ROUND_OFF * float(np.median(np.diff(t)))
+    over = interpolation(nodes, t[k + 1] - t[k])
+    for j in range(m):
+        u, D = part.input[:, j], delays[part.mode[k], j]
+        first = np.searchsorted(t, t[k] - D + slack, side="right") - 1
+        last = np.searchsorted(t, t[k + 1] - D - slack, side="left") - 1
+        held[:, :, j] = over * u[first][:, None]
+        for later in range(1, int((last - first).max(initial=0)) + 1):
+            has = np.flatnonzero(first + later <= last)
+            index = first[has] + later
+            change = (u[index] - u[index - 1])[:, None]
+            weight = interpolation(nodes, t[k[has] + 1] - t[index] - D[has]) * change
+            held[has, :, j] += weight
+            moved[has, :, j] += weight
+    return Acting(held, moved)
+
+
+def nodes_for(parts: tuple[Part, ...], A: Float[np.ndarray, "mode n n"]) -> np.ndarray:
+    """Nodes that serve plants about A over all periods of a recording."""
+    longest = max(float(np.diff(part.time).max()) for part in parts)
+    rate = 2.0 * float(np.abs(np.linalg.eigvals(A)).max()) + 1.0 / longest
+    return nodes_of(longest * (1.0 + 1e-9), min(rate, 200.0 / longest))
+
+
+def uneven_terms(
+    parts: tuple[Part, ...],
+    good: list[np.ndarray],
+    layout: Layout,
+    step: float,
+    nodes: np.ndarray,
+    theta: np.ndarray,
+) -> list[Term]:
+    """The regressions of unevenly sampled logs, over the periods `good` of every part."""
+    A, B, delays = layout.split(theta)
+    rows: list[list[np.ndarray]] = [[] for _ in range(layout.modes)]
+    for part, k in zip(parts, good, strict=True):
+        length = part.time[k + 1] - part.time[k]
+        acts = acting_in(part, k, delays, nodes)
+        x = interpolation(nodes, length)[:, :, None] * part.output[k][:, None]
+        z = [part.output[k + 1], *(one.reshape(k.size, -1) for one in (x, acts.held, acts.moved))]
+        z = np.hstack(z) / np.sqrt(length / step)[:, None]
+        for i in range(layout.modes):
+            rows[i].append(z[part.mode[k] == i])
+    return [_term(np.vstack(rows[i]), layout, i, A[i], B[i], nodes) for i in range(layout.modes)]
+
+
+def _term(
+    root: np.ndarray, layout: Layout, mode: int, A: np.ndarray, B: np.ndarray, nodes: np.ndarray
+) -> Term:
+    n, m, count = layout.n, layout.m, nodes.size
+    over = transitions_of(A, nodes)
+    P = np.zeros((n, count, n + 2 * m))
+    by_P = np.zeros((n * n + n * m + m, *P.shape))
+
+    def side(M: np.ndarray) -> np.ndarray:
+        """(…, node, n, c) as (…, n, node, c)."""
+        return np.moveaxis(M, -2, -3)
+
+    P[:, :, :n], P[:, :, n : n + m] = side(over.Phi), side(over.W @ B)
+    by_P[: n * n, :, :, :n] = side(over.Phi_by_A.swapaxes(0, 1))
+    by_P[: n * n, :, :, n : n + m] = side((over.W_by_A @ B).swapaxes(0, 1))
+    for j in range(m):
+        by_P[n * n + np.arange(n) * m + j, :, :, n + j] = over.W.transpose(2, 1, 0)
+        by_P[n * n + n * m + j, :, :, n + m + j] = -(over.Phi @ B[:, j]).T
+    order = [count * n, count * m, count * m]
+    flat = [
+        M.reshape(*M.shape[:-2], size)
+        for M, size in zip(np.split(P, [n, n + m], axis=-1), order, strict=True)
+    ]
+    moved = [
+        M.reshape(*M.shape[:-2], size)
+        for M, size in zip(np.split(by_P, [n, n + m], axis=-1), order, strict=True)
+    ]
+    own = (layout.of_A[mode].ravel(), layout.of_B[mode].ravel(), layout.of_delay[mode])
+    used = np.r_[: n + count * (n + 2 * m)]
+    small = root
+    if len(root) > used.size:
+        small = np.asarray(np.linalg.qr(root[:, used], mode="r"))
+    parts = np.concatenate(flat, axis=-1), np.concatenate(moved, axis=-1)
+    return Term(small, len(root), *parts, np.concatenate(own))
+
+
+def on_a_grid(part: Part, step: float) -> Part:
+    """A part as if it were sampled evenly, for a first guess: states between samples on lines."""
+    time = part.time[0] + step * np.arange(int((part.time[-1] - part.time[0]) / step) + 1)
+    before = np.searchsorted(part.time, time * (1.0 + 1e-15), side="right") - 1
+    columns = [np.interp(time, part.time, column) for column in part.output.T]
+    return Part(time, np.column_stack(columns), part.input[before], part.mode[before])

@@ -1,0 +1,211 @@
+"""Likelihoods against the dense Gaussian of the whole log, and scores against differences."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from deadtime.identification.maximum import ExactLog
+from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Part, Recording
+from deadtime.identification.regression import (
+    concentrated,
+    even_terms,
+    lags_of,
+    rows_of,
+    stacked,
+)
+from deadtime.identification.scoring import Evaluation, climb, climb_cells
+from deadtime.identification.uneven import nodes_for, uneven_terms
+from synthetic_logs import Plant, oscillator
+
+H, T = 0.05, 40
+
+
+def normal(mean, cov) -> Any:
+    return multivariate_normal(mean, cov)
+
+
+RNG = np.random.default_rng(3)
+TRUE = oscillator()
+MODE = (np.arange(T) // 7) % 2
+EVEN = H * np.arange(T)
+JITTER = EVEN + RNG.uniform(-0.3, 0.3, T) * H
+LAYOUT = Layout(2, 2, 1, per_mode=False)
+THETA = LAYOUT.join(1.05 * TRUE.A, 0.9 * TRUE.B, np.full((2, 1), 0.324))
+SENSOR = np.array([0.02, 0.05])
+
+
+def recording(t, mode=MODE):
+    y, u = TRUE.log(t, RNG.standard_normal((T, 1)), RNG, mode, SENSOR)
+    even = t is EVEN
+    return Recording((Part(t, y, u, mode),), H, even, ("x1", "x2"), ("u",), ("0", "1"), True)
+
+
+LOG = recording(EVEN)
+UNEVEN = recording(JITTER)
+
+
+def exact(record, bounds=(0.25, 0.4)):
+    return ExactLog(record, LAYOUT, False, bounds, nodes_for(record.parts, TRUE.A))
+
+
+def dense(record, theta, first, start, noise, sensor):
+    """Log density of all measurements from sample `first` on, the state there N(0, start)."""
+    A, B, delays = LAYOUT.split(theta)
+    plant = Plant(A, B, delays, noise)
+    part = record.parts[0]
+    n, count = 2, T - first
+    mean, cov = np.zeros((count, n)), np.zeros((count, n, count, n))
+    cov[0, :, 0] = start
+    for k in range(count - 1):
+        Phi, added = plant.period(part.time, part.input, part.mode, first + k)
+        mean[k + 1] = Phi @ mean[k] + added
+        for j in range(k + 1):
+            cov[k + 1, :, j] = Phi @ cov[k, :, j]
+            cov[j, :, k + 1] = cov[k + 1, :, j].T
+        length = round(part.time[first + k + 1] - part.time[first + k], 13)
+        own = Phi @ cov[k, :, k] @ Phi.T
+        cov[k + 1, :, k + 1] = own + plant.covariance(part.mode[first + k], length)
+    y = part.output[first:].ravel()
+    cov = cov.reshape(y.size, y.size) + np.diag(np.tile(sensor**2, count))
+    known = np.isfinite(y)
+    return normal(mean.ravel()[known], cov[np.ix_(known, known)]).logpdf(y[known])
+
+
+def slopes(value, theta, size):
+    """Central differences, extrapolated to a step of 0."""
+    result = np.empty(theta.size)
+    for a, step in enumerate(size):
+        d = [
+            (value(theta + s * e) - value(theta - s * e)) / (2.0 * s)
+            for s in (step, 0.5 * step)
+            for e in [np.eye(theta.size)[a]]
+        ]
+        result[a] = (4.0 * d[1] - d[0]) / 3.0
+    return result
+
+
+def test_the_largest_likelihood_over_the_covariance_is_the_normal_density_of_the_residuals():
+    log = exact(LOG)
+    terms = log.terms_in(0.3, 0.35)(np.array([7]))(THETA)
+    found, S = concentrated(terms, LAYOUT.size)
+    part, total = LOG.parts[0], 0.0
+    plant = Plant(*LAYOUT.split(THETA))
+    for k in range(7, T - 1):
+        Phi, added = plant.period(part.time, part.input, part.mode, k)
+        expected = Phi @ part.output[k] + added
+        total += normal(expected, S[part.mode[k]]).logpdf(part.output[k + 1])
+    assert found.value == pytest.approx(total, rel=1e-9)
+
+
+@pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
+def test_the_score_of_exact_states_is_the_derivative(record):
+    evaluate = exact(record).evaluate_in(0.3, 0.35)(np.array([7]))
+    size = 1e-3 / np.sqrt(np.diagonal(evaluate(THETA).information))
+    by_hand = slopes(lambda theta: evaluate(theta).value, THETA, 10.0 * size)
+    assert np.abs((evaluate(THETA).score - by_hand) * size).max() < 1e-9
+
+
+def test_sums_of_an_even_log_tell_what_its_samples_tell():
+    part = LOG.parts[0]
+    lags = lags_of(LOG.parts, 2, 6, 7, True)
+    rows = rows_of(part, 6, 7, True)
+    every = [stacked(part, rows[part.mode[rows] == i], 6, 7) for i in (0, 1)]
+    by_sample = lags._replace(root=every)
+    cells = np.full((2, 1), 7)
+    one, S = concentrated(even_terms(lags, LAYOUT, H, cells, THETA), LAYOUT.size)
+    other, S_other = concentrated(even_terms(by_sample, LAYOUT, H, cells, THETA), LAYOUT.size)
+    assert one.value == pytest.approx(other.value, rel=1e-10)
+    np.testing.assert_allclose(one.score, other.score, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(S, S_other, rtol=1e-10)
+
+
+def test_an_even_log_may_be_taken_for_an_uneven_one():
+    rows = [rows_of(LOG.parts[0], 6, 7, True)]
+    lags = lags_of(LOG.parts, 2, 6, 7, True)
+    nodes = nodes_for(LOG.parts, TRUE.A)
+    even, S = concentrated(even_terms(lags, LAYOUT, H, np.full((2, 1), 7), THETA), LAYOUT.size)
+    uneven, S_uneven = concentrated(
+        uneven_terms(LOG.parts, rows, LAYOUT, H, nodes, THETA), LAYOUT.size
+    )
+    assert even.value == pytest.approx(uneven.value, rel=1e-10)
+    np.testing.assert_allclose(even.score, uneven.score, rtol=1e-9)
+    np.testing.assert_allclose(even.information, uneven.information, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(S, S_uneven, rtol=1e-10)
+
+
+@pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
+@pytest.mark.parametrize("missing", [False, True])
+def test_the_likelihood_of_noisy_states_is_the_dense_gaussian_of_the_whole_log(record, missing):
+    part = record.parts[0]
+    output = part.output.copy()
+    if missing:
+        output[[12, 20, 21], [0, 1, 1]] = np.nan
+        output[30] = np.nan
+    record = record._replace(parts=(part._replace(output=output),))
+    nodes = nodes_for(record.parts, TRUE.A)
+    log = NoisyLog(record, LAYOUT, np.eye(2), False, (0.25, 0.4), np.ones(18), nodes)
+    W = np.array([[2e-3, 5e-4], [5e-4, 1e-3]])
+    starts = log.starts(0.3, 0.35)
+    first = int(np.flatnonzero(starts[0])[-1])
+    assert starts[0][: first + 1].all()
+    alone = record._replace(parts=(Part(*(column for column in record.parts[0])),))
+    log = NoisyLog(alone, LAYOUT, np.eye(2), False, (0.25, 0.4), np.ones(18), nodes)
+    vector = log.join(THETA, Noise(W, SENSOR))
+    found = log.value(vector, starts)
+    before = 0.0  # samples of which nothing before is known: each on its own
+    for k in range(first):
+        known = np.isfinite(output[k])
+        cov = (log.P0 + np.diag(SENSOR**2))[np.ix_(known, known)]
+        before += normal(np.zeros(known.sum()), cov).logpdf(output[k][known])
+    whole = dense(record, THETA, first, log.P0, W, SENSOR)
+    assert found - before == pytest.approx(whole, rel=1e-9)
+
+
+def test_the_score_of_noisy_states_is_the_derivative():
+    nodes = nodes_for(LOG.parts, TRUE.A)
+    unit = np.concatenate((np.full(LAYOUT.size - 1, 0.1), [1e-2], np.ones(5)))
+    log = NoisyLog(LOG, LAYOUT, np.eye(2), False, (0.25, 0.4), unit, nodes)
+    vector = log.join(THETA, Noise(2e-3 * np.eye(2), SENSOR))
+    starts = log.starts(0.3, 0.35)
+    some = [0, 6, 11, 12, 13, 14, 17]  # of each kind
+    found = log.evaluate(vector, starts).score
+    size = np.zeros(vector.size)
+    size[some] = 1e-3 * unit[some]
+    for a in some:
+        step = np.eye(vector.size)[a] * size[a]
+        by_hand = log.value(vector + step, starts) - log.value(vector - step, starts)
+        assert found[a] == pytest.approx(by_hand / (2.0 * size[a]), rel=1e-4, abs=1e-4)
+
+
+def test_scoring_crosses_kinks_to_the_larger_side_and_stays_at_one_that_is_the_top():
+    def roof(top):
+        def within(cells):
+            def value(theta):
+                slope = 1.0 if theta[0] < top else -2.0
+                inner = 0.5 * (2 * cells[0] - 1)
+                slope = 1.0 if inner < top else -2.0
+                D = theta[0] - top
+                return Evaluation(slope * D - 0.1 * D**2, np.array([slope - 0.2 * D]), np.eye(1))
+
+            return value
+
+        return within
+
+    free = np.full(1, -np.inf), np.full(1, np.inf)
+    best, cells = climb_cells(
+        roof(4.0), np.array([1.5]), slice(0, 1), np.array([2]), 1.0, (0.0, 9.0), free
+    )
+    assert (best.theta[0], cells[0]) == (4.0, 4)
+    start = np.array([1.0])
+    done = climb(
+        lambda x: Evaluation(-((x[0] - 3.0) ** 4), -4 * (x - 3.0) ** 3, 12 * np.eye(1)),
+        start,
+        np.array([-9.0]),
+        np.array([2.0]),
+    )
+    assert done.theta[0] == 2.0
+    assert done.bound.all()
