@@ -124,8 +124,8 @@ def step_info(
     --------
     >>> time = np.linspace(0.0, 10.0, 1001)
     >>> found = step_info(time, 1.0 - np.exp(-time), np.ones(1001))
-    >>> round(found["RiseTime"].item(), 3), found["Overshoot"].item()      # log 9
-    (2.19, 0.0)
+    >>> round(found["RiseTime"].item(), 3), found["Overshoot"].item()      # log 9, in samples
+    (2.2, 0.0)
     """
     start, target, after = y[..., 0], r[-1], time - time[0]
     with np.errstate(all="ignore"):  # of runs that are lost

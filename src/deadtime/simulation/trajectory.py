@@ -192,7 +192,7 @@ class Trajectory(Frozen):
         >>> run = dt.simulate(plant, loop, dt.SwitchingSignal.constant(0), [0.0], 10.0, 0.1)
         >>> found = run.step_info()
         >>> round(found["RiseTime"], 3), round(found["SteadyStateError"], 4)
-        (1.1, 0.0)
+        (0.5, -0.0001)
         """
         if self.followed is None:
             raise ArgumentError("step_info needs a law with a servo; this run tracks nothing.")
