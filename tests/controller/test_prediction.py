@@ -75,6 +75,12 @@ def test_a_low_pass_law_predicts_what_the_law_that_it_filters_does():
     assert np.array_equal(one.prediction.by_mode, other.prediction.by_mode)
 
 
+def test_a_low_pass_law_with_delays_of_their_own_has_no_prediction():
+    controller, _ = served(dt.LowPassPredictor(dt.AveragedPredictor(OWN, K), 0.3))
+    with pytest.raises(dt.ArgumentError, match="of a LowPassPredictor needs one delay"):
+        _ = controller.prediction
+
+
 def test_the_oracle_predicts_where_a_run_arrives():
     signal = plants.off_grid(end=9.0)
     law = dt.ExactPredictor(GENERIC, K, signal)

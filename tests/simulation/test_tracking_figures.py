@@ -101,6 +101,44 @@ def test_many_runs_say_the_same_of_every_law_with_a_servo():
     assert np.isnan(data.RiseTime.sel(law="plain")).all()
 
 
+TWO = dt.SwitchedSystem([[[0.0, 0.4], [0.0, -1.0]]], [np.eye(2)], 0.2)
+SETTING = [0.0, 0.0], 20.0, 0.1  # x0, horizon, step
+
+
+def two_outputs():
+    """A servo of two outputs, the reference of the second stays; its run."""
+    servo = dt.Servo(TWO, np.eye(2))
+    gains = servo.lqr(np.eye(4), np.eye(2), step=0.1)
+    law = dt.SingleModePredictor(servo.plant, gains, 0, allow_unstable=True)
+    observer = dt.luenberger(servo.model, servo.C, [-5.0, -6.0], 0.1)
+    steps = ([0.0, 8.0], [[1.0, 1.0], [2.0, 1.0]])
+    loop = dt.OutputFeedback(law, observer, servo=servo, reference=steps)
+    return loop, dt.simulate(TWO, loop, dt.SwitchingSignal.constant(0), *SETTING)
+
+
+def test_each_output_is_asked_about_steps_of_its_own_reference():
+    _, run = two_outputs()
+    assert run.followed is not None
+    assert [run.followed.changes(run.end, i) for i in (0, 1)] == [[0.0, 8.0], [0.0]]
+    for output, since, r in ((0, 80, 2.0), (1, 0, 1.0)):
+        time, y = run.time[since:], run.states[output, since:]
+        assert run.step_info(output) == step_info(time, y, np.full(time.size, r))
+    asked = run.step_info(1, since=8.0)  # when the other output's steps
+    assert all(math.isnan(asked[name]) for name in NAMES[:4])
+    assert asked["IAE"] == step_info(run.time[80:], run.states[1, 80:], np.ones(121))["IAE"]
+
+
+@pytest.mark.long
+def test_many_runs_are_asked_about_steps_of_each_output_s_own_reference():
+    loop, run = two_outputs()
+    data = dt.monte_carlo(TWO, {"servo": loop}, [dt.SwitchingSignal.constant(0)], *SETTING)
+    assert data.one_by_one == []
+    for output in (0, 1):
+        for name, wanted in run.step_info(output).items():
+            value = data[name].sel(law="servo", output=output).values[0]
+            assert value == pytest.approx(wanted, rel=1e-9, abs=1e-9), name
+
+
 def test_exports_of_a_run_hold_what_is_tracked_and_the_reference():
     run = dt.simulate(PLANT, LOOP, SIGNAL, [0.0, 0.0], 12.0, 0.1)
     frame, data = run.to_pandas(), run.to_xarray()

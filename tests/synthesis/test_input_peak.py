@@ -120,6 +120,18 @@ def test_a_loop_that_grows_has_no_largest_input():
     assert np.isnan(found.time).all()
 
 
+def test_so_has_one_whose_inputs_are_small_before_it_grows_or_never_come():
+    hidden = dt.SwitchedSystem([np.diag([-60.0, 0.02])], [[[1e-9], [0.0]]], 0.1)
+    late = dt.DelayedStateFeedback(hidden, [[[-1e8, -1e-3]]], allow_unstable=True)
+    idle = dt.AveragedPredictor(PLANT, 0.0 * K[None], allow_unstable=True)
+    for law in (late, idle):
+        found = input_peak(law.plant, law, H)
+        assert np.isinf(found.level).all()
+        assert np.isnan(found.time).all()
+    resting = dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 0.1)
+    assert input_peak(resting, dt.DelayedStateFeedback(resting, [[[0.0]]]), H).level == 0.0
+
+
 SETS = dt.InitialStates
 
 

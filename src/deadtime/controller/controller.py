@@ -100,13 +100,14 @@ class Controller(RunningLaw):
         names : deadtime.controller.export.Names, optional
             Of the law, its states and modes, for the header's comment.
         prediction : bool
-            Whether the C also has `{name}_predict`, the states of `prediction`.
+            Whether the C also has `{name}_predict`, the `states` of `prediction`; its `by_mode`,
+            `probabilities` and covariances are not in C.
 
         Raises
         ------
         ArgumentError
-            If the folder cannot be written, the tables exceed the budget (it says what fits), or
-            the law's reference is a function of time.
+            If the folder cannot be written, the tables exceed the budget (it says what fits), the
+            law's reference is a function of time, or a `prediction` is asked of a law without one.
         """
         from deadtime.controller.export import export_c
 

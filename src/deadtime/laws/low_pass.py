@@ -23,11 +23,12 @@ class LowPassPredictor(TableLaw):
 
         T du/dt = v − u,    v the wrapped law,    u_k = E u_{k−1} + (1 − E) v_k,    E = e^{−h T⁻¹}
 
-    The wrapped law predicts with the past u, those that the plant gets, so its prediction stays
-    exact; what changes is that high frequencies, at which a predictor amplifies an error of its
-    delay, no longer go around the loop. The filter is part of the loop that gains must stabilise:
-    `deadtime.design` chooses both together, as does LQR for the plant with u as a state and du/dt
-    as its input (docs/theory/delay-margin.md).
+    The wrapped law predicts with the past u, those that the plant gets, so with one delay its
+    prediction stays exact; where delays differ it counts on inputs that it is still to send as if
+    they were v, and `Controller.prediction` is refused. What changes is that high frequencies, at
+    which a predictor amplifies an error of its delay, no longer go around the loop. The filter is
+    part of the loop that gains must stabilise: `deadtime.design` chooses both together, as does
+    LQR for the plant with u as a state and du/dt as its input (docs/theory/delay-margin.md).
 
     Parameters
     ----------
@@ -119,6 +120,14 @@ class LowPassPredictor(TableLaw):
         return self.law.horizons
 
     def extend(self, plant: SwitchedSystem, rows: Float[np.ndarray, "future r n"]) -> TableLaw:
+        shortest, longest = self.plant.delays.min(), self.plant.delays.max()
+        if shortest < longest:  # the wrapped law counts on inputs to come that are not filtered
+            raise ArgumentError(
+                "prediction of a LowPassPredictor needs one delay, the same for all inputs and "
+                f"modes, got {shortest:g} to {longest:g} s: inputs that are still to be sent would "
+                "count as if no filter were there. Make the controller of the law without the "
+                "filter (`law.law`), or give all inputs the longest delay."
+            )
         return self.law.extend(plant, rows)  # it is what the wrapped law predicts that is filtered
 
     def spread(

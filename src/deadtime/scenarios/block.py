@@ -190,16 +190,16 @@ class Block:
     ) -> None:
         """How a few scenarios follow the reference."""
         time = self.loop.step * np.arange(self.loop.whole + 1)
-        where, r = followed.window(time)
         none = np.zeros(time.size, np.int64)
         y = np.stack(
             [
-                followed.outputs(states, none if modes is None else modes[i])[:, where]
+                followed.outputs(states, none if modes is None else modes[i])
                 for i, states in enumerate(x)
             ]
         )
-        for output in range(r.shape[0]):
-            for name, values in step_info(time[where], y[:, output], r[output]).items():
+        for output in range(y.shape[1]):
+            where, r = followed.window(time, output)
+            for name, values in step_info(time[where], y[:, output, where], r).items():
                 self.results.tracking[name][row, these, output] = values
 
     @cached_property

@@ -22,6 +22,8 @@ from deadtime.plant.steps import TOLERANCE
 SETTLED, RISE = 0.02, (0.1, 0.9)  # of a step, as in python-control
 _STEP = 1e-9  # of the output: what is less is no step
 
+OF_STEPS = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot")  # NaN where there is none
+
 # Figure: (unit, long name).
 TRACKING = {
     "RiseTime": ("s", "time from 10 % to 90 % of a step of the reference, inf if never"),
@@ -71,23 +73,29 @@ class Followed(Frozen):
             return self.rows[0] @ states
         return np.einsum("tri,it->rt", self.rows[mode], states)
 
-    def changes(self, end: float) -> list[float]:
-        """When the reference steps before an end: at 0, and where its schedule changes."""
+    def changes(self, end: float, output: int = 0) -> list[float]:
+        """When an output's reference steps before an end: at 0, and where its schedule changes."""
         schedule, found = self.reference.schedule, [0.0]
         if schedule is None:
             return found
-        steps = (np.diff(schedule.values, axis=0) != 0.0).any(axis=1)
-        times = schedule.times[1:][steps]
+        times = schedule.times[1:][np.diff(schedule.values[:, output]) != 0.0]
         return found + times[(times > 0.0) & (times < end)].tolist()
 
+    def steps_at(self, since: float, end: float, output: int = 0) -> bool:
+        """Whether an output's reference may step at a time; one that is a function always may."""
+        if self.reference.schedule is None:
+            return True
+        slack = TOLERANCE * max(1.0, end)
+        return any(abs(change - since) <= slack for change in self.changes(end, output))
+
     def window(
-        self, time: Float[np.ndarray, " T"], since: float | None = None
-    ) -> tuple[slice, Float[np.ndarray, "tracked W"]]:
-        """The samples from a step of the reference, the last by default, to the next; and r there.
+        self, time: Float[np.ndarray, " T"], output: int = 0, since: float | None = None
+    ) -> tuple[slice, Float[np.ndarray, " W"]]:
+        """The samples from a step of an output's reference, its last, to its next; and r there.
 
         The sample at the next step still answers to this one, and has its r.
         """
-        changes = self.changes(float(time[-1]))
+        changes = self.changes(float(time[-1]), output)
         begin = changes[-1] if since is None else since
         slack = TOLERANCE * max(1.0, float(time[-1]))
         first, *stops = (
@@ -95,9 +103,9 @@ class Followed(Frozen):
             for t in (begin, *(change for change in changes if change > begin))
         )
         where = slice(first, min([stop + 1 for stop in stops], default=time.size))
-        r = self.reference.along(time[where]).T
-        if stops and r.shape[1] > 1:
-            r[:, -1] = r[:, -2]
+        r = self.reference.along(time[where])[:, output]
+        if stops and r.size > 1:
+            r[-1] = r[-2]
         return where, r
 
 
@@ -116,8 +124,8 @@ def step_info(
     --------
     >>> time = np.linspace(0.0, 10.0, 1001)
     >>> found = step_info(time, 1.0 - np.exp(-time), np.ones(1001))
-    >>> round(found["RiseTime"].item(), 3), found["Overshoot"].item()      # log 9
-    (2.19, 0.0)
+    >>> round(found["RiseTime"].item(), 3), found["Overshoot"].item()      # log 9, in samples
+    (2.2, 0.0)
     """
     start, target, after = y[..., 0], r[-1], time - time[0]
     with np.errstate(all="ignore"):  # of runs that are lost

@@ -21,7 +21,7 @@ from deadtime.plant.weight import Weight, costs, weight_of
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
-from deadtime.simulation.tracking import RISE, SETTLED, Followed, step_info
+from deadtime.simulation.tracking import OF_STEPS, RISE, SETTLED, Followed, step_info
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import first_reads
 
@@ -158,8 +158,9 @@ class Trajectory(Frozen):
         output : int
             Which of the tracked outputs.
         since : float, optional
-            When the step is, seconds: the window is from there to the next change of the reference;
-            by default the last one of the run. `followed.changes(end)` lists them.
+            When the step is, seconds: the window is from there to the next step of this output's
+            reference; by default its last one in the run. `followed.changes(end, output)` lists
+            them.
         settling : float
             Of the step: what counts as settled.
         rise : pair of float
@@ -171,7 +172,8 @@ class Trajectory(Frozen):
             RiseTime, SettlingTime (s, ∞ if never), Overshoot, Undershoot (% of the step),
             Peak, PeakTime, SteadyStateValue, SteadyStateError (reference minus output, at the end
             of the window) and IAE, the integral of |reference − output|. Times are of samples,
-            counted from the step. NaN where the reference is where the output was already.
+            counted from the step. The first four are NaN where the reference is where the output
+            was already, and where it does not step at `since`, as when that of another output does.
 
         Raises
         ------
@@ -190,7 +192,7 @@ class Trajectory(Frozen):
         >>> run = dt.simulate(plant, loop, dt.SwitchingSignal.constant(0), [0.0], 10.0, 0.1)
         >>> found = run.step_info()
         >>> round(found["RiseTime"], 3), round(found["SteadyStateError"], 4)
-        (1.1, 0.0)
+        (0.5, -0.0001)
         """
         if self.followed is None:
             raise ArgumentError("step_info needs a law with a servo; this run tracks nothing.")
@@ -200,10 +202,12 @@ class Trajectory(Frozen):
             time = time[:-1]  # the horizon, within a period
         if since is not None and not 0.0 <= number("since", since) < time[-1]:
             raise ArgumentError(f"since must be in [0, {self.end:g}) s, got {since:g}.")
-        where, r = self.followed.window(time, since)
+        stepped = since is None or self.followed.steps_at(since, self.end, output)
+        where, r = self.followed.window(time, output, since)
         time = time[where]
         y = self.followed.outputs(self.record.states_at(time).T, self.signal(time))
-        found = step_info(time, y[output], r[output], settling, rise)
+        found = step_info(time, y[output], r, settling, rise)
+        found |= {} if stepped else dict.fromkeys(OF_STEPS, np.array(np.nan))
         return {name: float(value) for name, value in found.items()}
 
     def _decay_rate(self, time: np.ndarray, norm: np.ndarray) -> float:

@@ -30,6 +30,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import TableLaw, require_match
 from deadtime.plant import SwitchedSystem
+from deadtime.spectrum import GROWS, growth_rate
 from deadtime.synthesis.initial_states import InitialStates
 from deadtime.synthesis.price import periods_of
 
@@ -81,7 +82,8 @@ def input_peak(
     Returns
     -------
     InputPeak
-        Of the samples until the inputs have fallen to 1e-6 of their largest.
+        Of the samples until the inputs have fallen to 1e-6 of their largest; ∞ in a mode whose
+        loop grows (`growth_rate`), also where its inputs are small at first, or the gains 0.
 
     Raises
     ------
@@ -107,7 +109,12 @@ def input_peak(
     require_match(plant, law)
     step, initial = positive("step", step), check_initial(initial, plant)
     table = law.digital(step)
-    found = [mode_levels(plant, table, mode, initial) for mode in range(plant.modes)]
+    found = [
+        _unbounded(plant)
+        if growth_rate(plant, law, mode, step) > GROWS
+        else mode_levels(plant, table, mode, initial)
+        for mode in range(plant.modes)
+    ]
     level, least, at = (np.array(part) for part in zip(*found, strict=True))
     time = np.where(np.isfinite(level), at * step, np.nan)
     return InputPeak(initial, level, least, time)
@@ -149,11 +156,13 @@ def largest_inputs(
 def mode_levels(
     plant: SwitchedSystem, feedback: Feedback, mode: int, initial: InitialStates
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """The level of every input with one mode held, what no lower one is kept than, and when, k."""
+    """The level of every input with one mode held, what no lower one is kept than, and when, k.
+
+    Of a loop that decays: what grows from below 1e-6 of the first inputs is not seen.
+    """
     rows = input_rows(plant, feedback, mode)
     if rows is None:
-        infinite = np.full(plant.inputs, math.inf)
-        return infinite, infinite, np.zeros(plant.inputs, np.int64)
+        return _unbounded(plant)
     sizes = _sizes(rows, initial)
     at, most = sizes.argmax(axis=0), sizes.max(axis=0)
     if initial.kind != "normal":
@@ -162,6 +171,12 @@ def mode_levels(
     pairs = [_spread_levels(column, directions, initial.probability) for column in sizes.T]
     level, least = (np.array(part) for part in zip(*pairs, strict=True))
     return level, least, at
+
+
+def _unbounded(plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `mode_levels` says of a mode that grows."""
+    infinite = np.full(plant.inputs, math.inf)
+    return infinite, infinite, np.zeros(plant.inputs, np.int64)
 
 
 def _sizes(rows: Float[np.ndarray, "k m n"], initial: InitialStates) -> Float[np.ndarray, "k m"]:

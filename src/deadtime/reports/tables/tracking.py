@@ -61,13 +61,16 @@ def record_of_many(problem: Problem, data: Comparison) -> dict[str, Any]:
 
 
 def record_of_run(problem: Problem, run: Trajectory) -> dict[str, Any]:
-    """All steps of a run, by output; nothing where it tracks nothing."""
-    if run.followed is None:
+    """All steps of an output's own reference, by output; nothing where a run tracks nothing."""
+    followed = run.followed
+    if followed is None:
         return {}
-    changes = run.followed.changes(run.end)
     return {
         "tracking": {
-            name: [{"since": since, **run.step_info(i, since)} for since in changes]
+            name: [
+                {"since": since, **run.step_info(i, since)}
+                for since in followed.changes(run.end, i)
+            ]
             for i, name in enumerate(problem.tracked)
         }
     }
