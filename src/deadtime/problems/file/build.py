@@ -20,7 +20,12 @@ from deadtime.problems.file.imperfections import build_imperfections, offsets_of
 from deadtime.problems.file.laws import Laws, change_plant
 from deadtime.problems.file.observer import add_observers, names_of
 from deadtime.problems.file.servo import FileServo
-from deadtime.problems.file.switching import build_model, build_rule, build_signal
+from deadtime.problems.file.switching import (
+    build_model,
+    build_rule,
+    build_signal,
+    promise_of,
+)
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
 
@@ -59,6 +64,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         if signal is None:
             signal = build_signal(file.signal, plant, end, source.parent, model)
             signal.require_modes(plant.modes)
+        promise = None if rule is not None else promise_of(file, model, plant.modes)
     return Problem(
         name=source.stem,
         title=file.title or source.stem,
@@ -82,7 +88,8 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         outputs=outputs,
         tracked=() if following is None else following.names,
         switching=model,
-        dwell_time=getattr(file.signal, "dwell_time", None),
+        dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
+        constraint=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
     )
 
