@@ -1,6 +1,7 @@
 """Problem files that say which switches and sojourns there are: drawn, and asked about."""
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -61,7 +62,7 @@ def kept(signal):
     """By the definition: every whole sojourn, and every switch."""
     lengths, modes = np.diff(signal.times), signal.modes.tolist()
     assert signal.switches > 20
-    assert all(WAYS[i][j] for i, j in zip(modes, modes[1:], strict=False))
+    assert all(WAYS[i][j] for i, j in itertools.pairwise(modes))
     return all(
         LEAST[i] <= length * (1 + 1e-9) and length <= MOST[i] * (1 + 1e-9)
         for i, length in zip(modes, lengths.tolist(), strict=False)
@@ -108,7 +109,7 @@ def test_a_dead_end_draws_no_random_signals(load):
         (
             "[0, 1, 0]]",
             "[0, 0, 0]]",
-            r"line 13, \[signal\]: transitions\[2\] allows no switch, but",
+            r"line 17, \[signal\]: transitions\[2\] allows no switch, but",
         ),
         ("[0, 1, 0]]", "[0, 0.5, 0]]", r"\[signal\]: transitions\[2, 1\] must be True or False"),
         ("0.4]", "0.4, 0.4]", r"\[signal\]: dwell_time must be .* each of the 3 modes"),

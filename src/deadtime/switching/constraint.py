@@ -146,9 +146,9 @@ class SwitchingConstraint:
         --------
         >>> SwitchingConstraint.of(2, 0.3).in_words()
         ('stays in each mode for at least 0.3 s', 'switches at any time')
-        >>> limits = SwitchingConstraint.of(2, [0.3, 0.5], [math.inf, 0.9], [[0, 1], [0, 0]])
+        >>> limits = SwitchingConstraint.of(2, [0.3, 0.5], [0.9, math.inf], [[0, 1], [0, 0]])
         >>> limits.in_words()[0]
-        'stays for at least 0.3 s in mode 0, 0.5 to 0.9 s in mode 1'
+        'stays for 0.3 to 0.9 s in mode 0, at least 0.5 s in mode 1'
         >>> limits.in_words()[1]
         'switches at any time, but only so: from mode 0 to 1, from mode 1 never'
         """
