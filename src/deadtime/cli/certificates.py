@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.cli.brackets import about, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import numbers_of, problem_of
@@ -95,7 +96,7 @@ def certify(
                 "--least-dwell-time looks for the dwell time itself: leave out --dwell-time, "
                 "--maximum-dwell, --decay-rate, --delays and --out."
             )
-        return _least_dwell_times(chosen, law, json_output)
+        return least_dwell_times(chosen, law, json_output)
     if longest_mode_lag:
         given = (maximum_dwell, decay_rate, delays, out)
         if any(one is not None for one in given) or mode_lag != 0:
@@ -103,8 +104,13 @@ def certify(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
                 "--maximum-dwell, --decay-rate, --delays and --out."
             )
-        return _longest_mode_lags(chosen, law, dwell_time, json_output)
+        if dwell_time is not None and "," in dwell_time:
+            raise ArgumentError(
+                f"--dwell-time must be one number with --longest-mode-lag, got {dwell_time!r}."
+            )
     asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
+    if longest_mode_lag:
+        return longest_mode_lags(chosen, law, asked.dwell, period, json_output)
     names = None if law is None else [law]
     if out is not None:
         require_json("--out", out)  # before the search, which may take minutes
@@ -124,7 +130,7 @@ def certify(
         )
     saved = [] if out is None else _save(judged, out)
     if json_output:
-        record = _asked(chosen, period) | _recorded(asked) | {"delays": ranges}
+        record = about(chosen, period) | _recorded(asked) | {"delays": ranges}
         record |= {"mode_lag": mode_lag} if mode_lag else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
@@ -217,111 +223,6 @@ def verify(
                 f"time {matches['dwell_time']:g} s, and its law {' = '.join(matches['laws'])}."
             )
     return 0 if result.proven else 1
-
-
-class Bracket(NamedTuple):
-    """What is proved of a law and what refuted, seconds; None where nothing is known."""
-
-    certified: float | None
-    refuted: float | None
-    message: str
-
-
-def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
-    """The bracket of every law, or of one; 1 if that one has none."""
-    from deadtime.margins import least_dwell_time
-    from deadtime.problems.asked import step_of
-    from deadtime.reports.tables.certificates import left_out
-
-    period, names = step_of(problem), list(problem.laws) if law is None else [law]
-    laws, brackets = [problem.law(name) for name in names], dict[str, Bracket]()
-    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                margin = least_dwell_time(problem.plant, one, period)
-                brackets[name] = Bracket(margin.certified, margin.refuted, margin.message)
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                brackets[name] = Bracket(None, None, str(error))
-            advance(name)
-    if json_output:
-        print_json(_asked(problem, period) | {"least_dwell_times": brackets})
-    else:
-        about = [f"Sampling period {period:g} s.", *_unlimited(problem), *left_out(problem)]
-        print("\n".join((problem.title, *about, "")))
-        rows = [
-            (name, _seconds(one.certified, up=True), _seconds(one.refuted))
-            for name, one in brackets.items()
-        ]
-        print_table(("law", "proved from", "refuted up to"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {one.message}")
-    return 0 if law is None or brackets[law].certified is not None else 1
-
-
-def _longest_mode_lags(
-    problem: Problem, law: str | None, dwell_time: str | None, json_output: bool
-) -> int:
-    """The bracket of every law, or of one, in periods; 1 if that one has none."""
-    from deadtime.margins import longest_mode_lag
-    from deadtime.reports.tables.certificates import left_out
-
-    signals, period = _signals_and_step(problem, dwell_time, None)
-    asked = signals.dwell
-    if dwell_time is not None and "," in dwell_time:
-        raise ArgumentError(
-            f"--dwell-time must be one number with --longest-mode-lag, got {dwell_time!r}."
-        )
-    names, brackets = list(problem.laws) if law is None else [law], dict[str, Bracket]()
-    laws = [problem.law(name) for name in names]
-    with progress_bar(len(names), quiet=json_output) as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                found = longest_mode_lag(problem.plant, one, asked.value, period)
-                certified, refuted = found.certified_seconds, found.refuted_seconds
-                brackets[name] = Bracket(certified, refuted, found.message)
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                brackets[name] = Bracket(None, None, str(error))
-            advance(name)
-    if json_output:
-        record = _asked(problem, period) | {"dwell_time": asked.value}
-        print_json(record | {"longest_mode_lags": brackets})
-    else:
-        about = f"Sampling period {period:g} s, dwell time {asked.value:.4g} s ({asked.source})."
-        print("\n".join((problem.title, about, *_unlimited(problem), *left_out(problem), "")))
-        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
-        print_table(("law", "proved up to", "refuted at"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {one.message}")
-    return 0 if law is None or brackets[law].certified is not None else 1
-
-
-def _unlimited(problem: Problem) -> list[str]:
-    """That the answer is about more signals than the problem allows, where it limits them."""
-    if problem.constraint is None or problem.constraint.is_plain:
-        return []
-    return ["Every switch and every longer sojourn is taken to be allowed, whatever the file says."]
-
-
-def _lag(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{seconds:.4g} s"
-
-
-def _asked(problem: Problem, step: float) -> dict[str, object]:
-    """What the answers are about, for JSON."""
-    without = [repr(one) for one in problem.imperfections]
-    return {"problem": problem.name, "step": step, "imperfections_left_out": without}
-
-
-def _seconds(value: float | None, up: bool = False) -> str:
-    from deadtime.margins.dwell_time import in_words
-
-    return (
-        "–" if value is None else "any" if value == float("inf") else f"{in_words(value, up=up)} s"
-    )
 
 
 def _with_step(problem: Problem, step: float | None) -> Problem:
