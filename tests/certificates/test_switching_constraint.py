@@ -88,6 +88,27 @@ def by_the_second_verifier(path):
 # -- what is proved ------------------------------------------------------------------------------
 
 
+def test_a_coarse_loop_is_proved_for_its_graph_by_both_verifiers_and_for_no_other(tmp_path):
+    plant = dt.SwitchedSystem(A, B[:, :, 1:], 0.1)
+    law = dt.DelayedStateFeedback(plant, K[:, 1:], allow_unstable=True)
+    found = dt.certify(plant, law, DWELL, 0.15, transitions=THROUGH, decay_rate=0.02)
+    assert found.proven
+    free = dt.falsify(plant, law, DWELL, 0.15, budget=500)
+    assert free.proven
+    assert set(free.modes) == {0, 2}
+    setting = dataclasses.replace(found.evidence.setting, following=None)
+    assert not check(dataclasses.replace(found.evidence, setting=setting)).proven
+    path = found.save(tmp_path / "cert.json")
+    assert dt.verify(path, dwell_time=DWELL, transitions=THROUGH).proven
+    assert by_the_second_verifier(path)
+    for values in FORGERIES[:2]:
+        found.save(path)
+        rewritten(path, "signals", values)
+        assert not dt.verify(path).proven
+        assert not by_the_second_verifier(path)
+
+
+@pytest.mark.long
 def test_a_loop_that_a_forbidden_switch_would_destabilise_is_proved(certificate, worst):
     assert certificate.stable
     assert certificate.proven
@@ -99,6 +120,7 @@ def test_a_loop_that_a_forbidden_switch_would_destabilise_is_proved(certificate,
     assert said in certificate.statement[0]
 
 
+@pytest.mark.long
 def test_v_falls_along_admissible_runs_as_it_claims(certificate):
     rho, rng = certificate.evidence.rho, np.random.default_rng(0)
     known = {}
@@ -122,7 +144,37 @@ def test_v_falls_along_admissible_runs_as_it_claims(certificate):
             before = V
 
 
-def test_both_verifiers_prove_the_file_and_neither_one_that_allows_more(certificate, tmp_path):
+FORGERIES = [
+    {"transitions": [[0, 1, 1], [1, 0, 1], [0, 1, 0]]},
+    {"dwell_time": [0.3, 0.3, 0.3]},
+    # The file of a loop is one: left out where it allows all.
+    {"transitions": (np.ones((3, 3), int) - np.eye(3, dtype=int)).tolist()},
+    {"transitions": [[1, 1, 0], [1, 0, 1], [0, 1, 0]]},
+    {"transitions": [[0, 1], [1, 0]]},
+    {"transitions": [[0, 1, 0], [1, 0, 1], [0, 0.5, 0]]},
+    {"transitions": [[0, 0, 0], [1, 0, 1], [0, 1, 0]], "maximum_dwell": 2.0},
+    {"dwell_time": [0.3, 0.6]},
+    {"dwell_time": [0.3, None, 0.3]},
+    {"maximum_dwell": [None, 0.5, 0.2]},
+    {"chatter": 2},
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("values", FORGERIES, ids=str)
+def test_neither_verifier_proves_a_file_that_allows_more(certificate, tmp_path, values):
+    path = certificate.save(tmp_path / "cert.json")
+    rewritten(path, "signals", values)
+    try:
+        proven = dt.verify(path).proven
+    except dt.CertificateFileError:
+        proven = False
+    assert not proven
+    assert not by_the_second_verifier(path)
+
+
+@pytest.mark.long
+def test_both_verifiers_prove_the_file_for_what_it_allows(certificate, tmp_path):
     path = certificate.save(tmp_path / "cert.json")
     asked = {"step": H, "dwell_time": DWELL, "transitions": THROUGH}
     assert dt.verify(path, PLANT, LAW, **asked).proven
@@ -133,31 +185,9 @@ def test_both_verifiers_prove_the_file_and_neither_one_that_allows_more(certific
     assert "not 0.5 s in mode 1" in shorter.message
     content = json.loads(path.read_text())
     assert content["signals"]["transitions"] == THROUGH
-    every = (np.ones((3, 3), int) - np.eye(3, dtype=int)).tolist()
-    both = [[0, 1, 1], [1, 0, 1], [0, 1, 0]]
-    for values in (
-        {"transitions": both},
-        {"transitions": every},  # the file of a loop is one: left out where it allows all
-        {"transitions": [[1, 1, 0], [1, 0, 1], [0, 1, 0]]},
-        {"transitions": [[0, 1], [1, 0]]},
-        {"transitions": [[0, 1, 0], [1, 0, 1], [0, 0.5, 0]]},
-        {"transitions": [[0, 0, 0], [1, 0, 1], [0, 1, 0]], "maximum_dwell": 2.0},
-        {"dwell_time": [0.3, 0.3, 0.3]},
-        {"dwell_time": [0.3, 0.6]},
-        {"dwell_time": [0.3, None, 0.3]},
-        {"maximum_dwell": [None, 0.5, 0.2]},
-        {"chatter": 2},
-    ):
-        rewritten(path, "signals", values)
-        try:
-            proven = dt.verify(path).proven
-        except dt.CertificateFileError:
-            proven = False
-        assert not proven, values
-        assert not by_the_second_verifier(path), values
-        path.write_text(json.dumps(content))
 
 
+@pytest.mark.long
 def test_a_proof_for_one_graph_is_none_for_another(certificate):
     setting = dataclasses.replace(certificate.evidence.setting, following=None)
     assert not check(dataclasses.replace(certificate.evidence, setting=setting)).proven
@@ -182,6 +212,7 @@ def test_stretches_hold_each_mode_s_own_ages(longest, tmp_path):
 # -- what is searched ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_no_word_that_is_enumerated_grows_faster_than_the_worst_one(certificate, worst):
     lengths = {0: (3, 4, 5, 6, 8), 1: (6, 7), 2: (3, 6, 9, 14, 18)}
     rates = [
@@ -297,7 +328,7 @@ def test_the_worst_cycle_has_the_constrained_joint_spectral_radius():
 @pytest.mark.parametrize(
     ("depth", "rate", "step", "gap"),
     [
-        (2, 0.013, 0.01, 0.013),
+        pytest.param(2, 0.013, 0.01, 0.013, marks=pytest.mark.long),
         pytest.param(3, 0.0235, 0.001, 0.0021, marks=pytest.mark.long),
     ],
 )

@@ -26,6 +26,7 @@ def dwell_time_of(draft: Mapping[str, Any]) -> float:
     """
     signal = draft["signal"]
     stated = [signal.get("dwell_time"), *(law.get("dwell_time") for law in draft.get("law", []))]
+    stated = [min(one, default=0.0) if isinstance(one, list) else one for one in stated]
     for one in stated:
         if isinstance(one, (int, float)) and one > 0.0:
             return float(one)

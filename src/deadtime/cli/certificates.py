@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from deadtime.base.errors import ArgumentError
+from deadtime.cli.brackets import about, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
-from deadtime.cli.problems import problem_of
+from deadtime.cli.problems import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.certificates import Verification
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Given
+    from deadtime.problems.asked import Signals
     from deadtime.reports.tables.certificates import Judged
 
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml",
         "deadtime certify paper --law averaged",
         "deadtime certify problem.toml --dwell-time 0.5 --out cert.json",
+        "deadtime certify three-mode --law averaged --dwell-time 0.5,0.8,0.5 --maximum-dwell 3",
         "deadtime certify problem.toml --law averaged --least-dwell-time",
         "deadtime certify problem.toml --law mean --delays [0.3,0.1] [0.32,0.12]",
         "deadtime certify problem.toml --law expected --mode-lag 3",
@@ -34,7 +36,8 @@ def certify(
     problem: Path,
     *,
     law: str | None = None,
-    dwell_time: float | None = None,
+    dwell_time: str | None = None,
+    maximum_dwell: str | None = None,
     step: float | None = None,
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
@@ -55,7 +58,12 @@ def certify(
     law
         One law of the problem, by its name; all by default.
     dwell_time
-        Dwell time in seconds; that of the problem's signal by default, in whole periods.
+        Dwell time in seconds, or one per mode with commas between them, such as 0.2,0.5,0.1; by
+        default what the problem promises, else that of its signal, in whole periods.
+    maximum_dwell
+        Longest sojourn in seconds, or one per mode, inf for none; what the problem promises by
+        default. Which mode may follow which is said by the problem: in its [signal], else by the
+        zeros of its [switching].
     step
         Sampling period in seconds; the problem's by default, 0.01 where its loop is ideal.
     decay_rate
@@ -82,21 +90,28 @@ def certify(
 
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
-        if not (dwell_time is None and decay_rate is None and delays is None and out is None):
+        given = (dwell_time, maximum_dwell, decay_rate, delays, out)
+        if any(one is not None for one in given):
             raise ArgumentError(
                 "--least-dwell-time looks for the dwell time itself: leave out --dwell-time, "
-                "--decay-rate, --delays and --out."
+                "--maximum-dwell, --decay-rate, --delays and --out."
             )
-        return _least_dwell_times(chosen, law, json_output)
+        return least_dwell_times(chosen, law, json_output)
     if longest_mode_lag:
-        if not (decay_rate is None and delays is None and out is None and mode_lag == 0):
+        given = (maximum_dwell, decay_rate, delays, out)
+        if any(one is not None for one in given) or mode_lag != 0:
             raise ArgumentError(
-                "--longest-mode-lag looks for the lag itself: leave out --mode-lag, --decay-rate, "
-                "--delays and --out."
+                "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
+                "--maximum-dwell, --decay-rate, --delays and --out."
             )
-        return _longest_mode_lags(chosen, law, dwell_time, json_output)
-    asked, period = _dwell_time_and_step(chosen, dwell_time)
-    dwell, names = asked.value, None if law is None else [law]
+        if dwell_time is not None and "," in dwell_time:
+            raise ArgumentError(
+                f"--dwell-time must be one number with --longest-mode-lag, got {dwell_time!r}."
+            )
+    asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
+    if longest_mode_lag:
+        return longest_mode_lags(chosen, law, asked.dwell, period, json_output)
+    names = None if law is None else [law]
     if out is not None:
         require_json("--out", out)  # before the search, which may take minutes
     laws = names or list(chosen.laws)
@@ -104,18 +119,18 @@ def certify(
         ranges = None if delays is None else (_delays(delays[0]), _delays(delays[1]))
         judged = judge(
             chosen,
-            dwell,
-            period,
-            names,
+            step=period,
+            laws=names,
             decay_rate=decay_rate,
             progress=advance,
             delays=ranges,
             mode_lag=mode_lag,
             trying=lambda what: advance(what, 0),
+            **asked.options,
         )
     saved = [] if out is None else _save(judged, out)
     if json_output:
-        record = _asked(chosen, period) | {"dwell_time": dwell, "delays": ranges}
+        record = about(chosen, period) | _recorded(asked) | {"delays": ranges}
         record |= {"mode_lag": mode_lag} if mode_lag else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
@@ -138,7 +153,8 @@ def verify(
     *,
     problem: Path | None = None,
     law: str | None = None,
-    dwell_time: float | None = None,
+    dwell_time: str | None = None,
+    maximum_dwell: str | None = None,
     step: float | None = None,
     mode_lag: int | None = None,
     json_output: AsJson = False,
@@ -157,7 +173,10 @@ def verify(
     law
         The law of the problem whose table it must be.
     dwell_time
-        The dwell time in seconds that it must cover; by default that of `certify` for the problem.
+        The dwell time in seconds that it must cover, or one per mode with commas between them; by
+        default that of `certify` for the problem.
+    maximum_dwell
+        The longest sojourns that it must cover; with a problem as `certify` takes them.
     step
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag
@@ -167,20 +186,25 @@ def verify(
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
+    from deadtime.problems.asked import one_or_all
 
     matches = None
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
-        result = check(certificate, dwell_time=dwell_time, step=step, mode_lag=mode_lag)
+        times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
+        least, most = (one_or_all(one) for one in times)
+        result = check(
+            certificate, dwell_time=least, maximum_dwell=most, step=step, mode_lag=mode_lag
+        )
     else:
         chosen = _with_step(problem_of(problem), step)
         laws = {law: chosen.law(law)} if law is not None else chosen.laws
-        asked, period = _dwell_time_and_step(chosen, dwell_time)
-        dwell = asked.value
+        asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
+        dwell = asked.dwell.value
         only = None if law is None else laws[law]
         lag = mode_lag or 0
-        result = check(certificate, chosen.plant, only, dwell_time=dwell, step=period, mode_lag=lag)
+        result = check(certificate, chosen.plant, only, step=period, mode_lag=lag, **asked.options)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
@@ -199,99 +223,6 @@ def verify(
                 f"time {matches['dwell_time']:g} s, and its law {' = '.join(matches['laws'])}."
             )
     return 0 if result.proven else 1
-
-
-class Bracket(NamedTuple):
-    """What is proved of a law and what refuted, seconds; None where nothing is known."""
-
-    certified: float | None
-    refuted: float | None
-    message: str
-
-
-def _least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
-    """The bracket of every law, or of one; 1 if that one has none."""
-    from deadtime.margins import least_dwell_time
-    from deadtime.problems.asked import step_of
-    from deadtime.reports.tables.certificates import left_out
-
-    period, names = step_of(problem), list(problem.laws) if law is None else [law]
-    laws, brackets = [problem.law(name) for name in names], dict[str, Bracket]()
-    with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                margin = least_dwell_time(problem.plant, one, period)
-                brackets[name] = Bracket(margin.certified, margin.refuted, margin.message)
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                brackets[name] = Bracket(None, None, str(error))
-            advance(name)
-    if json_output:
-        print_json(_asked(problem, period) | {"least_dwell_times": brackets})
-    else:
-        about = [f"Sampling period {period:g} s.", *left_out(problem)]
-        print("\n".join((problem.title, *about, "")))
-        rows = [
-            (name, _seconds(one.certified, up=True), _seconds(one.refuted))
-            for name, one in brackets.items()
-        ]
-        print_table(("law", "proved from", "refuted up to"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {one.message}")
-    return 0 if law is None or brackets[law].certified is not None else 1
-
-
-def _longest_mode_lags(
-    problem: Problem, law: str | None, dwell_time: float | None, json_output: bool
-) -> int:
-    """The bracket of every law, or of one, in periods; 1 if that one has none."""
-    from deadtime.margins import longest_mode_lag
-    from deadtime.reports.tables.certificates import left_out
-
-    asked, period = _dwell_time_and_step(problem, dwell_time)
-    names, brackets = list(problem.laws) if law is None else [law], dict[str, Bracket]()
-    laws = [problem.law(name) for name in names]
-    with progress_bar(len(names), quiet=json_output) as advance:
-        for name, one in zip(names, laws, strict=True):
-            try:
-                found = longest_mode_lag(problem.plant, one, asked.value, period)
-                certified, refuted = found.certified_seconds, found.refuted_seconds
-                brackets[name] = Bracket(certified, refuted, found.message)
-            except ArgumentError as error:
-                if law is not None:
-                    raise
-                brackets[name] = Bracket(None, None, str(error))
-            advance(name)
-    if json_output:
-        record = _asked(problem, period) | {"dwell_time": asked.value}
-        print_json(record | {"longest_mode_lags": brackets})
-    else:
-        about = f"Sampling period {period:g} s, dwell time {asked.value:.4g} s ({asked.source})."
-        print("\n".join((problem.title, about, *left_out(problem), "")))
-        rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
-        print_table(("law", "proved up to", "refuted at"), rows)
-        for name, one in brackets.items():
-            print(f"• {name}: {one.message}")
-    return 0 if law is None or brackets[law].certified is not None else 1
-
-
-def _lag(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{seconds:.4g} s"
-
-
-def _asked(problem: Problem, step: float) -> dict[str, object]:
-    """What the answers are about, for JSON."""
-    without = [repr(one) for one in problem.imperfections]
-    return {"problem": problem.name, "step": step, "imperfections_left_out": without}
-
-
-def _seconds(value: float | None, up: bool = False) -> str:
-    from deadtime.margins.dwell_time import in_words
-
-    return (
-        "–" if value is None else "any" if value == float("inf") else f"{in_words(value, up=up)} s"
-    )
 
 
 def _with_step(problem: Problem, step: float | None) -> Problem:
@@ -316,9 +247,16 @@ def _delays(text: str) -> float | list[float] | list[list[float]]:
     return value
 
 
-def _dwell_time_and_step(problem: Problem, dwell_time: float | None) -> tuple[Given, float]:
-    """The dwell time and the period that a problem asks about, in seconds."""
-    from deadtime.problems.asked import dwell_time_of, step_of
+def _times(name: str, text: str | None) -> list[float] | None:
+    """Seconds with commas between them."""
+    return None if text is None else numbers_of(name, text)
+
+
+def _signals_and_step(
+    problem: Problem, dwell_time: str | None, maximum_dwell: str | None
+) -> tuple[Signals, float]:
+    """The signals and the period, in seconds, that a problem asks about."""
+    from deadtime.problems.asked import signals_of, step_of
 
     if dwell_time is None and problem.dwell_time is None and problem.switching is not None:
         raise ArgumentError(
@@ -326,7 +264,19 @@ def _dwell_time_and_step(problem: Problem, dwell_time: float | None) -> tuple[Gi
             "time, and no [signal] that does: the shortest sojourn of one drawn signal says "
             "nothing of others. Give --dwell-time."
         )
-    return dwell_time_of(problem, problem.signal, dwell_time), step_of(problem)
+    times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
+    return signals_of(problem, problem.signal, *times), step_of(problem)
+
+
+def _recorded(asked: Signals) -> dict[str, object]:
+    """The signals that were asked about, for JSON."""
+    limits = asked.options
+    if "maximum_dwell" in limits:
+        longest = asked.constraint.maximum_dwell
+        limits["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
+    if "transitions" in limits:
+        limits["transitions"] = limits["transitions"].astype(int)
+    return limits
 
 
 def _print_verification(result: Verification) -> None:
@@ -353,7 +303,7 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
 def _print_judged(
     problem: Problem,
     judged: list[Judged],
-    dwell: Given,
+    asked: Signals,
     sampled: tuple[float, int],
     in_full: bool,
 ) -> None:
@@ -369,10 +319,11 @@ def _print_judged(
 
     console, (step, lag) = Terminal(), sampled
     late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
+    stays, switches = asked.constraint.in_words()
     console.print(problem.title, style="bold", markup=False)
     console.print(
-        f"Every signal that stays in each mode for at least {dwell.value:.4g} s ({dwell.source}), "
-        f"switches at any time; sampling period {step:g} s{late}.",
+        f"Every signal that {stays} ({asked.dwell.source}), {switches}; "
+        f"sampling period {step:g} s{late}.",
         markup=False,
     )
     for sentence in left_out(problem):

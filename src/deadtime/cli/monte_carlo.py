@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from deadtime.problems import Problem
     from deadtime.problems.asked import Given
+    from deadtime.problems.law_registry import Model
     from deadtime.reports.tables.monte_carlo import Summary
     from deadtime.scenarios.dataset import Comparison
     from deadtime.switching import SemiMarkov, SwitchingSignal
@@ -50,7 +51,7 @@ def monte_carlo(
 
     They are drawn from the file's [switching]. Without one, or with a dwell time or mean sojourn
     given here, sojourns are the dwell time plus an exponential time and the next mode is any
-    other, each as likely. Ctrl-C ends the run early and keeps what is done.
+    other that the file allows, each as likely. Ctrl-C ends the run early and keeps what is done.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def monte_carlo(
     model, sojourn = chosen.switching, None
     if model is None or asked:
         sojourn = _sojourn(chosen, dwell_time, mean_sojourn)
-        model = _model(chosen, sojourn.dwell.value, sojourn.mean.value)
+        model = _model(chosen, sojourn, mean_sojourn)
     picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
     picture = picture if picture.suffix else picture.with_suffix(".png")
     # Before the run: an hour of work should not end at a name that cannot be written.
@@ -115,9 +116,9 @@ def monte_carlo(
     outcome = summary(result)
     written = [picture] if data is None else [picture, data]
     if json_output:
-        print_json(_record(chosen, sojourn, result, outcome), written)
+        print_json(_record(chosen, model, sojourn, result, outcome), written)
     else:
-        _print(chosen, sojourn, result, outcome)
+        _print(chosen, model, sojourn, result, outcome)
     save_figure(plot_monte_carlo(result, chosen.title), picture)
     if data is not None:
         save_data(dataset_of(result), data)
@@ -234,12 +235,25 @@ def _dwell_time(problem: Problem, signal: SwitchingSignal, dwell: float | None) 
     return dwell_time_of(problem, signal, dwell)
 
 
-def _model(problem: Problem, dwell: float, mean: float) -> SemiMarkov:
-    """Sojourns of dwell + Exp(mean − dwell), then any other mode."""
+def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> SemiMarkov:
+    """Sojourns of dwell + Exp(mean − dwell), then any mode that may follow."""
+    from deadtime.problems.asked import AS_ASKED, random_model, signals_of
     from deadtime.switching import SemiMarkov
     from deadtime.switching.models.sojourns import ShiftedExponential
 
+    if _is_limited(problem):
+        asked = [sojourn.dwell.value] if sojourn.dwell.source == AS_ASKED else None
+        allowed = signals_of(problem, problem.signal, asked).constraint
+        mean = problem.mean_sojourn if mean_sojourn is None else mean_sojourn
+        short = mean is not None and mean <= max(allowed.dwell_time)
+        return random_model(allowed, None if short and mean_sojourn is None else mean)
+    dwell, mean = sojourn.dwell.value, sojourn.mean.value
     return SemiMarkov(ShiftedExponential(dwell, mean - dwell), modes=problem.plant.modes)
+
+
+def _is_limited(problem: Problem) -> bool:
+    """Whether the file says more of its signals than one dwell time."""
+    return problem.constraint is not None and not problem.constraint.is_plain
 
 
 def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
@@ -257,15 +271,24 @@ def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
     raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
-def _print(problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome: Summary) -> None:
+def _print(
+    problem: Problem,
+    model: Model,
+    sojourn: Sojourn | None,
+    data: Comparison,
+    outcome: Summary,
+) -> None:
     """Heading, remarks and tables on the terminal."""
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.tables import tracking
 
     print_heading(problem.title)
-    print(_drawn(problem, sojourn, data, outcome))
-    if sojourn is not None:
+    print(_drawn(problem, model, sojourn, data, outcome))
+    if _is_limited(problem):
+        assert problem.constraint is not None
+        print(f"• Every signal {problem.constraint.in_words()[1]}.")
+    elif sojourn is not None:
         print(
             f"• Dwell time {sojourn.dwell.value:g} s: {sojourn.dwell.source}. "
             f"Mean sojourn {sojourn.mean.value:g} s: {sojourn.mean.source}."
@@ -288,11 +311,19 @@ def _print(problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome:
         print_table(tracking.HEADINGS, tracking.rows_of_many(data, i))
 
 
-def _drawn(problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome: Summary) -> str:
+def _drawn(
+    problem: Problem,
+    model: Model,
+    sojourn: Sojourn | None,
+    data: Comparison,
+    outcome: Summary,
+) -> str:
     """How many signals, and what of."""
     signals = "signal" if outcome.scenarios == 1 else "signals"
     if sojourn is None:
         what = f"of the file's [switching], {problem.switching!r}"
+    elif _is_limited(problem):
+        what = f"of {model!r}"
     else:
         dwell, mean = sojourn.dwell.value, sojourn.mean.value
         what = f"sojourns of {dwell:g} s + Exp({mean - dwell:g} s)"
@@ -303,7 +334,11 @@ def _drawn(problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome:
 
 
 def _record(
-    problem: Problem, sojourn: Sojourn | None, data: Comparison, outcome: Summary
+    problem: Problem,
+    model: Model,
+    sojourn: Sojourn | None,
+    data: Comparison,
+    outcome: Summary,
 ) -> dict[str, object]:
     """The results for JSON."""
     from deadtime.plant.weight import record_of
@@ -314,7 +349,7 @@ def _record(
         "scenarios": outcome.scenarios,
         "dwell_time": None if sojourn is None else sojourn.dwell.value,
         "mean_sojourn": None if sojourn is None else sojourn.mean.value,
-        "model": repr(problem.switching) if sojourn is None else None,
+        "model": repr(model) if sojourn is None or _is_limited(problem) else None,
         "horizon": problem.horizon,
         **{name: data.attributes[name] for name in ("step", "seed", "backend", "message")},
         "interrupted": bool(data.attributes["interrupted"]),

@@ -7,16 +7,19 @@ same signals, and each says where its number comes from.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
-from deadtime.switching import Rule, SwitchingSignal
+from deadtime.switching import Rule, SemiMarkov, SwitchingSignal
+from deadtime.switching.constraint import SwitchingConstraint, one_or_each
+from deadtime.switching.models.sojourns import Fixed, ShiftedExponential
 from deadtime.switching.random import mean_or_twice
 
 STEP = 0.01  # for problems whose loop is ideal, seconds
-_OPTION = "as asked"
+AS_ASKED = "as asked"
 
 
 class Given(NamedTuple):
@@ -24,6 +27,24 @@ class Given(NamedTuple):
 
     value: float
     source: str
+
+
+class Signals(NamedTuple):
+    """The signals that a problem is asked about; `dwell` is the shortest dwell time of a mode."""
+
+    dwell: Given
+    constraint: SwitchingConstraint
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `certify` and `falsify` take of them; nothing where there is no limit."""
+        allowed = self.constraint
+        found: dict[str, Any] = {"dwell_time": one_or_each(allowed.dwell_time)}
+        if len(allowed.lasting) < allowed.modes:
+            found["maximum_dwell"] = one_or_each(allowed.maximum_dwell)
+        if not allowed.is_free:
+            found["transitions"] = allowed.transitions
+        return found
 
 
 def step_of(problem: Problem) -> float:
@@ -52,9 +73,11 @@ def dwell_time_of(
     Given(value=0.2, source='the shortest sojourn of its signal')
     """
     if wanted is not None:
-        return Given(number("dwell_time", wanted), _OPTION)
+        return Given(number("dwell_time", wanted), AS_ASKED)
     if problem.dwell_time is not None:
-        return Given(problem.dwell_time, "the problem's dwell time")
+        own = problem.constraint
+        several = own is not None and len(set(own.dwell_time)) > 1
+        return Given(problem.dwell_time, "the problem's dwell time" + "s" * several)
     if isinstance(signal, Rule):
         raise ArgumentError(
             f"dwell_time of {problem.name!r} is not known, for a rule decides the mode by the "
@@ -66,6 +89,78 @@ def dwell_time_of(
     periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
     return Given(dwell, "the shortest sojourn of its signal")
+
+
+def signals_of(
+    problem: Problem,
+    signal: SwitchingSignal | Rule,
+    dwell_time: Sequence[float] | None = None,
+    maximum_dwell: Sequence[float] | None = None,
+) -> Signals:
+    """The signals that a problem is about: its dwell time, and what else it promises of them.
+
+    `dwell_time` and `maximum_dwell` are what somebody wanted instead, seconds: one, or one per
+    mode.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> signals_of(problem, problem.signal, maximum_dwell=[1.5]).options
+    {'dwell_time': 0.2, 'maximum_dwell': 1.5}
+    """
+    given = dwell_time_of(problem, signal, min(dwell_time) if dwell_time else None)
+    own, modes = problem.constraint, problem.plant.modes
+    least: object = dwell_time
+    if least is None:
+        promised = own is not None and min(own.dwell_time) > 0.0
+        least = own.dwell_time if own is not None and promised else [given.value]
+    most: object = maximum_dwell
+    if most is None and own is not None and len(own.lasting) < modes:
+        most = own.maximum_dwell
+    ways = None if own is None else own.transitions
+    return Signals(given, SwitchingConstraint.of(modes, one_or_all(least), one_or_all(most), ways))
+
+
+def one_or_all(values: Any) -> Any:
+    """A time that was given as the only one is that of every mode."""
+    return values[0] if values is not None and len(values) == 1 else values
+
+
+def random_model(allowed: SwitchingConstraint, mean_sojourn: float | None = None) -> SemiMarkov:
+    """Sojourns of the dwell time and an exponential time, then any mode that may follow.
+
+    Means of whole sojourns, before longer ones than `maximum_dwell` are left out, are
+    `mean_sojourn`, or twice the dwell time of the mode.
+
+    Raises
+    ------
+    ArgumentError
+        If a mean is below a dwell time, or a mode leads nowhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ring = SwitchingConstraint.of(3, [0.2, 0.2, 0.5], transitions=np.roll(np.eye(3), 1, 1))
+    >>> random_model(ring).sample(3.0, seed=1).dwell_time > 0.2
+    True
+    """
+    ways, sojourns = allowed.transitions.astype(float), []
+    for i, least in enumerate(allowed.dwell_time):
+        mean = mean_or_twice(least, mean_sojourn)
+        if not ways[i].any():
+            raise ArgumentError(
+                f"transitions[{i}] allows no switch, and random signals go on switching: allow one "
+                f"from mode {i}."
+            )
+        if mean < least:
+            raise ArgumentError(
+                f"mean_sojourn must be at least dwell_time = {least:g} s of mode {i}, got {mean:g}."
+            )
+        sojourns.append(ShiftedExponential(least, mean - least) if mean > least else Fixed(least))
+    table = ways / ways.sum(axis=1, keepdims=True)
+    limited = len(allowed.lasting) < allowed.modes
+    return SemiMarkov(sojourns, table, maximum_dwell=allowed.maximum_dwell if limited else None)
 
 
 def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None) -> Given:
@@ -81,7 +176,7 @@ def mean_sojourn_of(problem: Problem, dwell: float, wanted: float | None = None)
     Given(value=1.0, source="twice the dwell time; the problem's, 0.4 s, is too short")
     """
     if wanted is not None:
-        return Given(number("mean_sojourn", wanted), _OPTION)
+        return Given(number("mean_sojourn", wanted), AS_ASKED)
     mean, twice = problem.mean_sojourn, mean_or_twice(dwell)
     if mean is None:
         return Given(twice, "twice the dwell time")

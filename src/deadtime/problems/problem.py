@@ -21,6 +21,7 @@ from deadtime.laws import (
 from deadtime.plant import SwitchedSystem, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Markov, Rule, SemiMarkov, SwitchingSignal
+from deadtime.switching.constraint import SwitchingConstraint
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,9 @@ class Problem(Frozen):
     dwell_time : float or None
         The dwell time that every signal is promised to have, seconds, which certificates ask for;
         None: the shortest sojourn of `signal`.
+    constraint : SwitchingConstraint or None
+        All that its signals are promised: dwell times mode by mode, of which `dwell_time` is the
+        shortest, longest sojourns, and the switches that are allowed; None: no more than that.
     mean_sojourn : float or None
         The mean sojourn of its signals, seconds, which Monte Carlo draws; None: it states none.
     switching : Markov, SemiMarkov or None
@@ -101,6 +105,7 @@ class Problem(Frozen):
     seed: int = 0
     predict: str = "applied"
     weight: Weight | None = None
+    constraint: SwitchingConstraint | None = None
 
     def __post_init__(self) -> None:
         if not self.states:

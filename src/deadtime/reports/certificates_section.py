@@ -9,7 +9,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import file_name
 from deadtime.laws import DelayedStateFeedback
 from deadtime.problems import Problem
-from deadtime.problems.asked import dwell_time_of, step_of
+from deadtime.problems.asked import signals_of, step_of
 from deadtime.problems.comparison import Comparison, Progress
 from deadtime.reports.tables.certificates import (
     HEADINGS,
@@ -64,9 +64,13 @@ def certificates_section(result: Comparison, progress: Progress = lambda _: None
     problem's period, or at 0.01 s where the problem's loop is ideal.
     """
     problem = result.problem
-    (dwell, source), step = dwell_time_of(problem, result.signal), step_of(problem)
-    judged = judge(problem, dwell, step, progress=progress)
+    signals, step = signals_of(problem, result.signal), step_of(problem)
+    dwell, source = signals.dwell
+    judged = judge(problem, step=step, progress=progress, **signals.options)
     sentences = [*left_out(problem), *certificate_sentences(judged)]
+    if not signals.constraint.is_plain:
+        stays, switches = signals.constraint.in_words()
+        sentences.insert(0, f"Certificates are about every signal that {stays}, and {switches}.")
     figures = []
     reach = _tightness_figure(problem, dwell, step, progress)
     if reach is not None:

@@ -108,6 +108,13 @@ class SwitchingConstraint:
         return all(len(after) == self.modes - 1 for after in self.following)
 
     @property
+    def is_plain(self) -> bool:
+        """Whether a dwell time that all modes share is all that limits them."""
+        return (
+            self.is_free and len(set(self.dwell_time)) == 1 and math.isinf(min(self.maximum_dwell))
+        )
+
+    @property
     def lasting(self) -> tuple[int, ...]:
         """The modes that may last without end; the one mode of a plant that has no other does."""
         if self.modes == 1:
@@ -131,6 +138,35 @@ class SwitchingConstraint:
         return tuple(
             tuple(j for j in after if reach[j, i]) for i, after in enumerate(self.following)
         )
+
+    def in_words(self) -> tuple[str, str]:
+        """What signals do by it, after "that": how long they stay, and how they switch.
+
+        Examples
+        --------
+        >>> SwitchingConstraint.of(2, 0.3).in_words()
+        ('stays in each mode for at least 0.3 s', 'switches at any time')
+        >>> limits = SwitchingConstraint.of(2, [0.3, 0.5], [0.9, math.inf], [[0, 1], [0, 0]])
+        >>> limits.in_words()[0]
+        'stays for 0.3 to 0.9 s in mode 0, at least 0.5 s in mode 1'
+        >>> limits.in_words()[1]
+        'switches at any time, but only so: from mode 0 to 1, from mode 1 never'
+        """
+        times = list(zip(self.dwell_time, self.maximum_dwell, strict=True))
+        each = [
+            f"at least {least:.4g} s" if math.isinf(most) else f"{least:.4g} to {most:.4g} s"
+            for least, most in times
+        ]
+        stays = f"stays in each mode for {each[0]}"
+        if len(set(times)) > 1:
+            stays = "stays for " + ", ".join(f"{one} in mode {i}" for i, one in enumerate(each))
+        if self.is_free:
+            return stays, "switches at any time"
+        ways = [
+            f"from mode {i} {'to ' + ' or '.join(map(str, after)) if after else 'never'}"
+            for i, after in enumerate(self.following)
+        ]
+        return stays, f"switches at any time, but only so: {', '.join(ways)}"
 
     def require(self, signal: SwitchingSignal, tolerance: float = ROUND_OFF) -> None:
         """Refuse a signal that is not admissible, by the first switch or sojourn that is not.

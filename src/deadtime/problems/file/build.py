@@ -20,9 +20,17 @@ from deadtime.problems.file.imperfections import build_imperfections, offsets_of
 from deadtime.problems.file.laws import Laws, change_plant
 from deadtime.problems.file.observer import add_observers, names_of
 from deadtime.problems.file.servo import FileServo
-from deadtime.problems.file.switching import build_model, build_rule, build_signal
+from deadtime.problems.file.switching import (
+    build_model,
+    build_rule,
+    build_signal,
+    promise_of,
+)
+from deadtime.problems.law_registry import Model
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
+from deadtime.switching import SwitchingSignal
+from deadtime.switching.constraint import SwitchingConstraint
 
 
 def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
@@ -52,13 +60,11 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     with _section("truth"):
         truth = change_plant(plant, file.truth) if file.truth is not None else plant
     imperfections = _imperfections(file, plant, laws, step, following)
-    with _section("signal"):
+    signal, promise = rule, None
+    if signal is None:
         longest = max(truth.longest_delay, *(law.plant.longest_delay for law in laws.values()))
         end = horizon + longest + min(step or 0.0, horizon)
-        signal = rule
-        if signal is None:
-            signal = build_signal(file.signal, plant, end, source.parent, model)
-            signal.require_modes(plant.modes)
+        signal, promise = _signal(file, plant, end, source.parent, model)
     return Problem(
         name=source.stem,
         title=file.title or source.stem,
@@ -82,7 +88,8 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         outputs=outputs,
         tracked=() if following is None else following.names,
         switching=model,
-        dwell_time=getattr(file.signal, "dwell_time", None),
+        dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
+        constraint=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
     )
 
@@ -94,6 +101,20 @@ def _start(run: schema.RunSection, plant: SwitchedSystem) -> tuple[np.ndarray, n
     if u0.size == 1:
         u0 = np.full(plant.inputs, u0[0])
     return x0, require_shape("u0", u0, (plant.inputs,), "(m,)"), positive("horizon", run.horizon)
+
+
+def _signal(
+    file: schema.ProblemFile,
+    plant: SwitchedSystem,
+    end: float,
+    folder: Path,
+    model: Model | None,
+) -> tuple[SwitchingSignal, SwitchingConstraint | None]:
+    """The switching signal up to `end`, s, and what the file says of every one."""
+    with _section("signal"):
+        signal = build_signal(file.signal, plant, end, folder, model)
+        signal.require_modes(plant.modes)
+        return signal, promise_of(file, model, plant.modes)
 
 
 def _imperfections(

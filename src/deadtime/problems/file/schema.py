@@ -43,6 +43,8 @@ Gains = Annotated[Matrices | None, Shape("(modes, m, n)", [[[-1.0, -2.0]], [[-1.
 PerMode = Annotated[Matrix, Shape("(modes, modes)", _RATES)]
 State = Annotated[Vector, Shape("(n,)", [1.0, 0.0])]
 Names = Annotated[Texts, Shape("a list of texts", ["position", "speed"])]
+Times = Annotated[float | Vector | None, Shape("a number or (modes,)", [0.3, 0.6])]
+Allowed = Annotated[Matrix | None, Shape("(modes, modes)", [[0, 1], [1, 0]])]
 Seconds = Annotated[Vector, Shape("(count,)", [0.0, 0.7])]
 Modes = Annotated[Integers, Shape("a list of whole numbers", [0, 1])]
 
@@ -129,6 +131,10 @@ class SemiMarkovSwitching(Section):
     transition: Annotated[Matrix | None, Shape("(modes, modes)", [[0.0, 1.0], [1.0, 0.0]])] = Field(
         None, description="Probabilities of the next mode; uniform by default."
     )
+    dwell_time: Times = Field(None, description="No sojourn drawn is shorter, s; or one per mode.")
+    maximum_dwell: Times = Field(
+        None, description="No sojourn drawn is longer, s; or one per mode, inf for none."
+    )
 
 
 class FittedSwitching(Section):
@@ -168,7 +174,15 @@ class RandomSignal(Section):
     """Random sojourns with a minimum or an average dwell time."""
 
     kind: Literal["random"]
-    dwell_time: float | None = Field(None, description="Sojourns are this plus exponential, s.")
+    dwell_time: Times = Field(
+        None, description="Sojourns are this plus exponential, s; or one per mode."
+    )
+    maximum_dwell: Times = Field(
+        None, description="No sojourn is longer, s; or one per mode, inf for none."
+    )
+    transitions: Allowed = Field(
+        None, description="1 where a mode (row) may switch to a mode (column); all by default."
+    )
     average_dwell_time: float | None = Field(None, description="Instead of dwell_time, s.")
     mean_sojourn: float | None = Field(None, description="Mean sojourn, s.")
     chatter: int = Field(2, description="Switches that an average dwell time allows at once.")

@@ -20,6 +20,7 @@ from deadtime.switching import (
     SemiMarkov,
     SwitchingSignal,
 )
+from deadtime.switching.constraint import SwitchingConstraint
 
 
 def build_model(section: schema.Switching | None, modes: int, folder: Path) -> Model | None:
@@ -37,7 +38,13 @@ def build_model(section: schema.Switching | None, modes: int, folder: Path) -> M
                 else _sojourn("sojourn", given)
             )
             one = not isinstance(given, list) and section.transition is None
-            model = SemiMarkov(sojourn, section.transition, modes=modes if one else None)
+            model = SemiMarkov(
+                sojourn,
+                section.transition,
+                modes=modes if one else None,
+                dwell_time=section.dwell_time,
+                maximum_dwell=section.maximum_dwell,
+            )
         case schema.FittedSwitching():
             signals = [
                 SwitchingSignal.from_csv(
@@ -74,6 +81,29 @@ def _sojourn(name: str, given: schema.Sojourn) -> Any:
             f"{name}: {given.distribution} takes the parameters {known}, got "
             f"{sorted(given.model_extra or {})}."
         ) from None
+
+
+def promise_of(
+    file: schema.ProblemFile, model: Model | None, modes: int
+) -> SwitchingConstraint | None:
+    """What the file says of every signal: [signal] where it states something, else [switching].
+
+    None where neither states anything. A switch that logs do not show is not thereby excluded: of
+    a model that is fitted nothing is taken.
+    """
+    signal, switching = file.signal, file.switching
+    if isinstance(signal, schema.RandomSignal):
+        stated = signal.dwell_time, signal.maximum_dwell, signal.transitions
+    else:
+        stated = getattr(signal, "dwell_time", None), None, None
+    if all(one is None for one in stated) and model is not None:
+        if isinstance(switching, schema.SemiMarkovSwitching):
+            stated = switching.dwell_time, switching.maximum_dwell, model.transitions
+        elif isinstance(switching, schema.MarkovSwitching):
+            stated = None, None, model.transitions
+    if all(one is None for one in stated):
+        return None
+    return SwitchingConstraint.of(modes, *stated)
 
 
 def build_rule(section: schema.Signal) -> Rule | None:

@@ -20,6 +20,7 @@ from deadtime.base.threads import in_order
 from deadtime.base.wording import as_rate, sentence_of
 from deadtime.plant.switched_system import check_delays
 from deadtime.problems import Problem
+from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -65,7 +66,7 @@ class Judged:
 
 def judge(
     problem: Problem,
-    dwell_time: float,
+    dwell_time: Times,
     step: float,
     laws: Sequence[str] | None = None,
     decay_rate: float | None = None,
@@ -73,6 +74,8 @@ def judge(
     delays: tuple[ArrayLike, ArrayLike] | None = None,
     mode_lag: int = 0,
     trying: Callable[[str], None] = lambda _: None,
+    maximum_dwell: Times | None = None,
+    transitions: ArrayLike | None = None,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -80,7 +83,7 @@ def judge(
     ----------
     problem : Problem
         Its signal is not read.
-    dwell_time, step : float
+    dwell_time, step
         As `certify` takes them, seconds.
     laws : sequence of str, optional
         Names of laws; all by default.
@@ -95,6 +98,8 @@ def judge(
     trying : callable
         Called with a few words whenever something else is tried for one of the laws, from the
         thread that tries it.
+    maximum_dwell, transitions
+        As `certify` takes them.
 
     Raises
     ------
@@ -104,7 +109,10 @@ def judge(
     """
     from deadtime.certificates import certify
 
-    dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
+    SwitchingConstraint.of(problem.plant.modes, dwell_time, maximum_dwell, transitions)
+    step = positive("step", step)
+    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions}
+    signals = {name: limit for name, limit in limits.items() if limit is not None}
     count("mode_lag", mode_lag, 0)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
@@ -121,6 +129,7 @@ def judge(
                 law,
                 dwell_time,
                 step,
+                **signals,
                 decay_rate=decay_rate,
                 delays=delays,
                 mode_lag=mode_lag,
@@ -131,7 +140,7 @@ def judge(
             certified[name].set_exception(error)
 
     def search(name: str) -> Judged:
-        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag))
+        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag), signals)
 
     # A solver leaves Python to the other threads, a search for signals does not: the solver of the
     # law that takes longest works beside the searches of the others.
@@ -144,7 +153,11 @@ def judge(
 
 
 def _judge(
-    problem: Problem, name: str, certified: Future[Certificate], asked: tuple[float, float, int]
+    problem: Problem,
+    name: str,
+    certified: Future[Certificate],
+    asked: tuple[Times, float, int],
+    signals: dict[str, Any],
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
     from deadtime.certificates import falsify
@@ -160,7 +173,7 @@ def _judge(
     worst, margin, reason = certificate.witness, None, ""
     try:
         if worst is None and certificate.stable:
-            worst = falsify(plant, law, dwell_time, step, mode_lag=lag)
+            worst = falsify(plant, law, dwell_time, step, mode_lag=lag, **signals)
         too_long = why_left_out("delay margin", plant, law, step)
         if too_long:
             return Judged(name, certificate, worst, None, sentence_of(too_long))

@@ -15,12 +15,13 @@ from deadtime.feedback import Law
 from deadtime.gains import place
 from deadtime.plant import Weight
 from deadtime.problems import Problem
+from deadtime.problems.asked import random_model
 from deadtime.problems.file import schema
 from deadtime.problems.file.build import build_problem
 from deadtime.problems.file.gains import as_numbers
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.file.mode_filter import build_mode_filter
-from deadtime.problems.file.switching import build_model
+from deadtime.problems.file.switching import build_model, promise_of
 from deadtime.problems.law_registry import Model, Setting
 from deadtime.problems.toml import require_valid, section
 from deadtime.scenarios.sweeps.axes import AXES, Draft, axis_of
@@ -156,8 +157,13 @@ def _model(file: schema.ProblemFile, modes: int, folder: Path) -> Model:
     if isinstance(signal, schema.RandomSignal) and signal.dwell_time is not None:
         from scipy.stats import expon
 
-        rest = mean_or_twice(signal.dwell_time, signal.mean_sojourn) - signal.dwell_time
-        return SemiMarkov(expon(loc=signal.dwell_time, scale=rest), modes=modes)
+        own = promise_of(file, None, modes)
+        assert own is not None
+        if not own.is_plain:
+            return random_model(own, signal.mean_sojourn)
+        least = own.dwell_time[0]
+        rest = mean_or_twice(least, signal.mean_sojourn) - least
+        return SemiMarkov(expon(loc=least, scale=rest), modes=modes)
     raise ArgumentError(
         "a study draws its signals: give grid.dwell_time, or the problem file a [switching] "
         "section."

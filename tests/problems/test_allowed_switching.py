@@ -1,0 +1,149 @@
+"""Problem files that say which switches and sojourns there are: drawn, and asked about."""
+
+import dataclasses
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+import deadtime as dt
+from deadtime.cli.entry import main
+from deadtime.problems.asked import random_model, signals_of
+from deadtime.problems.file import load_problem
+
+PLANT = """\
+[plant]
+delay = 0.2
+A = [[[-1.0]], [[-2.0]], [[-3.0]]]
+B = [[[1.0]], [[1.0]], [[1.0]]]
+[gains]
+poles = [-4.0]
+[[law]]
+kind = "averaged"
+[run]
+x0 = [1.0]
+horizon = 60.0
+step = 0.1
+"""
+LEAST, MOST, WAYS = [0.3, 0.6, 0.4], [0.5, math.inf, 0.9], [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+LIMITED = f"""\
+[signal]
+kind = "random"
+dwell_time = {LEAST}
+maximum_dwell = {MOST}
+transitions = {WAYS}
+"""
+MODEL = """\
+[switching]
+kind = "semi-markov"
+sojourn = { distribution = "expon", scale = 0.5 }
+transition = [[0, 1, 0], [0.5, 0, 0.5], [0, 1, 0]]
+dwell_time = [0.3, 0.6, 0.4]
+maximum_dwell = [0.5, inf, 0.9]
+[signal]
+kind = "model"
+"""
+
+
+@pytest.fixture
+def load(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def of(text):
+        (tmp_path / "p.toml").write_text(PLANT + text, encoding="utf-8")
+        return load_problem(tmp_path / "p.toml")
+
+    return of
+
+
+def kept(signal):
+    """By the definition: every whole sojourn, and every switch."""
+    lengths, modes = np.diff(signal.times), signal.modes.tolist()
+    assert signal.switches > 20
+    assert all(WAYS[i][j] for i, j in itertools.pairwise(modes))
+    return all(
+        LEAST[i] <= length * (1 + 1e-9) and length <= MOST[i] * (1 + 1e-9)
+        for i, length in zip(modes, lengths.tolist(), strict=False)
+    )
+
+
+@pytest.mark.parametrize("text", [LIMITED, MODEL])
+def test_signals_of_the_file_are_those_it_allows_and_it_is_asked_about_them(load, text):
+    problem = load(text)
+    assert kept(problem.signal)
+    assert problem.dwell_time == 0.3
+    asked = signals_of(problem, problem.signal)
+    options = asked.options
+    assert options["dwell_time"] == tuple(LEAST)
+    assert options["maximum_dwell"] == tuple(MOST)
+    assert options["transitions"].astype(int).tolist() == WAYS
+    problem.signal.require_admissible(**options)
+    assert kept(random_model(asked.constraint).sample(60.0, seed=2))
+    longer = signals_of(problem, problem.signal, [0.5], [2.0])
+    assert longer.options["dwell_time"] == 0.5
+    assert longer.options["maximum_dwell"] == 2.0
+    assert longer.options["transitions"].astype(int).tolist() == WAYS
+
+
+def test_what_certificates_take_is_the_signal_s_else_the_model_s(load):
+    rates = '[switching]\nkind = "markov"\nrates = [[0, 1.0, 0], [0.5, 0, 0.5], [0, 1.0, 0]]\n'
+    drawn = load(rates + '[signal]\nkind = "model"\n')
+    assert drawn.dwell_time is None
+    assert drawn.constraint.transitions.astype(int).tolist() == WAYS
+    own = load(rates + '[signal]\nkind = "random"\ndwell_time = 0.3\n')
+    assert own.constraint.is_plain
+    assert signals_of(own, own.signal).options == {"dwell_time": 0.3}
+
+
+def test_a_dead_end_draws_no_random_signals(load):
+    ends = load(LIMITED.replace("[0, 1, 0]]", "[0, 0, 0]]").replace("0.9]", "inf]"))
+    with pytest.raises(dt.ArgumentError, match=r"transitions\[2\] allows no switch"):
+        random_model(ends.constraint)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "[0, 1, 0]]",
+            "[0, 0, 0]]",
+            r"line 17, \[signal\]: transitions\[2\] allows no switch, but",
+        ),
+        ("[0, 1, 0]]", "[0, 0.5, 0]]", r"\[signal\]: transitions\[2, 1\] must be True or False"),
+        ("0.4]", "0.4, 0.4]", r"\[signal\]: dwell_time must be .* each of the 3 modes"),
+        ("0.9]", "0.1]", r"\[signal\]: maximum_dwell\[2\] must be at least dwell_time\[2\]"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused_by_section(load, old, new, message):
+    with pytest.raises(dt.ProblemFileError, match=message):
+        load(LIMITED.replace(old, new))
+
+
+def test_certify_asks_about_what_the_file_and_the_options_say(load, capsys, monkeypatch):
+    load(LIMITED)
+    asked = []
+
+    def certify(plant, law, dwell_time, step, **options):
+        asked.append({"dwell_time": dwell_time, **options})
+        return dt.Certificate(None, "made up")
+
+    monkeypatch.setattr("deadtime.certificates.certify", certify)
+    for options in ((), ("--dwell-time", "0.4,0.6,0.5", "--maximum-dwell", "2"), ("--json",)):
+        with pytest.raises(SystemExit):
+            main(["certify", "p.toml", *options])
+        out = capsys.readouterr().out
+        if options == ():
+            text = " ".join(out.split())
+            assert "only so: from mode 0 to 1, from mode 1 to 0 or 2, from mode 2 to 1;" in text
+            assert "0.3 to 0.5 s in mode 0, at least 0.6 s in mode 1, 0.4 to 0.9 s" in text
+    assert json.loads(out)["transitions"] == WAYS
+    assert json.loads(out)["maximum_dwell"] == [0.5, None, 0.9]
+    assert [one["dwell_time"] for one in asked[:2]] == [tuple(LEAST), (0.4, 0.6, 0.5)]
+    assert [one["maximum_dwell"] for one in asked[:2]] == [tuple(MOST), 2.0]
+
+
+def test_a_problem_without_limits_is_asked_about_as_before():
+    paper = dataclasses.replace(dt.problems.paper(), dwell_time=None)
+    assert signals_of(paper, paper.signal).options == {"dwell_time": 0.2}
