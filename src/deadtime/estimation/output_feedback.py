@@ -146,14 +146,17 @@ class OutputFeedback(WithMemory, Law):
         """
         if not self.draws:
             return self
-        first, options = self.estimate, {}
+        first, reference = self.estimate, self.reference
         if self.covariance is not None:
             values, vectors = np.linalg.eigh(self.covariance)
             number = stream(seed, "Estimate").standard_normal(first.size)
             first = first + vectors @ (np.sqrt(np.maximum(values, 0.0)) * number)
-        if self.reference is not None:
-            options = {"reference": self.reference.drawn(stream(seed, "Reference"))}
-        return OutputFeedback(self.law, self.observer, servo=self.servo, estimate=first, **options)
+        if reference is None:
+            return OutputFeedback(self.law, self.observer, estimate=first)
+        reference = reference.drawn(stream(seed, "Reference"))
+        return OutputFeedback(
+            self.law, self.observer, servo=self.servo, reference=reference, estimate=first
+        )
 
     @property
     def label(self) -> str:
