@@ -172,5 +172,6 @@ def test_the_script_of_the_explorer_draws_the_same(tmp_path):
     exec(text.split("\nruns = {")[0].replace("from deadtime.reports import plot_laws", ""), made)
     ours, theirs = (laws["averaged"].drawn(4) for laws in (problem.laws, made["laws"]))
     assert isinstance(ours, dt.OutputFeedback)
+    assert isinstance(theirs, dt.OutputFeedback)
     assert np.array_equal(ours.estimate, theirs.estimate)
     assert reference_of(ours)(0.0) == reference_of(theirs)(0.0)
