@@ -307,3 +307,16 @@ def test_sampled_designs_refuse_what_they_cannot_do(call, message):
 def test_a_pole_at_rest_is_refused_and_no_other_is_proposed():
     with pytest.raises(dt.ArgumentError, match=r"got 0: a loop with this pole does not decay\.$"):
         dt.place(plants.scalar([0.5]), [0.0])
+
+
+@pytest.mark.parametrize("step", [None, 0.01, 0.1])
+def test_states_that_drive_one_another_and_their_sum_are_controllable(step):
+    """The sum acts back on nothing: balancing alone would shrink the others without end."""
+    A, B = np.array([[0.1, 1.0, 0.0], [-2.0, -0.6, 0.0], [1.0, 0.0, 0.0]]), [[0.3], [0.8], [0.0]]
+    plant, poles = dt.SwitchedSystem([A], [B], 0.27), [-1.0, -2.0, -3.0]
+    K = dt.place(plant, poles, step)[0]
+    closed, wanted = A + B @ K, np.array(poles)
+    if step is not None:
+        whole = expm(step * np.block([[A, np.array(B)], [np.zeros((1, 4))]]))
+        closed, wanted = whole[:3, :3] + whole[:3, 3:] @ K, np.exp(step * wanted)
+    assert np.sort(np.linalg.eigvals(closed).real) == pytest.approx(np.sort(wanted), rel=1e-9)

@@ -112,6 +112,9 @@ def test_what_a_problem_does_not_state_is_taken_from_its_signal_and_said():
     paper = dt.problems.paper()
     unsaid = dataclasses.replace(paper, dwell_time=None, mean_sojourn=None)
     assert dwell_time_of(unsaid, unsaid.signal) == (0.2, "the shortest sojourn of its signal")
+    model = dt.Markov([[-1.0, 1.0], [1.0, -1.0]])
+    drawn = dataclasses.replace(unsaid, switching=model, signal=model.sample(9.0, seed=1))
+    assert "of the one signal drawn; others may" in dwell_time_of(drawn, drawn.signal).source
     still = dt.SwitchingSignal.constant(0)
     assert dwell_time_of(unsaid, still).value == unsaid.horizon
     assert "never switches" in dwell_time_of(unsaid, still).source

@@ -87,6 +87,7 @@ def test_a_run_says_it_of_the_last_step_or_of_any_and_at_its_own_samples():
         assert found["SteadyStateError"] == r - y[part][-1]
 
 
+@pytest.mark.long
 def test_many_runs_say_the_same_of_every_law_with_a_servo():
     signals = [dt.SwitchingSignal.random(2, 18.0, dwell_time=0.7, seed=i) for i in range(10)]
     options = {"x0": [0.1, 0.0], "horizon": 16.0, "step": 0.1}
@@ -190,6 +191,7 @@ step = 0.1
 """
 
 
+@pytest.mark.long
 def test_the_commands_say_them(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     path.write_text(FILE, encoding="utf-8")

@@ -181,4 +181,5 @@ def _oracle(problem: Problem) -> Law:
     law = ExactPredictor(plant, gains, allow_unstable=True)
     if first is None:
         return law
-    return OutputFeedback(law, first.observer, estimate=first.estimate, **followed)
+    begun = {"estimate": first.estimate, "covariance": first.covariance}
+    return OutputFeedback(law, first.observer, **begun, **followed)

@@ -79,9 +79,10 @@ def script_of(problem: Problem, laws: Sequence[str] = ()) -> str:
     if problem.imperfections:
         arguments |= {
             "imperfections": list(problem.imperfections),
-            "seed": problem.seed,
             "predict": problem.predict,
         }
+    if problem.imperfections or any(law.draws for law in problem.laws.values()):
+        arguments["seed"] = problem.seed
     lines = [f"{name}={writer.code(value)}," for name, value in arguments.items()]
     tail = _TAIL.format(
         arguments=_indent(lines, 8),
@@ -149,6 +150,8 @@ class _Writer:
             return _quote(value)
         if isinstance(value, Fixed):
             return repr(value.length)
+        if isinstance(value, Reference) and value.distribution is not None:
+            return self.code(value.distribution)
         if isinstance(value, Reference) and value.schedule is not None:
             return self._expression((value.schedule.times, value.schedule.values))
         if type(value).__module__.startswith("deadtime."):

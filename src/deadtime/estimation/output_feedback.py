@@ -13,12 +13,14 @@ from deadtime.base.checks import instance, real_array, require_shape
 from deadtime.base.errors import ArgumentError
 from deadtime.estimation.estimator import Estimator, Tracked
 from deadtime.estimation.observer import Observer
-from deadtime.estimation.reference import Reference
+from deadtime.estimation.reference import Drawable, Reference
 from deadtime.estimation.servo import Servo
 from deadtime.feedback import Feedback, Forecast, Law
 from deadtime.feedback.law import Remembering, TableLaw, Update
 from deadtime.feedback.memory import Tables, WithMemory
+from deadtime.numerics.streams import stream
 from deadtime.plant import SwitchedSystem
+from deadtime.plant.weight import weight_matrix
 from deadtime.switching import SwitchingSignal
 
 
@@ -44,9 +46,14 @@ class OutputFeedback(WithMemory, Law):
         What is tracked.
     reference : optional
         r: a number, shape (tracked,), a pair (times, values) with values of shape (T,) or
-        (T, tracked), each held until the next time, or a function of time. 0 by default.
+        (T, tracked), each held until the next time, or a function of time. 0 by default. Or a
+        distribution that scipy.stats freezes: every run draws a constant for each output.
     estimate : array_like, shape (n,), optional
         First estimate, of the observer's states; 0 by default.
+    covariance : array_like, shape (n, n), optional
+        Its covariance, positive semidefinite: every run draws its own first estimate, normal
+        around `estimate`. What is drawn depends on the seed of the run alone (`drawn`); where
+        there is no run, as in `Controller` and exports, the means hold.
 
     Raises
     ------
@@ -70,6 +77,7 @@ class OutputFeedback(WithMemory, Law):
     servo: Servo | None
     reference: Reference | None
     estimate: Float[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "n n"] | None
 
     def __init__(
         self,
@@ -77,8 +85,12 @@ class OutputFeedback(WithMemory, Law):
         observer: Observer,
         *,
         servo: Servo | None = None,
-        reference: ArrayLike | tuple[ArrayLike, ArrayLike] | Callable[[float], ArrayLike] = 0.0,
+        reference: ArrayLike
+        | tuple[ArrayLike, ArrayLike]
+        | Callable[[float], ArrayLike]
+        | Drawable = 0.0,
         estimate: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
     ) -> None:
         instance("law", law, Law)
         instance("observer", observer, Observer)
@@ -98,6 +110,8 @@ class OutputFeedback(WithMemory, Law):
             followed = Reference.of(reference, servo.tracked.shape[0])
         first = np.zeros(n) if estimate is None else estimate
         first = require_shape("estimate", real_array("estimate", first, "(n,)", 1), (n,), "(n,)")
+        if covariance is not None:
+            covariance = weight_matrix("covariance", covariance, n, "n", strict=False)
         states = n if servo is None else servo.base.states
         vars(self).update(
             plant=model if servo is None else servo.base,
@@ -108,6 +122,40 @@ class OutputFeedback(WithMemory, Law):
             servo=servo,
             reference=followed,
             estimate=first,
+            covariance=covariance,
+        )
+
+    @property
+    def draws(self) -> bool:
+        return self.covariance is not None or (
+            self.reference is not None and self.reference.distribution is not None
+        )
+
+    def drawn(self, seed: int) -> OutputFeedback:
+        """The law of the run with a seed: first estimate and reference drawn, for all laws alike.
+
+        Examples
+        --------
+        >>> import deadtime as dt
+        >>> problem = dt.problems.paper()
+        >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
+        >>> observer = dt.luenberger(problem.plant, [[1.0, 0.0]], poles=[-4, -5], step=0.02)
+        >>> loop = dt.OutputFeedback(law, observer, covariance=[[0.1, 0.0], [0.0, 0.2]])
+        >>> loop.drawn(1).estimate.round(3), loop.drawn(1).draws
+        (array([-0.168,  0.66 ]), False)
+        """
+        if not self.draws:
+            return self
+        first, reference = self.estimate, self.reference
+        if self.covariance is not None:
+            values, vectors = np.linalg.eigh(self.covariance)
+            number = stream(seed, "Estimate").standard_normal(first.size)
+            first = first + vectors @ (np.sqrt(np.maximum(values, 0.0)) * number)
+        if reference is None:
+            return OutputFeedback(self.law, self.observer, estimate=first)
+        reference = reference.drawn(stream(seed, "Reference"))
+        return OutputFeedback(
+            self.law, self.observer, servo=self.servo, reference=reference, estimate=first
         )
 
     @property

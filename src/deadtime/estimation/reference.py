@@ -1,10 +1,10 @@
-"""References: a constant, a schedule, or a function of time."""
+"""References: a constant, drawn or not, a schedule, or a function of time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -14,13 +14,34 @@ from deadtime.base.errors import ArgumentError
 from deadtime.plant.steps import TOLERANCE
 
 
+@runtime_checkable
+class Drawable(Protocol):
+    """What scipy.stats freezes."""
+
+    def rvs(self, size: Any = ..., random_state: Any = ...) -> Any:
+        """Numbers drawn."""
+        ...
+
+    def mean(self) -> Any:
+        """Their mean."""
+        ...
+
+    def support(self) -> Any:
+        """The least and the largest."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """r(t), from a time in seconds to shape (size,)."""
+    """r(t), from a time in seconds to shape (size,).
+
+    With a `distribution`, of which every run draws a constant for each output, it is the mean.
+    """
 
     function: Callable[[float], Any]
     size: int
     schedule: Schedule | None = None
+    distribution: Drawable | None = None
 
     def __call__(self, time: float) -> Float[np.ndarray, " size"]:
         return check_reference(self.function(time), self.size)
@@ -31,11 +52,36 @@ class Reference:
             return self.schedule.along(time)
         return np.array([self(t) for t in time.tolist()]).reshape(time.size, self.size)
 
+    @property
+    def values(self) -> Float[np.ndarray, "count size"]:
+        """What it is known to come to: none of a function; of a distribution its mean and ends."""
+        if self.schedule is None:
+            return np.zeros((0, self.size))
+        if self.distribution is None:
+            return self.schedule.values
+        ends = [np.broadcast_to(end, self.size) for end in self.distribution.support()]
+        return np.array([*self.schedule.values, *(end for end in ends if np.isfinite(end).all())])
+
+    def drawn(self, rng: np.random.Generator) -> Reference:
+        """That of one run."""
+        if self.distribution is None:
+            return self
+        return Reference.of(self.distribution.rvs(size=self.size, random_state=rng), self.size)
+
     @classmethod
     def of(cls, value: Any, size: int) -> Reference:
-        """From what a user gives: a number, (size,), (times, values), or a function."""
+        """From what a user gives: a number, (size,), (times, values), a function or a distribution.
+
+        A distribution is one that scipy.stats freezes, of finite mean.
+        """
         if isinstance(value, Reference):
             return value
+        if isinstance(value, Drawable):
+            mean = value.mean()
+            if not np.isfinite(mean).all():
+                raise ArgumentError(f"reference must have a finite mean, got {mean}.")
+            schedule = Schedule(np.zeros(1), check_reference(mean, size)[None])
+            return cls(schedule, size, schedule, value)
         if callable(value):
             return cls(value, size)
         if isinstance(value, tuple) and len(value) == 2 and np.ndim(value[0]) == 1:

@@ -79,6 +79,15 @@ class Law(Frozen, ABC):
         """The signal that it foresees, where that is one of its own and not the run's."""
         return None
 
+    @property
+    def draws(self) -> bool:
+        """Whether every run draws what it begins with, or what it follows."""
+        return False
+
+    def drawn(self, seed: int) -> Law:
+        """The law of the run with a seed, where runs draw; elsewhere the law itself."""
+        return self
+
     @abstractmethod
     def digital(
         self, step: float, signal: SwitchingSignal | None = None, steps: int | None = None

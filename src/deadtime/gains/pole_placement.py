@@ -14,6 +14,7 @@ from deadtime.base.checks import brief, require_unmasked
 from deadtime.base.errors import ArgumentError
 
 _LARGEST = 1e150  # beyond, squares are no floats
+_RUNAWAY = 2.0**40  # between units of states: more than users mix
 
 
 def pole_lists(poles: ArrayLike | Sequence[ArrayLike], modes: int, n: int) -> np.ndarray:
@@ -193,10 +194,31 @@ def _balance(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, ...]:
 
     With units t of the states and c of the inputs, A/t·t and B·c/t are returned.
     """
-    from deadtime.numerics.exponential import balance
-
-    t = balance(A)
+    t = _units_of(A)
     balanced = A * t / t[:, None]
     fresh = B / t[:, None]
     c = 1.0 / np.maximum(np.linalg.norm(fresh, axis=0), np.finfo(float).tiny)
     return balanced, fresh * c, t, c
+
+
+def _units_of(A: np.ndarray) -> np.ndarray:
+    """Units of the states in which A is balanced.
+
+    Where states drive others that do not act back, as a sum of errors does not, balancing has no
+    end: it shrinks what drives until its effect is lost in round-off. Then only what acts back is
+    balanced.
+    """
+    from deadtime.numerics.exponential import balance
+
+    t = balance(A)
+    if t.max() < _RUNAWAY * t.min():
+        return t
+    from scipy.sparse.csgraph import connected_components
+
+    count, group = connected_components(A != 0.0, connection="strong")
+    if count > 1:
+        t = np.ones(len(A))
+        for i in range(count):
+            own = np.flatnonzero(group == i)
+            t[own] = balance(A[np.ix_(own, own)])
+    return t

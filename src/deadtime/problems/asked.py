@@ -60,7 +60,7 @@ def dwell_time_of(
     What somebody wanted to know about, if anything; else the problem's own; where it states none,
     that of the signal, down to whole periods: what holds for every signal with the shorter one
     holds for those with the longer one. A signal that never switches is taken to dwell for the
-    problem's horizon.
+    problem's horizon. Where a model draws the signal, its source says that others may be shorter.
 
     Examples
     --------
@@ -88,6 +88,8 @@ def dwell_time_of(
     step = step_of(problem)
     periods = math.floor(signal.dwell_time / step * (1.0 + 1e-9))
     dwell = round(periods * step, 12) if periods > 1 else signal.dwell_time
+    if problem.switching is not None:
+        return Given(dwell, "the shortest sojourn of the one signal drawn; others may have shorter")
     return Given(dwell, "the shortest sojourn of its signal")
 
 

@@ -71,6 +71,8 @@ def _tables(
 def _table(engine: Engine, loop: Loop, law: Law, timed: bool) -> Runnable | None:
     """A law as the engine takes it; None for one that it cannot run."""
     step, samples, anything = loop.step, loop.whole + 1, SwitchingSignal.constant(0)
+    if law.draws:  # the engine keeps one beginning and one reference for all scenarios
+        return None
     if isinstance(law, WithMemory) and law.outputs is not None and not law.foresees:
         return _with_memory(engine, loop, law, timed)
     if isinstance(law, WithMemory) and not law.foresees:

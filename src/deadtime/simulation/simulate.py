@@ -121,6 +121,7 @@ def simulate(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
+    law = law.drawn(count("seed", seed, 0))
     if isinstance(signal, (list, tuple, np.ndarray)):
         raise ArgumentError(
             f"signal must be a SwitchingSignal or a rule, got a {type(signal).__name__}: modes "

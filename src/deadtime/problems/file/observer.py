@@ -40,6 +40,9 @@ class _Measured(Section):
     estimate: Annotated[Vector | None, Shape("(n,)", [1.0, 0.0])] = Field(
         None, description="First estimate of the state; 0 by default."
     )
+    covariance: Annotated[Matrix | None, Shape("(n, n)", [[0.1, 0.0], [0.0, 0.1]])] = Field(
+        None, description="Covariance of the first estimate: every run draws its own."
+    )
 
 
 class LuenbergerObserver(_Measured):
@@ -101,7 +104,8 @@ def add_observers(
             observer = observer_of(law.plant, section, step, numbers)
         else:
             observer = observer_of(servo.model, section, step, numbers, servo.C)
-        found[name] = OutputFeedback(law, observer, estimate=section.estimate, **options)
+        first = {"estimate": section.estimate, "covariance": section.covariance}
+        found[name] = OutputFeedback(law, observer, **first, **options)
     return found
 
 

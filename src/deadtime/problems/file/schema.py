@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from deadtime.problems.file.distribution import DistributionSection
 from deadtime.problems.file.imperfections import ImperfectionEntry
 from deadtime.problems.file.mode_filter import ModeFilterSection
 from deadtime.problems.file.observer import ObserverSection
@@ -101,17 +102,7 @@ class CostSection(Section):
     )
 
 
-class SojournSection(Section):
-    """A distribution of scipy.stats by its name there, with its parameters."""
-
-    model_config = ConfigDict(extra="allow", strict=False, title=None)
-
-    __pydantic_extra__: dict[str, float]  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    distribution: str = Field(description='Name in scipy.stats, such as "expon" or "gamma".')
-
-
-Sojourn = float | SojournSection
+Sojourn = float | DistributionSection
 
 
 class MarkovSwitching(Section):

@@ -20,6 +20,7 @@ from deadtime.estimation import Observer, Servo
 from deadtime.estimation.reference import Reference
 from deadtime.imperfections import Imperfection, Limiting, Sizes
 from deadtime.plant import SwitchedSystem
+from deadtime.problems.file.distribution import DistributionSection, frozen
 from deadtime.problems.toml import Shape
 from deadtime.problems.toml.table import Matrices, Matrix, Section, Texts, Vector
 
@@ -55,12 +56,12 @@ class ServoSection(Section):
         "their combinations; all outputs by default.",
     )
     reference: Annotated[
-        float | Vector | ScheduleSection | RecordedSection,
+        float | Vector | ScheduleSection | RecordedSection | DistributionSection,
         Shape(
-            "a number, (tracked,), { times = …, values = … } or { file = … }",
+            "a number, (tracked,), { times = …, values = … }, { file = … }, { distribution = … }",
             {"times": [0.0, 5.0], "values": [0.0, 1.0]},
         ),
-    ] = Field(0.0, description="What they follow: a constant, steps, or a CSV file.")
+    ] = Field(0.0, description="A constant, steps, a CSV file, or a distribution to draw from.")
     integral: bool = Field(
         True, description="Sum the errors, so that no constant error of the model leaves an offset."
     )
@@ -129,11 +130,9 @@ class FileServo:
 
         `force` is what acts on dx/dt in every mode.
         """
-        schedule, servo = self.reference.schedule, self.of_plant(plant)
-        if schedule is None:
-            return
+        servo = self.of_plant(plant)
         for low, high in absolute_limits(imperfections, Sizes.of(plant, step)):
-            for r in schedule.values:
+            for r in self.reference.values:
                 steady = servo.steady_input(r, force)
                 beyond = ((steady < low) | (steady > high)).any(axis=1)
                 if beyond.any():
@@ -208,6 +207,8 @@ def _reference(given: Any, size: int, names: Sequence[str], folder: Path) -> Ref
             return Reference.of((np.array(given.times), given.values), size)
         case RecordedSection():
             return Reference.of(_recorded(folder / given.file, size, names), size)
+        case DistributionSection():
+            return Reference.of(frozen("reference", given), size)
         case _:
             return Reference.of(given, size)
 

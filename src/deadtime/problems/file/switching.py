@@ -10,6 +10,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.plant import SwitchedSystem
 from deadtime.problems.file import schema
+from deadtime.problems.file.distribution import DistributionSection, frozen
 from deadtime.problems.law_registry import Model
 from deadtime.switching import (
     HalfSpace,
@@ -62,25 +63,7 @@ def build_model(section: schema.Switching | None, modes: int, folder: Path) -> M
 
 def _sojourn(name: str, given: schema.Sojourn) -> Any:
     """A number, or the frozen scipy.stats distribution that a section names."""
-    if not isinstance(given, schema.SojournSection):
-        return given
-    from scipy import stats
-
-    kind = getattr(stats, given.distribution, None)
-    if not isinstance(kind, stats.rv_continuous | stats.rv_discrete):
-        raise ArgumentError(
-            f"{name}: distribution must be the name of one in scipy.stats, such as expon, "
-            f"gamma, weibull_min, uniform, got {given.distribution!r}."
-        )
-    try:
-        return kind(**(given.model_extra or {}))
-    except TypeError:
-        shapes = kind.shapes.split(", ") if kind.shapes else []
-        known = ", ".join([*shapes, "loc", "scale"])
-        raise ArgumentError(
-            f"{name}: {given.distribution} takes the parameters {known}, got "
-            f"{sorted(given.model_extra or {})}."
-        ) from None
+    return frozen(name, given) if isinstance(given, DistributionSection) else given
 
 
 def promise_of(
