@@ -81,7 +81,7 @@ def test_a_warm_restart_changes_no_bit_and_a_covariance_that_is_none_is_refused(
     bad = -one.state["belief_covariances"]
     with pytest.raises(dt.ArgumentError, match=r"state\['belief_covariances'\] must be symmetric"):
         one.restore({**one.state, "belief_covariances": bad})
-    with pytest.raises(dt.ArgumentError, match=r"x must have shape \(2,\), got \(3,\)"):
+    with pytest.raises(dt.ArgumentError, match=r"y must have shape \(2,\), got \(3,\)"):
         one.update([1.0, 0.0, 0.0])
 
 

@@ -368,7 +368,7 @@ SMALL = plants.paper()
         ),
         (
             lambda: dt.Controller(observed(), STEP).update([1.0, 2.0, 3.0], 0),
-            "x must have shape (2,), got (3,)",
+            "y must have shape (2,), got (3,)",
         ),
         (
             lambda: dt.Controller(observed(), STEP).update([1.0, 2.0], 0, reference=[1.0]),

@@ -185,7 +185,7 @@ class Servo(Frozen):
         >>> plant = dt.SwitchedSystem([[[0.0]]], [[[1.0]]], delay=0.3)
         >>> servo = dt.Servo(plant, C=[[1.0]])
         >>> servo.complete([[[-3.0, -2.0]]]).round(3)      # poles -1 and -2
-        array([[[-3.   , -2.   ,  2.067]]])
+        array([[[-3. , -2. ,  2.4]]])
         """
         n, k = self.base.states, self.disturbance.shape[2]
         step = None if step is None else positive("step", step)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deadtime.base.wording import compact
 from deadtime.problems import Problem
-from deadtime.scenarios.dataset import Comparison
 from deadtime.simulation import Trajectory
 from deadtime.simulation.tracking import TRACKING
+
+if TYPE_CHECKING:
+    from deadtime.scenarios.dataset import Comparison
+else:
+    Comparison = object  # what one run is tabled with loads no batches
 
 HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
