@@ -174,7 +174,7 @@ def _print(problem: Problem, found: Design, mode: int | None) -> None:
         keep = [i for i in range(len(HEADINGS)) if i != at]
         print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
     print(f"Cost: {text_of(found.weight)}, each mode for ever, the mean over |x(0)| = 1.")
-    print(f"Peak |u|: the largest of the modes, each for ever, {found.initial.text}.")
+    print(f"Peak |u|: the largest under constant switching signals, {found.initial.text}.")
     print("\nWhat linear controllers of one mode alone can tolerate:")
     names = problem.modes if mode is None else (problem.modes[mode],)
     print_table(LIMIT_HEADINGS, limit_rows(found, names))

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.errors import ArgumentError
 from deadtime.feedback.bank import BankForm
 from deadtime.feedback.belief import Belief
 from deadtime.feedback.foresight import Foresight
@@ -77,7 +78,9 @@ class WithMemory(ABC):
 
     def beginning_at(self, memory: Float[np.ndarray, " w"]) -> Law:
         """The law with no reference that remembers w before its first sample, as it can be told."""
-        raise NotImplementedError
+        raise ArgumentError(
+            f"law must remember what can be set for it, as `OutputFeedback` does, got {self!r}."
+        )
 
 
 def tables_of(law: Law, step: float, signal: SwitchingSignal, steps: int) -> Tables | None:

@@ -3,7 +3,7 @@
 A law is u = Σ_i p_i K_i P_i over the systems i in which its forecast may end, P_i the state that is
 expected when the input of now arrives if it ends there. So any law is a prediction if its gains are
 replaced by others that single a future out: with further inputs v that act on nothing, and are as
-late as input j, and one more state that is 1 for ever,
+late as input j, and one more state that stays 1,
 
     v = p_i (P_i, 1)    under the gains  K_i = I of v in future i, K_l = 0 of v in all others.
 

@@ -28,7 +28,7 @@ from deadtime.switching import SwitchingSignal
 def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) -> Feedback | None:
     """A law's table, with what it remembers among its outputs; None of a law that is no table.
 
-    `signal` is what a law sees that foresees it, mode 0 for ever by default; such a law with a
+    `signal` is what a law sees that foresees it, the constant mode 0 by default; such a law with a
     memory is none.
 
     Examples

@@ -35,7 +35,7 @@ class Recording(NamedTuple):
     step : the sampling period, the median of all, seconds
     even : whether all samples lie on one grid, but for rounded times
     outputs, inputs, modes : their names
-    logged : whether the mode was, or is one for ever
+    logged : whether the mode was, or there is only one
     """
 
     parts: tuple[Part, ...]
@@ -78,7 +78,7 @@ def read_recording(
     logs : path, DataFrame, or list of them
         With columns t (or time), x…, u…, and the mode.
     modes : str, int or None
-        The column of the mode; None: one mode for ever.
+        The column of the mode; None: one mode.
     states, inputs : sequence of str, optional
         Their columns; by default those that begin with `letter`, and with u, and go on with a
         number or not at all.
