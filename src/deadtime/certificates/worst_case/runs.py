@@ -137,8 +137,8 @@ def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:
     if not signals.recurring:
         return
     rng = np.random.default_rng(3)
-    words, longest = [], max(MOST_SOJOURNS, len(signals.recurring))
-    for count in range(2, longest + 1):
+    words, most = [], max(MOST_SOJOURNS, len(signals.recurring))
+    for count in range(2, most + 1):
         if count <= MOST_SOJOURNS or not words:
             words += [word for word in signals.cycles(count) if signals.totals(word) is not None]
     if not words and signals.lasting:
@@ -146,7 +146,7 @@ def _drawn(signals: Admissible, longest: float, number: int) -> Iterator[Cycle]:
     if not words:
         raise ArgumentError(
             "maximum_dwell leaves no cycle of a whole number of periods with up to "
-            f"{longest} sojourns that transitions allows: raise it, or shorten the step."
+            f"{most} sojourns that transitions allows: raise it, or shorten the step."
         )
     for k in range(number):
         word = words[k % len(words)]
