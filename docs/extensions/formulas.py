@@ -44,6 +44,7 @@ BIG = "∫∑∏ΣΠ"
 WIDE = 4  # letters: a word and no product
 INDICES = re.compile(r"(?:,\w)+\b")
 PAIRS = {"(": ")", "{": "}", "[": "]"}
+OUTPUT = "sphx-glr-script-out"  # the class of what an example has printed
 
 
 def mathml(text: str) -> str:
@@ -169,7 +170,10 @@ def typeset(app, doctree: nodes.document, docname: str) -> None:
         return
     for block in list(doctree.findall(nodes.literal_block)):
         text = block.astext()
-        if block.get("language", "none") in ("none", "default") and is_formula(text):
+        printed = OUTPUT in (*block["classes"], *block.parent.get("classes", ()))
+        if printed or block.get("language", "none") not in ("none", "default"):
+            continue
+        if is_formula(text):
             block.replace_self(
                 nodes.raw("", f"<div class='formula'>{mathml(text)}</div>", format="html")
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from docutils import nodes
 
-PAGES = "gallery/"
+PAGES = "gallery/plot_"
 
 
 def open_with_picture(app, doctree: nodes.document) -> None:
