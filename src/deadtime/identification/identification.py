@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -13,6 +13,8 @@ from deadtime.base.checks import brief, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.hidden.found import HiddenModes
+from deadtime.identification.hidden.identified import Hidden
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.sentences import sentences_of, verdict_of
@@ -67,6 +69,8 @@ class Identification(Frozen):
     log_likelihood : float
     samples : int
         Rows of the log.
+    hidden : HiddenModes or None
+        Of modes that were not logged: which was active when, and how sure that is.
     sentences : tuple of str
         What there is to say, in words.
 
@@ -91,6 +95,7 @@ class Identification(Frozen):
     _found: Estimate = field(repr=False)
     _recording: Recording = field(repr=False)
     _C: Float[np.ndarray, "p n"] = field(repr=False)
+    hidden: HiddenModes | None = None
 
     @classmethod
     def of(
@@ -121,6 +126,17 @@ class Identification(Frozen):
             recording,
             C,
         )
+
+    @classmethod
+    def of_hidden(
+        cls, hidden: Hidden, C: Float[np.ndarray, "p n"], states: tuple[str, ...]
+    ) -> Identification:
+        """The same of modes that were not logged."""
+        if hidden.estimate is None:
+            raise ArgumentError("hidden must have an estimate.")
+        given = hidden.estimate, hidden.recording, hidden.model, hidden.why
+        fit = cls.of(*given, C, states)
+        return replace(fit, sentences=(*hidden.sentences, *fit.sentences), hidden=hidden.modes)
 
     @property
     def delays(self) -> Float[np.ndarray, "mode m"]:

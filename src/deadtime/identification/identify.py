@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, real_array
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.hidden.identified import identify_hidden
+from deadtime.identification.hidden.request import numbers_of, require_exact_and_even
 from deadtime.identification.identification import Identification
 from deadtime.identification.intervals import delay_intervals, spread_of
 from deadtime.identification.logged_modes import fit_switching
@@ -36,7 +39,7 @@ _SHORTEST = 1e-6  # of a period: the shortest delay
 
 def identify(
     log: str | PathLike[str] | pd.DataFrame | Sequence,
-    modes: str | int | None = "mode",
+    modes: str | int | Sequence[int] | None = "mode",
     delay: tuple[float, float] = (0.0, 2.0),
     *,
     per_mode: bool = False,
@@ -58,8 +61,9 @@ def identify(
         CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C),
         u1, u2, … and the mode. An input holds from its row's t to the next one's. A measurement
         that is missing is left empty. The rows need not be evenly spaced.
-    modes : str or None
-        The column of the mode, numbers or texts; None: the plant has one.
+    modes : str, None, int or sequence of int
+        The column of the mode, numbers or texts; None: the plant has one. Of modes that were not
+        logged their number; of several, such as ``range(1, 4)``, the one of least BIC is taken.
     delay : (low, high)
         The range in which all delays are looked for, seconds.
     per_mode : bool
@@ -81,11 +85,13 @@ def identify(
     Raises
     ------
     ArgumentError
-        If the log is malformed (its line is named), too short, or does not tell an unknown.
+        If the log is malformed (its line is named), too short, or does not tell an unknown; if
+        modes that were not logged are too many for it, or it is uneven, noisy or of outputs.
 
     References
     ----------
-    Ljung, "System Identification", 2nd ed., Prentice Hall 1999, chapters 7 and 9, for the method.
+    Ljung, "System Identification", 2nd ed., Prentice Hall 1999, chapters 7 and 9, for the method;
+    Dempster, Laird and Rubin, J. Royal Statistical Society B 39(1), 1977, for hidden modes.
 
     Examples
     --------
@@ -100,11 +106,15 @@ def identify(
     >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
     >>> fit.delays.round(3), fit.delay_interval.round(3)
     (array([[0.27]]), array([[[0.269, 0.271]]]))
+    >>> dt.identify(log, modes=range(1, 3), delay=(0.0, 1.0)).plant.modes    # how many are there?
+    1
     """
     if switches not in ("anywhere", "samples"):
         raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
     low, high = _range(delay)
-    recording = read_recording(log, modes, states, inputs, "x" if C is None else "y")
+    numbers = numbers_of(modes)
+    column = modes if isinstance(modes, str) else None
+    recording = read_recording(log, column, states, inputs, "x" if C is None else "y")
     _require_units(recording, high)
     sensors = _sensors(C, recording)
     direct = _as_states(recording, sensors)
@@ -114,11 +124,19 @@ def identify(
     bounds = max(low, _SHORTEST * recording.step), high
     layout = Layout(len(recording.modes), sensors.shape[1], len(recording.inputs), per_mode)
     within = switches == "anywhere"
+    said: tuple[str, ...] = ()
+    if numbers is not None:
+        require_exact_and_even(recording.even, C, noise)
+        hidden = identify_hidden(recording, numbers, layout, bounds, within)
+        if hidden.estimate is not None:
+            return Identification.of_hidden(hidden, sensors, named)
+        said = hidden.sentences
     found = _exact(direct, layout, bounds, within)
     if C is not None or noise or (noise is None and not found.tests.white):
         found = estimate_with_noise(recording, sensors, found, within, bounds)
     model, why = fit_switching(recording)
-    return Identification.of(found, recording, model, why, sensors, named)
+    fit = Identification.of(found, recording, model, why, sensors, named)
+    return replace(fit, sentences=(*said, *fit.sentences))
 
 
 def _range(delay: object) -> tuple[float, float]:

@@ -66,7 +66,7 @@ class _Table(NamedTuple):
 
 def read_recording(
     logs: Any,
-    modes: str | int | None,
+    modes: str | None,
     states: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
     letter: str = "x",
@@ -77,7 +77,7 @@ def read_recording(
     ----------
     logs : path, DataFrame, or list of them
         With columns t (or time), x…, u…, and the mode.
-    modes : str, int or None
+    modes : str or None
         The column of the mode; None: one mode.
     states, inputs : sequence of str, optional
         Their columns; by default those that begin with `letter`, and with u, and go on with a
@@ -131,21 +131,15 @@ def _table(log: Any, number: int) -> _Table:
     return _Table(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
 
 
-def _mode_column(tables: list[_Table], modes: str | int | None) -> str | None:
+def _mode_column(tables: list[_Table], modes: str | None) -> str | None:
     if modes is None:
         return None
-    if not isinstance(modes, str):
-        raise ArgumentError(
-            f"modes = {brief(modes)} asks for modes that the log does not tell, which is not "
-            'possible: log the mode and name its column, such as modes="mode", or say '
-            "modes=None for one mode."
-        )
     for table in tables:
         if modes not in table.frame.columns:
             raise ArgumentError(
                 f"{table.name} must have the column {modes!r}, got "
-                f"{brief(list(table.frame.columns))}: log the mode, name its column by modes=, or "
-                "say modes=None for a plant of one mode."
+                f"{brief(list(table.frame.columns))}: log the mode, name its column by modes=, say "
+                "modes=None for a plant of one mode, or modes=2 for two that were not logged."
             )
     return modes
 

@@ -29,12 +29,12 @@ class Term(NamedTuple):
     """The regression of one mode.
 
     root : (rows, n + r), rootᵀ root = Σ z zᵀ
-    periods : N_i
+    periods : N_i, or the sum of weights
     P : (n, r), by_P : (unknowns, n, r) its derivatives, place : (unknowns,) whose
     """
 
     root: Float[np.ndarray, "row z"]
-    periods: int
+    periods: float
     P: Float[np.ndarray, "n r"]
     by_P: Float[np.ndarray, "own n r"]
     place: Int[np.ndarray, " own"]
@@ -68,7 +68,7 @@ class Lags(NamedTuple):
     """An evenly sampled log, as roots over x_{k+1}, x_k and u_{k−low}, …, u_{k−high} per mode."""
 
     root: list[Float[np.ndarray, "z z"]]
-    periods: Int[np.ndarray, " mode"]
+    periods: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]
     low: int
     high: int
 
@@ -152,5 +152,5 @@ def even_terms(
         place = np.concatenate((layout.of_A[i].ravel(), layout.of_B[i].ravel(), layout.of_delay[i]))
         read = [lags.columns(n, m, cells[i]), lags.columns(n, m, cells[i] - 1)]
         root = lags.root[i][:, np.concatenate((np.arange(2 * n), *read))]
-        terms.append(Term(root, int(lags.periods[i]), P, by_P, place))
+        terms.append(Term(root, lags.periods[i].item(), P, by_P, place))
     return terms

@@ -8,6 +8,7 @@ the two samples tell B and the fraction of the period.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,19 @@ def start_of(
     recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
 ) -> Start:
     """A first guess from an evenly sampled recording; delays are within `bounds`, seconds."""
-    h, m = recording.step, layout.m
+    h = recording.step
+    first, last = cell_range(h, bounds, layout.m)
+    lags = lags_of(recording.parts, layout.modes, first - 1, last, within, root=False)
+    require_enough(recording, layout, lags.periods, last * h)
+    scan = _Scan(lags, layout, first, last)
+    cells, scanned = scan.best()
+    P = [scan.weights(i, scan.own(cells, i)) for i in range(layout.modes)]
+    theta = plant_of(P, layout.spread(cells), lags.periods, layout, h, bounds)
+    return Start(theta, cells, first, scanned)
+
+
+def cell_range(h: float, bounds: tuple[float, float], m: int) -> tuple[int, int]:
+    """The first and the last cell of delays within `bounds`, seconds."""
     first = max(1, int(np.floor(bounds[0] / h * (1.0 + 1e-12) + 1e-9)) + (bounds[0] > 0.0))
     last = max(first, int(np.ceil(bounds[1] / h - 1e-9)))
     if m * (last - first + 2) > MOST_COLUMNS:
@@ -49,21 +62,28 @@ def start_of(
             f"and at most {MOST_COLUMNS // m - 1:,} can be searched: narrow the range, or keep "
             "every tenth row of the log with its input's mean."
         )
-    lags = lags_of(recording.parts, layout.modes, first - 1, last, within, root=False)
-    require_enough(recording, layout, lags.periods, last * h)
-    scan = _Scan(lags, layout, first, last)
-    cells, scanned = scan.best()
+    return first, last
+
+
+def plant_of(
+    P: Sequence[Float[np.ndarray, "n r"]],
+    cells: Int[np.ndarray, "mode m"],
+    count: Float[np.ndarray, " mode"] | Int[np.ndarray, " mode"],
+    layout: Layout,
+    h: float,
+    bounds: tuple[float, float],
+) -> Float[np.ndarray, " size"]:
+    """The plant of regressions on x_k, u_{k−N} and u_{k−N+1}, each over `count` periods."""
     A, B, D = np.zeros((layout.modes, layout.n, layout.n)), [], []
     for i in range(layout.modes):
-        A[i], b, part = _logarithm(scan.weights(i, scan.own(cells, i)), layout, h)
+        A[i], b, part = _logarithm(P[i], layout, h)
         B.append(b)
-        D.append((scan.own(cells, i) - part) * h)
+        D.append((cells[i] - part) * h)
     D = np.array(D)
     if not layout.per_mode:
-        strength = np.array([np.sum(b**2, axis=0) for b in B]) * lags.periods[:, None]
+        strength = np.array([np.sum(b**2, axis=0) for b in B]) * count[:, None]
         D[:] = (D * strength).sum(axis=0) / np.maximum(strength.sum(axis=0), 1e-300)
-    D = np.clip(D, *bounds)
-    return Start(layout.join(A, np.array(B), D), cells, first, scanned)
+    return layout.join(A, np.array(B), np.clip(D, *bounds))
 
 
 def require_enough(

@@ -1,0 +1,1 @@
+"""Modes that nobody logged: a hidden Markov chain, by expectation–maximisation."""

@@ -1,0 +1,136 @@
+"""A Markov chain that nobody sees, for kernels: how likely each mode was, and the likeliest path.
+
+Sample k has the mode σ_k, and the period from it to the next one the density
+
+    b_k(i, j) = exp stay[k, i] if i = j else exp move[k, i],    p(σ) = first(σ_0) Π P(σ_k, σ_{k+1}).
+
+All is done in logarithms: densities of exact states may differ by e^{1e12}.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deadtime.numerics.kernels import kernel
+
+
+def smooth(stay, move, chain, first, same, node, pairs):
+    """Forward and back: the log likelihood; and in place what each mode's probability was.
+
+    stay, move : (periods, modes), log densities; chain : (modes, modes), first : (modes,), logs of
+    probabilities. same : (periods, modes), of a period that begins and ends in a mode; node :
+    (periods + 1, modes), of each sample; pairs : (modes, modes), how many jumps are expected.
+    """
+    ahead = np.empty(node.shape)
+    value = forward(stay, move, chain, first, ahead)
+    backward(stay, move, chain, ahead, same, node, pairs)
+    return value
+
+
+@kernel
+def forward(stay, move, chain, first, ahead):
+    """The log likelihood; ahead (periods + 1, modes), in place, of each mode and all before it.
+
+    Of each sample less the largest one, so that no digits are lost to the length of the log.
+    """
+    periods, modes = stay.shape
+    term = np.empty(modes)
+    value, minus_infinity = 0.0, -np.inf
+    for i in range(modes):
+        ahead[0, i] = first[i]
+    for k in range(periods):
+        largest = minus_infinity
+        for j in range(modes):
+            top = minus_infinity
+            for i in range(modes):
+                term[i] = ahead[k, i] + chain[i, j] + (stay[k, i] if i == j else move[k, i])
+                top = max(top, term[i])
+            total = 0.0
+            for i in range(modes):
+                total += math.exp(term[i] - top)
+            ahead[k + 1, j] = top + math.log(total)
+            largest = max(largest, ahead[k + 1, j])
+        value += largest
+        for j in range(modes):
+            ahead[k + 1, j] -= largest
+    total = 0.0
+    for i in range(modes):
+        total += math.exp(ahead[periods, i])
+    return value + math.log(total)
+
+
+@kernel
+def backward(stay, move, chain, ahead, same, node, pairs):
+    """The probabilities of `smooth`, in place, from those `ahead`."""
+    periods, modes = stay.shape
+    back, older, own = np.zeros(modes), np.zeros(modes), np.empty((modes, modes))
+    minus_infinity = -np.inf
+    total = 0.0
+    for i in range(modes):
+        node[periods, i] = math.exp(ahead[periods, i])
+        total += node[periods, i]
+        for j in range(modes):
+            pairs[i, j] = 0.0
+    for i in range(modes):
+        node[periods, i] /= total
+    for k in range(periods - 1, -1, -1):
+        top, largest = minus_infinity, minus_infinity
+        for i in range(modes):
+            most, after = minus_infinity, 0.0
+            for j in range(modes):
+                own[i, j] = chain[i, j] + (stay[k, i] if i == j else move[k, i]) + back[j]
+                most = max(most, own[i, j])
+            for j in range(modes):
+                after += math.exp(own[i, j] - most)
+            older[i] = most + math.log(after)
+            largest = max(largest, older[i])
+            top = max(top, ahead[k, i] + most)
+        total = 0.0
+        for i in range(modes):
+            node[k, i] = 0.0
+            for j in range(modes):
+                own[i, j] = math.exp(ahead[k, i] + own[i, j] - top)
+                total += own[i, j]
+        for i in range(modes):
+            for j in range(modes):
+                share = own[i, j] / total
+                node[k, i] += share
+                pairs[i, j] += share
+            same[k, i] = own[i, i] / total
+            back[i] = older[i] - largest
+    return total
+
+
+@kernel
+def likeliest(stay, move, chain, first, path):
+    """Viterbi: the likeliest path (periods + 1,), in place, and its log probability.
+
+    Of paths that are alike the one that stays.
+    """
+    periods, modes = stay.shape
+    best, after = np.empty(modes), np.empty(modes)
+    came = np.zeros((periods, modes), np.int64)
+    for i in range(modes):
+        best[i] = first[i]
+    for k in range(periods):
+        for j in range(modes):
+            after[j] = best[j] + chain[j, j] + stay[k, j]
+            came[k, j] = j
+            for i in range(modes):
+                if i != j:
+                    value = best[i] + chain[i, j] + move[k, i]
+                    if value > after[j]:
+                        after[j] = value
+                        came[k, j] = i
+        for j in range(modes):
+            best[j] = after[j]
+    last = 0
+    for i in range(modes):
+        if best[i] > best[last]:
+            last = i
+    path[periods] = last
+    for k in range(periods - 1, -1, -1):
+        path[k] = came[k, path[k + 1]]
+    return best[last]

@@ -1,0 +1,117 @@
+"""The likelihood of a log whose modes are hidden, in the unknowns of the plant.
+
+    log L(θ, S, P) = log Σ_σ p(σ) Π_k N(x_{k+1} − P_σ(θ) r_k; 0, S_σ),
+    ∂ log L = Σ_k Σ_i γ_k(i) ∂ log N_i,k,    γ: how likely the mode is, given all of the log
+
+The second is Fisher's identity. Steps are scaled by the information that the log would hold if the
+modes were known with these weights; what not knowing them takes from it is in `information`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.base.frozen import Frozen
+from deadtime.identification.cells import cell_of
+from deadtime.identification.hidden.periods import Periods, Posterior, log_density
+from deadtime.identification.hidden.regressions import rooted, rows_of_modes
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Recording
+from deadtime.identification.regression import Lags, Term, even_terms
+from deadtime.identification.scoring import Evaluate, Evaluation
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenLog(Frozen):
+    """The likelihood of an evenly sampled recording, S of every mode and the chain's P held.
+
+    bounds : of the delays, seconds; nodes : for predictions
+    periods : those that are usable in a window of the delays
+    """
+
+    recording: Recording
+    layout: Layout
+    bounds: tuple[float, float]
+    nodes: Float[np.ndarray, " node"] = field(repr=False)
+    periods: Periods = field(repr=False)
+    S: Float[np.ndarray, "mode n n"]
+    chain: Float[np.ndarray, "mode mode"]
+
+    @property
+    def within(self) -> bool:
+        """Whether the mode may change within periods."""
+        return self.periods.within
+
+    def over(self, low: float, high: float) -> HiddenLog:
+        """The likelihood of the periods that are usable for delays between two, seconds."""
+        h, old = self.recording.step, self.periods
+        first, last = cell_of(low, h, up=True), cell_of(high, h)
+        if (first, last) == (old.first, old.last):
+            return self
+        return replace(self, periods=Periods.of(old.parts, first, last, old.pooled))
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """What bounds unknowns, delays aside: nothing."""
+        return np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
+
+    def _cut(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> list[Term]:
+        """The regressions' matrices, of no rows yet."""
+        low, high = int(cells.min()) - 1, int(cells.max())
+        none = np.zeros((0, 2 * self.layout.n + (high - low + 1) * self.layout.m))
+        count = np.zeros(self.layout.modes, np.int64)
+        lags = Lags([none] * self.layout.modes, count, low, high)
+        step, own = self.recording.step, self.layout.spread(cells)
+        return even_terms(lags, self.layout, step, own, theta)
+
+    def densities(
+        self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]
+    ) -> Float[np.ndarray, "period mode"]:
+        """The log density of every usable period in each mode."""
+        return self._given(self._cut(theta, cells), self._rows(cells))
+
+    def posterior(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> Posterior:
+        """What the log says of the modes."""
+        return self.periods.posterior(self.densities(theta, cells), self.chain)
+
+    def _rows(self, cells: np.ndarray) -> list[np.ndarray]:
+        return rows_of_modes(self.periods, self.layout.spread(cells))
+
+    def _given(self, terms: list[Term], rows: list[np.ndarray]) -> np.ndarray:
+        each = zip(rows, terms, self.S, strict=True)
+        return np.column_stack([log_density(z, term.P, S) for z, term, S in each])
+
+    def weighted(
+        self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]
+    ) -> tuple[list[Term], Posterior]:
+        """The regressions over the periods of each mode, as likely as that is, and how likely."""
+        terms, rows = self._cut(theta, cells), self._rows(cells)
+        found = self.periods.posterior(self._given(terms, rows), self.chain)
+        each = zip(terms, rows, found.weight.T, strict=True)
+        return [term._replace(root=rooted(z, weight)) for term, z, weight in each], found
+
+    def evaluate(self, theta: np.ndarray, cells: Int[np.ndarray, " delay"]) -> Evaluation:
+        """The log likelihood, its score, and the information if the modes were known."""
+        size = self.layout.size
+        score, information = np.zeros(size), np.zeros((size, size))
+        with np.errstate(all="ignore"):
+            if not all(np.isfinite(term.P).all() for term in self._cut(theta, cells)):
+                return Evaluation(-np.inf, score, np.eye(size))
+            terms, found = self.weighted(theta, cells)
+            for term, S in zip(terms, self.S, strict=True):
+                n, L = len(S), np.linalg.cholesky(S)
+                r = term.root[:, n:]
+                white = np.linalg.solve(L, (term.root[:, :n] - r @ term.P.T).T)
+                moved = np.linalg.solve(L, term.by_P @ r.T).reshape(len(term.place), -1)
+                score[term.place] += moved @ white.ravel()
+                information[np.ix_(term.place, term.place)] += moved @ moved.T
+        return Evaluation(found.value, score, information)
+
+    def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
+        """The likelihood for delays between two, seconds, in cells of theirs."""
+        log = self.over(low, high)
+        return lambda cells: lambda theta: log.evaluate(theta, cells)
