@@ -95,12 +95,12 @@ def inside(fit, case, order):
     return [low < true < high for (low, high), true in zip(ends, D, strict=True)], of_AB
 
 
-def noise(draws, first, cases, switches):
+def noise(draws, first, cases, switches, levels):
     print(f"switches {switches}, {draws} logs each; in brackets with the modes logged")
     print("case | s | rows right | error of D (ms) | delays inside | A, B inside")
     for case in cases:
         modes, D = len(CASES[case][0]), CASES[case][2]
-        for s in (0.003, 0.01, 0.03, 0.1, 0.3):
+        for s in levels:
             right, tallies = [], []
             for seed in range(first, first + draws):
                 log, mode = made(case, s, switches, np.random.default_rng(seed))
@@ -126,10 +126,10 @@ def noise(draws, first, cases, switches):
             print(f"{case} | {s} | {rows} | {each}", flush=True)
 
 
-def number(draws, first, cases, switches):
+def number(draws, first, cases, switches, levels):
     print(f"switches {switches}, {draws} logs each: how often BIC finds 1, 2, 3, 4 modes")
     for case in cases:
-        for s in (0.003, 0.01, 0.03, 0.1):
+        for s in levels:
             found = []
             for seed in range(first, first + draws):
                 log, _ = made(case, s, switches, np.random.default_rng(seed))
@@ -147,9 +147,10 @@ def main():
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--case", nargs="*", default=list(CASES), choices=list(CASES))
     parser.add_argument("--switches", default="samples", choices=["samples", "anywhere"])
+    parser.add_argument("--s", nargs="*", type=float, default=[0.003, 0.01, 0.03, 0.1, 0.3])
     given = parser.parse_args()
     work = noise if given.what == "noise" else number
-    work(given.draws, given.first, given.case, given.switches)
+    work(given.draws, given.first, given.case, given.switches, given.s)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from deadtime.cli import main
+from deadtime.cli.identify import _modes
 from deadtime.problems import load_problem
 
 
@@ -59,3 +60,51 @@ def test_what_cannot_be_done_is_one_line(folder, capsys):
     assert "law needs beside" in said([log, "--one-mode", "--law", "mean"], capsys)[2]
     other = said([log, "--one-mode", "--delay", 0, 1, "--beside", "paper"], capsys)
     assert "must have the modes, states and inputs of the log, (1, 1, 1)" in other[2]
+
+
+def two_modes(count=300):
+    """A log of dx/dt = −x + u(t − 0.27) that turns into x + 2 u and back, without its modes."""
+    rng, h = np.random.default_rng(1), 0.1
+    mode = np.repeat(np.arange(count) % 2, rng.integers(10, 30, count))[:count]
+    rate, push = np.where(mode, 0.5, -1.0), np.where(mode, 2.0, 1.0)
+    x, u = np.zeros(count), rng.standard_normal(count)
+    for k in range(count):
+        u[k] -= 0.8 * x[k]
+        if 3 <= k < count - 1:
+            a, b = rate[k], push[k]
+            whole, soon = np.expm1(a * h) / a, np.expm1(0.03 * a) / a
+            x[k + 1] = np.exp(a * h) * x[k] + b * (whole - soon) * u[k - 3] + b * soon * u[k - 2]
+            x[k + 1] += 0.01 * rng.standard_normal()
+    return pd.DataFrame({"t": h * np.arange(count), "x": x, "u": u})
+
+
+def test_digits_are_a_number_of_modes_and_all_else_a_column():
+    assert [_modes(text) for text in ("2", "1..3", "gear", "2nd")] == [
+        2,
+        range(1, 4),
+        "gear",
+        "2nd",
+    ]
+
+
+@pytest.mark.long
+def test_modes_that_were_not_logged_end_in_a_file_that_runs_without_a_mode_sensor(tmp_path, capsys):
+    log, out = tmp_path / "log.csv", tmp_path / "problem.toml"
+    two_modes().to_csv(log, index=False)
+    asked = [log, "--modes", "1..2", "--switches", "samples", "--delay", 0, 0.6]
+    code, text, _ = said([*asked, "--out", out, "--json"], capsys)
+    record = json.loads(text)
+    assert code == 0
+    assert record["hidden"]["numbers"] == [1, 2]
+    assert record["hidden"]["bic"][0] > record["hidden"]["bic"][1]
+    assert np.abs(np.array(record["delays"]) - 0.27).max() < 2e-3
+    problem = load_problem(out)
+    assert problem.plant.modes == 2
+    assert "belief" in problem.laws
+    with pytest.raises(SystemExit) as stopped:
+        main(["simulate", str(out), "--law", "belief", "--json"])
+    assert stopped.value.code == 0
+    run = json.loads(capsys.readouterr().out)["laws"]["belief"]
+    assert run["diverged"] is False
+    plain = said([log, "--modes", 2, "--switches", "samples", "--delay", 0, 0.6], capsys)[1]
+    assert "Modes were not logged" in " ".join(plain.split())

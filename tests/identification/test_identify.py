@@ -199,7 +199,6 @@ def put(column, row, value):
     ("log", "how", "said"),
     [
         (GOOD, {"modes": "mode"}, "must have the column 'mode'.*modes=None"),
-        (GOOD, {"modes": 2}, "modes = 2 asks for modes that the log does not tell"),
         (changed(mode=[0] * 60 + [2] * 60), {"modes": "mode"}, "mode 1 is never visited"),
         (changed(mode=[0.0] * 60 + [np.nan] * 60), {"modes": "mode"}, "row 60: mode must be there"),
         (changed(u1=1.0), {}, "u1 must change"),

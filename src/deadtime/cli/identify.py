@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +15,7 @@ from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
     from deadtime.identification import Identification
+    from deadtime.identification.hidden.found import HiddenModes
 
 
 @app.command(
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     help_epilogue=lines(
         "deadtime identify log.csv --out problem.toml",
         "deadtime identify log.csv --one-mode --delay 0 0.5",
+        "deadtime identify log.csv --modes 1..3 --switches samples    # modes not logged",
         "deadtime identify monday.csv tuesday.csv --modes gear --beside problem.toml",
     ),
 )
@@ -47,7 +50,8 @@ def identify(
     logs
         CSV files with columns t (seconds), x1, x2, …, u1, u2, … and the mode.
     modes
-        The column of the mode.
+        The column of the mode; of modes that were not logged their number, or numbers to choose
+        from such as 1..3.
     one_mode
         The plant has one mode, and the log no column of it.
     delay
@@ -79,7 +83,7 @@ def identify(
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
     fit = identified(
         list(logs),
-        None if one_mode else modes,
+        None if one_mode else _modes(modes),
         delay,
         per_mode=per_mode,
         noise=noise,
@@ -101,6 +105,15 @@ def identify(
     print_table(("", "estimate", "from", "to"), _rows(fit))
     for path in written:
         print(f"\nWritten: {path}")
+
+
+def _modes(text: str) -> str | int | range:
+    """A number of modes, a range of numbers, or the name of a column."""
+    match = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", text)
+    if match is None:
+        return text
+    first, last = int(match[1]), match[2]
+    return first if last is None else range(first, int(last) + 1)
 
 
 def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list[str]:
@@ -145,5 +158,18 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "noise": fit.noise,
         "intervals": {name: list(fit.interval(name)) for name in fit.names},
         "log_likelihood": fit.log_likelihood,
+        "hidden": None if fit.hidden is None else _hidden(fit.hidden),
         "sentences": said,
+    }
+
+
+def _hidden(hidden: HiddenModes) -> dict:
+    return {
+        "numbers": hidden.numbers,
+        "bic": hidden.bic,
+        "chain": hidden.chain,
+        "sure": hidden.sure,
+        "widening": hidden.widening,
+        "starts": hidden.starts,
+        "agreed": hidden.agreed,
     }

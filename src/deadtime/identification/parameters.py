@@ -72,7 +72,9 @@ class Layout:
         """A, B and delays of a vector."""
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
 
-    def of_each(self, count: Int[np.ndarray, " mode"]) -> Float[np.ndarray, " size"]:
+    def of_each(
+        self, count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"]
+    ) -> Float[np.ndarray, " size"]:
         """Of every unknown a count of its mode's; of a delay that modes share that of all."""
         result = np.empty(self.size)
         result[self.at_delays] = count.sum()

@@ -48,15 +48,18 @@ def identify_hidden(
     expect_many_calls()
     periods = periods_of(recording, layout, bounds, within)
     fits, refused = [], None
-    for number in sorted({*numbers, *(one - 1 for one in numbers if one > 1)}):
+    for number in numbers:
         try:
             fits.append(fitted(recording, periods, replace(layout, modes=number), bounds))
         except ArgumentError as error:
+            if not fits:
+                raise
             refused = error
             break  # more are too many, too
-    asked = [one for one in fits if one.layout.modes in numbers]
-    if not asked and refused is not None:
-        raise refused
+    asked = list(fits)
+    if len(numbers) == 1 and numbers[0] > 1:  # do fewer explain the log as well?
+        fewer = replace(layout, modes=numbers[0] - 1)
+        fits.append(fitted(recording, periods, fewer, bounds))
     best = min(asked, key=lambda one: one.bic)
     said = _numbers(best, fits, numbers, refused)
     if best.layout.modes == 1:

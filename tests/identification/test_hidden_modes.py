@@ -1,0 +1,199 @@
+"""Modes that were not logged: what they are found to be, how well, and what is refused."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import deadtime as dt
+from deadtime.identification.hidden.request import numbers_of
+from synthetic_logs import Plant, oscillator
+
+H = 0.05
+THIRD_ORDER = Plant(
+    [
+        [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -2.0]],
+        [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-6.0, -3.0, -1.5]],
+        [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-2.0, -8.0, -1.0]],
+    ],
+    [
+        [[0.0, 0.3], [0.0, 0.0], [1.0, 0.0]],
+        [[0.0, 0.3], [0.0, 0.5], [1.5, 0.0]],
+        [[0.0, -0.3], [0.2, 0.0], [-1.0, 0.0]],
+    ],
+    [0.312, 0.174],
+    1e-4 * np.eye(3),
+)
+
+
+def stiffer(D=0.312, W=1e-4):
+    """A slow and a stiff mode."""
+    plant = oscillator(D, W)
+    plant.A[1] = [[0.0, 1.0], [-6.0, -0.5]]
+    return plant
+
+
+def made(plant, count=400, seed=0):
+    """A log without its modes, and these; they last 10 to 30 rows."""
+    rng, (modes, _, m) = np.random.default_rng(seed), plant.B.shape
+    mode = np.repeat(np.arange(count) % modes, rng.integers(10, 31, count))[:count]
+    y, u = plant.log(H * np.arange(count), rng.standard_normal((count, m)), rng, mode)
+    return table(H * np.arange(count), y, u), mode
+
+
+def table(t, y, u):
+    columns = {"t": t} | {f"x{i + 1}": x for i, x in enumerate(y.T)}
+    return pd.DataFrame(columns | {f"u{j + 1}": one for j, one in enumerate(u.T)})
+
+
+def found(log, modes: Any = 2, switches="samples", **how) -> Any:
+    return dt.identify(log, modes=modes, delay=(0.0, 0.6), switches=switches, **how)
+
+
+def matched(fit, mode):
+    """The numbering of modes under which most rows are right, and their share."""
+    orders = itertools.permutations(range(fit.plant.modes))
+    return max((np.mean(np.array(o)[fit.hidden.mode] == mode), o) for o in orders)
+
+
+def test_three_modes_with_two_inputs_are_found_with_the_delay_of_each():
+    log, mode = made(THIRD_ORDER)
+    fit = found(log, 3)
+    share, order = matched(fit, mode)
+    assert share > 0.97
+    off = np.abs(fit.delays[0] - THIRD_ORDER.D[0])
+    assert (off < 0.75 * np.diff(fit.delay_interval[0])[:, 0]).all()
+    assert (off < [1e-3, 3e-3]).all()
+    np.testing.assert_allclose(fit.plant.A, THIRD_ORDER.A[list(order)], atol=0.7)
+    assert (np.diff(fit.hidden.likelihoods) > -1e-8).all()
+    assert fit.hidden.probability.shape == (400, 3)
+    np.testing.assert_allclose(fit.hidden.probability.sum(axis=1), 1.0)
+    seen = list(dict.fromkeys(fit.hidden.mode.tolist()))
+    assert seen == [0, 1, 2]
+    assert "looks like chance" in fit.message
+
+
+@pytest.mark.long
+def test_modes_that_lie_far_apart_are_as_good_as_logged():
+    log, mode = made(stiffer(W=1e-7), seed=2)
+    hidden, logged = (
+        found(log),
+        dt.identify(log.assign(mode=mode), delay=(0.0, 0.6), switches="samples", noise=False),
+    )
+    share, order = matched(hidden, mode)
+    assert share > 0.98
+    order = np.argsort(order)
+    np.testing.assert_allclose(hidden.plant.A[order], logged.plant.A, atol=2e-2)
+    assert hidden.interval("delay") == pytest.approx(logged.interval("delay"), abs=1e-5)
+
+
+@pytest.mark.parametrize("noise", [1e-2, pytest.param(1e-4, marks=pytest.mark.long)])
+def test_the_likelihood_never_falls(noise):
+    fit = found(made(stiffer(W=noise), 300, seed=3)[0])
+    assert (np.diff(fit.hidden.likelihoods) > -1e-8).all()
+    assert fit.hidden.likelihoods.size > 3
+
+
+def test_the_number_of_modes_is_found_by_bic():
+    fit = found(made(stiffer(), 300)[0], range(1, 4))
+    assert fit.plant.modes == 2
+    assert "2 modes of 1 to 3: BIC is least" in fit.message
+    one = Plant(stiffer().A[:1], stiffer().B[:1], 0.312, 1e-4 * np.eye(2))
+    fit = found(made(one, 300)[0], (1, 2))
+    assert fit.plant.modes == 1
+    assert fit.hidden is None
+    assert "1 mode of 1 to 2" in fit.message
+
+
+def test_identical_modes_are_said_to_be_alike():
+    twice = Plant(stiffer().A[[0, 0]], stiffer().B[[0, 0]], 0.312, 1e-4 * np.eye(2))
+    said = found(made(twice, 300, seed=1)[0]).message
+    assert "1 mode explains the log better" in said
+    assert "alike" in said
+
+
+@pytest.mark.long
+def test_every_mode_may_have_its_own_delay_and_inputs_of_opposite_sign():
+    plant = Plant(oscillator().A, [[[0.0], [1.0]], [[0.0], [-1.0]]], [[0.312], [0.104]])
+    plant.W = 1e-4 * np.eye(2)
+    log, mode = made(plant, 400, seed=4)
+    fit = found(log, per_mode=True)
+    share, order = matched(fit, mode)
+    assert share > 0.97
+    assert np.abs(fit.delays - plant.D[list(order)]).max() < 1.5e-3
+
+
+@pytest.mark.long
+def test_switches_between_samples_cost_their_periods_and_no_bias():
+    """Rows at every switch, too, of which only those on the grid are kept."""
+    plant, rng, count = stiffer(), np.random.default_rng(6), 500
+    switch = np.cumsum(rng.uniform(0.5, 1.5, count))
+    switch = switch[switch < H * (count - 1)]
+    grid, t = H * np.arange(count), np.unique(np.append(H * np.arange(count), switch))
+    mode = np.searchsorted(switch, t, side="right") % 2
+    held = rng.standard_normal((count, 1))[np.searchsorted(grid, t, side="right") - 1]
+    y, u = plant.log(t, held, rng, mode)
+    kept = np.searchsorted(t, grid)
+    fit = found(table(grid, y[kept], u[kept]), switches="anywhere")
+    share, _ = matched(fit, mode[kept])
+    assert share > 0.93
+    low, high = fit.interval("delay")
+    assert low - 0.5 * (high - low) < 0.312 < high + 0.5 * (high - low)
+    assert high - low < 2e-3
+
+
+def test_missing_rows_and_several_logs_are_taken():
+    log, mode = made(stiffer(), 400, seed=5)
+    log.loc[100:102, "x1"] = np.nan
+    log.loc[200, "u1"] = np.nan
+    fit = found([log.iloc[:250], log.iloc[250:]])
+    assert fit.hidden.mode.size == 400
+    assert matched(fit, mode)[0] > 0.9
+    assert abs(fit.delays[0, 0] - 0.312) < 1e-3
+    assert "looks like chance" in fit.message
+
+
+GOOD = made(stiffer(), 120)[0]
+REFUSED = [
+    (GOOD, {"modes": 0}, "modes must be the column of the mode, None for one mode, or"),
+    (GOOD, {"modes": True}, "got True"),
+    (GOOD, {"modes": []}, "got \\[\\]"),
+    (GOOD, {"modes": range(2)}, "got range\\(0, 2\\)"),
+    (GOOD, {"noise": True}, "noise=True must be left out where modes are not logged"),
+    (GOOD.iloc[:60], {"modes": 12}, "modes = 12 is too many for this log: 47 periods in it"),
+    (GOOD.iloc[:70], {"modes": 5}, "modes = 5 is too many for this log"),
+    (GOOD.assign(t=H * np.arange(120) ** 1.01), {}, "log must be evenly sampled where modes"),
+]
+
+
+@pytest.mark.parametrize(("log", "how", "message"), REFUSED)
+def test_what_hidden_modes_cannot_be_found_in_is_refused(log, how, message):
+    with pytest.raises(dt.ArgumentError, match=message):
+        found(log, **{"modes": 2, **how})
+
+
+def test_a_number_of_modes_is_whole():
+    with pytest.raises(dt.ArgumentError, match=r"modes must be the column .* got 2\.5"):
+        numbers_of(2.5)
+    assert numbers_of([3, 1, 3]) == (1, 3)
+
+
+def test_outputs_are_refused():
+    log = GOOD.rename(columns={"x1": "y1", "x2": "y2"})
+    with pytest.raises(dt.ArgumentError, match="C must be left out where modes are not logged"):
+        found(log, C=np.eye(2))
+
+
+@pytest.mark.long
+def test_intervals_hold_the_delay_where_many_rows_are_wrong():
+    inside, right = [], []
+    for seed in range(40):
+        log, mode = made(stiffer(W=1e-2), 400, seed)
+        fit = found(log)
+        low, high = fit.interval("delay")
+        inside.append(low < 0.312 < high)
+        right.append(matched(fit, mode)[0])
+    assert 0.7 < np.mean(right) < 0.95
+    assert np.sum(inside) >= 34
