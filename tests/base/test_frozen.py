@@ -52,6 +52,17 @@ def identified():
     return dt.identify(log, modes=None, delay=(0.0, 0.3), noise=True)
 
 
+def modes_identified():
+    """Of a log without its modes: the likelihood of a chain is kept, too."""
+    rng, mode = np.random.default_rng(0), (np.arange(160) // 20) % 2
+    x, u = np.zeros(160), rng.standard_normal(160)
+    for k in range(1, 159):
+        push = 0.1 - 0.2 * mode[k]
+        x[k + 1] = 0.9 * x[k] + push * (u[k] + u[k - 1]) + 0.01 * rng.standard_normal()
+    log = pd.DataFrame({"t": H * np.arange(160), "x": x, "u": u})
+    return dt.identify(log, modes=2, delay=(0.0, 0.3), switches="samples")
+
+
 # What users hold: one of each kind, made in as little time as possible.
 OBJECTS = {
     "SwitchedSystem": lambda: PLANT,
@@ -86,6 +97,7 @@ OBJECTS = {
     ),
     "Prediction": predicted,
     "Identification": identified,
+    "Identification of modes": modes_identified,
     "Feedback": lambda: LAW.digital(H),
     "Feedback of a user": lambda: dt.Feedback(np.ones((1, 1, 2)), np.ones((1, 3, 1, 1)), "none", H),
     "Problem": lambda: dataclasses.replace(

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.hidden.chain import likeliest, smooth
 from deadtime.identification.recording import Part
@@ -83,9 +84,9 @@ class Periods(Frozen):
     def _mixed(self) -> Float[np.ndarray, " period"]:
         """The log density of periods within which the mode changes."""
         if self.pooled is None:
-            return np.zeros(self.count)
+            return read_only(np.zeros(self.count))
         P, S, cells = self.pooled
-        return log_density(self.rows(cells), P, S)
+        return read_only(log_density(self.rows(cells), P, S))
 
     def rows(self, cells: Int[np.ndarray, " m"]) -> Float[np.ndarray, "period z"]:
         """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input."""
