@@ -88,7 +88,9 @@ def test_digits_are_a_number_of_modes_and_all_else_a_column():
 
 
 @pytest.mark.long
-def test_modes_that_were_not_logged_end_in_a_file_that_runs_without_a_mode_sensor(tmp_path, capsys):
+def test_modes_that_were_not_logged_end_in_a_file_that_runs_alone(tmp_path, monkeypatch, capsys):
+    """Without a mode sensor."""
+    monkeypatch.chdir(tmp_path)
     log, out = tmp_path / "log.csv", tmp_path / "problem.toml"
     two_modes().to_csv(log, index=False)
     asked = [log, "--modes", "1..2", "--switches", "samples", "--delay", 0, 0.6]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -59,7 +60,8 @@ def identify_hidden(
     asked = list(fits)
     if len(numbers) == 1 and numbers[0] > 1:  # do fewer explain the log as well?
         fewer = replace(layout, modes=numbers[0] - 1)
-        fits.append(fitted(recording, periods, fewer, bounds))
+        with suppress(ArgumentError):
+            fits.insert(0, fitted(recording, periods, fewer, bounds))
     best = min(asked, key=lambda one: one.bic)
     said = _numbers(best, fits, numbers, refused)
     if best.layout.modes == 1:
@@ -95,7 +97,9 @@ def _numbers(
     said = []
     if len(numbers) > 1:
         most = number_of(number, "mode")
-        said.append(f"{most} of {numbers[0]} to {numbers[-1]}: BIC is least, {table}.")
+        row = len(numbers) == numbers[-1] - numbers[0] + 1
+        tried = f"{numbers[0]} to {numbers[-1]}" if row else ", ".join(map(str, numbers))
+        said.append(f"{most} of {tried}: BIC is least, {table}.")
         if number == max(bic) and number > 1 and refused is None:
             said.append("More might do better still: let the numbers go on.")
     elif number > 1 and bic.get(number - 1, np.inf) < best.bic:
