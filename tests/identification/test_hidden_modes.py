@@ -163,6 +163,7 @@ REFUSED = [
     (GOOD, {"modes": range(2)}, "got range\\(0, 2\\)"),
     (GOOD, {"noise": True}, "noise=True must be left out where modes are not logged"),
     (GOOD.iloc[:60], {"modes": 12}, "modes = 12 is too many for this log: 47 periods in it"),
+    (GOOD.iloc[:15], {"modes": (1, 2)}, "log is too short: 2 periods in it have inputs and ends"),
     (GOOD.iloc[:70], {"modes": 5}, "modes = 5 is too many for this log"),
     (GOOD.assign(t=H * np.arange(120) ** 1.01), {}, "log must be evenly sampled where modes"),
 ]

@@ -56,7 +56,6 @@ def periods_of(
     first, last = cell_range(recording.step, bounds, layout.m)
     periods = Periods.of(recording.parts, first, last, None)
     one = Layout(1, layout.n, layout.m, per_mode=False)
-    require_periods(periods, one)
     stretches = stretches_of(periods, one)
     if not within or stretches is None:
         return periods
@@ -83,9 +82,11 @@ def require_periods(periods: Periods, layout: Layout) -> None:
     """Refuse more modes than the log has periods for."""
     least = least_periods(layout) * layout.modes
     if periods.count < least or stretches_of(periods, layout) is None:
+        many = f"modes = {layout.modes} is too many for this log"
+        said = many if layout.modes > 1 else "log is too short"
         raise ArgumentError(
-            f"modes = {layout.modes} is too many for this log: {periods.count} periods in it have "
-            f"inputs and ends that are known, and {layout.modes} of {layout.n} states and "
+            f"{said}: {periods.count} periods in it have inputs and ends that are known, and "
+            f"{layout.modes} of {layout.n} states and "
             f"{layout.m} inputs need at least {least}, in unbroken runs: log for longer, ask for "
             "fewer, or narrow delay=(low, high)."
         )
