@@ -117,7 +117,7 @@ def test_certify_says_that_it_leaves_imperfections_out(capsys, made_up, monkeypa
     monkeypatch.setattr(
         import_module("deadtime.cli.certificates"), "problem_of", lambda _: imperfect
     )
-    said = "the loop without its imperfections: Dropout(probability=0.5)."
+    said = "Not covered: Dropout(probability=0.5). Certificates are about the loop without it."
     assert said in " ".join(run(capsys, "certify", "paper", "--law", "mean")[1].split())
     record = json.loads(run(capsys, "certify", "paper", "--json")[1])
     assert record["imperfections_left_out"] == ["Dropout(probability=0.5)"]

@@ -110,3 +110,72 @@ def test_modes_that_were_not_logged_end_in_a_file_that_runs_alone(tmp_path, monk
     assert run["diverged"] is False
     plain = said([log, "--modes", 2, "--switches", "samples", "--delay", 0, 0.6], capsys)[1]
     assert "Modes were not logged" in " ".join(plain.split())
+
+
+def test_a_run_that_simulate_writes_is_a_log_with_the_names_of_the_file(tmp_path, capsys):
+    """Two modes, a delay of 6.8 periods, a force of noise: true values lie in the intervals."""
+    problem = tmp_path / "mine.toml"
+    problem.write_text(RUN, encoding="utf-8")
+    out = ["--out", str(tmp_path / "run.png"), "--csv", str(tmp_path / "run")]
+    with pytest.raises(SystemExit) as stopped:
+        main(["simulate", str(problem), *out, "--json"])
+    assert stopped.value.code == 0
+    assert json.loads(capsys.readouterr().out)["written"][-1] == str(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == 'time,x[0]: "gap" (m),u[0]: force (N),mode,w[0]'.replace(
+        'x[0]: "gap" (m)', '"x[0]: ""gap"" (m)"'
+    )
+    back = tmp_path / "back.toml"
+    code, text, _ = said(
+        [tmp_path / "run.csv", "--no-noise", "--delay", 0, 1, "--out", back, "--json"], capsys
+    )
+    assert code == 0
+    intervals = json.loads(text)["intervals"]
+    for name, value in {"A[0]": -0.6, "A[1]": 0.4, "B[0]": 1.0, "B[1]": 0.7}.items():
+        low, high = intervals[f"{name}[0,0]"]
+        assert low < value < high
+    low, high = intervals["delay"]
+    assert low < 0.34 < high < 0.5
+    again = load_problem(back)
+    assert (again.states, again.inputs) == (('"gap" (m)',), ("force (N)",))
+
+
+def test_a_log_of_each_law_and_a_name_that_is_no_csv(tmp_path, capsys):
+    problem = tmp_path / "mine.toml"
+    problem.write_text(RUN + '[[law]]\nkind = "delayed"\n', encoding="utf-8")
+    out = ["simulate", str(problem), "--out", str(tmp_path / "run.png"), "--csv"]
+    with pytest.raises(SystemExit):
+        main([*out, str(tmp_path / "run.csv")])
+    assert {one.name for one in tmp_path.glob("*.csv")} == {
+        "run-averaged.csv", "run-delay-ignored.csv"
+    }  # fmt: skip
+    with pytest.raises(SystemExit) as stopped:
+        main([*out, str(tmp_path / "run.txt")])
+    assert stopped.value.code == 2
+    assert "csv must end in .csv" in capsys.readouterr().err
+
+
+RUN = """\
+[plant]
+delay = 0.34
+A = [[[-0.6]], [[0.4]]]
+B = [[[1.0]], [[0.7]]]
+states = ['"gap" (m)']
+inputs = ["force (N)"]
+[gains]
+poles = [-2.0]
+[[imperfection]]
+kind = "white-disturbance"
+intensity = 0.5
+[signal]
+kind = "random"
+dwell_time = 0.6
+mean_sojourn = 1.1
+seed = 3
+[run]
+x0 = [0.2]
+horizon = 40.0
+step = 0.05
+[[law]]
+kind = "averaged"
+"""

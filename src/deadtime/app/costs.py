@@ -11,10 +11,11 @@ from deadtime.app.style import dash_of
 from deadtime.base.wording import compact
 from deadtime.plant.weight import text_of
 from deadtime.reports.figures.colours import Look, looks_of
+from deadtime.simulation.tracking import TRACKING_ERROR
 
 _HEAD = (
-    "<table class='costs'><caption>Cost {cost}, and against the oracle{more}</caption>"
-    "<thead><tr><th scope='col'>law</th><th scope='col'>cost</th><th scope='col'>× oracle</th>"
+    "<table class='costs'><caption>{caption}, and against the oracle{more}</caption>"
+    "<thead><tr><th scope='col'>law</th><th scope='col'>{word}</th><th scope='col'>× oracle</th>"
     "<th scope='col'>settles (s)</th><th scope='col'>max |x|</th></tr></thead><tbody>"
 )
 _BORDERS = {"solid": "solid", "dashed": "dashed", "dashdot": "dashed", "dotted": "dotted"}
@@ -42,7 +43,10 @@ def table_of(outcome: Outcome, laws: Sequence[str]) -> str:
             f"<tr><td>{escape(law)}</td><td class='why' colspan='4'>{escape(why)}</td></tr>"
         )
     more = ", on estimates of the same observer" if outcome.observed else ""
-    head = _HEAD.format(cost=text_of(outcome.problem.weight), more=more)
+    caption, word = f"Cost {text_of(outcome.problem.weight)}", "cost"
+    if outcome.measure == "iae":
+        caption, word = f"Tracking error {TRACKING_ERROR} over the whole run", TRACKING_ERROR
+    head = _HEAD.format(caption=caption, word=word, more=more)
     return f"{head}{''.join(rows)}</tbody></table>"
 
 
@@ -61,7 +65,7 @@ def _row(outcome: Outcome, law: str, look: Look) -> str:
     return (
         f"<tr data-law='{escape(law, quote=True)}' data-cost='{metrics['cost']!r}' "
         f"data-peak='{metrics['peak']!r}'><td>{swatch}{escape(law)}</td>"
-        f"<td>{compact(metrics['cost'])}</td><td style='{shade}'>{relative}</td>"
+        f"<td>{compact(metrics[outcome.measure])}</td><td style='{shade}'>{relative}</td>"
         f"<td>{settles}</td><td>{compact(metrics['peak'])}</td></tr>"
     )
 

@@ -20,6 +20,7 @@ from deadtime.problems.law_registry import QUICK
 from deadtime.problems.slips import slips_of
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import Outcome as Ending, why_untested
+from deadtime.simulation.tracking import measure_of
 from deadtime.switching import SwitchingSignal
 
 MOST_SAMPLES = 20_000
@@ -40,7 +41,7 @@ class Outcome:
     reasons : mapping
         Why the other laws that were asked for could not run.
     oracle : float or None
-        The cost of the law that knows the signal in advance, and measures what the
+        The measure of the law that knows the signal in advance, and measures what the
         others measure; None where no signal is known in advance.
     """
 
@@ -64,6 +65,11 @@ class Outcome:
         """`Trajectory.metrics` of every run, at the problem's cost."""
         return {name: run.metrics(self.problem.weight) for name, run in self.runs.items()}
 
+    @property
+    def measure(self) -> str:
+        """The metric by which the laws are ranked."""
+        return measure_of(run.followed for run in self.runs.values())
+
     @cached_property
     def endings(self) -> dict[str, Ending]:
         """How every run ends."""
@@ -77,10 +83,10 @@ class Outcome:
         return [*([said] if said else []), *slips_of(self.problem)]
 
     def ratio(self, law: str) -> float | None:
-        """A law's cost over the oracle's; infinite for a run that grew without end."""
+        """A law's measure over the oracle's; infinite for a run that grew without end."""
         if self.oracle is None or not self.oracle > 0.0:
             return None
-        ratio = self.metrics[law]["cost"] / self.oracle
+        ratio = self.metrics[law][self.measure] / self.oracle
         return ratio if not self.runs[law].diverged and ratio < _WORST else float("inf")
 
 
@@ -136,7 +142,7 @@ def run_draft(draft: Mapping[str, Any], source: Path) -> Outcome:
             reasons[name], fault = str(error), ArgumentError(f"{name}: {error}")
     if not runs and fault is not None:
         raise fault
-    return Outcome(problem, runs, reasons, _oracle_cost(problem, runs))
+    return Outcome(problem, runs, reasons, _oracle_measure(problem, runs))
 
 
 def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, str]]:
@@ -156,18 +162,19 @@ def _affordable(draft: Mapping[str, Any]) -> tuple[Mapping[str, Any], dict[str, 
     return {**draft, "law": kept}, {law.get("name") or law["kind"]: why for law in dear}
 
 
-def _oracle_cost(problem: Problem, runs: Mapping[str, Trajectory]) -> float | None:
-    """The cost of the oracle: of the run there is, or of one more."""
+def _oracle_measure(problem: Problem, runs: Mapping[str, Trajectory]) -> float | None:
+    """The oracle's measure: of the run there is, or of one more."""
+    measure = measure_of(run.followed for run in runs.values())
     if not isinstance(problem.signal, SwitchingSignal):
         return None
     for name, law in problem.laws.items():
         if law.foresees and name in runs:
-            return runs[name].metrics(problem.weight)["cost"]
+            return runs[name].metrics(problem.weight)[measure]
     try:
         run = problem.run(_oracle(problem))
     except ArgumentError:
         return None
-    return run.metrics(problem.weight)["cost"]
+    return run.metrics(problem.weight).get(measure)
 
 
 def _oracle(problem: Problem) -> Law:

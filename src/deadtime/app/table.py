@@ -14,8 +14,8 @@ from deadtime.simulation import Trajectory
 def csv_of(runs: Mapping[str, Trajectory]) -> str:
     """Time, mode, and the states, inputs and mismatch of every law, full precision.
 
-    Columns are named as those of `Trajectory.to_csv`, behind the law's name; a run that ended
-    early leaves its cells empty from there on.
+    Of laws that follow a reference also y and r. Columns are named as those of `Trajectory.to_csv`,
+    behind the law's name; a run that ended early leaves its cells empty from there on.
 
     Examples
     --------
@@ -31,6 +31,9 @@ def csv_of(runs: Mapping[str, Trajectory]) -> str:
         rows |= {f"u[{i}]": row for i, row in enumerate(run.inputs)}
         if run.mismatch is not None:
             rows |= {f"w[{i}]": row for i, row in enumerate(run.mismatch)}
+        if run.tracked is not None and run.reference is not None:
+            rows |= {f"y[{i}]": row for i, row in enumerate(run.tracked)}
+            rows |= {f"r[{i}]": row for i, row in enumerate(run.reference)}
         columns |= {f"{law}: {name}": row for name, row in rows.items()}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

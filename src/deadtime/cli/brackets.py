@@ -99,7 +99,7 @@ def _lag(seconds: float | None) -> str:
 
 def about(problem: Problem, step: float) -> dict[str, object]:
     """What the answers are about, for JSON."""
-    without = [repr(one) for one in problem.imperfections]
+    without = problem.imperfections_in_words
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
 
 

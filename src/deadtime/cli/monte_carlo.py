@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.printing import (
+    print_heading,
+    print_json,
+    print_never,
+    print_table,
+    save_figure,
+)
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
@@ -282,6 +288,7 @@ def _print(
     from deadtime.plant.weight import text_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.tables import tracking
+    from deadtime.simulation.tracking import TRACKING_ERROR
 
     print_heading(problem.title)
     print(_drawn(problem, model, sojourn, data, outcome))
@@ -301,14 +308,22 @@ def _print(
         print(f"• Run one by one, which takes longer: {', '.join(data.attributes['one_by_one'])}.")
     if data.attributes["message"]:
         print(f"• {data.attributes['message']}")
-    print(f"\nCost, {text_of(problem.weight)}")
+    titles = {
+        "iae": f"{TRACKING_ERROR} over the whole run",
+        "cost": f"Cost, {text_of(problem.weight)}",
+        "ise": "∫|x|²",
+    }
+    print(f"\n{titles[outcome.measure]}")
     print_table(outcome.headings, outcome.rows())
     print(f"/ {outcome.reference}: the median of the ratio on the same signal.")
-    print("\n∫|x|²")
-    print_table(outcome.headings[:4], outcome.rows_of_ise())
-    for i in range(len(problem.tracked)):
+    other = "ise" if outcome.measure == "cost" else "cost"
+    print(f"\n{titles[other]}")
+    print_table(outcome.headings[:4], outcome.rows_of(other))
+    shown = [tracking.rows_of_many(data, i) for i in range(len(problem.tracked))]
+    for i, rows in enumerate(shown):
         print(f"\n{tracking.heading_of(problem, i)}, medians")
-        print_table(tracking.HEADINGS, tracking.rows_of_many(data, i))
+        print_table(tracking.HEADINGS, rows)
+    print_never(shown)
 
 
 def _drawn(

@@ -46,14 +46,26 @@ def print_heading(title: str, sentences: Iterable[str] = ()) -> None:
 
 def print_result(problem: Problem, sentences: list[str], result: Comparison) -> None:
     from deadtime.reports.tables import tracking
-    from deadtime.reports.verdict import HEADINGS, table
+    from deadtime.reports.verdict import headings_of, table
 
     print_heading(problem.title, sentences)
+    rows = table(result)
     print()
-    print_table(HEADINGS, table(result))
+    print_table(headings_of(result), rows)
+    shown: list[Sequence[Sequence[str]]] = [rows]
     for i in range(len(problem.tracked)):
         print(f"\n{tracking.heading_of(problem, i)}")
-        print_table(tracking.HEADINGS, tracking.rows_of_runs(result.runs, i))
+        shown.append(tracking.rows_of_runs(result.runs, i))
+        print_table(tracking.HEADINGS, shown[-1])
+    print_never(shown)
+
+
+def print_never(tables: Iterable[Sequence[Sequence[str]]]) -> None:
+    """What a dash in the tables stands for, where there is one."""
+    from deadtime.reports.tables.tracking import LEGEND, NEVER
+
+    if any(NEVER in row for rows in tables for row in rows):
+        print(LEGEND)
 
 
 def print_answers(title: str, answers: Sequence[Answer]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import START, AsJson, File, Folder, app, lines
 from deadtime.cli.printing import print_json, print_result, progress_bar, save_figure
 from deadtime.cli.problems import problem_of, problem_with
@@ -65,6 +66,7 @@ def reproduce(
         "deadtime simulate problem.toml",
         "deadtime simulate paper --out run.svg",
         "deadtime simulate paper --law averaged --step 0.05 --horizon 8 --x0 1,-1",
+        "deadtime simulate problem.toml --law averaged --csv run.csv",
     ),
 )
 def simulate(
@@ -75,6 +77,7 @@ def simulate(
     horizon: float | None = None,
     x0: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     out: File = None,
+    csv: Path | None = None,
     json_output: AsJson = False,
 ) -> None:
     """Simulate a problem file: a verdict, metrics and a figure.
@@ -94,6 +97,9 @@ def simulate(
     out
         The figure, PNG, SVG or PDF; next to where you are, named after the problem, by default.
         With several laws a second figure compares them.
+    csv
+        The run as a log, which deadtime identify reads: time, states, inputs, the mode and, with a
+        reference, outputs; of several laws, each into a file named after the law.
     json_output
         Print the metrics as JSON instead of text.
     """
@@ -109,11 +115,34 @@ def simulate(
     with progress_bar(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)
     saved = _save_figures(result, _picture(chosen, out))
+    logs = [] if csv is None else _save_logs(result, csv)
     if json_output:
-        print_json(metrics_of(result), saved)
+        print_json(metrics_of(result), [*saved, *logs])
         return
     print_result(chosen, [*verdict(result), *delay_sentence(chosen)], result)
     print("\nFigure: " + ", ".join(map(str, saved)))
+    if logs:
+        print("Log: " + ", ".join(map(str, logs)))
+
+
+def _save_logs(result: Comparison, path: Path) -> list[Path]:
+    """The runs as CSV, one file for each law."""
+    from deadtime.base.wording import file_name
+
+    path = path if path.suffix else path.with_suffix(".csv")
+    if path.suffix.lower() != ".csv":
+        raise ArgumentError(f"csv must end in .csv, got {str(path)!r}.")
+    problem, saved = result.problem, []
+    for name, run in result.runs.items():
+        target = path
+        if len(result.runs) > 1:
+            target = path.with_stem(f"{path.stem}-{file_name(name)}")
+        try:
+            run.to_csv(target, problem.states, problem.inputs, problem.tracked)
+        except OSError as error:
+            raise ArgumentError(f"csv {str(target)!r} cannot be written: {error}") from None
+        saved.append(target)
+    return saved
 
 
 def _picture(problem: Problem, out: Path | None) -> Path:
@@ -124,7 +153,7 @@ def _picture(problem: Problem, out: Path | None) -> Path:
 
 def _save_figures(result: Comparison, path: Path) -> list[Path]:
     """The first law's run, and all laws on one axis when there are several."""
-    from deadtime.reports.figures.comparison import plot_norms
+    from deadtime.reports.figures.comparison import all_laws
     from deadtime.simulation.figure import plot_run
 
     problem = result.problem
@@ -133,7 +162,7 @@ def _save_figures(result: Comparison, path: Path) -> list[Path]:
     figures = [(path, plot_run(run, title, problem.states, problem.modes, problem.inputs))]
     if len(result.runs) > 1:
         second = path.with_stem(path.stem + "-all-laws")
-        figures.append((second, plot_norms(result.runs)))
+        figures.append((second, all_laws(result)[1]))
     for target, figure in figures:
         save_figure(figure, target)
     return [target for target, _ in figures]

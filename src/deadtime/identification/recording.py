@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
 _TIMES = ("t", "time")
+_NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
 class Part(NamedTuple):
@@ -81,7 +82,7 @@ def read_recording(
         The column of the mode; None: one mode.
     states, inputs : sequence of str, optional
         Their columns; by default those that begin with `letter`, and with u, and go on with a
-        number or not at all.
+        number or not at all. A name may follow a colon: "x1: position (m)" is so called.
     letter : str
         "x", or "y" for outputs.
 
@@ -103,7 +104,13 @@ def read_recording(
     _require_moving(parts, acting)
     parts = _split_at_gaps(parts)
     step, even = _period(parts)
-    return Recording(parts, step, even, names, acting, tuple(labels), column is not None)
+    called, moved = map(_names_of, (names, acting))
+    return Recording(parts, step, even, called, moved, tuple(labels), column is not None)
+
+
+def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
+    """What columns are of: the name behind the colon, or all of the column's."""
+    return tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
 
 
 def _table(log: Any, number: int) -> _Table:
@@ -150,7 +157,7 @@ def _columns(
     """The columns of states or inputs."""
     found = list(table.frame.columns)
     if given is None:
-        form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?")
+        form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
         places = {name: match[1] for name in found if (match := form.fullmatch(name))}
         chosen = sorted(places, key=lambda name: int(places[name] or 0))
     else:

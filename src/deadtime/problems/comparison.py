@@ -12,6 +12,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import Outcome, elsewhere, is_pushed, outcome_of
+from deadtime.simulation.tracking import measure_of
 from deadtime.spectrum import growth_rate
 from deadtime.spectrum.affordable import why_left_out
 from deadtime.switching import SwitchingSignal
@@ -64,6 +65,11 @@ class Comparison:
     def lead(self) -> str:
         """Name of the law that the problem is about, its first."""
         return next(iter(self.runs))
+
+    @property
+    def measure(self) -> str:
+        """The metric by which its laws are ranked."""
+        return measure_of(run.followed for run in self.runs.values())
 
 
 def compare(problem: Problem, progress: Progress = lambda _: None) -> Comparison:

@@ -14,6 +14,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.base.wording import input_names, numbered
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection
+from deadtime.imperfections.words import in_words
 from deadtime.laws import (
     ExactPredictor,
     StateDependentPredictor,
@@ -127,16 +128,34 @@ class Problem(Frozen):
             )
         return self.signal
 
-    def simulate(self, law: str, signal: SwitchingSignal | None = None) -> Trajectory:
-        """Run one of the problem's laws, on the problem's signal or on another.
+    @property
+    def imperfections_in_words(self) -> list[str]:
+        """What is imperfect, as headings and sentences name it.
+
+        Examples
+        --------
+        >>> import dataclasses, deadtime as dt
+        >>> noise = dt.imperfections.Noise(0.1)
+        >>> problem = dataclasses.replace(dt.problems.paper(), imperfections=(noise,))
+        >>> problem.imperfections_in_words
+        ['Noise(std=0.1)']
+        """
+        return [in_words(each) for each in self.imperfections]
+
+    def simulate(self, law: str | Law, signal: SwitchingSignal | None = None) -> Trajectory:
+        """Run a law, one of the problem's by its name or any other, on its signal or on another.
 
         Examples
         --------
         >>> import deadtime as dt
-        >>> dt.problems.paper().simulate("oracle").diverged
+        >>> problem = dt.problems.paper()
+        >>> problem.simulate("oracle").diverged
+        False
+        >>> law = dt.AveragedPredictor(problem.plant, problem.gains, [0.3, 0.7])
+        >>> problem.simulate(law).diverged
         False
         """
-        return self.run(self.law(law), signal)
+        return self.run(law if isinstance(law, Law) else self.law(law), signal)
 
     def law(self, name: str) -> Law:
         """One of the problem's laws, by its name."""

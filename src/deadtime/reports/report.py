@@ -19,7 +19,12 @@ from deadtime.problems.asked import dwell_time_of
 from deadtime.problems.comparison import Comparison, Progress, compare
 from deadtime.reports.audit import STEPS, audit
 from deadtime.reports.certificates_section import certificates_section, steps_of_section
-from deadtime.reports.figures.comparison import plot_norms, plot_signal, plot_verdict, plot_window
+from deadtime.reports.figures.comparison import (
+    all_laws,
+    plot_signal,
+    plot_verdict,
+    plot_window,
+)
 from deadtime.reports.metrics import metrics_of
 from deadtime.reports.page import save_figure, write_metrics, write_page, writing
 from deadtime.reports.tables import tracking
@@ -30,7 +35,7 @@ from deadtime.reports.tables.constants import (
     bound_sentence,
     bounds_of,
 )
-from deadtime.reports.verdict import HEADINGS, table, verdict
+from deadtime.reports.verdict import headings_of, table, verdict
 from deadtime.simulation.figure import plot_run
 from deadtime.switching import SwitchingSignal
 
@@ -69,11 +74,8 @@ def figures_of(result: Comparison) -> Iterator[tuple[str, str, Figure]]:
             continue
         figure = plot_run(run, None, problem.states, problem.modes, problem.inputs)
         yield file_name(name), f"States, input and mode under the law “{name}”.", figure
-    yield (
-        "all-laws",
-        "Every law on one axis; a law far above the others leaves the frame.",
-        plot_norms(result.runs),
-    )
+    caption, figure = all_laws(result)
+    yield "all-laws", caption, figure
 
 
 def write_report(
@@ -155,13 +157,14 @@ def _write(
         **_setting(problem),
         sentences=sentences,
         picture=picture,
-        headings=HEADINGS,
+        headings=headings_of(result),
         rows=table(result),
         tracking=[
             (tracking.heading_of(problem, i), tracking.rows_of_runs(result.runs, i))
             for i in range(len(problem.tracked))
         ],
         tracking_headings=tracking.HEADINGS,
+        never=tracking.LEGEND,
         figures=images,
         audited=audited,
         constants=constants,
@@ -232,8 +235,10 @@ def _section_on_certificates(
 
 
 def _write_data(result: Comparison, folder: Path) -> None:
+    problem = result.problem
     for number, (name, run) in enumerate(result.runs.items(), 1):
-        run.to_csv(folder / "data" / f"{number}-{file_name(name)}.csv")
+        path = folder / "data" / f"{number}-{file_name(name)}.csv"
+        run.to_csv(path, problem.states, problem.inputs, problem.tracked)
     write_metrics(metrics_of(result), folder)
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from deadtime.base.wording import amount, as_rate, compact
+from deadtime.base.wording import amount, as_rate, compact, sentence_of
 from deadtime.feedback import Law
 from deadtime.laws import (
     DelayedStateFeedback,
@@ -20,8 +20,10 @@ from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.slips import disagreement_of, slips_of
+from deadtime.reports.tables.tracking import NEVER
 from deadtime.simulation import Trajectory
 from deadtime.simulation.outcome import why_untested
+from deadtime.simulation.tracking import TRACKING_ERROR
 from deadtime.spectrum import GROWS
 
 _SAME = 1e-9  # costs that differ by less, relative, differ by round-off
@@ -40,7 +42,7 @@ def verdict(result: Comparison) -> list[str]:
     lead = why_untested(result.runs[result.lead], result.outcomes[result.lead])
     sentences = [*slips_of(result.problem), _headline(result), *([lead] if lead else [])]
     sentences += [f"{name} was left out: {why}" for name, why in result.refused.items()]
-    sentences += _imperfections(result) + _cost(result)
+    sentences += _imperfections(result) + _cost(result) + _best_follower(result)
     early = [name for name, run in result.runs.items() if _ends_early(result, run)]
     if early:
         # Figures of runs of different length do not compare.
@@ -109,7 +111,7 @@ def _imperfections(result: Comparison) -> list[str]:
         if not np.array_equal(problem.plant.delays, problem.model.delays):
             true, believed = problem.plant.delay_text, problem.model.delay_text
             parts.append(f"the true delay is {true} s, the model's {believed} s")
-    parts += [repr(one) for one in problem.imperfections]
+    parts += problem.imperfections_in_words
     return [f"The runs are imperfect: {'; '.join(parts)}."] if parts else []
 
 
@@ -117,6 +119,27 @@ def _cost(result: Comparison) -> list[str]:
     """What the cost is, where that is not the usual one."""
     weight = result.problem.weight
     return [] if weight is None else [f"The cost is {weight.text}."]
+
+
+def _best_follower(result: Comparison) -> list[str]:
+    """Which law follows the reference best, where there are several."""
+    if result.measure != "iae" or len(result.runs) < 2:
+        return []
+    errors = {
+        name: math.inf if result.outcomes[name].lost else row["iae"]
+        for name, row in result.metrics.items()
+    }
+    first, second, *_ = sorted(errors, key=lambda name: errors[name])
+    if not math.isfinite(errors[first]):
+        return []
+    if not math.isfinite(errors[second]):
+        return [f"{sentence_of(the_problem_law(first))[:-1]} alone follows its reference."]
+    if errors[second] <= errors[first] * (1.0 + _SAME):
+        return [f"By {TRACKING_ERROR} no law is the best."]
+    return [
+        f"By {TRACKING_ERROR} over the whole run {the_problem_law(first)} follows best, "
+        f"{amount(errors[first])}; next is {the_problem_law(second)}, {amount(errors[second])}."
+    ]
 
 
 def _differ(problem: Problem, name: str) -> bool:
@@ -218,19 +241,21 @@ def _against_the_oracle(result: Comparison, oracle: str) -> str:
 
 
 def table(result: Comparison) -> list[tuple[str, ...]]:
-    """Rows of the table of metrics, columns as in `HEADINGS`.
+    """Rows of the table of metrics, columns as in `headings_of`: what ranks the laws comes first.
 
     A run settles where it comes to rest, which need not be 0.
     """
+    followed = result.measure != "cost"
     return [
         (
             name,
+            *([compact(row[result.measure])] if followed else []),
             compact(row["ise"]),
             compact(row["energy"]),
             compact(row["cost"]),
             compact(row["peak"]),
             _settles(result.outcomes[name].settling),
-            as_rate(row["decay_rate"]),
+            *([] if followed else [as_rate(row["decay_rate"])]),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()
@@ -238,7 +263,16 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
 
 
 def _settles(seconds: float) -> str:
-    return f"{seconds:.2f}" if math.isfinite(seconds) else "–"
+    return f"{seconds:.2f}" if math.isfinite(seconds) else NEVER
 
 
-HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", "settles, s", "decay, 1/s", "|x(T)|")
+def headings_of(result: Comparison) -> tuple[str, ...]:
+    """Of the columns of `table`."""
+    if result.measure == "cost":
+        return HEADINGS
+    law, *others = (heading for heading in HEADINGS if heading != DECAY)
+    return law, TRACKING_ERROR, *others
+
+
+DECAY = "decay, 1/s"  # of |x|, which a law with a reference does not bring to 0
+HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "peak |x|", "settles, s", DECAY, "|x(T)|")

@@ -197,6 +197,7 @@ class Block:
                 for i, states in enumerate(x)
             ]
         )
+        self.results.metrics["iae"][row, these] = followed.absolute_error(time, y)
         for output in range(y.shape[1]):
             where, r = followed.window(time, output)
             for name, values in step_info(time[where], y[:, output, where], r).items():

@@ -26,6 +26,7 @@ METRICS = {
     "decay_rate": ("1/s", "minus the slope of log|x| over the second half"),
     "final_norm": ("x", "|x| at the end"),
 }
+IAE = {"iae": ("y s", "integral of |reference - output|, all tracked outputs together")}
 DIVERGED = "|x| left 1e100 and the run ended there; its metrics are those up to that end"
 
 
@@ -39,7 +40,7 @@ def attributes_of(metric: str, cost: str | None = None) -> dict[str, str]:
     """
     if metric == "cost" and cost is not None:
         return {"long_name": "weighted integral of x and u", "formula": cost}
-    return dict(zip(("units", "long_name"), METRICS[metric], strict=True))
+    return dict(zip(("units", "long_name"), (METRICS | IAE)[metric], strict=True))
 
 
 def formula_of(metric: xr.DataArray) -> str:
@@ -54,7 +55,8 @@ class Results:
     Attributes
     ----------
     metrics : mapping
-        From a metric to an array (law, scenario).
+        From a metric to an array (law, scenario); where a law follows a reference also `IAE`, NaN
+        of the others.
     done : (scenario,) array
         Which scenarios are whole.
     tracking : mapping
@@ -83,6 +85,7 @@ class Results:
         """Room for the results, with `path` = (n, m, samples) for trajectories, too."""
         shape = laws, scenarios
         metrics = {name: np.empty(shape) for name in METRICS}
+        metrics |= {name: np.full(shape, np.nan) for name in IAE if tracked}
         flags = np.zeros(shape, dtype=bool), np.zeros(scenarios, dtype=bool)
         names = TRACKING if tracked else ()
         tracking = {name: np.full((*shape, tracked), np.nan) for name in names}

@@ -21,6 +21,7 @@ from deadtime.imperfections import (
     TimingImperfection,
     streams,
 )
+from deadtime.imperfections.words import in_words
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.scenarios.block import Block
@@ -231,7 +232,7 @@ def compare(
         "inputs": plant.inputs,
         "delay": plant.delay_data if plant.has_one_delay else plant.delays.ravel().tolist(),
         "backend": backend,
-        "imperfections": [repr(one) for one in imperfections],
+        "imperfections": [in_words(one) for one in imperfections],
         "one_by_one": [name for name in named if name not in tables],
         "interrupted": int(interrupted),
         "message": _message(results, list(named), continued, interrupted, _unseen(model, plant)),

@@ -8,6 +8,7 @@ samples, and r as held.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,7 @@ TRACKING = {
     "SteadyStateError": ("y", "reference minus output at the end"),
     "IAE": ("y s", "integral of |reference − output| after the step"),
 }
+TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs together: the metric iae
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,28 @@ class Followed(Frozen):
         if stops and r.size > 1:
             r[-1] = r[-2]
         return where, r
+
+    def absolute_error(
+        self, time: Float[np.ndarray, " T"], y: Float[np.ndarray, "*runs tracked T"]
+    ) -> Float[np.ndarray, "*runs"]:
+        """∫|r − y| over all of the time, summed over the tracked outputs."""
+        r = self.reference.along(time[:-1]).T
+        with np.errstate(all="ignore"):  # of runs that are lost
+            return np.asarray(_absolute(time, r - y[..., :-1], r - y[..., 1:]).sum(axis=-1))
+
+
+def measure_of(followed: Iterable[Followed | None]) -> str:
+    """The metric that ranks runs, by what each follows: iae where all do, and else the cost.
+
+    At rest on its reference a run goes on costing ∫|x|² + |u|², which says nothing of the law.
+
+    Examples
+    --------
+    >>> measure_of([None, None])
+    'cost'
+    """
+    each = list(followed)
+    return "cost" if not each or any(one is None for one in each) else "iae"
 
 
 def step_info(

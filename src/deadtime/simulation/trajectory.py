@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from deadtime.base.libraries import python_control
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import TOLERANCE
 from deadtime.plant.weight import Weight, costs, weight_of
+from deadtime.simulation.columns import numbered_columns, write_csv
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
@@ -124,7 +124,8 @@ class Trajectory(Frozen):
             max|x| over the samples, settling_time (s, from when on |x| stays within 2 % of the
             peak; inf if it does not), decay_rate (1/s, minus the least-squares slope of log|x|
             over the second half, at 11 times at least; inf if x is zero there, −inf if the run
-            diverged at once), final_norm |x| at the end.
+            diverged at once), final_norm |x| at the end. Of a law with a servo also iae
+            Σ∫|reference − output| over the tracked outputs, straight between samples.
         """
         record, end = self.record, self.end
         weight = weight_of(weight, self.plant)
@@ -135,13 +136,25 @@ class Trajectory(Frozen):
         outside = np.flatnonzero(norm > 0.02 * peak)
         settled = outside.size == 0 or outside[-1] + 1 < time.size
         settling = (0.0 if outside.size == 0 else time[outside[-1] + 1]) if settled else np.inf
+        following = {}
+        if self.followed is not None:
+            following["iae"] = float(self.followed.absolute_error(*self._outputs()))
         return {
             **parts,
             "peak": peak,
             "settling_time": float(settling),
             "decay_rate": self._decay_rate(time, norm),
             "final_norm": float(norm[-1]),
+            **following,
         }
+
+    def _outputs(self) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "tracked T"]]:
+        """What is tracked at the samples, and these, without a horizon within a period."""
+        assert self.followed is not None
+        time = self.record.grid(self.end)
+        if time.size > 2 and np.diff(time[-2:]) < (1.0 - TOLERANCE) * time[1]:
+            time = time[:-1]
+        return time, self.followed.outputs(self.record.states_at(time).T, self.signal(time))
 
     def step_info(
         self,
@@ -197,16 +210,12 @@ class Trajectory(Frozen):
         if self.followed is None:
             raise ArgumentError("step_info needs a law with a servo; this run tracks nothing.")
         output = index("output", output, self.followed.rows.shape[1])
-        time = self.record.grid(self.end)
-        if time.size > 2 and np.diff(time[-2:]) < (1.0 - TOLERANCE) * time[1]:
-            time = time[:-1]  # the horizon, within a period
+        time, y = self._outputs()
         if since is not None and not 0.0 <= number("since", since) < time[-1]:
             raise ArgumentError(f"since must be in [0, {self.end:g}) s, got {since:g}.")
         stepped = since is None or self.followed.steps_at(since, self.end, output)
         where, r = self.followed.window(time, output, since)
-        time = time[where]
-        y = self.followed.outputs(self.record.states_at(time).T, self.signal(time))
-        found = step_info(time, y[output], r, settling, rise)
+        found = step_info(time[where], y[output, where], r, settling, rise)
         found |= {} if stepped else dict.fromkeys(OF_STEPS, np.array(np.nan))
         return {name: float(value) for name, value in found.items()}
 
@@ -245,27 +254,29 @@ class Trajectory(Frozen):
         return plot_run(whole, title)
 
     def _columns(self) -> dict[str, np.ndarray]:
-        """The signals by python-control's names."""
-        columns = {f"x[{i}]": row for i, row in enumerate(self.states)}
-        columns |= {f"u[{i}]": row for i, row in enumerate(self.inputs)}
-        columns["mode"] = self.mode
-        if self.mismatch is not None:
-            columns |= {f"w[{i}]": row for i, row in enumerate(self.mismatch)}
-        if self.belief is not None:
-            columns |= {f"belief[{i}]": row for i, row in enumerate(self.belief)}
-        if self.tracked is not None and self.reference is not None:
-            columns |= {f"y[{i}]": row for i, row in enumerate(self.tracked)}
-            columns |= {f"r[{i}]": row for i, row in enumerate(self.reference)}
-        return columns
+        """The signals by python-control's names, the letter and a number."""
+        first = numbered_columns({"x": self.states, "u": self.inputs})
+        others = {"w": self.mismatch, "belief": self.belief, "y": self.tracked, "r": self.reference}
+        return first | {"mode": self.mode} | numbered_columns(others)
 
-    def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the run as CSV, one row per time, columns as in `to_pandas`."""
-        columns = {"time": self.time, **self._columns()}
-        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows(rows)
+    def to_csv(
+        self,
+        path: str | PathLike[str],
+        states: Sequence[str] = (),
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+    ) -> None:
+        """Write the run as CSV, one row per time, columns as in `to_pandas`.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        states, inputs, outputs : sequence of str, optional
+            Names, for columns such as "x[0]: position (m)", which `identify` reads.
+        """
+        names = {"x": states, "u": inputs, "y": outputs, "r": outputs}
+        write_csv(path, {"time": self.time, **self._columns()}, names)
 
     def to_pandas(self) -> pd.DataFrame:
         """A data frame indexed by time, columns x[0], …, u[0], …, mode, w[0], …, belief[0], ….

@@ -10,6 +10,11 @@ from deadtime.base.wording import number_of
 from deadtime.certificates.proof.evidence import Evidence, Setting
 from deadtime.certificates.proof.stretches import StretchEvidence
 
+NOT_COVERED = (
+    "Not covered: limits of the inputs (saturation, rates), constant forces (offsets), noise and "
+    "lost samples."
+)
+
 
 def decay_rate(evidence: Evidence | StretchEvidence) -> float:
     """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate not known."""
@@ -130,12 +135,13 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     kind, parts = _how(evidence)
     how = (
         f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
-        "ball arithmetic of 128 bits that cover every instant of a switch within a period."
+        "ball arithmetic of 128 bits that cover every instant of a switch within a period: "
+        f"{when} the Lyapunov function falls {falls}."
     )
     return (
-        f"{words[0].upper()}{words[1:]}, switching at any instant, and for every "
-        f"initial state{memory} and past input, the digital loop of {plants} with this table{pace};"
-        f" {when} the Lyapunov function falls {falls}.",
+        f"{words[0].upper()}{words[1:]}, switching at any instant, and for every initial "
+        f"state{memory} and past input, the digital loop of {plants} with this table{pace}. "
+        f"{NOT_COVERED}",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",

@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from deadtime.base.errors import ArgumentError
 from deadtime.base.figure_style import COLOURS, LINES, STYLE, WIDTH, plain, visible
-from deadtime.base.wording import as_rate
+from deadtime.base.wording import as_rate, numbered
 from deadtime.problems import Problem
 from deadtime.problems.comparison import Comparison
 from deadtime.reports.figures.colours import looks_of
@@ -99,6 +100,69 @@ def plot_norms(runs: Mapping[str, Trajectory], title: str | None = None) -> Figu
     return figure
 
 
+def plot_tracking(
+    runs: Mapping[str, Trajectory], outputs: Sequence[str] = (), title: str | None = None
+) -> Figure:
+    """What follows a reference under several laws, beside the reference: a panel per output.
+
+    More than five laws are shared out among panels; a run far above the others leaves the frame.
+
+    Parameters
+    ----------
+    runs : mapping
+        Runs that follow references, by the names of their laws.
+    outputs : sequence of str, optional
+        Names of what follows, with units; numbered by default.
+    """
+    tracked = {name: run.tracked for name, run in runs.items()}
+    count = min(0 if y is None else len(y) for y in tracked.values())
+    if count == 0:
+        raise ArgumentError("runs must all follow a reference: draw others by their norms.")
+    named = list(map(plain, outputs or numbered("y", count)))
+    groups, looks = _shared_out(list(runs)), looks_of(list(runs))
+    rows = [(i, group) for i in range(count) for group in groups]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 0.9 + (2.4 if len(rows) == 1 else 1.8) * len(rows)))
+        panels = figure.subplots(len(rows), sharex=True, squeeze=False)[:, 0]
+        for panel, (i, group) in zip(panels, rows, strict=True):
+            first = runs[group[0]]
+            assert first.reference is not None
+            look: Any = {"color": COLOURS[6], "drawstyle": "steps-post", "linewidth": 1.0}
+            panel.plot(first.time, first.reference[i], linestyle=":", label="reference", **look)
+            for line, name in zip(LINES, group, strict=False):
+                y = tracked[name]
+                assert y is not None
+                panel.plot(
+                    runs[name].time,
+                    y[i],
+                    linestyle=line,
+                    color=looks[name].colour,
+                    label=plain(name),
+                )
+            panel.set_ylim(*_tracking_frame(runs, i))
+            panel.set_ylabel(named[i])
+            panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, handlelength=2.6)
+        panels[0].set_xlim(0.0, max(run.time[-1] for run in runs.values()))
+        panels[-1].set_xlabel("time (s)")
+        if title:
+            figure.suptitle(plain(title), fontsize=9.5, x=0.02, ha="left")
+    return figure
+
+
+def _tracking_frame(runs: Mapping[str, Trajectory], output: int) -> tuple[float, float]:
+    """Ends of the axis of an output: all of it, but for what is far from its reference."""
+    low, high = np.inf, -np.inf
+    for run in runs.values():
+        assert run.tracked is not None
+        assert run.reference is not None
+        y, r = run.tracked[output], run.reference[output]
+        far = 3.0 * max(float(np.ptp(r)), float(np.abs(r).max()), float(abs(r[0] - y[0]))) or np.inf
+        low = min(low, float(r.min()), max(float(y.min()), float(r.min()) - far))
+        high = max(high, float(r.max()), min(float(y.max()), float(r.max()) + far))
+    air = 0.06 * (high - low) or 1.0
+    return low - air, high + air
+
+
 def _shared_out(names: Sequence[str]) -> list[Sequence[str]]:
     """Groups of at most five, as even as can be.
 
@@ -110,6 +174,15 @@ def _shared_out(names: Sequence[str]) -> list[Sequence[str]]:
     count = -(-len(names) // len(LINES))
     size = -(-len(names) // count)
     return [names[i : i + size] for i in range(0, len(names), size)]
+
+
+def all_laws(result: Comparison) -> tuple[str, Figure]:
+    """Every law in one figure, and its caption: |x|, or what follows beside its reference."""
+    if result.measure == "iae":
+        caption = "What follows the reference, under every law; a law far off leaves the frame."
+        return caption, plot_tracking(result.runs, result.problem.tracked)
+    caption = "Every law on one axis; a law far above the others leaves the frame."
+    return caption, plot_norms(result.runs)
 
 
 def plot_verdict(result: Comparison) -> Figure:

@@ -19,12 +19,14 @@ from deadtime.reports.figures.colours import looks_of
 from deadtime.reports.tables.monte_carlo import (
     count_of,
     losses,
+    measure_in,
     names_of,
     quantile,
     reference_of,
     relative_costs,
 )
 from deadtime.scenarios.dataset import Comparison, formula_of
+from deadtime.simulation.tracking import TRACKING_ERROR
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,9 +40,9 @@ _NARROW, _WIDE = 8.0, 2e3  # ranges of an axis with plain ticks, and with ticks 
 def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) -> Figure:
     """Distribution functions of the laws' costs, and of their costs over the reference law's.
 
-    A curve at (c, p): on a share p of the scenarios the cost is at most c. A law that diverges
-    never reaches the top. Axes end where heavy tails would take all the room; laws that lie
-    beyond an axis are named so in the legend.
+    Where all laws follow a reference, of ∫|r − y| instead. A curve at (c, p): on a share p of the
+    scenarios the cost is at most c. A law that diverges never reaches the top. Axes end where heavy
+    tails would take all the room; laws that lie beyond an axis are named so in the legend.
 
     Parameters
     ----------
@@ -72,12 +74,18 @@ def plot_monte_carlo(data: xr.Dataset | Comparison, title: str | None = None) ->
             {"color": looks[name].colour, "linestyle": LINES[i % len(LINES)]}
             for i, name in enumerate(names)
         ]
-        seen = _panel(left, losses(data, "cost"), styles)
+        measure = measure_in(data)
+        seen = _panel(left, losses(data, measure), styles)
         seen |= _panel(right, relative_costs(data), styles)
-        formula = data.formula if isinstance(data, Comparison) else formula_of(data["cost"])
-        unit = "  (x² s + u² s)" if formula == PLAIN else ""
-        left.set_xlabel(f"cost, {plain(formula)}{unit}")
-        right.set_xlabel(f"cost / cost of “{plain(reference_of(data))}”  (–)")
+        formula, word = TRACKING_ERROR, TRACKING_ERROR
+        if measure == "cost":
+            formula = data.formula if isinstance(data, Comparison) else formula_of(data["cost"])
+            unit = "  (x² s + u² s)" if formula == PLAIN else ""
+            formula, word = f"cost, {plain(formula)}{unit}", "cost"
+        left.set_xlabel(formula)
+        right.set_xlabel(
+            f"{word} / {'that' if word != 'cost' else word} of “{plain(reference_of(data))}”  (–)"
+        )
         left.set_ylabel(f"share of {count:,} scenario{'s' * (count != 1)} (%)")
         left.set_ylim(0.0, 102.0)
         keys = [

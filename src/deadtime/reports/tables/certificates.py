@@ -207,10 +207,12 @@ def left_out(problem: Problem) -> list[str]:
     >>> from dataclasses import replace
     >>> from deadtime.imperfections import Dropout
     >>> left_out(replace(dt.problems.paper(), imperfections=(Dropout(0.1),)))
-    ['Certificates are about the loop without its imperfections: Dropout(probability=0.1).']
+    ['Not covered: Dropout(probability=0.1). Certificates are about the loop without it.']
     """
-    named = ", ".join(repr(one) for one in problem.imperfections)
-    return [f"Certificates are about the loop without its imperfections: {named}."] * bool(named)
+    named = ", ".join(problem.imperfections_in_words)
+    them = "it" if len(problem.imperfections) == 1 else "them"
+    said = f"Not covered: {named}. Certificates are about the loop without {them}."
+    return [said] * bool(named)
 
 
 def certificate_sentences(judged: Sequence[Judged]) -> list[str]:

@@ -43,11 +43,13 @@ class LawSummary:
     cost, ise : Quantiles
         Of the cost and of ∫|x|².
     best : float
-        Share of scenarios on which no law has a smaller cost, 0 to 1; ties count for each.
+        Share of scenarios on which no law does better, 0 to 1; ties count for each.
     relative : float
-        Median of the cost over that of the reference law.
+        Median of what ranks the laws, over that of the reference law.
     diverged : int
         Number of scenarios on which the law diverged.
+    iae : Quantiles or None
+        Of ∫|r − y|, where all laws follow a reference.
     """
 
     law: str
@@ -56,6 +58,7 @@ class LawSummary:
     best: float
     relative: float
     diverged: int
+    iae: Quantiles | None = None
 
 
 @dataclass(frozen=True)
@@ -68,11 +71,14 @@ class Summary:
     reference : str
         Law that costs are relative to: the one named "oracle", or else the first.
     laws : tuple of LawSummary
+    measure : str
+        The metric that ranks the laws: "iae" where all follow a reference, else "cost".
     """
 
     scenarios: int
     reference: str
     laws: tuple[LawSummary, ...]
+    measure: str = "cost"
 
     @property
     def headings(self) -> list[str]:
@@ -80,11 +86,11 @@ class Summary:
         return ["law", "5 %", "median", "95 %", "best on", f"/ {self.reference}", "diverged"]
 
     def rows(self) -> list[list[str]]:
-        """Costs for a terminal, a row for each law."""
+        """What ranks the laws, for a terminal, a row for each law."""
         return [
             [
                 one.law,
-                *map(compact, one.cost),
+                *map(compact, getattr(one, self.measure)),
                 _share(one.best),
                 compact(one.relative),
                 f"{one.diverged:,}",
@@ -92,13 +98,14 @@ class Summary:
             for one in self.laws
         ]
 
-    def rows_of_ise(self) -> list[list[str]]:
-        """∫|x|² for a terminal: law and quantiles, under the first of the headings."""
-        return [[one.law, *map(compact, one.ise)] for one in self.laws]
+    def rows_of(self, metric: str) -> list[list[str]]:
+        """Another metric for a terminal: law and quantiles, under the first of the headings."""
+        return [[one.law, *map(compact, getattr(one, metric))] for one in self.laws]
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""
-        return plain(self.laws)
+        rows = plain(self.laws)
+        return [{k: v for k, v in row.items() if k != "iae" or v is not None} for row in rows]
 
 
 def summary(data: xr.Dataset | Comparison) -> Summary:
@@ -106,7 +113,7 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
 
     With J_ℓi the cost of law ℓ on scenario i, ∞ where it diverged, law ℓ is best on the
     scenarios with J_ℓi = min_k J_ki < ∞, and its relative cost is the median of J_ℓi / J_ri
-    over i, r being the reference law.
+    over i, r being the reference law. Where all laws follow a reference J is ∫|r − y| instead.
 
     Parameters
     ----------
@@ -132,9 +139,10 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
     """
     if count_of(data) == 0:
         raise ArgumentError("data must hold at least one scenario, got none: run some to the end.")
-    cost, ise = losses(data, "cost"), losses(data, "ise")
-    least = cost.min(axis=0)
-    best = ((cost == least) & np.isfinite(least)).mean(axis=1)
+    measure = measure_in(data)
+    cost, ise, ranked = (losses(data, name) for name in ("cost", "ise", measure))
+    least = ranked.min(axis=0)
+    best = ((ranked == least) & np.isfinite(least)).mean(axis=1)
     ratios, diverged = relative_costs(data), _lost(data).sum(axis=1)
     laws = tuple(
         LawSummary(
@@ -144,10 +152,19 @@ def summary(data: xr.Dataset | Comparison) -> Summary:
             float(best[i]),
             _quantiles(ratios[i]).median,
             int(diverged[i]),
+            _quantiles(ranked[i]) if measure == "iae" else None,
         )
         for i, name in enumerate(names_of(data))
     )
-    return Summary(count_of(data), reference_of(data), laws)
+    return Summary(count_of(data), reference_of(data), laws, measure)
+
+
+def measure_in(data: xr.Dataset | Comparison) -> str:
+    """The metric that ranks the laws: iae where all of them follow a reference, else the cost."""
+    held = data.results.metrics if isinstance(data, Comparison) else data
+    if "iae" not in held:
+        return "cost"
+    return "cost" if np.isnan(losses(data, "iae")).any() else "iae"
 
 
 def names_of(data: xr.Dataset | Comparison) -> list[str]:
@@ -185,8 +202,11 @@ def _lost(data: xr.Dataset | Comparison) -> Bool[np.ndarray, "law scenario"]:
 
 
 def relative_costs(data: xr.Dataset | Comparison) -> Float[np.ndarray, "law scenario"]:
-    """Costs over those of the reference law: 1 where both are 0, infinite where a law diverged."""
-    cost = losses(data, "cost")
+    """What ranks the laws, over that of the reference law.
+
+    1 where both are 0, infinite where a law diverged.
+    """
+    cost = losses(data, measure_in(data))
     base = cost[names_of(data).index(reference_of(data))]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(cost == base, 1.0, cost / base)

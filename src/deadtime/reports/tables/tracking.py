@@ -19,6 +19,8 @@ else:
     Comparison = object  # what one run is tabled with loads no batches
 
 HEADINGS = ("law", "rise, s", "settling, s", "overshoot, %", "undershoot, %", "IAE", "error left")
+NEVER = "–"
+LEGEND = f"{NEVER}: not settled within the horizon"
 _NAMES = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot", "IAE", "SteadyStateError")
 
 
@@ -87,4 +89,11 @@ def _median(values: np.ndarray) -> float:
 
 
 def _row(law: str, figures: Sequence[float]) -> list[str]:
-    return [law, *(compact(value) if math.isfinite(value) else "–" for value in figures)]
+    return [law, *map(_figure, figures)]
+
+
+def _figure(value: float) -> str:
+    """A figure with its sign; a time that never comes is a dash."""
+    if not math.isfinite(value):
+        return "no step" if math.isnan(value) else NEVER
+    return f"−{compact(-value)}" if value < 0.0 else compact(value)
