@@ -91,7 +91,10 @@ def export(
     controller = _controller(chosen, law, step)
     precision = "float" if single else "double"
     called = next(iter(chosen.laws)) if law is None else law
-    names = Names(called, chosen.states, chosen.modes, chosen.inputs)
+    given = Names(called, chosen.states, chosen.modes, chosen.inputs)
+    names = given
+    if chosen.law(called).outputs is not None:
+        names = replace(given, outputs=chosen.outputs, tracked=chosen.tracked)
     shared: dict[str, Any] = {"precision": precision, "accuracy": accuracy, "names": names}
     code = law_fmu = model = None
     with Staging() as staging:  # all that is asked for, or nothing
@@ -110,7 +113,7 @@ def export(
                 u0=chosen.u0,
                 version=fmi,
                 changes=max(4096, 2 * math.ceil(chosen.plant.longest_delay / controller.step)),
-                names=replace(names, title=f"Plant: {chosen.title}"),
+                names=replace(given, title=f"Plant: {chosen.title}"),
                 staging=staging,
             )
     if json_output:

@@ -131,6 +131,7 @@ def c_sources(
 
     require_exportable(controller, precision, name)
     names.require(controller.law.plant)
+    names.require_outputs(*_measured(controller))
     accuracy = _ACCURACY[precision] if accuracy is None else number("accuracy", accuracy)
     if not 0.0 <= accuracy < 1.0:
         raise ArgumentError(f"accuracy must be at least 0 and below 1, got {accuracy:g}.")
@@ -322,6 +323,14 @@ def _magic(told: str) -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:7] + "d"
 
 
+def _measured(controller: RunningLaw) -> tuple[int, int]:
+    """How many outputs the law is told, and how many references it follows."""
+    if controller.observing is not None:
+        _, outputs, _, tracked = ObserverForm.of(controller.observing).sizes
+        return outputs, tracked
+    return belief_code.outputs_of(controller.believing), 0
+
+
 def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
     """What the header's comment says."""
     import numpy as np
@@ -336,6 +345,8 @@ def _words(controller: RunningLaw, names: Names) -> dict[str, Any]:
             _element_names("z" if controller.observing else "x", names.states)
         ),
         "input_names": in_comment(_element_names("u", names.inputs)),
+        "output_names": in_comment(_element_names("y", names.outputs)),
+        "reference_names": in_comment(_element_names("r", names.tracked)),
         "mode_names": in_comment(names.all_modes()),
     }
 

@@ -30,12 +30,13 @@ def controller_variables(
     n, m = plant.states, plant.inputs
     given = _read("x", _each("state at the sample", names.state, n))
     if outputs:
-        given = _read("y", ["output at the sample"] * outputs)
+        given = _read("y", _each("output at the sample", names.output, outputs))
     referred, told_r, estimated = [], [], []
     if observer is not None:
         size, p, _, r = observer.sizes
-        given = _read("y", ["output at the sample"] * p)
-        referred = _read("reference", ["what a tracked output is to follow"] * r)
+        given = _read("y", _each("output at the sample", names.output, p))
+        followed = _each("what a tracked output is to follow", names.followed, r)
+        referred = _read("reference", followed)
         estimated = _estimated(names, size, plant.states)
         what = "whether reference is read, or the law's own followed"
         told_r = [Variable("report_reference", "Boolean", "parameter", what, False)] * bool(r)

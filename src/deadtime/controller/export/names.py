@@ -1,4 +1,4 @@
-"""What a user calls a law, its states, inputs and modes, for headers and descriptions."""
+"""What a user calls a law, its signals and modes, for headers and descriptions."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class Names:
     ----------
     title : of the law, or of the plant
     states, modes, inputs : with their units, if they have some
+    outputs, tracked : of what is measured and what follows a reference, likewise
 
     Examples
     --------
@@ -29,6 +30,8 @@ class Names:
     states: Sequence[str] = ()
     modes: Sequence[str] = ()
     inputs: Sequence[str] = ()
+    outputs: Sequence[str] = ()
+    tracked: Sequence[str] = ()
 
     def require(self, plant: SwitchedSystem) -> None:
         """Refuse another number of names than the plant has states, modes or inputs."""
@@ -40,6 +43,15 @@ class Names:
             if given and len(given) != wanted:
                 raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
 
+    def require_outputs(self, outputs: int, tracked: int) -> None:
+        """Refuse another number of names than the law measures outputs, or follows references."""
+        for name, given, wanted in (
+            ("names.outputs", self.outputs, outputs),
+            ("names.tracked", self.tracked, tracked),
+        ):
+            if given and len(given) != wanted:
+                raise ArgumentError(f"{name} must be {wanted} names, got {len(given)}.")
+
     def state(self, i: int) -> str:
         """The name of a state; empty where states have none."""
         return self.states[i] if self.states else ""
@@ -47,6 +59,14 @@ class Names:
     def input(self, i: int) -> str:
         """The name of an input; empty where inputs have none."""
         return self.inputs[i] if self.inputs else ""
+
+    def output(self, i: int) -> str:
+        """The name of an output; empty where outputs have none."""
+        return self.outputs[i] if self.outputs else ""
+
+    def followed(self, i: int) -> str:
+        """The name of what follows a reference; empty where that has none."""
+        return self.tracked[i] if self.tracked else ""
 
     def all_modes(self) -> str:
         """The numbers of the modes with their names, or nothing."""

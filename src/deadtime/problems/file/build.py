@@ -26,6 +26,7 @@ from deadtime.problems.file.switching import (
     build_signal,
     promise_of,
 )
+from deadtime.problems.file.units import labels, require_units
 from deadtime.problems.law_registry import Model
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
@@ -43,6 +44,9 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
     with _section("run"):
         step = None if file.run.step == "ideal" else positive("step", file.run.step)
     outputs, following = _measured(file, plant, states, step, source.parent)
+    units = file.plant.units
+    with _section("plant"):
+        require_units(units, (*states, *inputs, *outputs))
     with _section("gains"):
         gains = _gains(file, plant, following, step)
     with _section("switching"):
@@ -82,11 +86,11 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         seed=file.run.seed,
         predict=file.run.predict,
         weight=weight,
-        states=states,
-        inputs=inputs,
+        states=labels(states, units),
+        inputs=labels(inputs, units),
         modes=modes,
-        outputs=outputs,
-        tracked=() if following is None else following.names,
+        outputs=labels(outputs, units),
+        tracked=() if following is None else labels(following.names, units),
         switching=model,
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,

@@ -61,6 +61,9 @@ class PlantSection(Section):
     states: Names = Field([], description="Names of the states, for figures.")
     inputs: Names = Field([], description="Names of the inputs, for figures.")
     modes: Names = Field([], description="Names of the modes, for figures.")
+    units: dict[str, str] = Field(
+        {}, description='Units of states, inputs and outputs, by name: { position = "m" }.'
+    )
 
 
 class LqrSection(Section):
