@@ -95,6 +95,7 @@ from .synthesis import (
     DelayLimit as DelayLimit,
     Design as Design,
     InitialStates as InitialStates,
+    StationaryNoise as StationaryNoise,
     delay_limit as delay_limit,
     design as design,
 )

@@ -58,9 +58,36 @@ def test_rows_and_marks_say_who_exceeds_the_limit(limited):
     assert "margin asked for" not in labels
 
 
+def test_the_chart_shows_the_inputs_of_every_design_and_rings_the_chosen_one(limited):
+    costs, inputs = plot_designs({"": limited}).axes
+    assert inputs.get_ylabel() == "peak |u|"
+    assert inputs.get_xlim() == costs.get_xlim()
+    (limit,) = [line for line in inputs.lines if line.get_linestyle() == "--"]
+    assert limit.get_ydata() == [1.5, 1.5]
+    marks = [line for line in inputs.lines if line.get_marker() not in ("None", ">")]
+    (ring,) = [line for line in marks if line.get_markersize() == 10.0]
+    assert ring.get_ydata() == pytest.approx(limited.input_peak)
+    points = {point.law: point for point in (limited.plain, *limited.points)}.values()
+    shown = sorted(float(np.ravel(line.get_ydata())[0]) for line in marks if line is not ring)
+    assert shown == pytest.approx(sorted(float(point.input_peak[0]) for point in points))
+    low, high = inputs.get_ylim()
+    assert low < min(shown) < max(shown) < high
+
+
+def test_the_chart_of_several_inputs_shows_the_largest_beside_its_limit():
+    plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0, 0.5]]], delay=[0.4, 0.2])
+    found = dt.design(plant, step=0.1, budget=20, input_limit=[2.0, 0.1])
+    _, inputs = plot_designs({"": found}).axes
+    assert inputs.get_ylabel() == "peak |u| / limit"
+    ring = next(line for line in inputs.lines if line.get_markersize() == 10.0)
+    assert found.input_peak is not None
+    assert ring.get_ydata() == pytest.approx([(found.input_peak / [2.0, 0.1]).max()])
+
+
 def test_a_limit_that_nothing_tried_keeps_is_missed_and_said():
     found = designed(input_limit=1e-3, decay_rate=0.4, delay_margin=0.02, budget=20)
     assert not found.reached
+    assert found.input_peak is not None
     assert "input limit" in found.missed(found.plain)
     load = found.input_peak[0] / 1e-3
     assert load > 1.0

@@ -148,7 +148,7 @@ def test_the_axis_of_margins_names_the_delay_that_they_are_shares_of():
     asked = {"delay_margin": 0.2, "step": 0.1, "gains": [[[-0.3], [0.0]]], "budget": 20}
     for delay, label in ((1.0, "D"), ([1.0, 0.5], "the shortest delay")):
         plant = dt.SwitchedSystem([[[-1.0]]], [[[1.0, 0.5]]], delay)
-        (panel,) = plot_designs({"": dt.design(plant, **asked)}).axes
+        _, panel = plot_designs({"": dt.design(plant, **asked)}).axes
         assert panel.get_xlabel() == f"delay margin (% of {label})"
 
 

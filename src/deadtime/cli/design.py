@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import BUILD, AsJson, Folder, app, lines
+from deadtime.cli.entry import BUILD, AsJson, Flag, Folder, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, progress_bar, save_figure
 from deadtime.cli.problems import numbers_of, problem_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
-    from deadtime.synthesis import Design, InitialStates
+    from deadtime.synthesis import Design, InitialStates, StationaryNoise
 
 Kind = Literal["averaged", "mean"]
 
@@ -25,6 +25,7 @@ Kind = Literal["averaged", "mean"]
         "deadtime design follower --delay-margin 0.05",
         "deadtime design problem.toml --delay-margin 0.02 --mode 0 --out mode0",
         "deadtime design follower --decay-rate 1.5 --input-limit 3 --initial 0.5,1,1",
+        "deadtime design problem.toml --input-limit 3 --noise --probability 0.95",
     ),
 )
 def design(
@@ -39,6 +40,7 @@ def design(
     input_limit: str | None = None,
     initial: str | None = None,
     probability: float | None = None,
+    noise: Flag = False,
     filtered: Annotated[bool | None, Parameter(negative="--unfiltered")] = None,
     budget: int = 800,
     out: Folder = Path("design"),
@@ -72,7 +74,11 @@ def design(
         From which states: one number for every |x(0)| up to it, or half the width of a box for each
         state, with commas; 1 by default.
     probability
-        With which it must, of a normal x(0) whose standard deviations --initial gives.
+        With which it must, of a normal x(0) whose standard deviations --initial gives; with
+        --noise the share of the time, 0.99 by default.
+    noise
+        Under the noise of the file's imperfections, of kinds white-disturbance and noise, that
+        goes on for ever, instead of from a state at the start.
     filtered
         Only laws with a low-pass filter, or only without; both by default.
     budget
@@ -101,6 +107,10 @@ def design(
         plant = plant.like(plant.A[one], plant.B[one], plant.delays[one])
         gains = gains[one]
     period = step_of(chosen) if step is None else positive("step", step)
+    if noise and initial is not None:
+        raise ArgumentError("--noise and --initial both say what moves the inputs: give one.")
+    source = _noise(chosen, probability) if noise else None
+    source = source or _initial(plant.states, initial, probability)
     with progress_bar(budget, quiet=json_output) as advance:
         found = designed(
             plant,
@@ -112,7 +122,7 @@ def design(
             longest_step=longest_step,
             decay_rate=decay_rate,
             input_limit=None if input_limit is None else numbers_of("input-limit", input_limit),
-            initial=_initial(plant.states, initial, probability),
+            initial=source,
             budget=budget,
             weight=chosen.weight,
             progress=advance,
@@ -149,6 +159,34 @@ def _initial(states: int, initial: str | None, probability: float | None) -> Ini
     return InitialStates.ball(sizes[0]) if len(sizes) == 1 else InitialStates.box(sizes)
 
 
+def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
+    """The noise of a problem's imperfections."""
+    import numpy as np
+
+    from deadtime.imperfections import Noise, WhiteDisturbance
+    from deadtime.synthesis import StationaryNoise
+
+    if problem.outputs:
+        raise ArgumentError(
+            "--noise is for laws that measure the state, and design is of these: the observer of "
+            f"the problem {problem.name!r} has noise of its own."
+        )
+    eye = np.eye(problem.plant.states)
+    W, V = np.zeros_like(eye), np.zeros_like(eye)
+    for one in problem.imperfections:
+        if isinstance(one, WhiteDisturbance):
+            intensity = np.asarray(one.intensity, dtype=float)
+            W = W + (intensity if intensity.ndim == 2 else intensity * eye)
+        elif isinstance(one, Noise):
+            V = V + np.asarray(one.std, dtype=float) ** 2 * eye
+    if not (W.any() or V.any()):
+        raise ArgumentError(
+            f"--noise needs an imperfection of the kind white-disturbance or noise, of which the "
+            f"problem {problem.name!r} has none."
+        )
+    return StationaryNoise(W, V, 0.99 if probability is None else probability)
+
+
 def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
@@ -174,7 +212,8 @@ def _print(problem: Problem, found: Design, mode: int | None) -> None:
         keep = [i for i in range(len(HEADINGS)) if i != at]
         print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
     print(f"Cost: {text_of(found.weight)}, each mode for ever, the mean over |x(0)| = 1.")
-    print(f"Peak |u|: the largest under constant switching signals, {found.initial.text}.")
+    what = "what it stays below" if found.initial.kind == "noise" else "the largest"
+    print(f"Peak |u|: {what} under constant switching signals, for {found.initial.text}.")
     print("\nWhat linear controllers of one mode alone can tolerate:")
     names = problem.modes if mode is None else (problem.modes[mode],)
     print_table(LIMIT_HEADINGS, limit_rows(found, names))

@@ -23,7 +23,7 @@ from deadtime.synthesis.exact import Exact
 from deadtime.synthesis.families import Choice, Family
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.initial_states import InitialStates
-from deadtime.synthesis.input_peak import check_initial, largest_inputs, limits_asked
+from deadtime.synthesis.input_peak import Source, check_initial, largest_inputs, limits_asked
 from deadtime.synthesis.limits import DelayLimit, delay_limit
 from deadtime.synthesis.message import sentences
 from deadtime.synthesis.request import (
@@ -34,6 +34,7 @@ from deadtime.synthesis.request import (
 )
 from deadtime.synthesis.result import Design, TradeOff
 from deadtime.synthesis.search import MakeLaw, Search, Tried
+from deadtime.synthesis.stationary_noise import StationaryNoise
 from deadtime.synthesis.strategy import pairs_of, spend
 from deadtime.synthesis.units import unit_hints
 
@@ -56,7 +57,7 @@ def design(
     seed: int = 0,
     weight: Weight | None = None,
     input_limit: ArrayLike | None = None,
-    initial: InitialStates | None = None,
+    initial: InitialStates | StationaryNoise | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
     """Gains and a law with a delay margin, decay rate and inputs as asked, at the least cost found.
@@ -103,10 +104,11 @@ def design(
     input_limit : array_like, shape () or (m,), optional
         What |u_j| must stay below in every constant mode, from `initial` on without inputs in the
         past.
-    initial : InitialStates, optional
+    initial : InitialStates or StationaryNoise, optional
         The states at the start, the ball |x(0)| ≤ 1 by default: over a ball, box or ellipsoid the
         exact worst case, of a normal x(0) with the probability that it says at least
-        (`deadtime.synthesis.input_peak`).
+        (`deadtime.synthesis.input_peak`). Or noise that goes on for ever: then the limit is kept
+        with just the probability that it says, at any one instant.
     progress : callable
         Called with a few words before each of at most `budget` designs that are tried.
 
@@ -169,7 +171,7 @@ def _plain(
     step: float,
     worst: bool,
     weight: Weight | None,
-    initial: InitialStates,
+    initial: Source,
 ) -> TradeOff:
     """The design to compare with."""
     margin = constant_delay_margin(plant, law, step)
@@ -183,7 +185,7 @@ def _point(
     step: float,
     margin: DelayMargin,
     cost: float,
-    initial: InitialStates | None,
+    initial: Source | None,
 ) -> TradeOff:
     """A design with its exact margin, decay rate and inputs."""
     growth = float(margin.growth.max())

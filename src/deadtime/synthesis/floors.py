@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.synthesis.initial_states import InitialStates
+from deadtime.synthesis.stationary_noise import StationaryNoise
 
 MARGIN, DECAY, LIMIT = "margin", "decay rate", "input limit"
 _LEAST = 1e-9  # of a floor: less is not told apart
@@ -21,13 +22,13 @@ class Floors:
     margin : relative to the delay; 0 where none is asked for
     decay_rate : of the slowest constant mode, 1/s; 0 where none is asked for
     input_limit : (m,), what |u_j| must stay below; None where nothing is asked
-    initial : the states at the start for which it must
+    initial : the states at the start, or the noise, for which it must
     """
 
     margin: float
     decay_rate: float = 0.0
     input_limit: Float[np.ndarray, " m"] | None = None
-    initial: InitialStates | None = None
+    initial: InitialStates | StationaryNoise | None = None
 
     @property
     def asked(self) -> tuple[str, ...]:

@@ -13,6 +13,8 @@ stays below a level c at all k is not a closed form, and lies between
 with F_n the distribution of χ² with as many degrees as X has directions: within the ellipsoid of
 that size no u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical
 Association 62, 626–633, 1967). With one state the bounds meet.
+
+Noise that goes on for ever spreads the inputs, too: `deadtime.synthesis.stationary_noise`.
 """
 
 from __future__ import annotations
@@ -29,11 +31,14 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import TableLaw, require_match
+from deadtime.numerics.covariance import noise_covariance
 from deadtime.plant import SwitchedSystem
-from deadtime.spectrum import GROWS, growth_rate
+from deadtime.spectrum import GROWS, LiftedLoop, aged_row, growth_rate
 from deadtime.synthesis.initial_states import InitialStates
-from deadtime.synthesis.price import periods_of
+from deadtime.synthesis.price import Periods, periods_of
+from deadtime.synthesis.stationary_noise import StationaryNoise, level_of
 
+Source = InitialStates | StationaryNoise  # what moves the inputs
 _DONE = 1e-6  # of the largest input: a block that stays below is the last
 _GROWS = 1e9  # times the first inputs
 _MOST = 200_000  # samples
@@ -46,25 +51,26 @@ class InputPeak(Frozen):
 
     Attributes
     ----------
-    initial : InitialStates
-        The states that it starts from.
+    initial : InitialStates or StationaryNoise
+        The states that it starts from, or what moves it.
     level : (modes, m)
         What |u_j(t)| stays at or below: over a set its exact maximum; under a normal x(0) a level
-        kept with the probability asked for at least. ∞ where a mode is unstable.
+        kept with the probability asked for at least; under noise the one kept with just that
+        probability at any one instant. ∞ where a mode is unstable.
     least : (modes, m)
-        No lower level is kept: the same as `level` over a set; under a normal x(0) a bound.
+        No lower level is kept: the same as `level` but under a normal x(0), where it is a bound.
     time : (modes, m)
-        When the largest value is attained, s; NaN where a mode is unstable.
+        When the largest value is attained, s; NaN where a mode is unstable, and under noise.
     """
 
-    initial: InitialStates
+    initial: Source
     level: Float[np.ndarray, "mode m"]
     least: Float[np.ndarray, "mode m"]
     time: Float[np.ndarray, "mode m"]
 
 
 def input_peak(
-    plant: SwitchedSystem, law: Law, step: float = 0.01, initial: InitialStates | None = None
+    plant: SwitchedSystem, law: Law, step: float = 0.01, initial: Source | None = None
 ) -> InputPeak:
     """How large each input becomes, with each mode held and no inputs in the past.
 
@@ -76,8 +82,8 @@ def input_peak(
         A law that is a table, and foresees nothing.
     step : float
         Sampling period h, s.
-    initial : InitialStates, optional
-        The ball |x(0)| ≤ 1 by default.
+    initial : InitialStates or StationaryNoise, optional
+        The ball |x(0)| ≤ 1 by default; or the noise that moves a loop that started long ago.
 
     Returns
     -------
@@ -98,6 +104,9 @@ def input_peak(
     >>> found = input_peak(plant, law, 0.05, dt.InitialStates.ball(3.0))
     >>> float(found.level[0, 0].round(6)), float(found.time[0, 0])     # 2 e^0.2 · 3 at once
     (7.328417, 0.0)
+    >>> noisy = input_peak(plant, law, 0.05, dt.StationaryNoise(process=0.1, probability=0.95))
+    >>> float(noisy.level[0, 0].round(4))
+    0.8848
     """
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
@@ -116,15 +125,17 @@ def input_peak(
         for mode in range(plant.modes)
     ]
     level, least, at = (np.array(part) for part in zip(*found, strict=True))
-    time = np.where(np.isfinite(level), at * step, np.nan)
+    moving = np.isfinite(level) & (initial.kind != "noise")
+    time = np.where(moving, at * step, np.nan)
     return InputPeak(initial, level, least, time)
 
 
-def check_initial(initial: InitialStates | None, plant: SwitchedSystem) -> InitialStates:
-    """What the states at the start are, the unit ball by default."""
+def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
+    """What the states at the start are, the unit ball by default; or the noise."""
     if initial is None:
         return InitialStates.ball()
-    instance("initial", initial, InitialStates)
+    if not isinstance(initial, StationaryNoise):
+        instance("initial", initial, InitialStates)
     initial.require_size(plant.states)
     return initial
 
@@ -145,7 +156,7 @@ def limits_asked(
 
 
 def largest_inputs(
-    plant: SwitchedSystem, law: Law, step: float, initial: InitialStates | None
+    plant: SwitchedSystem, law: Law, step: float, initial: Source | None
 ) -> Float[np.ndarray, " m"]:
     """The level of every input in the mode in which it is largest."""
     table, initial = law.digital(step), check_initial(initial, plant)
@@ -154,12 +165,18 @@ def largest_inputs(
 
 
 def mode_levels(
-    plant: SwitchedSystem, feedback: Feedback, mode: int, initial: InitialStates
+    plant: SwitchedSystem, feedback: Feedback, mode: int, initial: Source
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
     """The level of every input with one mode held, what no lower one is kept than, and when, k.
 
     Of a loop that decays: what grows from below 1e-6 of the first inputs is not seen.
     """
+    if isinstance(initial, StationaryNoise):
+        variance = input_covariance(plant, feedback, mode, initial)
+        if variance is None:
+            return _unbounded(plant)
+        level = level_of(np.sqrt(np.diag(variance)), initial.probability)
+        return level, level, np.zeros(plant.inputs, np.int64)
     rows = input_rows(plant, feedback, mode)
     if rows is None:
         return _unbounded(plant)
@@ -207,17 +224,56 @@ def _spread_levels(sigma: np.ndarray, directions: int, part: float) -> tuple[flo
     return high, least
 
 
+def input_covariance(
+    plant: SwitchedSystem, feedback: Feedback, mode: int, noise: StationaryNoise
+) -> Float[np.ndarray, "m m"] | None:
+    """Var u under noise, at any instant of a mode that is held; None if the loop grows."""
+    W, V = noise.matrices(plant.states)
+    rows, errors = input_rows(plant, feedback, mode), error_rows(plant, feedback, mode)
+    if rows is None or errors is None:
+        return None
+    Q = noise_covariance(plant.A[mode], W, feedback.step)
+    parts = [np.einsum("kai,ij,kbj->ab", M, S, M) for M, S in ((rows, Q), (errors, V))]
+    return parts[0] + parts[1]
+
+
 def input_rows(
     plant: SwitchedSystem, feedback: Feedback, mode: int
 ) -> Float[np.ndarray, "k m n"] | None:
     """M_k of u_k = M_k x(0), until they have fallen to 1e-6 of the largest; None if they grow."""
+    return _responses(periods_of(plant, feedback, mode), np.eye(plant.states))
+
+
+def error_rows(
+    plant: SwitchedSystem, feedback: Feedback, mode: int
+) -> Float[np.ndarray, "k m n"] | None:
+    """H_k of u_k = H_k v, v the error of the first sample: H_0 = F, then until they have fallen."""
+    one = periods_of(plant, feedback, mode)
+    period = LiftedLoop.of(plant, feedback, mode, aged_row(feedback, mode)).period
+    soon = sum(B for lag, B in zip(period.lags, period.Gamma, strict=True) if lag == 0)
+    states = (soon @ one.F).T.copy() if np.ndim(soon) else np.zeros((plant.states, plant.states))
+    later = _responses(one, states, one.F.T)
+    return None if later is None else np.concatenate((one.F[None], later))
+
+
+def _responses(
+    one: Periods,
+    states: Float[np.ndarray, "n n"],
+    sent: Float[np.ndarray, "n m"] | None = None,
+) -> Float[np.ndarray, "k m n"] | None:
+    """The inputs of runs from states, with what was sent the period before, until they have fallen.
+
+    None if they grow.
+    """
     from deadtime.synthesis.march import run_block
 
-    one = periods_of(plant, feedback, mode)
     m, n = one.F.shape
     past = max(one.G.shape[1] // m, int(one.lags.max()))
-    states, inputs = np.eye(n), np.zeros((n, (past + one.block) * m))
-    blocks, largest, first, size = [], 0.0, 0.0, 0.0
+    inputs = np.zeros((n, (past + one.block) * m))
+    if sent is not None and past:
+        inputs[:, (past - 1) * m : past * m] = sent
+    blocks, size = [], 0.0
+    largest = first = 0.0 if sent is None else float(np.abs(sent).max())
     for _ in range(-(-_MOST // one.block)):
         run_block(one.Phi, one.Gamma, one.lags, one.F, one.G, past, states, inputs)
         new = inputs[:, past * m :].reshape(n, one.block, m).transpose(1, 2, 0).copy()

@@ -15,6 +15,7 @@ from deadtime.plant import Weight
 from deadtime.synthesis.floors import Floors
 from deadtime.synthesis.initial_states import InitialStates
 from deadtime.synthesis.limits import DelayLimit
+from deadtime.synthesis.stationary_noise import StationaryNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +102,8 @@ class Design(Frozen):
         What |u_j| stays at or below in every constant mode, for `initial`.
     input_limit : (m,) or None
         What it was asked to stay below.
-    initial : InitialStates
-        The states at the start for which it does.
+    initial : InitialStates or StationaryNoise
+        The states at the start, or the noise, for which it does.
     """
 
     law: Law
@@ -124,7 +125,7 @@ class Design(Frozen):
     weight: Weight | None = None
     input_peak: Float[np.ndarray, " m"] | None = None
     input_limit: Float[np.ndarray, " m"] | None = None
-    initial: InitialStates = field(default_factory=InitialStates.ball)
+    initial: InitialStates | StationaryNoise = field(default_factory=InitialStates.ball)
 
     def missed(self, point: TradeOff) -> tuple[str, ...]:
         """What it falls short of: of "margin", "decay rate", "input limit" those asked in vain."""

@@ -1,4 +1,4 @@
-"""Charts of designs for margin: what a wider delay margin costs."""
+"""Charts of designs for margin: what a wider delay margin costs, and how large inputs become."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ _RING: dict[str, Any] = {
 def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
     """Cost over delay margin, a panel per design: the trade-off, the answer, and the limits.
 
-    The cost is relative to the cheapest design that was found, on a logarithmic axis. The chosen
+    The cost is relative to the cheapest design that was found, on a logarithmic axis; below it is
+    the largest |u| of every design, and its limit dashed where one is asked for; with limits of
+    several inputs, the largest of them beside its limit. The chosen
     design is ringed; hollow marks decay slower, or need larger inputs, than was asked. Green is
     what some linear controller of each mode alone reaches; what none reaches is shaded red. The
     legend lists what is drawn.
@@ -49,14 +51,19 @@ def plot_designs(designs: Mapping[str, Design], columns: int = 2) -> Figure:
     columns = min(columns, len(designs))
     rows = -(-len(designs) // columns)
     with rc_context(STYLE):
-        figure = Figure(figsize=(1.5 * WIDTH if columns > 1 else WIDTH, 0.8 + 2.3 * rows))
-        panels = figure.subplots(rows, columns, squeeze=False)
-        for panel, (title, design) in zip(panels.flat, designs.items(), strict=False):
+        figure = Figure(figsize=(1.5 * WIDTH if columns > 1 else WIDTH, 0.8 + 3.4 * rows))
+        heights = [2.1, 1.0] * rows
+        panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=heights)
+        costs, inputs = panels[::2], panels[1::2]
+        for panel, below, (title, design) in zip(
+            costs.flat, inputs.flat, designs.items(), strict=False
+        ):
             _panel(panel, design)
+            _inputs_panel(below, design)
             panel.set_title(plain(title))
-        for spare in panels.flat[len(designs) :]:
+        for spare in (*costs.flat[len(designs) :], *inputs.flat[len(designs) :]):
             spare.set_axis_off()
-        for panel in panels[:, 0]:
+        for panel in costs[:, 0]:
             panel.set_ylabel("cost / cheapest found")
         figure.legend(
             handles=_keys(designs),
@@ -115,8 +122,8 @@ def _keys(designs: Mapping[str, Design]) -> list[Line2D | Patch]:
             Line2D([], [], color="grey", marker=">", label="stable whatever the delay", **line),
         ),
         (
-            any(one.asked for one in designs.values()),
-            Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label="margin asked for"),
+            any(one.asked or one.input_limit is not None for one in designs.values()),
+            Line2D([], [], color=COLOURS[1], ls="--", lw=1.0, label=_dashed(designs)),
         ),
         (True, Patch(facecolor=REACHED, label="within reach, by mode")),
         (
@@ -146,10 +153,53 @@ def _panel(panel: Axes, design: Design) -> None:
     top = max([2.0, *_coordinates(drawn, cheapest, right)[1].tolist()])
     panel.set_ylim(0.85, 1.4 * top)
     panel.set_xlim(0.0, right)
-    shortest = "D" if design.law.plant.has_one_delay else "the shortest delay"
-    panel.set_xlabel(f"delay margin (% of {shortest})")
+    panel.tick_params(labelbottom=False)
     ticks = [tick for tick in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if tick <= 1.4 * top]
     panel.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panel.minorticks_off()
+
+
+def _inputs_panel(panel: Axes, design: Design) -> None:
+    """The largest |u| over the delay margin, of the same designs."""
+    right, limit = _right(design), design.input_limit
+    relative = limit is not None and limit.size > 1
+    panel.set_ylabel("peak |u| / limit" if relative else "peak |u|")
+    found = [
+        (point, _largest(point, limit if relative else None)) for point in _points_to_draw(design)
+    ]
+    found = [(point, peak) for point, peak in found if math.isfinite(peak)]
+    for point, peak in found:
+        _mark(panel, design, point, _coordinates([point], 1.0, right)[0], np.array([peak]))
+    levels = [peak for _, peak in found if peak > 0.0]
+    if limit is not None:
+        levels.append(1.0 if relative else limit.item())
+        panel.axhline(levels[-1], color=COLOURS[1], linestyle="--", linewidth=1.0)
+    if levels:
+        panel.set_yscale("log")
+        panel.set_ylim(min(levels) / 1.25, 1.25 * max(levels))
+        _plain_ticks(panel, min(levels) / 1.25, 1.25 * max(levels))
+    panel.set_xlim(0.0, right)
+    shortest = "D" if design.law.plant.has_one_delay else "the shortest delay"
+    panel.set_xlabel(f"delay margin (% of {shortest})")
+
+
+def _largest(point: TradeOff, limit: np.ndarray | None) -> float:
+    """Of its inputs, or of what each is beside its limit; ∞ where a mode is unstable."""
+    if point.input_peak is None:
+        return math.inf
+    return float((point.input_peak / (1.0 if limit is None else limit)).max())
+
+
+def _plain_ticks(panel: Axes, low: float, high: float) -> None:
+    """At most four round numbers between the ends of a logarithmic axis."""
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for steps in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
+        ticks = [step * 10.0**power for power in powers for step in steps]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) <= 4:
+            break
+    ticks = ticks[:: -(-len(ticks) // 4)] if ticks else [math.sqrt(low * high)]
+    panel.set_yticks(ticks, [f"{tick:.3g}" for tick in ticks])
     panel.minorticks_off()
 
 
@@ -173,6 +223,15 @@ def _mark(panel: Axes, design: Design, point: TradeOff, x: np.ndarray, y: np.nda
 def _falls_short(design: Design, point: TradeOff) -> bool:
     """Of what the axes do not show."""
     return bool({DECAY, LIMIT} & set(design.missed(point)))
+
+
+def _dashed(designs: Mapping[str, Design]) -> str:
+    """What dashed lines are: of margins upright, of inputs level."""
+    words = {
+        "margin": any(one.asked for one in designs.values()),
+        "limit": any(one.input_limit is not None for one in designs.values()),
+    }
+    return f"{' and '.join(word for word, there in words.items() if there)} asked for"
 
 
 def _hollow(designs: Mapping[str, Design]) -> str:
@@ -209,7 +268,9 @@ def _front(design: Design) -> list[TradeOff]:
 def _right(design: Design) -> float:
     """Where the axis of margins ends, percent."""
     margins = [point.margin for point in _points_to_draw(design) if math.isfinite(point.margin)]
-    widest, most = max([design.asked, *margins]), min(limit.most for limit in design.limits)
+    # Where nothing is asked and nothing limits it: in the order of a delay.
+    widest = max([design.asked, *margins]) or 1.0
+    most = min(limit.most for limit in design.limits)
     return 100.0 * (1.08 * most if widest < most < 3.0 * widest else 1.15 * widest)
 
 

@@ -21,6 +21,7 @@ HEADINGS = (
     "design", "delay margin", "cost", "decay, 1/s", "peak |u|", "filter, s", STEP, "misses"
 )  # fmt: skip
 LIMIT_HEADINGS = ("mode", "some reaches", "none more than", "unstable poles, 1/s")
+_OF_SOURCE = ("size", "probability"), ("process", "measurement", "probability")
 _FIGURES = ("margin", "cost", "decay_rate", "input_peak")
 
 
@@ -103,7 +104,7 @@ def design_record(design: Design) -> dict[str, Any]:
     ]
     return plain({
         **record(design, "asked", "decay_asked", "input_limit", "reached"),
-        "initial": record(design.initial, "kind", "size", "probability"),
+        "initial": record(design.initial, "kind", *_OF_SOURCE[design.initial.kind == "noise"]),
         "delay_margin": record(design.margin, "relative", "lower", "upper"),
         "growth_at_both_ends": design.growth,
         **record(design, "gains", "time_constant", "step", "cost"),
