@@ -148,3 +148,15 @@ def test_bad_noise_is_refused_by_name():
             dt.StationaryNoise(**arguments)
     with pytest.raises(dt.ArgumentError, match="measurement must be of n = 2 states, got a matrix"):
         input_peak(MODEL, LAW, H, dt.StationaryNoise(0.1, np.eye(3)))
+
+
+def test_a_predictor_of_one_state_has_a_closed_form():
+    """u_k = K P_k, P_{k+1} = (φ + γK) P_k + e^{aD} w_k: σ_u² = K² e^{2aD} q/(1 − (φ + γK)²)."""
+    plant = dt.SwitchedSystem([[[1.0]]], [[[1.0]]], delay=0.2)
+    law = dt.SingleModePredictor(plant, [[[-2.0]]], 0)
+    h, pole = 0.05, 2.0 - np.exp(0.05)
+    q = 0.1 * np.expm1(2.0 * h) / 2.0
+    variance = 4.0 * np.exp(0.4) * q / (1.0 - pole**2)
+    found = input_covariance(plant, law.digital(h), 0, dt.StationaryNoise(0.1))
+    assert found is not None
+    assert found.item() == pytest.approx(variance, rel=1e-9)

@@ -106,7 +106,7 @@ def input_peak(
     (7.328417, 0.0)
     >>> noisy = input_peak(plant, law, 0.05, dt.StationaryNoise(process=0.1, probability=0.95))
     >>> float(noisy.level[0, 0].round(4))
-    0.8848
+    1.0984
     """
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
