@@ -74,6 +74,7 @@ OBJECTS = {
     "Polyhedra": lambda: dt.Polyhedra([([[1.0, 0.0]], [0.0]), ([[-1.0, 0.0]], [0.0])]),
     "QuadraticRegions": lambda: dt.QuadraticRegions([np.eye(2), 2.0 * np.eye(2)]),
     "InitialStates": lambda: dt.InitialStates.box([1.0, 2.0]),
+    "StationaryNoise": lambda: dt.StationaryNoise(0.1, [0.2, 0.3]),
     "Weight": lambda: dt.Weight([1.0, 2.0], 0.1),
     "AveragedPredictor": lambda: dt.AveragedPredictor(PLANT, GAINS, weights=[0.25, 0.75]),
     "SingleModePredictor": lambda: dt.SingleModePredictor(PLANT, GAINS, 0),

@@ -9,6 +9,7 @@ import deadtime as dt
 from deadtime.cli import main
 from deadtime.controller.export import Names
 from deadtime.problems.file import load_problem
+from deadtime.simulation.figure import plot_run
 
 PLANT = """\
 [plant]
@@ -67,9 +68,7 @@ def test_names_carry_their_units_and_what_has_none_stays(write):
 def test_units_are_on_the_axes_in_the_log_and_in_the_c(write, tmp_path, capsys):
     problem = write()
     drawn = load_problem(problem)
-    figure = dt.simulation.figure.plot_run(
-        drawn.simulate("averaged"), None, drawn.states, drawn.modes, drawn.inputs
-    )
+    figure = plot_run(drawn.simulate("averaged"), None, drawn.states, drawn.modes, drawn.inputs)
     titles = " ".join(axes.get_title(loc="left") for axes in figure.axes)
     assert "gap (m); dashed its reference" in titles
     assert "valve (%)" in titles
@@ -95,7 +94,7 @@ def test_an_fmu_describes_outputs_and_references_by_their_names(write, tmp_path)
 
     problem = load_problem(write())
     names = Names("mine", outputs=problem.outputs, tracked=problem.tracked)
-    controller = dt.Controller(problem.laws["averaged"], problem.step)
+    controller = dt.Controller(problem.laws["averaged"], 0.1)
     made = controller.export_fmu(tmp_path / "law.fmu", names=names)
     text = zipfile.ZipFile(made.path).read("modelDescription.xml").decode()
     found = dict(re.findall(r'name="(y|reference)\[2\]"[^>]*description="([^"]*)"', text))
