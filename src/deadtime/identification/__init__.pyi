@@ -1,2 +1,4 @@
+from .excitation.design import design_experiment as design_experiment
+from .excitation.experiment import Experiment as Experiment
 from .identification import Identification as Identification
 from .identify import identify as identify
