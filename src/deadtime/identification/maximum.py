@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from deadtime.base.frozen import Frozen
+from deadtime.identification.cells import cell_of, cells_of
 from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
@@ -47,7 +48,7 @@ class ExactLog(Frozen):
         """The regressions for delays between two, seconds."""
         record, layout = self.recording, self.layout
         if record.even:
-            first, last = _cell(low, record.step, up=True), _cell(high, record.step)
+            first, last = cell_of(low, record.step, up=True), cell_of(high, record.step)
             lags = lags_of(record.parts, layout.modes, first - 1, last, self.within)
             return lambda cells: (
                 lambda theta: even_terms(lags, layout, record.step, layout.spread(cells), theta)
@@ -69,20 +70,6 @@ class ExactLog(Frozen):
 
 
 Likelihood = ExactLog | NoisyLog
-
-
-def _cell(delay: float, step: float, up: bool = False) -> int:
-    """The N with D in [(N − 1) h, N h]; the larger one at a whole period where `up`."""
-    ratio = delay / step
-    nearest = round(ratio)
-    if abs(ratio - nearest) < 1e-9:
-        return max(1, nearest + up)
-    return max(1, int(np.ceil(ratio)))
-
-
-def cells_of(delays: Float[np.ndarray, " delay"], step: float) -> Int[np.ndarray, " delay"]:
-    """The cell of each delay."""
-    return np.array([_cell(float(delay), step) for delay in delays])
 
 
 def window_of(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, bound, count, instance, positive
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.cells import cells_of
 from deadtime.identification.excitation.experiment import Experiment
 from deadtime.identification.excitation.information import SIGMAS, Prospect
 from deadtime.identification.excitation.loop import chain_of, require_bounded
@@ -20,7 +21,7 @@ from deadtime.identification.excitation.search import (
     steps,
     within_limits,
 )
-from deadtime.identification.maximum import REACH, cells_of
+from deadtime.identification.maximum import REACH
 from deadtime.identification.parameters import Layout
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import SwitchedSystem
