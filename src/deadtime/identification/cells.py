@@ -1,4 +1,4 @@
-"""Cells of delays: the whole numbers of periods between which the same samples act."""
+"""Cells: between two whole numbers of periods the same samples of an input act."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ def cell_of(delay: float, step: float, up: bool = False) -> int:
 
     Examples
     --------
-    >>> cell_of(0.12, 0.05), cell_of(0.1, 0.05), cell_of(0.1, 0.05, up=True)
-    (3, 2, 3)
+    >>> cell_of(0.312, 0.05), cell_of(0.3, 0.05), cell_of(0.3, 0.05, up=True)
+    (7, 6, 7)
     """
     ratio = delay / step
     nearest = round(ratio)
