@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.excitation.loop import Chain
 from deadtime.identification.parameters import Layout
@@ -44,6 +43,7 @@ class Prospect(Frozen):
     used : the periods that an identification uses
     room : (T, n + m), what |mean of x| and |mean of u| may reach; inf for no limit
     criterion : "delay", −log det of the delays' covariance, or "all", log det F
+    random, deviation : what noise alone does, see `Chain.noise`
     """
 
     chain: Chain
@@ -51,22 +51,8 @@ class Prospect(Frozen):
     used: Bool[np.ndarray, " sample"]
     room: Float[np.ndarray, "sample y"]
     criterion: str
-    covariance: Float[np.ndarray, "sample xi xi"] = field(repr=False)
-    _white: list[Float[np.ndarray, "own n z"]] = field(init=False, repr=False)
-    _random: list[Float[np.ndarray, "z z"]] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        chain, white, random = self.chain, [], []
-        for i, by_P in enumerate(chain.by_P):
-            white.append(np.linalg.solve(np.linalg.cholesky(chain.S[i]), by_P))
-            total = np.zeros((by_P.shape[2],) * 2)
-            for c, Z in enumerate(chain.Z):
-                own = self.used & (chain.mode == i) & (chain.kind == c)
-                total += Z @ self.covariance[own].sum(axis=0) @ Z.T
-            random.append(total)
-        object.__setattr__(self, "_white", white)
-        object.__setattr__(self, "_random", random)
-        super().__post_init__()
+    random: Float[np.ndarray, "mode z z"] = field(repr=False)
+    deviation: Float[np.ndarray, "sample y"] = field(repr=False)
 
     @classmethod
     def of(
@@ -74,20 +60,18 @@ class Prospect(Frozen):
     ) -> Prospect:
         """That of a chain, without limits."""
         room = np.full((used.size, layout.n + layout.m), np.inf)
-        return cls(chain, layout, used, room, criterion, chain.covariances())
+        return cls(chain, layout, used, room, criterion, *chain.noise(used))
 
     def within(self, room: Float[np.ndarray, "sample y"]) -> Prospect:
         """The same with limits."""
         return replace(self, room=room)
 
     @cached_property
-    def deviation(self) -> Float[np.ndarray, "sample y"]:
-        """The standard deviations of states and inputs that noise alone makes, (T, n + m)."""
-        n, chain = self.layout.n, self.chain
-        U = chain.U[chain.kind]
-        of_u = np.einsum("kmx,kxy,kmy->km", U, self.covariance, U)
-        of_x = np.diagonal(self.covariance, axis1=1, axis2=2)[:, :n]
-        return read_only(np.sqrt(np.maximum(np.hstack((of_x, of_u)), 0.0)))
+    def _white(self) -> list[Float[np.ndarray, "own n z"]]:
+        """by_P of every mode, in units of its noise."""
+        chain = self.chain
+        roots = np.linalg.cholesky(chain.S)
+        return [np.linalg.solve(L, one) for L, one in zip(roots, chain.by_P, strict=True)]
 
     def reach(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, "sample y"]:
         """What every |state| and |input| stays below, at three standard deviations."""
@@ -111,7 +95,7 @@ class Prospect(Frozen):
         F = np.zeros((self.layout.size,) * 2)
         for i, (white, place) in enumerate(zip(self._white, self.chain.place, strict=True)):
             own = z[self.used & (self.chain.mode == i)]
-            moved = white @ (own.T @ own + self._random[i])
+            moved = white @ (own.T @ own + self.random[i])
             F[np.ix_(place, place)] += np.einsum("anz,bnz->ab", moved, white)
         return F
 

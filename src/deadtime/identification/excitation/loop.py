@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback
@@ -73,18 +73,28 @@ class Chain(NamedTuple):
             after[k] = of_xi[k + 1] + M[self.kind[k + 1]] @ after[k + 1]
         return np.einsum("kxm,kx->km", self.E[self.kind], after), after
 
-    def covariances(self) -> Float[np.ndarray, "sample xi xi"]:
-        """Cov ξ of every sample, from rest; without a law the inputs have none."""
-        n, size = self.n, self.M.shape[1]
-        use = n if self.open else size
-        result = np.zeros((self.kind.size, size, size))
-        M = self.M[:, :use, :use]
+    def noise(
+        self, used: Bool[np.ndarray, " sample"]
+    ) -> tuple[Float[np.ndarray, "mode z z"], Float[np.ndarray, "sample y"]]:
+        """What noise alone does, from rest: Σ Cov z over the used periods of every mode.
+
+        And the standard deviations of states and inputs, (T, n + m). Without a law the inputs, and
+        all that is in flight, have none.
+        """
+        n, m = self.n, self.U.shape[1]
+        use = n if self.open else self.M.shape[1]
+        M, Z, U = self.M[:, :use, :use], self.Z[:, :, :use], self.U[:, :, :use]
+        total = np.zeros((len(self.S), *self.Z.shape[1:2] * 2))
+        variance = np.zeros((self.kind.size, n + m))
         now = np.zeros((use, use))
-        for k, kind in enumerate(self.kind[:-1].tolist()):
+        for k, kind in enumerate(self.kind.tolist()):
+            variance[k, :n] = np.diagonal(now)[:n]
+            variance[k, n:] = np.diagonal(U[kind] @ now @ U[kind].T)
+            if used[k]:
+                total[self.mode[k]] += Z[kind] @ now @ Z[kind].T
             now = M[kind] @ now @ M[kind].T
             now[:n, :n] += self.S[self.mode[k]]
-            result[k + 1, :use, :use] = now
-        return result
+        return total, np.sqrt(np.maximum(variance, 0.0))
 
 
 def rows_along(
