@@ -231,6 +231,8 @@ def test_an_unstable_plant_needs_a_law_and_an_input_a_limit():
     unstable = dt.SwitchedSystem([[[0.5]]], [[[1.0]]], 0.23)
     with pytest.raises(dt.ArgumentError, match="law must be given for a plant that is unstable"):
         dt.design_experiment(unstable, 15.0, H, 1.0, disturbance=1e-3)
+    with pytest.raises(dt.ArgumentError, match="horizon must have at least 7 periods after the"):
+        dt.design_experiment(unstable, 0.6, H, 1.0, disturbance=1e-3)
     with pytest.raises(dt.ArgumentError, match="input_limit must be positive"):
         dt.design_experiment(PLANT, 20.0, H, 0.0, disturbance=1e-3, signal=SIGNAL)
     with pytest.raises(dt.ArgumentError, match="horizon must be at most 20,000 periods"):

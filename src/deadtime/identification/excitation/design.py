@@ -184,10 +184,11 @@ def _used(
     least = 2 * (layout.n + 2 * layout.m) + 1
     visits = np.bincount(mode[used], minlength=layout.modes)
     for i in np.flatnonzero(visits < least):
+        what = f"signal must hold mode {i} for" if layout.modes > 1 else "horizon must have"
         raise ArgumentError(
-            f"signal must hold mode {i} for at least {least} periods after the first "
-            f"{first * step:g} s, got {visits[i]}: a mode that is hardly visited is not told. "
-            "Lengthen the horizon, or visit it."
+            f"{what} at least {least} periods after the first "
+            f"{first * step:g} s, got {visits[i]}: so short a log hardly tells it. "
+            "Lengthen the horizon, or visit the mode for longer."
         )
     return used
 
