@@ -21,6 +21,7 @@ from scipy.signal import correlate
 import deadtime as dt
 
 H = 0.05
+LEAD, LEAST = 24, 16  # samples before the first that is used, and of every mode after it
 SLOW, FAST = [[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]
 THIRD = [[0.0, 1.0], [-1.0, -1.5]]
 PUSH = [[0.0], [1.0]]
@@ -36,6 +37,12 @@ CASES = {
     "noisy, two modes": ([SLOW, FAST], [PUSH] * 2, [0.312], 0.03, 0.02, None),
     "noisy, closed loop": ([[[0.5]]], [[[1.0]]], [0.23], 0.03, 0.02, [[-1.2]]),
 }
+
+
+SIZES = (
+    *((10_000, "long"), (10_000, "long, noisy")),
+    *((1_000_000, "long"), (1_000_000, "long, noisy")),
+)
 
 
 def sampled(A, B, D):
@@ -59,8 +66,7 @@ def made(case, count, rng):
     A, B, D, s, sensor, K = CASES[case]
     A, B = np.array(A), np.array(B)
     modes, n, m = B.shape
-    length = rng.integers(10, 31, count)  # samples of each sojourn: half a second to one and a half
-    mode = np.repeat(np.arange(count) % modes, length)[:count]
+    mode = visiting(modes, count, rng)
     parts = [sampled(a, b, D) for a, b in zip(A, B, strict=True)]
     Q = [np.linalg.cholesky(_noise(a, s)) for a in A]
     x, u = np.zeros((count, n)), rng.standard_normal((count, m))
@@ -80,6 +86,17 @@ def made(case, count, rng):
     columns = {"t": H * np.arange(count), "mode": mode}
     columns |= {f"x{i}": one for i, one in enumerate(y.T)}
     return pd.DataFrame(columns | {f"u{j}": one for j, one in enumerate(u.T)})
+
+
+def visiting(modes, count, rng):
+    """The mode of every sample, in turn; drawn again until the log tells of all."""
+    if count < LEAD + modes * LEAST:
+        raise SystemExit(f"--samples must be at least {LEAD + modes * LEAST} for {modes} modes")
+    while True:
+        length = rng.integers(10, 31, count)  # of each sojourn: half a second to one and a half
+        mode = np.repeat(np.arange(count) % modes, length)[:count]
+        if np.bincount(mode[LEAD:], minlength=modes).min() >= LEAST:
+            return mode
 
 
 def _noise(A, s):
@@ -135,7 +152,7 @@ def speed():
     B = np.tile([[0.0], [0.0], [1.0]], (2, 1, 1))
     CASES["long"] = A, B, [0.312], 0.03, 0.0, None
     CASES["long, noisy"] = A, B, [0.312], 0.03, 0.02, None
-    for count, case in ((10_000, "long"), (10_000, "long, noisy"), (1_000_000, "long")):
+    for count, case in SIZES:
         log = made(case, count, np.random.default_rng(1))
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for turn in ("first", "again"):

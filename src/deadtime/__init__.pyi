@@ -41,7 +41,12 @@ from .gains import (
     place as place,
     stabilize as stabilize,
 )
-from .identification import Identification as Identification, identify as identify
+from .identification import (
+    Experiment as Experiment,
+    Identification as Identification,
+    design_experiment as design_experiment,
+    identify as identify,
+)
 from .laws import (
     AveragedPredictor as AveragedPredictor,
     DelayedStateFeedback as DelayedStateFeedback,

@@ -99,6 +99,9 @@ OBJECTS = {
     "Prediction": predicted,
     "Identification": identified,
     "Identification of modes": modes_identified,
+    "Experiment": lambda: dt.design_experiment(
+        dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 0.07), 3.0, H, 1.0, disturbance=1.0, effort=0
+    ),
     "Feedback": lambda: LAW.digital(H),
     "Feedback of a user": lambda: dt.Feedback(np.ones((1, 1, 2)), np.ones((1, 3, 1, 1)), "none", H),
     "Problem": lambda: dataclasses.replace(

@@ -1,7 +1,8 @@
 """The command line, `deadtime`: one file per group of commands.
 
 `init`, `simulate`, `reproduce`; `certify`, `verify`, `bound`, `loop`, `robustness`; `monte-carlo`,
-`study`, `sweep`, `plot`; `design`, `export`, `fit`, `identify`; `schema`, `completion`.
+`study`, `sweep`, `plot`; `design`, `export`, `fit`, `identify`, `experiment`; `schema`,
+`completion`.
 
 Exit codes: 0 when the command did its work (a loop that diverges is a result), 1 when the answer
 is no (`certify --law` proves nothing, `verify` finds that a file proves nothing, `design` does not
@@ -15,6 +16,7 @@ from deadtime.cli import (
     certificates,
     completion,
     design,
+    experiment,
     explorer,
     export,
     files,
@@ -35,6 +37,7 @@ __all__ = [
     "certificates",
     "completion",
     "design",
+    "experiment",
     "explorer",
     "export",
     "files",

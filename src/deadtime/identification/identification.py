@@ -205,6 +205,9 @@ class Identification(Frozen):
             return float(low), float(high)
         if place >= layout.size:
             return self._noise_interval(place - layout.size)
+        if found.ends is not None:
+            low, high = found.ends[place]
+            return float(low), float(high)
         half = float(found.spread.reach[place]) * float(
             np.sqrt(found.spread.covariance[place, place])
         )

@@ -20,6 +20,7 @@ from deadtime.identification.intervals import delay_intervals, spread_of
 from deadtime.identification.logged_modes import fit_switching
 from deadtime.identification.maximum import ExactLog, maximise
 from deadtime.identification.noise import continuous, estimate_with_noise
+from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording, read_recording
 from deadtime.identification.regression import concentrated
@@ -253,4 +254,5 @@ def _exact(
         spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
+        ends_over_peaks(log, best, spread, start, several),
     )

@@ -46,12 +46,13 @@ def spread_of(
     from scipy.stats import t
 
     require_seen(F, names)
-    covariance = _inverse(known)
-    inflation = np.diagonal(covariance) / np.diagonal(_inverse(F))
+    covariance = inverse(known)
+    inflation = np.diagonal(covariance) / np.diagonal(inverse(F))
     return Spread(covariance, np.asarray(t.ppf(0.5 + 0.5 * LEVEL, spare)), inflation)
 
 
-def _inverse(F: np.ndarray) -> np.ndarray:
+def inverse(F: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
+    """F⁻¹, scaled so that units of the unknowns do not matter."""
     unit = 1.0 / np.sqrt(np.diagonal(F))
     return np.linalg.inv(F * unit[:, None] * unit) * unit[:, None] * unit
 
@@ -109,16 +110,9 @@ def delay_intervals(
 def _other_peaks(
     log: Likelihood, interval: np.ndarray, start: Start, row: int, inflation: float
 ) -> np.ndarray:
-    """An interval and all beyond it up to the last cell that a fresh rise makes plausible.
-
-    A cell's two weights per state are free in each mode that has the delay. Of as many cells as
-    there are each may be the likeliest by chance, so that the level is Bonferroni's.
-    """
-    from scipy.stats import chi2
-
-    layout, h, curve = log.layout, log.recording.step, start.scanned[row]
-    free = 2 * layout.n * (1 if layout.per_mode else layout.modes)
-    fall = 0.5 * inflation * float(chi2.isf((1.0 - LEVEL) / curve.size, free))
+    """An interval and all beyond it up to the last cell that a fresh rise makes plausible."""
+    h, curve = log.recording.step, start.scanned[row]
+    fall = plausible_fall(log, curve.size, inflation)
     ends = interval.copy()
     first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
     last = max(int(np.ceil(interval[1] / h - 1e-9)) - start.first, 0)
@@ -130,6 +124,19 @@ def _other_peaks(
     if (found := _last_rise(above, curve.max() - fall)) is not None:
         ends[1] = max(ends[1], (start.first + last + found) * h)
     return np.clip(ends, *log.bounds)
+
+
+def plausible_fall(log: Likelihood, cells: int, inflation: float) -> float:
+    """How far below the likeliest cell's log likelihood a plausible one's is at most.
+
+    A cell's two weights per state are free in each mode that has the delay. Of as many cells as
+    there are each may be the likeliest by chance, so that the level is Bonferroni's.
+    """
+    from scipy.stats import chi2
+
+    layout = log.layout
+    free = 2 * layout.n * (1 if layout.per_mode else layout.modes)
+    return 0.5 * inflation * float(chi2.isf((1.0 - LEVEL) / cells, free))
 
 
 def _last_rise(outwards: np.ndarray, level: float) -> int | None:

@@ -18,7 +18,7 @@ from deadtime.identification.regression import concentrated, even_terms, lags_of
 from deadtime.identification.scoring import Evaluate, Maximum, climb, climb_cells
 from deadtime.identification.uneven import uneven_terms, usable
 
-_REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
+REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ Likelihood = ExactLog | NoisyLog | HiddenLog
 
 
 def window_of(
-    log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = _REACH
+    log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH
 ) -> tuple[float, float]:
     """Where delays are looked for next: some periods about where they are, within the bounds."""
     h = log.recording.step

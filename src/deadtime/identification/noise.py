@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -9,12 +11,14 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import delay_intervals, spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
-from deadtime.identification.recording import Recording
+from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.plant import SwitchedSystem
 
+_ENOUGH = 10_000  # samples that tell which of two beginnings is the better one
+_STRETCHES = 10
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
 
 
@@ -58,7 +62,8 @@ def estimate_with_noise(
     unit = np.concatenate((unit, np.ones(n * (n + 1) // 2 + len(C))))
     log = NoisyLog(recording, layout, C, within, bounds, unit, exact.log.nodes)
     starts = [log.join(exact.best.theta, noise) for noise in _first_noises(exact, C, recording)]
-    tried = [maximise(log, start, window=exact.window) for start in starts]
+    some = replace(log, recording=stretches(recording, _ENOUGH), _acting={})
+    tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
     best, window = maximise(log, theta)
     names = layout.names()
@@ -93,6 +98,19 @@ def estimate_with_noise(
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
     )
+
+
+def stretches(recording: Recording, most: int) -> Recording:
+    """The recording, or of a longer one stretches from all over it, of about `most` samples."""
+    if recording.samples <= 2 * most:
+        return recording
+    parts, share = [], most / recording.samples
+    for part in recording.parts:
+        count = max(1, round(_STRETCHES * part.time.size / recording.samples))
+        for rows in np.array_split(np.arange(part.time.size), count):
+            own = rows[: max(2, int(np.ceil(share * rows.size)))]
+            parts.append(Part(*(column[own] for column in part)))
+    return recording._replace(parts=tuple(parts))
 
 
 def _first_noises(exact: Estimate, C: np.ndarray, recording: Recording) -> list[Noise]:

@@ -9,7 +9,8 @@ foretell, and the variance s of that,
     log L = −½ Σ (log 2π s + e²/s),
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
 
-∂e and ∂s are central differences: a filter each way for every unknown.
+Of unevenly sampled logs ∂e and ∂s are central differences, a filter each way for every unknown; of
+others the filter carries them (`noisy_even`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,12 @@ from jaxtyping import Bool, Float
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.filter_kernel import innovations
+from deadtime.identification.noisy_even import (
+    acting_evenly,
+    evaluate_evenly,
+    moved_evenly,
+    tables_of,
+)
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
@@ -107,11 +114,16 @@ class NoisyLog(Frozen):
 
     def noise(self, vector: Float[np.ndarray, " size"]) -> Noise:
         """W and the deviations of a vector."""
+        L = self.root(vector)
+        return Noise(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
+
+    def root(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, "n n"]:
+        """L of a vector, W = L Lᵀ."""
         i, j = self.places
         lower = vector[self.layout.size : self.layout.size + i.size]
         L = np.zeros((self.layout.n, self.layout.n))
         L[i, j] = np.where(i == j, np.exp(np.where(i == j, lower, 0.0)), lower)
-        return Noise(L @ L.T, np.exp(vector[self.layout.size + i.size :]))
+        return L
 
     def innovations(
         self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
@@ -120,16 +132,18 @@ class NoisyLog(Frozen):
         A, B, delays = self.layout.split(vector[: self.layout.size])
         noise, errors = self.noise(vector), []
         Phi_at, W_at = plain_transitions(A, self.nodes)
-        tables = Phi_at, W_at @ B[:, None]
-        zero, P0 = np.zeros(self.layout.n), self.P0
+        forced, zero, P0 = W_at @ B[:, None], np.zeros(self.layout.n), self.P0
         for number, start in enumerate(starts):
             part = self.recording.parts[number]
             k = np.flatnonzero(~start) - 1
-            moved = np.zeros((part.time.size, self.layout.n))
-            held = self._held(number, start, delays)
-            for i in range(self.layout.modes):
-                own = np.flatnonzero(part.mode[k] == i)
-                moved[k[own] + 1] = np.tensordot(held[own], tables[1][i], axes=([1, 2], [0, 2]))
+            if self.recording.even:
+                moved = moved_evenly(part, A, B, delays, self.recording.step)
+            else:
+                moved = np.zeros((part.time.size, self.layout.n))
+                held = self._held(number, start, delays)
+                for i in range(self.layout.modes):
+                    own = np.flatnonzero(part.mode[k] == i)
+                    moved[k[own] + 1] = np.tensordot(held[own], forced[i], axes=([1, 2], [0, 2]))
             kind, Phi, Q = self._kinds(part, k, A, Phi_at, noise.W)
             e, s = np.empty(part.output.shape), np.empty(part.output.shape)
             given = part.output, start, kind, Phi, moved, Q, self.C, noise.deviation**2, zero, P0
@@ -196,6 +210,32 @@ class NoisyLog(Frozen):
         return Evaluation(value, score, by_e @ by_e.T + 0.5 * by_s @ by_s.T)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
-        """The likelihood for delays between two, seconds; the same in all cells of them."""
+        """The likelihood for delays between two, seconds; of an even log in cells of theirs."""
         starts = self.starts(low, high)
-        return lambda _: lambda vector: self.evaluate(vector, starts)
+        if not self.recording.even:
+            return lambda _: lambda vector: self.evaluate(vector, starts)
+        parts = self.recording.parts
+
+        def within(cells: np.ndarray) -> Evaluate:
+            own = self.layout.spread(cells)
+            acting = [acting_evenly(part, own) for part in parts]
+            return lambda vector: self._evaluate_evenly(vector, starts, own, acting)
+
+        return within
+
+    def _evaluate_evenly(
+        self,
+        vector: Float[np.ndarray, " size"],
+        starts: list[np.ndarray],
+        cells: np.ndarray,
+        acting: list[np.ndarray],
+    ) -> Evaluation:
+        """`evaluate` of an even log, with delays in given cells."""
+        parts, theta = self.recording.parts, vector[: self.layout.size]
+        deviation, given = self.noise(vector).deviation, (self.recording.step, len(self.C))
+        with np.errstate(all="ignore"):
+            tables = tables_of(self.layout, theta, self.root(vector), cells, *given)
+            if not all(np.isfinite(table).all() for table in tables):
+                return Evaluation(-np.inf, np.zeros(vector.size), np.eye(vector.size))
+            R = deviation**2
+            return evaluate_evenly(parts, starts, acting, tables, self.C, R, self.P0)

@@ -135,22 +135,36 @@ def even_terms(
     A, B, delays = layout.split(theta)
     n, m, terms = layout.n, layout.m, []
     for i in range(layout.modes):
-        rest = cells[i] * step - delays[i]
-        over = transitions_of(A[i], np.append(rest, step))
-        P, by_P = np.zeros((n, n + 2 * m)), np.zeros((n * n + n * m + m, n, n + 2 * m))
-        P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
-        for j in range(m):
-            b, own, old, new = B[i, :, j], over.W[j], n + j, n + m + j
-            whole = over.W[-1] - own
-            P[:, old], P[:, new] = whole @ b, own @ b
-            by_P[: n * n, :, new] = over.W_by_A[j] @ b
-            by_P[: n * n, :, old] = over.W_by_A[-1] @ b - by_P[: n * n, :, new]
-            of_b = n * n + np.arange(n) * m + j
-            by_P[of_b, :, old], by_P[of_b, :, new] = whole.T, own.T
-            by_P[n * n + n * m + j, :, old] = over.Phi[j] @ b
-            by_P[n * n + n * m + j, :, new] = -over.Phi[j] @ b
+        P, by_P = period_weights(A[i], B[i], cells[i] * step - delays[i], step)
         place = np.concatenate((layout.of_A[i].ravel(), layout.of_B[i].ravel(), layout.of_delay[i]))
         read = [lags.columns(n, m, cells[i]), lags.columns(n, m, cells[i] - 1)]
         root = lags.root[i][:, np.concatenate((np.arange(2 * n), *read))]
         terms.append(Term(root, lags.periods[i].item(), P, by_P, place))
     return terms
+
+
+def period_weights(
+    A: Float[np.ndarray, "n n"],
+    B: Float[np.ndarray, "n m"],
+    rest: Float[np.ndarray, " m"],
+    step: float,
+) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "own n r"]]:
+    """What a period makes of x_k, u_{k−N} and u_{k−N+1}, and its derivatives.
+
+    rest : s_j = N h − D_j, how long the newer input acts, seconds. Derivatives are by A, B, and D.
+    """
+    n, m = B.shape
+    over = transitions_of(A, np.append(rest, step))
+    P, by_P = np.zeros((n, n + 2 * m)), np.zeros((n * n + n * m + m, n, n + 2 * m))
+    P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
+    for j in range(m):
+        b, own, old, new = B[:, j], over.W[j], n + j, n + m + j
+        whole = over.W[-1] - own
+        P[:, old], P[:, new] = whole @ b, own @ b
+        by_P[: n * n, :, new] = over.W_by_A[j] @ b
+        by_P[: n * n, :, old] = over.W_by_A[-1] @ b - by_P[: n * n, :, new]
+        of_b = n * n + np.arange(n) * m + j
+        by_P[of_b, :, old], by_P[of_b, :, new] = whole.T, own.T
+        by_P[n * n + n * m + j, :, old] = over.Phi[j] @ b
+        by_P[n * n + n * m + j, :, new] = -over.Phi[j] @ b
+    return P, by_P

@@ -1,0 +1,157 @@
+"""`deadtime experiment`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
+from deadtime.cli.entry import BUILD, AsJson, app, lines
+from deadtime.cli.printing import print_heading, print_json, print_table
+from deadtime.cli.problems import numbers_of, problem_of
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from deadtime.identification import Experiment
+    from deadtime.problems import Problem
+    from deadtime.switching import SwitchingSignal
+
+
+@app.command(
+    group=BUILD,
+    help_epilogue=lines(
+        "deadtime experiment problem.toml --input-limit 1",
+        "deadtime experiment problem.toml --input-limit 1 --state-limit 0.5,2 --sojourn 1",
+        "deadtime experiment paper --input-limit 5 --law averaged --disturbance 1e-5 --sojourn 2",
+    ),
+)
+def experiment(
+    problem: Path,
+    *,
+    input_limit: str,
+    state_limit: str | None = None,
+    horizon: float | None = None,
+    step: float | None = None,
+    disturbance: str | None = None,
+    law: str | None = None,
+    sojourn: float | None = None,
+    criterion: Literal["delay", "all"] = "delay",
+    hold: int = 1,
+    seed: int = 0,
+    out: Path = Path("experiment.csv"),
+    json_output: AsJson = False,
+) -> None:
+    """What to send to a plant so that its log tells the delays best: a table of inputs, CSV.
+
+    Parameters
+    ----------
+    problem
+        A problem file, such as `deadtime identify` writes from a first log; or paper, three-mode,
+        follower.
+    input_limit
+        What |u| must not exceed, one number or one for each input, with commas.
+    state_limit
+        What |x| must not exceed, likewise, at three standard deviations of the noise.
+    horizon
+        Length of the experiment, seconds; the problem's by default.
+    step
+        Sampling period, seconds; the problem's by default.
+    disturbance
+        Intensity of the process noise, x² per second, one number or one for each state; that of
+        the file's white-disturbance by default.
+    law
+        The law of the file to whose inputs those of the experiment are added; none by default.
+    sojourn
+        Take the modes in turn, each for so many seconds; by default the file's signal says.
+    criterion
+        Tell the delays alone as well as can be, or all unknowns.
+    hold
+        For how many periods each value is held at least.
+    seed
+        Of the search, and of the signal where the file draws it.
+    out
+        The table to write, CSV.
+    json_output
+        Print the result as JSON instead of text.
+    """
+    from deadtime.identification import design_experiment
+    from deadtime.problems.asked import step_of
+
+    chosen = problem_of(problem)
+    period = step_of(chosen) if step is None else positive("step", step)
+    length = chosen.horizon if horizon is None else positive("horizon", horizon)
+    found = design_experiment(
+        chosen.plant,
+        length,
+        period,
+        _some("input-limit", input_limit),
+        disturbance=_disturbance(chosen, disturbance),
+        signal=_signal(chosen, length, sojourn, seed),
+        law=None if law is None else chosen.law(law),
+        state_limit=None if state_limit is None else _some("state-limit", state_limit),
+        criterion=criterion,
+        hold=hold,
+        seed=seed,
+    )
+    found.to_csv(out)
+    if json_output:
+        print_json(_record(found), [out])
+        return
+    rows = f"{found.time.size:,} rows, every {period:.4g} s"
+    print_heading(f"An experiment of {rows}", found.sentences)
+    print()
+    errors = zip(found.names, found.errors, strict=True)
+    print_table(("", "standard error"), [(name, f"{error:.3g}") for name, error in errors])
+    print(f"\nWritten: {out}")
+
+
+def _some(name: str, text: str) -> float | list[float]:
+    """One number, or several."""
+    numbers = numbers_of(name, text)
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
+    """W as given, or that of the file."""
+    from deadtime.imperfections import WhiteDisturbance
+
+    if given is not None:
+        return _some("disturbance", given)
+    for one in problem.imperfections:
+        if isinstance(one, WhiteDisturbance):
+            return one.intensity
+    raise ArgumentError(
+        "disturbance must be given where the problem has no white-disturbance: the intensity of "
+        "the process noise, x² per second, such as --disturbance 1e-3."
+    )
+
+
+def _signal(
+    problem: Problem, horizon: float, sojourn: float | None, seed: int
+) -> SwitchingSignal | None:
+    """The modes in turn, drawn from the file's model, or as its signal says."""
+    from deadtime.switching import SwitchingSignal
+
+    modes = problem.plant.modes
+    if modes == 1:
+        return None
+    if sojourn is not None:
+        return SwitchingSignal.periodic([sojourn] * modes, range(modes), horizon)
+    if problem.switching is not None:
+        return problem.switching.sample(horizon, seed)
+    return problem.given_signal
+
+
+def _record(found: Experiment) -> dict:
+    return {
+        "t": found.time,
+        "inputs": found.inputs,
+        "mode": found.mode,
+        "added": found.added,
+        "delay_errors": dict(found.delay_errors),
+        "errors": dict(zip(found.names, found.errors, strict=True)),
+        "largest": found.largest,
+        "sentences": list(found.sentences),
+    }

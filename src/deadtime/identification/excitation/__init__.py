@@ -1,0 +1,1 @@
+"""What to do to a plant so that its log tells it: input sequences of the most information."""

@@ -1,0 +1,177 @@
+"""Kalman's filter over a log and its derivatives by all unknowns in one pass, for kernels.
+
+    x⁻ = Φ x + G z,    P⁻ = Φ P Φᵀ + Q,    g = P⁻ c,    s = cᵀ g + R,    e = y − cᵀ x⁻,
+    x = x⁻ + g e/s,    P = P⁻ − g gᵀ/s,
+
+sensor by sensor, each line with its derivative. Few unknowns move P: those of A and of the noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.numerics.exponential import product
+from deadtime.numerics.kernels import kernel
+
+
+@kernel
+def tangents(y, start, kind, z, Phi, G, Q, C, R, moved, own, wide, of_Q, of_R, P0, now, out):
+    """A stretch of the filter, the state before it in `now`, which is brought to its end.
+
+    y, start : as of `filter_kernel.innovations`; kind : (T,), the mode of the period that leads to
+    a sample; z : (T, r), the inputs that act in it. Phi, G, Q : of every mode. moved :
+    (modes, own, n, n + r), derivatives of [Φ, G] by the unknowns `own` (modes, own) of a mode.
+    wide : (q,), the unknowns that P depends on; of_Q : (modes, q, n, n) and of_R : (q, p),
+    derivatives by those. now : x (n,), P (n, n) and their derivatives (size, n), (q, n, n).
+    out : errors and variances (T, p), and their derivatives (T, p, size), (T, p, q).
+    """
+    samples, sensors = y.shape
+    x, P, by_x, by_P = now
+    error, variance, by_e, by_s = out
+    place = np.full(by_x.shape[0], -1)
+    for c in range(wide.size):
+        place[wide[c]] = c
+    for k in range(samples):
+        m = kind[k]
+        if start[k]:
+            begin(x, P, by_x, by_P, P0)
+        else:
+            carry_mean(x, by_x, Phi[m], G[m], z[k], moved[m], own[m])
+            carry_variance(P, by_P, Phi[m], Q[m], moved[m], own[m], place, of_Q[m])
+        for s in range(sensors):
+            error[k, s], variance[k, s] = 0.0, 1.0
+            by_e[k, s, :] = 0.0
+            by_s[k, s, :] = 0.0
+            if y[k, s] == y[k, s]:
+                off, whole = y[k, s], R[s]
+                found = measure(
+                    off, whole, C[s], of_R[:, s], wide, x, P, by_x, by_P, by_e[k, s], by_s[k, s]
+                )
+                error[k, s], variance[k, s] = found
+
+
+@kernel
+def begin(x, P, by_x, by_P, P0):
+    """Nothing is known of the state but P0, whatever the unknowns."""
+    n = x.size
+    for i in range(n):
+        x[i] = 0.0
+        for j in range(n):
+            P[i, j] = P0[i, j]
+        for a in range(by_x.shape[0]):
+            by_x[a, i] = 0.0
+        for c in range(by_P.shape[0]):
+            for j in range(n):
+                by_P[c, i, j] = 0.0
+
+
+@kernel
+def carry_mean(x, by_x, Phi, G, z, moved, own):
+    """x and its derivatives over a period."""
+    n, r = x.size, z.size
+    before, spare = np.empty(n), np.empty(n)
+    for i in range(n):
+        before[i] = x[i]
+    for a in range(by_x.shape[0]):
+        for i in range(n):
+            spare[i] = by_x[a, i]
+        for i in range(n):
+            total = 0.0
+            for j in range(n):
+                total += Phi[i, j] * spare[j]
+            by_x[a, i] = total
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += Phi[i, j] * before[j]
+        for j in range(r):
+            total += G[i, j] * z[j]
+        x[i] = total
+        for c in range(own.size):
+            total = 0.0
+            for j in range(n):
+                total += moved[c, i, j] * before[j]
+            for j in range(r):
+                total += moved[c, i, n + j] * z[j]
+            by_x[own[c], i] += total
+
+
+@kernel
+def carry_variance(P, by_P, Phi, Q, moved, own, place, of_Q):
+    """P and its derivatives over a period."""
+    n = P.shape[0]
+    across, spare = np.empty((n, n)), np.empty((n, n))
+    for c in range(by_P.shape[0]):
+        product(Phi, by_P[c], spare)
+        for i in range(n):
+            for j in range(i + 1):
+                total = of_Q[c, i, j]
+                for d in range(n):
+                    total += spare[i, d] * Phi[j, d]
+                by_P[c, i, j] = total
+                by_P[c, j, i] = total
+    for i in range(n):  # P Φᵀ
+        for j in range(n):
+            total = 0.0
+            for d in range(n):
+                total += P[i, d] * Phi[j, d]
+            across[i, j] = total
+    for c in range(own.size):
+        w = place[own[c]]
+        if w >= 0:
+            for i in range(n):
+                for j in range(n):
+                    total = 0.0
+                    for d in range(n):
+                        total += moved[c, i, d] * across[d, j]
+                    spare[i, j] = total
+            for i in range(n):
+                for j in range(n):
+                    by_P[w, i, j] += spare[i, j] + spare[j, i]
+    for i in range(n):
+        for j in range(i + 1):
+            total = Q[i, j]
+            for d in range(n):
+                total += Phi[i, d] * across[d, j]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@kernel
+def measure(y, R, c, of_R, wide, x, P, by_x, by_P, by_e, by_s):
+    """What a sensor c = (n,) adds: its error and variance, with their derivatives, in place."""
+    n = x.size
+    gain, slope = np.empty(n), np.empty(n)
+    e, s = y, R
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * c[j]
+        gain[i] = total
+        s += c[i] * total
+        e -= c[i] * x[i]
+    for a in range(by_x.shape[0]):
+        total = 0.0
+        for i in range(n):
+            total -= c[i] * by_x[a, i]
+        by_e[a] = total
+        for i in range(n):
+            by_x[a, i] += gain[i] * total / s
+    for w in range(by_P.shape[0]):
+        total = of_R[w]
+        for i in range(n):
+            slope[i] = 0.0
+            for j in range(n):
+                slope[i] += by_P[w, i, j] * c[j]
+            total += c[i] * slope[i]
+        by_s[w] = total
+        for i in range(n):
+            part = slope[i] - gain[i] * total / s
+            by_x[wide[w], i] += part * e / s
+            for j in range(n):
+                by_P[w, i, j] -= (part * gain[j] + gain[i] * slope[j]) / s
+    for i in range(n):
+        x[i] += gain[i] * e / s
+        for j in range(n):
+            P[i, j] -= gain[i] * gain[j] / s
+    return e, s
