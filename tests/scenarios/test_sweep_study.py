@@ -75,7 +75,7 @@ def test_cells_draw_the_signals_that_the_problem_allows_until_an_axis_replaces_t
     replaced = STUDY.replace("law.told.dwell_time = [0.1, 0.15]", "dwell_time = [0.1]")
     drawn = load(tmp_path, replaced, before + LIMITED + after)
     signal = drawn.loop(next(drawn.cells())).model.sample(20.0, seed=1)
-    with pytest.raises(dt.ArgumentError, match="in mode 2 .*shorter than its dwell_time"):
+    with pytest.raises(dt.ArgumentError, match=r"in mode 2 .*shorter than its dwell_time"):
         signal.require_admissible(**allowed)
 
 
