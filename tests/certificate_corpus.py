@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -102,9 +103,28 @@ def tracking(disturbance=None):
     return plant, dt.OutputFeedback(law, observer, servo=servo)
 
 
+# Three modes, of which 0 and 2, which do not follow each other, would grow in turns.
+TURNS = np.array([[[0.0, 1], [-10, -1]], [[-2, 1], [-1, -2]], [[0, 1], [-0.1, -0.5]]])
+THROUGH = {"transitions": [[0, 1, 0], [1, 0, 1], [0, 1, 0]]}
+
+
+def through(gain=0.1):
+    plant = dt.SwitchedSystem(TURNS, [[[0.3], [0.0]], [[0.0], [1.0]], [[0.2], [0.1]]], 0.1)
+    gains = np.tile([[-gain, 0.0]], (3, 1, 1))
+    return plant, dt.DelayedStateFeedback(plant, gains, allow_unstable=True)
+
+
+def in_a_ring(delays=(0.15, 0.234)):
+    """Scalar, of two inputs: mode 0 grows under its own gains if it is held, and may not be."""
+    plant = dt.SwitchedSystem([[[0.6]], [[-2.0]], [[-0.5]]], [[[1.0, 0.5]]] * 3, delays)
+    gains = np.array([[[-0.3], [-0.1]], [[-0.5], [0.2]], [[-0.2], [0.1]]])
+    return plant, dt.DelayedStateFeedback(plant, gains, allow_unstable=True)
+
+
+RING = {"transitions": [[0, 1, 0], [0, 0, 1], [1, 0, 0]], "maximum_dwell": [0.9, math.inf, 1.2]}
 UNSTABLE = np.array([[[0.1, 1.0], [-1.0, 0.1]], [[-0.5, 0.3], [-0.3, -0.5]]])
 DELAYED = dt.DelayedStateFeedback(MILD, WEAK)
-Case = tuple[Callable[[], tuple], float, float, dict]
+Case = tuple[Callable[[], tuple], float | list[float], float, dict]
 
 # name: (plant and law, dwell time, period, what else)
 CASES: dict[str, Case] = {
@@ -204,6 +224,12 @@ CASES: dict[str, Case] = {
         *(0.3, 0.1, {"delays": (0.135, 0.145), "decay_rate": 0.0}),
     ),
     "observed-late": (lambda: on_outputs(0.1), 0.5, 0.1, {"mode_lag": 1}),
+    "ways": (lambda: through(), [0.3, 0.6, 0.3], 0.15, {"decay_rate": 0.02, **THROUGH}),
+    "ways-ring": (in_a_ring, [0.3, 0.7, 0.25], 0.1, {"decay_rate": 0.0, **RING}),
+    "ways-late": (
+        lambda: in_a_ring(0.15),
+        *([0.3, 0.9, 0.25], 0.1, {"mode_lag": 3, "decay_rate": 0.0, **RING}),
+    ),
     "tracking": (lambda: tracking(), 0.5, 0.1, {}),
     "tracking-disturbance": (lambda: tracking([[1.0]]), 0.8, 0.1, {}),
 }
@@ -223,6 +249,7 @@ STRETCHES = {
     "stretches-polytope": ("polytope-mode", (0, 1)),
     "stretches-delays": ("delays-both", (1, 2)),
     "stretches-ranges": ("ranges-modes", (0, 1, 2)),
+    "stretches-ways": ("ways-ring", (1, 2, 6)),
     "stretches-one-mode": ("one-mode", (0,)),
     "stretches-late": ("late-mode", (3, 4)),
     "stretches-late-dwell": ("late-dwell", (2, 4)),

@@ -66,6 +66,7 @@ def without(key):
 
 AGED, AVERAGE, LONGEST = "every-age", "average-free", "maximum-free"
 FAR, PAIR, PIECES = "paper-far", "rate", "stretches-every-age"
+FREER = [[0, 1, 1], [1, 0, 0], [1, 1, 0]]  # all but one
 DWELL, UNTIL = "stretches-dwell", "stretches-maximum-free"
 
 # (name of the certificate, change of its content): false claims, which no check may prove
@@ -152,6 +153,15 @@ FALSE = [
     (AGED, put("law.step", 0.4)),
     *(("late-far", put("law.mode_lag", lag)) for lag in (1, 3, 6)),
     ("stretches-late-three", put("law.mode_lag", 5)),
+    *((name, put("signals.transitions", FREER)) for name in ("ways", "ways-ring", "ways-late")),
+    ("ways", put("signals.transitions", [[0, 1, 1], [1, 0, 1], [0, 1, 0]])),
+    ("ways", put("signals.transitions", [[0, 0, 1], [1, 0, 0], [1, 0, 0]])),
+    ("ways", put("signals.dwell_time", [0.3, 0.31, 0.3])),
+    ("ways-ring", put("signals.maximum_dwell", [None, None, 1.2])),
+    ("ways-ring", put("signals.maximum_dwell", [9.0, None, 1.2])),
+    ("ways-late", put("law.mode_lag", 9)),
+    ("stretches-ways", put("signals.transitions", FREER)),
+    ("stretches-ways", put("signals.maximum_dwell", [9.0, None, 1.2])),
     ("observed", entries("law.F", scaled((0, 0), 5.0))),  # the observer's gain
     ("observed", entries("law.G", scaled(np.s_[:, 0, :2, :2], 1.5))),
     ("observed-average", entries("law.G", scaled(np.s_[:, 0, :2, :2], 1.5))),
@@ -208,6 +218,23 @@ MALFORMED = [
     (LONGEST, put("signals.chatter", 2)),
     (LONGEST, put("signals.maximum_dwell", 0.5)),
     *((LONGEST, put("signals.maximum_dwell", T)) for T in (math.inf, math.nan, HUGE, "9")),
+    *(
+        ("ways", put("signals.transitions", ways))
+        for ways in (
+            [[0, 1, 1], [1, 0, 1], [1, 1, 0]],  # all of them: then the file leaves it out
+            [[1, 1, 0], [1, 0, 1], [0, 1, 0]],
+            [[0, 1, 0], [1, 0, 1], [0, 0.5, 0]],
+            [[0, 1], [1, 0]],
+            [0, 1, 0],
+            [],
+            True,
+        )
+    ),
+    ("ways-ring", put("signals.transitions", [[0, 0, 0], [1, 0, 1], [1, 0, 0]])),
+    *(
+        ("ways-ring", put("signals.maximum_dwell", most))
+        for most in ([math.inf, None, 1.2], [0.9, None], [0.2, None, 1.2], [0.9, "1", 1.2], [])
+    ),
     *((PAIR, put("signals.clock_tolerance", d)) for d in (0.0, -0.1, 1.0, None)),
     *((PAIR, put(part, None)) for part in ("law", "plant", "signals", "lyapunov")),
     *((PAIR, without(key)) for key in ("rho", "lyapunov", "plant")),

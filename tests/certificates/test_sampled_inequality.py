@@ -69,41 +69,56 @@ class Sampled:
         M = loop.step(*arguments)
         return M if self.travels else M[: loop.plant.n, : loop.plant.n]
 
-    def instants(self, age, count, rng):
+    def times(self, mode):
+        """The shortest and the longest sojourn in a mode, seconds; None where none is longest."""
+        both = (self.signals[name] for name in ("dwell_time", "maximum_dwell"))
+        return [one[mode] if isinstance(one, list) else one for one in both]
+
+    def after(self, mode):
+        """The modes that may follow one."""
+        ways = self.signals.get("transitions")
+        return [j for j in range(self.modes) if j != mode and (ways is None or ways[mode][j])]
+
+    def instants(self, mode, age, count, rng):
         """Fractions of a period at which the mode may be left, the ends among them."""
-        h, times = self.law["step"], self.signals
-        low, high = 0.0, 1.0
-        clock = 1.0 - times["clock_tolerance"], 1.0 + times["clock_tolerance"]
-        if times["chatter"] == 1:
-            low = max(0.0, clock[0] * times["dwell_time"] / h - age - 1)
-            if times["maximum_dwell"] is not None:
-                high = min(1.0, clock[1] * times["maximum_dwell"] / h - age)
+        h, (shortest, longest) = self.law["step"], self.times(mode)
+        low, high, tolerance = 0.0, 1.0, self.signals["clock_tolerance"]
+        if self.signals["chatter"] == 1:
+            low = max(0.0, (1.0 - tolerance) * shortest / h - age - 1)
+            if longest is not None:
+                high = min(1.0, (1.0 + tolerance) * longest / h - age)
         low = min(low + 1e-12, 1.0)
         return [low, high, *rng.uniform(low, high, count)] if low <= high else []
 
+    def ages(self, mode):
+        """The shortest sojourn in periods, rounded down, and the last age that is told apart."""
+        h, (shortest, longest) = self.law["step"], self.times(mode)
+        tolerance = self.signals["clock_tolerance"]
+        least = int(shortest / h * (1.0 - tolerance))
+        if self.signals["chatter"] > 1:
+            return least, max(least, self.knots[-1])
+        if longest is not None:
+            return least, int(np.ceil(longest / h * (1.0 + tolerance))) - 1
+        if not self.linear:
+            return least, self.knots[-1]
+        return least, max(self.knots[-1], self.law["ages"], least) + 1
+
     def walks(self, count, rng):
         """(before, after, M, periods): steps, or for few knots the stretches between them."""
-        h, times = self.law["step"], self.signals
-        longest = times["maximum_dwell"]
-        r = times["dwell_time"] / h * (1 - times["clock_tolerance"])
-        last = max(self.knots[-1], self.law["ages"], int(r)) + 1
-        if longest is not None:
-            last = int(np.ceil(longest / h * (1 + times["clock_tolerance"]))) - 1
-        elif not self.linear:
-            last = self.knots[-1]
-        if times["chatter"] > 1:
-            last = max(int(r), self.knots[-1])
+        once = self.signals["chatter"] == 1
         first = self.knots[0] if not self.linear else 0
-        for loop, i, start in itertools.product(self.loops, range(self.modes), range(last + 1)):
+        starts = [(i, a) for i in range(self.modes) for a in range(self.ages(i)[1] + 1)]
+        for loop, (i, start) in itertools.product(self.loops, starts):
             if not self.linear and start not in self.knots:
                 continue
+            (least, last), longest = self.ages(i), self.times(i)[1]
             M = np.eye(loop.order if self.travels else loop.plant.n)
             for age in range(start, last + 1):
-                for j in range(self.modes):
-                    if j == i or age + 1 < int(r):
+                for j in self.after(i):
+                    if age + 1 < least:
                         continue
-                    after = first if times["chatter"] == 1 else age + 1 - int(r)
-                    for s in self.instants(age, count, rng):
+                    after = first if once else age + 1 - least
+                    for s in self.instants(i, age, count, rng):
                         X = self.step(loop, i, age, j, s) @ M
                         for a in range(first):
                             X = self.step(loop, j, a) @ X
@@ -142,6 +157,11 @@ def test_the_inequality_of_every_step_holds_at_sampled_instants(name):
         ("stretches-maximum-free", forgeries.put("signals.maximum_dwell", 6.0)),
         ("paper-far", forgeries.entries("law.F", forgeries.scaled((0, 0, 0), 1.02))),
         ("range", forgeries.put("rho", lambda rho: 0.97 * rho)),
+        ("ways", forgeries.put("signals.dwell_time", [0.3, 0.31, 0.3])),
+        *(
+            (name, forgeries.put("signals.transitions", forgeries.FREER))
+            for name in ("ways", "ways-ring", "stretches-ways")
+        ),
     ],
 )
 def test_it_is_violated_by_false_claims(forgery):

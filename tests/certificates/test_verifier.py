@@ -60,7 +60,7 @@ KINDS = (
     *("alike", "average", "averaged-dwell", "delayed", "delays-both", "every-age", "expected"),
     *("free-rate-0", "generic-averaged", "late-delays", "late-mode", "maximum", "mean", "one-mode"),
     *("polytope", "range", "ranges-modes", "rate", "short-delay", "stretches-generic"),
-    *("stretches-late", "tolerant"),
+    *("stretches-late", "stretches-ways", "tolerant", "ways", "ways-late"),
 )
 FEW = [f for f in FILES if f.stem in KINDS]
 OTHERS = [f for f in FILES if f not in (*BOXES, *FEW)]

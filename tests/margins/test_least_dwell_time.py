@@ -116,17 +116,22 @@ def run(capsys, *arguments):
     return stopped.value.code, captured.out, captured.err
 
 
+NOT_EACH = {"certified_each": None, "refuted_each": None}
+
+
 @pytest.fixture
 def made_up(monkeypatch):
     """Answers by the law's label."""
 
-    def answer(plant, law, step):
+    def answer(plant, law, step, **signals):
         if law.label == "oracle":
             raise ArgumentError("law must be a table.")
         if law.label == "mean":
-            return SimpleNamespace(certified=None, refuted=math.inf, message="mode 1 grows.")
+            return SimpleNamespace(
+                certified=None, refuted=math.inf, message="mode 1 grows.", **NOT_EACH
+            )
         message = f"{law.label}: proved from 0.75 s."
-        return SimpleNamespace(certified=0.75, refuted=0.5, message=message)
+        return SimpleNamespace(certified=0.75, refuted=0.5, message=message, **NOT_EACH)
 
     monkeypatch.setattr("deadtime.margins.least_dwell_time", answer)
 
@@ -153,3 +158,59 @@ def test_the_command_line_fails_for_one_law_without_a_certified_dwell_time(capsy
     code, _, error = run(capsys, "certify", "paper", "--least-dwell-time", "--dwell-time", "0.5")
     assert code == 2
     assert "--least-dwell-time looks for the dwell time itself" in error
+
+
+LIMITED = """\
+[plant]
+delay = 0.2
+A = [[[-1.0]], [[-2.0]], [[-3.0]]]
+B = [[[1.0]], [[1.0]], [[1.0]]]
+[gains]
+poles = [-4.0]
+[[law]]
+kind = "averaged"
+[run]
+x0 = [1.0]
+horizon = 60.0
+step = 0.1
+[signal]
+kind = "random"
+dwell_time = [0.3, 0.6, 0.4]
+maximum_dwell = [0.8, inf, 0.9]
+transitions = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+"""
+
+
+def test_the_command_line_keeps_what_the_problem_says_of_its_signals(capsys, tmp_path, monkeypatch):
+    asked = []
+
+    def answer(plant, law, step, **signals):
+        asked.append(signals)
+        each = (0.2, 0.4, 0.8 / 3)
+        return SimpleNamespace(
+            certified=0.2, refuted=None, message="so.", certified_each=each, refuted_each=None
+        )
+
+    monkeypatch.setattr("deadtime.margins.least_dwell_time", answer)
+    path = tmp_path / "problem.toml"
+    path.write_text(LIMITED, encoding="utf-8")
+    about = "certify", str(path), "--law", "averaged", "--least-dwell-time"
+    code, out, _ = run(capsys, *about)
+    assert code == 0
+    assert asked[0]["dwell_time"] == (0.3, 0.6, 0.4)
+    assert asked[0]["maximum_dwell"] == (0.8, math.inf, 0.9)
+    assert asked[0]["transitions"].tolist() == [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    assert "0.2, 0.4, 0.26667 s" in out
+    assert "Dwell times of the modes stay in proportion to 0.3, 0.6, 0.4 s." in out
+    code, out, _ = run(capsys, *about, "--mode", "1", "--maximum-dwell", "2.0,3.0,2.5", "--json")
+    assert (asked[1]["mode"], asked[1]["maximum_dwell"]) == (1, (2.0, 3.0, 2.5))
+    record = json.loads(out)
+    assert record["least_dwell_times"]["averaged"]["certified_each"] == [0.2, 0.4, 0.8 / 3]
+    assert (record["mode"], record["maximum_dwell"]) == (1, [2.0, 3.0, 2.5])
+    assert record["transitions"] == [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+    code, out, _ = run(capsys, *about, "--dwell-time", "0.3,0.3,0.9", "--maximum-dwell", "inf")
+    assert asked[2]["dwell_time"] == (0.3, 0.3, 0.9)
+    assert "maximum_dwell" not in asked[2]
+    code, _, error = run(capsys, "certify", str(path), "--mode", "1")
+    assert code == 2
+    assert "--mode must come with --least-dwell-time" in error

@@ -167,7 +167,8 @@ def made_up(monkeypatch):
 
         def of(function):
             def called(plant, law, *given, **options):
-                assert given in ((0.2, 0.01), (0, 0.01))
+                about = given or (options["dwell_time"], options["step"])
+                assert about in ((0.2, 0.01), (0, 0.01))
                 return function(plant.A[0, 0, 0])
 
             return called

@@ -1,14 +1,16 @@
 """A study says what its sweep varies; a bad one is refused by line and by the nearest name."""
 
 import functools
+import itertools
 import json
+import math
 
 import numpy as np
 import pytest
 
 import deadtime as dt
 from deadtime.scenarios.sweeps.axes import AXES
-from own_sweep import STUDY, filled, load, make_loop
+from own_sweep import PROBLEM, STUDY, filled, load, make_loop
 
 # In a file
 
@@ -47,6 +49,34 @@ def test_nothing_is_imperfect_where_an_axis_is_zero(tmp_path):
     study = load(tmp_path, STUDY.replace("delay_error = [-0.1, 0.0, 0.1]", "noise = [0.0, 0.1]"))
     first, second = (study.loop(study.cell((0, 0, i))) for i in (0, 1))
     assert (len(first.imperfections), len(second.imperfections)) == (0, 1)
+
+
+LIMITED = """\
+[signal]
+kind = "random"
+dwell_time = [0.1, 0.2, 0.15]
+maximum_dwell = [0.4, inf, 0.3]
+transitions = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+"""
+
+
+def test_cells_draw_the_signals_that_the_problem_allows_until_an_axis_replaces_them(tmp_path):
+    before, after = PROBLEM.split("[switching]")[0], "[run]" + PROBLEM.split("[run]")[1]
+    before = before.split('[[law]]\nkind = "expected"')[0]
+    allowed = {
+        "dwell_time": [0.1, 0.2, 0.15],
+        "maximum_dwell": [0.4, math.inf, 0.3],
+        "transitions": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    }
+    study = load(tmp_path, STUDY, before + LIMITED + after)
+    for cell in itertools.islice(study.cells(), 4):
+        for seed in range(5):
+            study.loop(cell).model.sample(20.0, seed=seed).require_admissible(**allowed)
+    replaced = STUDY.replace("law.told.dwell_time = [0.1, 0.15]", "dwell_time = [0.1]")
+    drawn = load(tmp_path, replaced, before + LIMITED + after)
+    signal = drawn.loop(next(drawn.cells())).model.sample(20.0, seed=1)
+    with pytest.raises(dt.ArgumentError, match=r"in mode 2 .*shorter than its dwell_time"):
+        signal.require_admissible(**allowed)
 
 
 BAD = [

@@ -7,6 +7,8 @@ import pytest
 from scipy.stats import expon, gamma, kstest
 
 import deadtime as dt
+import plants
+from deadtime.base.errors import ArgumentError
 from deadtime.switching.constraint import SwitchingConstraint
 
 RING = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
@@ -131,3 +133,15 @@ def test_models_hand_out_their_graph_and_a_fit_refuses_a_log_beside_it():
     back = dt.SwitchingSignal([0.0, 0.5, 1.0], [0, 1, 0], end=2.0)
     with pytest.raises(dt.ArgumentError, match="switches from mode 1 to mode 0 at 1 s"):
         dt.SemiMarkov.fit([log, back], family="gamma", transitions=RING)
+
+
+def test_a_maximum_of_inf_is_none_for_one_mode_and_for_all():
+    free = SwitchingConstraint.of(3, 0.2)
+    for endless in (math.inf, np.inf, [math.inf] * 3):
+        assert SwitchingConstraint.of(3, 0.2, endless) == free
+    plant = plants.generic()
+    law = dt.AveragedPredictor(plant, np.zeros((3, 2, 3)), allow_unstable=True)
+    with pytest.raises(ArgumentError, match="dwell_time must be"):
+        dt.certify(plant, law, math.inf, 0.1, maximum_dwell=math.inf)
+    with pytest.raises(ArgumentError, match="maximum_dwell must be"):
+        SwitchingConstraint.of(3, 0.2, -math.inf)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.printing import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
-    from deadtime.problems.asked import Given
+    from deadtime.problems.asked import Signals
 
 
 class Bracket(NamedTuple):
@@ -18,10 +19,22 @@ class Bracket(NamedTuple):
     certified: float | None
     refuted: float | None
     message: str
+    certified_each: tuple[float, ...] | None = None
+    refuted_each: tuple[float, ...] | None = None
+
+    def record(self) -> dict[str, object]:
+        """For JSON; the dwell times of each mode where they are not one and the same."""
+        found = self._asdict()
+        return found if _several(self) else {name: found[name] for name in Bracket._fields[:3]}
 
 
-def least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> int:
-    """The bracket of every law, or of one; 1 if that one has none."""
+def least_dwell_times(
+    problem: Problem, law: str | None, signals: Mapping[str, Any], json_output: bool
+) -> int:
+    """The bracket of every law, or of one; 1 if that one has none.
+
+    `signals`: what `least_dwell_time` takes of them.
+    """
     from deadtime.margins import least_dwell_time
     from deadtime.problems.asked import step_of
     from deadtime.reports.tables.certificates import left_out
@@ -31,20 +44,26 @@ def least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> i
     with progress_bar(len(names), json_output, f"looking at {names[0]}") as advance:
         for name, one in zip(names, laws, strict=True):
             try:
-                margin = least_dwell_time(problem.plant, one, period)
-                brackets[name] = Bracket(margin.certified, margin.refuted, margin.message)
+                margin = least_dwell_time(problem.plant, one, period, **signals)
+                brackets[name] = Bracket(*(getattr(margin, field) for field in Bracket._fields))
             except ArgumentError as error:
                 if law is not None:
                     raise
                 brackets[name] = Bracket(None, None, str(error))
             advance(name)
     if json_output:
-        print_json(about(problem, period) | {"least_dwell_times": brackets})
+        record = about(problem, period) | for_json(signals)
+        each = {name: one.record() for name, one in brackets.items()}
+        print_json(record | {"least_dwell_times": each})
     else:
-        said = [f"Sampling period {period:g} s.", *_unlimited(problem), *left_out(problem)]
+        said = [f"Sampling period {period:g} s.", *_limits(signals), *left_out(problem)]
         print("\n".join((problem.title, *said, "")))
         rows = [
-            (name, _seconds(one.certified, up=True), _seconds(one.refuted))
+            (
+                name,
+                _seconds(one.certified, one.certified_each, up=True),
+                _seconds(one.refuted, one.refuted_each),
+            )
             for name, one in brackets.items()
         ]
         print_table(("law", "proved from", "refuted up to"), rows)
@@ -54,7 +73,7 @@ def least_dwell_times(problem: Problem, law: str | None, json_output: bool) -> i
 
 
 def longest_mode_lags(
-    problem: Problem, law: str | None, dwell: Given, period: float, json_output: bool
+    problem: Problem, law: str | None, asked: Signals, period: float, json_output: bool
 ) -> int:
     """The bracket of every law, or of one, in periods; 1 if that one has none."""
     from deadtime.margins import longest_mode_lag
@@ -65,7 +84,7 @@ def longest_mode_lags(
     with progress_bar(len(names), quiet=json_output) as advance:
         for name, one in zip(names, laws, strict=True):
             try:
-                found = longest_mode_lag(problem.plant, one, dwell.value, period)
+                found = longest_mode_lag(problem.plant, one, step=period, **asked.options)
                 certified, refuted = found.certified_seconds, found.refuted_seconds
                 brackets[name] = Bracket(certified, refuted, found.message)
             except ArgumentError as error:
@@ -74,11 +93,16 @@ def longest_mode_lags(
                 brackets[name] = Bracket(None, None, str(error))
             advance(name)
     if json_output:
-        record = about(problem, period) | {"dwell_time": dwell.value}
-        print_json(record | {"longest_mode_lags": brackets})
+        record = about(problem, period) | for_json(asked.options)
+        each = {name: one.record() for name, one in brackets.items()}
+        print_json(record | {"longest_mode_lags": each})
     else:
+        dwell = asked.dwell
         said = f"Sampling period {period:g} s, dwell time {dwell.value:.4g} s ({dwell.source})."
-        print("\n".join((problem.title, said, *_unlimited(problem), *left_out(problem), "")))
+        if not asked.constraint.is_plain:
+            stays, switches = asked.constraint.in_words()
+            said = f"Sampling period {period:g} s; every signal that {stays}, {switches}."
+        print("\n".join((problem.title, said, *left_out(problem), "")))
         rows = [(name, _lag(one.certified), _lag(one.refuted)) for name, one in brackets.items()]
         print_table(("law", "proved up to", "refuted at"), rows)
         for name, one in brackets.items():
@@ -86,11 +110,31 @@ def longest_mode_lags(
     return 0 if law is None or brackets[law].certified is not None else 1
 
 
-def _unlimited(problem: Problem) -> list[str]:
-    """That the answer is about more signals than the problem allows, where it limits them."""
-    if problem.constraint is None or problem.constraint.is_plain:
-        return []
-    return ["Every switch and every longer sojourn is taken to be allowed, whatever the file says."]
+def _limits(signals: Mapping[str, Any]) -> list[str]:
+    """What the search keeps of the signals, where it keeps anything."""
+    found = []
+    if signals.get("dwell_time") is not None and signals.get("mode") is None:
+        times = ", ".join(f"{one:g}" for one in signals["dwell_time"])
+        found.append(f"Dwell times of the modes stay in proportion to {times} s.")
+    elif signals.get("mode") is not None:
+        found.append(f"The dwell time of mode {signals['mode']} moves; the others stay.")
+    if signals.get("maximum_dwell") is not None:
+        found.append("No sojourn is longer than the maximum dwell time of its mode.")
+    if signals.get("transitions") is not None:
+        found.append("Only those switches are taken to happen that the problem allows.")
+    return found
+
+
+def for_json(signals: Mapping[str, Any]) -> dict[str, object]:
+    """The signals that were asked about; no limit as null."""
+    found = dict(signals)
+    if found.get("maximum_dwell") is not None:
+        longest = found["maximum_dwell"]
+        several = longest if isinstance(longest, (tuple, list)) else (longest,)
+        found["maximum_dwell"] = [None if one == float("inf") else one for one in several]
+    if found.get("transitions") is not None:
+        found["transitions"] = found["transitions"].astype(int)
+    return found
 
 
 def _lag(seconds: float | None) -> str:
@@ -103,9 +147,15 @@ def about(problem: Problem, step: float) -> dict[str, object]:
     return {"problem": problem.name, "step": step, "imperfections_left_out": without}
 
 
-def _seconds(value: float | None, up: bool = False) -> str:
+def _several(one: Bracket) -> bool:
+    """Whether modes have dwell times of their own."""
+    return any(len(set(each)) > 1 for each in (one.certified_each, one.refuted_each) if each)
+
+
+def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = False) -> str:
     from deadtime.margins.dwell_time import in_words
 
-    return (
-        "–" if value is None else "any" if value == float("inf") else f"{in_words(value, up=up)} s"
-    )
+    if value is None or value == float("inf"):
+        return "–" if value is None else "any"
+    times = (value,) if each is None or len(set(each)) == 1 else each
+    return ", ".join(in_words(one, up=up) for one in times) + " s"

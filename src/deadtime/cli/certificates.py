@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.brackets import about, least_dwell_times, longest_mode_lags
+from deadtime.cli.brackets import about, for_json, least_dwell_times, longest_mode_lags
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
 from deadtime.cli.printing import print_json, print_table, progress_bar
 from deadtime.cli.problems import numbers_of, problem_of
@@ -43,6 +43,7 @@ def certify(
     delays: tuple[str, str] | None = None,
     mode_lag: int = 0,
     least_dwell_time: bool = False,
+    mode: int | None = None,
     longest_mode_lag: bool = False,
     out: File = None,
     json_output: AsJson = False,
@@ -75,7 +76,10 @@ def certify(
     mode_lag
         How many periods late the laws are told the mode, as by the imperfection mode_delay.
     least_dwell_time
-        Look for the least dwell time instead: the shortest proved, and the longest refuted.
+        Look for the least dwell time instead: the shortest proved, and the longest refuted. Several
+        dwell times, of the problem or given, move in proportion.
+    mode
+        With --least-dwell-time: the dwell time of this mode moves alone, and the others stay.
     longest_mode_lag
         Look for the longest lag instead with which the mode may be told: the longest proved, and
         the shortest refuted.
@@ -90,27 +94,26 @@ def certify(
 
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
-        given = (dwell_time, maximum_dwell, decay_rate, delays, out)
-        if any(one is not None for one in given):
+        one = dwell_time is not None and "," not in dwell_time and mode is None
+        if one or any(option is not None for option in (decay_rate, delays, out)):
             raise ArgumentError(
-                "--least-dwell-time looks for the dwell time itself: leave out --dwell-time, "
-                "--maximum-dwell, --decay-rate, --delays and --out."
+                "--least-dwell-time looks for the dwell time itself: leave out --dwell-time (but "
+                "for one per mode, to keep in proportion), --decay-rate, --delays and --out."
             )
-        return least_dwell_times(chosen, law, json_output)
+        signals = _kept(chosen, dwell_time, maximum_dwell, mode)
+        return least_dwell_times(chosen, law, signals, json_output)
+    if mode is not None:
+        raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
     if longest_mode_lag:
-        given = (maximum_dwell, decay_rate, delays, out)
+        given = (decay_rate, delays, out)
         if any(one is not None for one in given) or mode_lag != 0:
             raise ArgumentError(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
-                "--maximum-dwell, --decay-rate, --delays and --out."
-            )
-        if dwell_time is not None and "," in dwell_time:
-            raise ArgumentError(
-                f"--dwell-time must be one number with --longest-mode-lag, got {dwell_time!r}."
+                "--decay-rate, --delays and --out."
             )
     asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
     if longest_mode_lag:
-        return longest_mode_lags(chosen, law, asked.dwell, period, json_output)
+        return longest_mode_lags(chosen, law, asked, period, json_output)
     names = None if law is None else [law]
     if out is not None:
         require_json("--out", out)  # before the search, which may take minutes
@@ -268,15 +271,30 @@ def _signals_and_step(
     return signals_of(problem, problem.signal, *times), step_of(problem)
 
 
+def _kept(
+    problem: Problem, dwell_time: str | None, maximum_dwell: str | None, mode: int | None
+) -> dict[str, Any]:
+    """What a search for the least dwell time keeps: proportions, longest sojourns, switches."""
+    from deadtime.problems.asked import one_or_all, signals_of
+
+    times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
+    if mode is not None or dwell_time is not None:
+        found = signals_of(problem, problem.signal, *times).options
+        return found if mode is None else found | {"mode": mode}
+    found = {} if problem.constraint is None else problem.constraint.options
+    if not isinstance(found.get("dwell_time"), tuple):
+        found.pop("dwell_time", None)  # one for all modes says nothing of their proportions
+    if times[1] is not None:
+        found["maximum_dwell"] = one_or_all(times[1])
+    return found
+
+
 def _recorded(asked: Signals) -> dict[str, object]:
-    """The signals that were asked about, for JSON."""
+    """The signals that were asked about, for JSON; longest sojourns one per mode."""
     limits = asked.options
     if "maximum_dwell" in limits:
-        longest = asked.constraint.maximum_dwell
-        limits["maximum_dwell"] = [None if one == float("inf") else one for one in longest]
-    if "transitions" in limits:
-        limits["transitions"] = limits["transitions"].astype(int)
-    return limits
+        limits["maximum_dwell"] = asked.constraint.maximum_dwell
+    return for_json(limits)
 
 
 def _print_verification(result: Verification) -> None:

@@ -15,6 +15,7 @@ from deadtime.cli.printing import print_answers, print_json, print_table, save_f
     help_epilogue=lines(
         "deadtime fit log.csv",
         "deadtime fit week-*.csv --first drop",
+        "deadtime fit log.csv --dwell-time 0.2 --maximum-dwell 3,inf",
         "deadtime fit log.csv --labels.throttle 0 --labels.brake 1",
     ),
 )
@@ -24,6 +25,8 @@ def fit(
     first: Literal["whole", "drop"] = "whole",
     labels: dict[str, int] | None = None,
     unit: Literal["s", "ms", "us", "ns"] | None = None,
+    dwell_time: str | None = None,
+    maximum_dwell: str | None = None,
     out: Folder = Path("fit.png"),
     json_output: AsJson = False,
 ) -> None:
@@ -42,11 +45,18 @@ def fit(
         Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
     unit
         Of the column time; s by default.
+    dwell_time
+        The shortest sojourn, seconds, where it is known, or one per mode with commas between them:
+        families are fitted as truncated there.
+    maximum_dwell
+        The longest sojourn likewise, inf for none.
     out
         The figure, PNG, SVG or PDF.
     json_output
         Print the fit as JSON instead of text.
     """
+    from deadtime.cli.problems import numbers_of
+    from deadtime.problems.asked import one_or_all
     from deadtime.reports.figures.fit import plot_fit
     from deadtime.reports.tables import fit as fit_report
     from deadtime.switching import SemiMarkov, SwitchingSignal
@@ -54,7 +64,13 @@ def fit(
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
     signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
-    model = SemiMarkov.fit(signals, family=family, first=first)
+    least, most = (
+        None if text is None else one_or_all(numbers_of(name, text))
+        for name, text in (("dwell-time", dwell_time), ("maximum-dwell", maximum_dwell))
+    )
+    model = SemiMarkov.fit(
+        signals, family=family, first=first, dwell_time=least, maximum_dwell=most
+    )
     texts = {mode: text for text, mode in (labels or {}).items()}
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
     save_figure(plot_fit(model, signals, names, first=first), out)

@@ -54,9 +54,9 @@ class DelayMargin(Frozen):
     Attributes
     ----------
     lower, upper : float or None
-        The open interval of true delays around the nominal one with every constant mode stable,
-        seconds. 0: stable down to no delay. ∞: whatever the delay. None: a mode is unstable at
-        the nominal delay. Of several delays that move together, the interval of the shortest.
+        The open interval of true delays around the nominal one with every mode stable that may be
+        held, seconds. 0: stable down to no delay. ∞: whatever the delay. None: a mode is unstable
+        at the nominal delay. Of several delays that move together, the interval of the shortest.
     lower_mode, upper_mode : int or None
         The mode that is lost there; None where none is. Without an interval, the mode that grows
         fastest.
@@ -109,7 +109,8 @@ class DelayMargin(Frozen):
         if self.lower is None or self.upper is None:
             return None
         longer = self.upper / self.nominal - 1.0
-        return longer if self.lower_mode is None else min(1.0 - self.lower / self.nominal, longer)
+        open_below = self.lower_mode is None and not self.certified
+        return longer if open_below else min(1.0 - self.lower / self.nominal, longer)
 
 
 def constant_delay_margin(
@@ -119,6 +120,7 @@ def constant_delay_margin(
     upto: float | None = None,
     input: int | None = None,
     names: Sequence[str] | None = None,
+    held: Sequence[int] | None = None,
 ) -> DelayMargin:
     """How wrong the delay may be under constant switching signals.
 
@@ -141,6 +143,8 @@ def constant_delay_margin(
         inputs keep theirs. By default those of all inputs move, by as many seconds.
     names : sequence of str, optional
         What inputs are called in `message`; by default they are counted.
+    held : sequence of int, optional
+        The modes that may be held; by default every one. Without any all delays up to `upto` are.
 
     Returns
     -------
@@ -188,13 +192,18 @@ def constant_delay_margin(
         )
     require_affordable("delay margin", plant, law, step)
     growth = np.array([growth_rate(plant, law, mode, step) for mode in range(plant.modes)])
-    if growth.max() >= 0.0:
-        worst = int(growth.argmax())
+    modes = range(plant.modes) if held is None else held
+    worst = max(modes, key=lambda mode: growth[mode], default=None)
+    if worst is not None and growth[worst] >= 0.0:
         text = _unstable(worst, float(growth[worst]))
         return DelayMargin(
             None, None, worst, worst, None, None, growth, nominal, text, False, input, differ
         )
-    lower, upper = _limits(plant, law, step, upto, input)
+    lower, upper = _limits(plant, law, step, upto, input, modes)
+    stable = _stable(lower, upper, nominal, of_input(input, names), differ)
+    if len(modes) < plant.modes:
+        only = f", of the modes that may be held ({', '.join(map(str, modes))})"
+        stable = stable + only if modes else "no mode may be held"
     return DelayMargin(
         lower.delay,
         upper.delay,
@@ -204,7 +213,7 @@ def constant_delay_margin(
         upper.frequency,
         growth,
         nominal,
-        _stable(lower, upper, nominal, of_input(input, names), differ),
+        stable,
         False,
         input,
         differ,
@@ -217,24 +226,29 @@ def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray,
 
 
 def _limits(
-    plant: SwitchedSystem, law: Law, step: float | None, upto: float | None, input: int | None
+    plant: SwitchedSystem,
+    law: Law,
+    step: float | None,
+    upto: float | None,
+    input: int | None,
+    modes: Sequence[int],
 ) -> tuple[_Limit, _Limit]:
-    """The nearest limits of any mode, below and above."""
+    """The nearest limits of any of these modes, below and above."""
     moving = moving_delays(plant, input)
     nominal = float(moving.min())
-    responses = [_response(plant, law, mode, step, input) for mode in range(plant.modes)]
+    responses = [_response(plant, law, mode, step, input) for mode in modes]
     parts = [_bands(response, nominal) for response in responses]
     if upto is None:
         # In a delay shorter than one radian of every motion that matters, ten times is nothing.
         radians = [1.0 / part[-1].samples.omega[-1] for part in parts if part]
         upto = FARTHEST * float(max([moving.max(), *radians]))
     lower, upper = _Limit(0.0, None, None), _Limit(upto, None, None)
-    for mode, (response, part) in enumerate(zip(responses, parts, strict=True)):
+    for mode, response, part in zip(modes, responses, parts, strict=True):
         found = first_crossing(response, part, nominal, lower.delay)
         lower = lower if found is None else _Limit(found.delay, mode, found.frequency)
         found = first_crossing(response, part, nominal, upper.delay)
         upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
-    return lower, upper if any(parts) else upper._replace(delay=math.inf)
+    return lower, upper if any(parts) or not parts else upper._replace(delay=math.inf)
 
 
 def _bands(response: Response, delay: float) -> list[Band]:

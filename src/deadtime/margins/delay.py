@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import positive
+from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import error_percent, inwards
 from deadtime.certificates import Certificate, certify
@@ -30,6 +30,7 @@ from deadtime.margins.constant_modes import (
 )
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
 
 FINEST = 0.04  # of the interval of constant modes
 MOST_PIECES = 16  # certificates tried on each side
@@ -40,10 +41,12 @@ def delay_margin(
     plant: SwitchedSystem,
     law: Law,
     step: float | None = 0.01,
-    dwell_time: float | None = None,
+    dwell_time: PerMode | None = None,
     upto: float | None = None,
     *,
     input: int | None = None,
+    maximum_dwell: PerMode | None = None,
+    transitions: ArrayLike | None = None,
 ) -> DelayMargin:
     """The true delays that a law tolerates: it keeps its table, the plant's delay differs.
 
@@ -55,7 +58,7 @@ def delay_margin(
         A law that is a table.
     step : float or None
         Sampling period h, in seconds; None for the ideal loop (constant modes only).
-    dwell_time : float, optional
+    dwell_time : float, or one per mode, optional
         Without it, the mode is constant: exact, from the spectrum. With it, proved for every
         switching signal with this dwell time and every constant delay between `lower` and
         `upper`, in seconds; of several that move, with all of them wrong by the same time. That
@@ -69,6 +72,12 @@ def delay_margin(
         The input whose delay moves, in every mode by as many seconds, counted from 0; the other
         inputs keep theirs. By default those of all inputs move, by as many seconds. Inputs that
         share one delay have a margin each, too.
+    maximum_dwell : float, or one per mode, optional
+        With `dwell_time`: the longest sojourn, seconds, inf for none. A mode that has one is never
+        held, so that its own margin limits nothing.
+    transitions : (modes, modes) of bool, optional
+        With `dwell_time`: whether the signal may switch from mode i (row) to mode j (column); all
+        by default.
 
     Returns
     -------
@@ -80,7 +89,8 @@ def delay_margin(
     Raises
     ------
     ArgumentError
-        As by `growth_rate` and `certify`; if there is no such input; if `upto` is no longer than
+        As by `growth_rate` and `certify`; if there is no such input; if `maximum_dwell` or
+        `transitions` is given without `dwell_time`; if `upto` is no longer than
         the nominal delay, or the delay holds so many periods that the answer would take long.
 
     Examples
@@ -93,17 +103,23 @@ def delay_margin(
     >>> alone.lower <= certified.lower < 0.5 < certified.upper <= alone.upper
     True
     """
-    constant = constant_delay_margin(plant, law, step, upto, input)
     if dwell_time is None:
-        return constant
+        if maximum_dwell is not None or transitions is not None:
+            raise ArgumentError(
+                "dwell_time must be given with maximum_dwell and transitions: without it the mode "
+                "is constant."
+            )
+        return constant_delay_margin(plant, law, step, upto, input)
+    instance("plant", plant, SwitchedSystem)
     if step is None:
         raise ArgumentError(
             "step must be given with dwell_time: certificates are of the digital loop."
         )
-    dwell_time = positive("dwell_time", dwell_time)
+    signals = SwitchingConstraint.of(plant.modes, dwell_time, maximum_dwell, transitions)
+    constant = constant_delay_margin(plant, law, step, upto, input, held=signals.lasting)
     if constant.lower is None or constant.upper is None:
         return constant
-    nominal = certify(plant, law, dwell_time, step, decay_rate=0.0)
+    nominal = certify(plant, law, step=step, decay_rate=0.0, **signals.options)
     if not nominal.stable:
         return replace(
             constant,
@@ -111,23 +127,31 @@ def delay_margin(
             upper=None,
             message=f"There is no certified margin: {nominal.message}",
         )
-
     moving, nominal = moving_delays(plant, input), constant.nominal
 
     def holds(low: float, high: float) -> bool:
         ends: tuple[ArrayLike, ArrayLike] = low, high
         if input is not None or constant.differ:
             ends = _moved(plant, input, low - nominal), _moved(plant, input, high - nominal)
-        return _is_certified(plant, law, dwell_time, step, ends)
+        return _is_certified(plant, law, signals, step, ends)
 
     offsets = np.unique(moving - nominal).tolist()
-    lower = _reach(nominal, constant.lower, step, offsets, holds)
-    upper = _reach(nominal, constant.upper, step, offsets, holds)
+    known = bool(signals.lasting)
+    lower = _reach(nominal, constant.lower, step, offsets, holds, known)
+    upper = _reach(nominal, constant.upper, step, offsets, holds, known)
     message = (
-        f"Proved for every signal with a dwell time of {dwell_time:g} s: stable for "
+        f"Proved for every signal {_in_words(signals)}: stable for "
         f"{_range(lower, upper, constant)}. Without switches: {constant.message}"
     )
     return replace(constant, lower=lower, upper=upper, certified=True, message=message)
+
+
+def _in_words(signals: SwitchingConstraint) -> str:
+    """Which signals, after "every signal"."""
+    if signals.is_plain:
+        return f"with a dwell time of {signals.dwell_time[0]:g} s"
+    stays, switches = signals.in_words()
+    return f"that {stays}" + ("" if signals.is_free else f", and {switches}")
 
 
 def _moved(plant: SwitchedSystem, input: int | None, shift: float) -> np.ndarray:
@@ -156,42 +180,49 @@ def _range(lower: float, upper: float, constant: DelayMargin) -> str:
 def _is_certified(
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: float,
+    signals: SwitchingConstraint,
     step: float,
     delays: tuple[ArrayLike, ArrayLike],
 ) -> bool:
-    certificate: Certificate = certify(
-        plant, law, dwell_time, step, delays=delays, decay_rate=0.0, search_signals=False
-    )
+    options = {"delays": delays, "decay_rate": 0.0, "search_signals": False, **signals.options}
+    certificate: Certificate = certify(plant, law, step=step, **options)
     return bool(certificate.stable)
 
 
 def _reach(
-    nominal: float, limit: float, step: float, offsets: list[float], holds: Callable[..., bool]
+    nominal: float,
+    limit: float,
+    step: float,
+    offsets: list[float],
+    holds: Callable[..., bool],
+    near: bool,
 ) -> float:
     """The delay up to which, from the nominal one towards a limit, all pieces hold, in seconds.
 
-    A piece ends where the delay plus one of the offsets is a multiple of the period.
+    A piece ends where the delay plus one of the offsets is a multiple of the period. Where the
+    limit is that of a mode, it is `near`, and pieces begin long. Where no mode may be held the loop
+    may be lost long before: they begin short, and double until one fails.
     """
     sign = 1.0 if limit > nominal else -1.0
     farthest = min(abs(limit - nominal), MOST_PIECES * step)
     end = max(nominal + sign * farthest, LEAST_DELAY * step)
-    finest, length = FINEST * farthest, 0.25 * farthest
-    here = nominal
+    here, failed, length = nominal, False, 0.25 * (farthest if near else min(step, farthest))
     for _ in range(MOST_PIECES):
+        finest = FINEST * (farthest if near else max(abs(here - nominal), length))
         multiples = [_next_multiple(here + offset, step, sign) - offset for offset in offsets]
         multiple = min(multiples, key=lambda delay: abs(delay - here))
         nearest = min(end, multiple, key=lambda delay: abs(delay - here))
         piece = min(length, abs(nearest - here))
-        if piece <= max(0.5 * finest, 1e-9 * step):
+        if piece <= max(0.5 * finest * near, 1e-9 * step):
             break
         there = nearest if piece < length else here + sign * piece
         if holds(min(here, there), max(here, there)):
             here = there
+            length *= 1.0 if near or failed or piece < length else 2.0
         elif piece <= finest:
             break
         else:
-            length = 0.5 * piece
+            failed, length = True, 0.5 * piece
     return here
 
 

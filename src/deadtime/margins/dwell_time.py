@@ -2,7 +2,8 @@
 
 Signals with a longer dwell time are among those with a shorter one, so stability is lost once and
 for all as it shrinks: in 1/τ_d this is the search of `bracket`. A growing signal refutes every
-dwell time up to its own shortest sojourn.
+dwell time up to its own shortest sojourn. So it is where modes have dwell times of their own, if
+they shrink together or one of them alone (`dwell_shape`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from numpy.typing import ArrayLike
+
 from deadtime.base.checks import instance, number, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.certificates.clock import CLOCK_TOLERANCE, MOST_PERIODS
@@ -19,8 +22,10 @@ from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins.bracket import Bracket, Questions, bracket
+from deadtime.margins.dwell_shape import DwellShape
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import GROWS, growth_bounds, growth_rate
+from deadtime.switching.constraint import PerMode
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -39,10 +44,11 @@ class LeastDwellTime:
     ----------
     certified : float or None
         Seconds: with this dwell time, and so with any longer one, the loop is certified for every
-        admissible signal. None where no dwell time was certified.
+        admissible signal. Where modes have dwell times of their own, the shortest; of `mode`, its
+        own. None where no dwell time was certified.
     refuted : float or None
-        Seconds: with this dwell time, and so with any shorter one, a signal is known that grows.
-        Infinite where a constant mode grows; None if nothing was refuted.
+        Seconds, likewise: with this dwell time, and so with any shorter one, a signal is known that
+        grows. Infinite where no dwell time is long enough; None if nothing was refuted.
     ratio : float or None
         certified / refuted; None where one of them is missing.
     proven : bool
@@ -55,6 +61,8 @@ class LeastDwellTime:
         The bracket in a sentence or two, and what kept it wide.
     evaluations : tuple of (float, bool or None)
         Every dwell time asked about, in rising order, and the answer: None where there is none.
+    certified_each, refuted_each : tuple of float, one per mode, or None
+        The dwell times of every mode at `certified` and at `refuted`, seconds.
     """
 
     certified: float | None
@@ -65,10 +73,20 @@ class LeastDwellTime:
     witness: WorstCase | None
     message: str
     evaluations: tuple[tuple[float, bool | None], ...]
+    certified_each: tuple[float, ...] | None = None
+    refuted_each: tuple[float, ...] | None = None
 
 
 def least_dwell_time(
-    plant: SwitchedSystem, law: Law, step: float = 0.01, ratio: float = 1.01
+    plant: SwitchedSystem,
+    law: Law,
+    step: float = 0.01,
+    ratio: float = 1.01,
+    *,
+    dwell_time: PerMode | None = None,
+    maximum_dwell: PerMode | None = None,
+    transitions: ArrayLike | None = None,
+    mode: int | None = None,
 ) -> LeastDwellTime:
     """Bracket the least dwell time with which a loop is stable under every admissible signal.
 
@@ -84,11 +102,21 @@ def least_dwell_time(
     ratio : float
         How close is close enough: the search ends when certified / refuted ≤ ratio, or when there
         is no answer between them.
+    dwell_time : float, or one per mode, optional
+        The dwell times of the modes, seconds, of which the search keeps the proportions: by how
+        much may they all shrink, or must they grow? By default all modes have the same.
+    maximum_dwell : float, or one per mode, optional
+        The longest sojourn, seconds, inf for none. It stays; a mode that has one is never held.
+    transitions : (modes, modes) of bool, optional
+        Whether the signal may switch from mode i (row) to mode j (column); all by default.
+    mode : int, optional
+        Search the dwell time of this mode alone; the others keep theirs of `dwell_time`.
 
     Raises
     ------
     ArgumentError
-        If an argument is malformed, law and plant do not belong together, or the law is no table.
+        If an argument is malformed, law and plant do not belong together, the law is no table, or
+        `maximum_dwell` leaves no room above a period.
 
     Notes
     -----
@@ -104,6 +132,9 @@ def least_dwell_time(
     >>> found = least_dwell_time(plant, idle, step=0.1, ratio=1.1)
     >>> 2.65 < found.refuted < 2.71 < found.certified < 3.0
     True
+    >>> slow = least_dwell_time(plant, idle, step=0.1, ratio=1.1, dwell_time=[4.0, 1.0], mode=1)
+    >>> slow.certified_each[0], slow.certified < found.certified
+    (4.0, True)
     """
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
@@ -121,40 +152,64 @@ def least_dwell_time(
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")
-    questions = _questions(plant, law, step)
+    shape = DwellShape.of(plant.modes, dwell_time, maximum_dwell, transitions, mode)
+    shortest = SHORTEST * step
+    if shape.longest <= shortest:
+        raise ArgumentError(
+            f"maximum_dwell must leave room above a period of {step:g} s, and dwell times up to "
+            f"{shape.longest:g} s do not: raise it, or shorten the step."
+        )
+    return _searched(_questions(plant, law, step, shape), plant, law, step, ratio, shape)
+
+
+def _searched(
+    questions: Questions,
+    plant: SwitchedSystem,
+    law: Law,
+    step: float,
+    ratio: float,
+    shape: DwellShape,
+) -> LeastDwellTime:
+    """The bracket, of arguments that are checked."""
     shortest = SHORTEST * step
     worst = questions.falsify(1.0 / shortest)
-    rates = [growth_rate(plant, law, mode, step) for mode in range(plant.modes)]
-    mode = rates.index(max(rates))
-    if rates[mode] > GROWS and growth_bounds(plant, law, mode, step)[0] > 0.0:
-        message = (
-            f"No dwell time is long enough: held in mode {mode} the loop grows at "
-            f"{max(rates):+.4g} 1/s."
-        )
-        return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    longest = _certified_dwell_time(questions, _calm(step, max(rates)), MOST_PERIODS * step)
-    if longest is None:
-        return _without_proof(questions, worst)
+    rates = {i: growth_rate(plant, law, i, step) for i in shape.limits.lasting}
+    slowest = max(rates.values(), default=-math.inf)
+    for i, rate in rates.items():
+        if rate == slowest > GROWS and growth_bounds(plant, law, i, step)[0] > 0.0:
+            message = (
+                f"No dwell time is long enough: held in mode {i} the loop grows at {rate:+.4g} 1/s."
+            )
+            return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
     grows = worst.growth_rate > GROWS and worst.proven
-    lowest = _dwell_of(worst) if grows and math.isfinite(_dwell_of(worst)) else shortest
-    return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions)
+    if grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
+        message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
+        return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
+    most = min(shape.longest, MOST_PERIODS * step)
+    first = min(_calm(step, slowest) if rates else 0.5 * most, shape.longest)
+    longest = _certified_dwell_time(questions, first, most)
+    if longest is None:
+        return _without_proof(questions, worst, shape)
+    lowest = shape.admits(worst) if grows and math.isfinite(shape.admits(worst)) else shortest
+    return _in_seconds(bracket(questions, 1.0 / longest, 1.0 / lowest, ratio), questions, shape)
 
 
-def _questions(plant: SwitchedSystem, law: Law, step: float) -> Questions:
-    """The questions of `bracket` about 1/τ_d; answers are remembered."""
+def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) -> Questions:
+    """The questions of `bracket` about 1/T; answers are remembered."""
     from deadtime.certificates import certify, falsify
 
     @cache
     def proof(frequency: float) -> Certificate:
-        return certify(plant, law, 1.0 / frequency, step, decay_rate=0.0, search_signals=False)
+        options = shape.signals(1.0 / frequency).options
+        return certify(plant, law, step=step, decay_rate=0.0, search_signals=False, **options)
 
     known: list[WorstCase] = []
 
     def worst(frequency: float) -> WorstCase:
         for found in known:
-            if _dwell_of(found) * frequency >= 1.0 - SAME:
+            if shape.admits(found) * frequency >= 1.0 - SAME:
                 return found
-        found = falsify(plant, law, 1.0 / frequency, step)
+        found = falsify(plant, law, step=step, **shape.signals(1.0 / frequency).options)
         if found.growth_rate > GROWS and found.proven:
             known.append(found)
         return found
@@ -168,20 +223,21 @@ def _calm(step: float, slowest: float) -> float:
 
 
 def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) -> float | None:
-    """A dwell time below `most` that is certified: this one, or up to 2^6 times as long."""
+    """A dwell time of `most` or less that is certified: this one, or up to 2^6 times as long."""
     for _ in range(DOUBLINGS + 1):
         if questions.proof(1.0 / dwell_time).stable:
             return dwell_time
-        dwell_time = 2.0 * dwell_time
         if dwell_time >= most:
             break
+        dwell_time = min(2.0 * dwell_time, most)
     return None
 
 
-def _without_proof(questions: Questions, worst: WorstCase) -> LeastDwellTime:
-    refuted = _dwell_of(worst) if worst.growth_rate > GROWS and worst.proven else None
+def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) -> LeastDwellTime:
+    refuted = shape.admits(worst) if worst.growth_rate > GROWS and worst.proven else None
     evaluations = _evaluations(questions)
     reason = questions.proof(1.0 / evaluations[-1][0]).message
+    each = _each(evaluations[-1][0], shape)
     return LeastDwellTime(
         None,
         refuted,
@@ -189,24 +245,25 @@ def _without_proof(questions: Questions, worst: WorstCase) -> LeastDwellTime:
         False,
         None,
         worst if refuted is not None else None,
-        f"No dwell time up to {evaluations[-1][0]:.4g} s was certified: {reason}",
+        f"No {_of(shape)} up to {each} s was certified: {reason}",
         evaluations,
+        refuted_each=None if refuted is None else shape.dwell_times(refuted),
     )
 
 
-def _in_seconds(found: Bracket, questions: Questions) -> LeastDwellTime:
+def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> LeastDwellTime:
     certified, refuted = 1.0 / found.certified, None
-    text = f"Proved stable for every signal with a dwell time of {in_words(certified, up=True)} s"
-    text += " or more"
+    proved = _each(certified, shape, up=True)
+    text = f"Proved stable for every signal with a {_of(shape)} of {proved} s or more"
     if found.witness is not None:
-        refuted = _dwell_of(found.witness)
-        text += f"; with {in_words(refuted)} s a growing signal is known."
+        refuted = shape.admits(found.witness)
+        text += f"; with {_each(refuted, shape)} s a growing signal is known."
     elif found.open is None:
         text += ": the shortest that can be described at this period."
     else:
         text += "; no shorter dwell time was refuted."
     if found.open is not None:
-        text += f" No answer at {1.0 / found.open[0]:.5g} s: {found.open[1]}"
+        text += f" No answer at {_each(1.0 / found.open[0], shape)} s: {found.open[1]}"
     return LeastDwellTime(
         certified,
         refuted,
@@ -216,7 +273,23 @@ def _in_seconds(found: Bracket, questions: Questions) -> LeastDwellTime:
         found.witness,
         text,
         _evaluations(questions),
+        shape.dwell_times(certified),
+        None if refuted is None else shape.dwell_times(refuted),
     )
+
+
+def _of(shape: DwellShape) -> str:
+    """What moves, in words."""
+    if shape.mode is not None:
+        return f"dwell time in mode {shape.mode}"
+    return "dwell time" if shape.alike else "dwell time in each mode"
+
+
+def _each(time: float, shape: DwellShape, *, up: bool = False) -> str:
+    """The dwell times that move, in words."""
+    times = shape.dwell_times(time) if shape.mode is None else (time,)
+    times = times[:1] if shape.alike else times
+    return ", ".join(in_words(one, up=up) for one in times)
 
 
 def in_words(dwell_time: float, *, up: bool = False) -> str:
@@ -232,11 +305,6 @@ def in_words(dwell_time: float, *, up: bool = False) -> str:
     unit = 10.0 ** (math.floor(math.log10(dwell_time)) - 4)
     whole = math.ceil if up else math.floor
     return f"{whole(dwell_time / unit) * unit:.5g}"
-
-
-def _dwell_of(worst: WorstCase) -> float:
-    """The longest dwell time with which a signal is admissible."""
-    return math.inf if len(worst.modes) == 1 else float(min(worst.sojourns))
 
 
 def _evaluations(questions: Questions) -> tuple[tuple[float, bool | None], ...]:

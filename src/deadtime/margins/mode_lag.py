@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from numpy.typing import ArrayLike
+
 from deadtime.base.checks import count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
@@ -20,6 +22,7 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.steps import snap
 from deadtime.spectrum import GROWS
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -76,10 +79,12 @@ class LongestModeLag:
 def longest_mode_lag(
     plant: SwitchedSystem,
     law: Law,
-    dwell_time: float,
+    dwell_time: PerMode,
     step: float = 0.01,
     *,
     upto: int | None = None,
+    maximum_dwell: PerMode | None = None,
+    transitions: ArrayLike | None = None,
 ) -> LongestModeLag:
     """The longest lag with which the law may be told the mode, proved, and the shortest refuted.
 
@@ -89,13 +94,17 @@ def longest_mode_lag(
         The truth.
     law : Law
         A law that is a table, as `certify` takes it.
-    dwell_time : float
+    dwell_time : float, or one per mode
         Shortest sojourn, seconds.
     step : float
         Sampling period h > 0, seconds.
     upto : int, optional
-        The longest lag to ask about, in periods; by default twice the delay and twice the dwell
-        time together.
+        The longest lag to ask about, in periods; by default twice the delay and twice the longest
+        dwell time together.
+    maximum_dwell : float, or one per mode, optional
+        The longest sojourn, seconds, inf for none.
+    transitions : (modes, modes) of bool, optional
+        Whether the signal may switch from mode i (row) to mode j (column); all by default.
 
     Raises
     ------
@@ -121,16 +130,18 @@ def longest_mode_lag(
     instance("plant", plant, SwitchedSystem)
     instance("law", law, Law)
     require_match(plant, law)
-    step, dwell_time = positive("step", step), positive("dwell_time", dwell_time)
+    step = positive("step", step)
+    signals = SwitchingConstraint.of(plant.modes, dwell_time, maximum_dwell, transitions)
     table = None if law.foresees else recurrence_of(law, step)
     if table is None:
         raise ArgumentError(
             "law must be a table whose rows do not depend on the future, got "
             f"{type(law).__name__}: no lag of its mode can be certified."
         )
-    most = round(snap(DELAYS * (max(plant.longest_delay, table.taps * step) + dwell_time) / step))
+    ahead = max(plant.longest_delay, table.taps * step) + max(signals.dwell_time)
+    most = round(snap(DELAYS * ahead / step))
     most = most if upto is None else count("upto", upto)
-    asked = _Asked.of(plant, law, dwell_time, step)
+    asked = _Asked.of(plant, law, signals, step)
     if plant.modes == 1 or table.context == "none":
         return _without_mode(asked, most, step)
     certified, beyond = _edge(lambda lag: asked.proof(lag).stable is True, most)
@@ -181,7 +192,9 @@ class _Asked:
     answers: dict[int, bool | None]
 
     @classmethod
-    def of(cls, plant: SwitchedSystem, law: Law, dwell_time: float, step: float) -> _Asked:
+    def of(
+        cls, plant: SwitchedSystem, law: Law, signals: SwitchingConstraint, step: float
+    ) -> _Asked:
         from deadtime.certificates import certify, falsify
 
         answers: dict[int, bool | None] = {}
@@ -189,15 +202,15 @@ class _Asked:
         @cache
         def proof(lag: int) -> Certificate:
             found = certify(
-                plant, law, dwell_time, step,
-                decay_rate=0.0, mode_lag=lag, search_signals=False,
+                plant, law, step=step,
+                decay_rate=0.0, mode_lag=lag, search_signals=False, **signals.options,
             )  # fmt: skip
             answers[lag] = found.stable
             return found
 
         @cache
         def worst(lag: int) -> WorstCase:
-            found = falsify(plant, law, dwell_time, step, mode_lag=lag)
+            found = falsify(plant, law, step=step, mode_lag=lag, **signals.options)
             answers[lag] = False if _grows(found) else answers.get(lag)
             return found
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
@@ -12,6 +14,7 @@ from deadtime.feedback import Law
 from deadtime.margins.bracket import Bracket, Questions, bracket
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import GROWS, growth_bounds, growth_rate
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
 
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
@@ -58,9 +61,12 @@ class StabilityMargin:
 def stability_margin(
     problem: Callable[[float], Loop],
     bounds: Sequence[float],
-    dwell_time: float,
+    dwell_time: PerMode,
     step: float = 0.01,
     ratio: float = 1.01,
+    *,
+    maximum_dwell: PerMode | None = None,
+    transitions: ArrayLike | None = None,
 ) -> StabilityMargin:
     """Bracket the largest value for which a loop is stable under every admissible signal.
 
@@ -74,13 +80,18 @@ def stability_margin(
         From a value to (plant, law); the law's model may differ from the plant.
     bounds : (low, high)
         The values to search between; the loop must be certified at `low`.
-    dwell_time : float
+    dwell_time : float, or one per mode
         τ_d > 0, seconds: the signals are all those that stay in each mode at least so long.
     step : float
         Sampling period h > 0, seconds.
     ratio : float
         How close is close enough: the search ends when refuted / certified ≤ ratio, or when
         there is no answer between them.
+    maximum_dwell : float, or one per mode, optional
+        The longest sojourn, seconds, inf for none. A mode that has one is never held, so that its
+        own growth refutes nothing.
+    transitions : (modes, modes) of bool, optional
+        Whether the signal may switch from mode i (row) to mode j (column); all by default.
 
     Raises
     ------
@@ -89,11 +100,11 @@ def stability_margin(
 
     Notes
     -----
-    Where a constant mode begins to grow is found by bisection, which is cheap; `certify` is asked
-    just below, and what it refutes or cannot tell is followed down with `falsify` and
-    `certify`, a few seconds each. Stability need not be monotone: constant modes are looked at
-    for nine values below the certified one, too, and where one grows the bracket is the one below
-    it.
+    Where a constant mode that may last begins to grow is found by bisection, which is cheap;
+    `certify` is asked just below, and what it refutes or cannot tell is followed down with
+    `falsify` and `certify`, a few seconds each. Stability need not be monotone: constant modes are
+    looked at for nine values below the certified one, too, and where one grows the bracket is the
+    one below it.
 
     Examples
     --------
@@ -123,12 +134,13 @@ def stability_margin(
         )
     if not number("ratio", ratio) > 1.0:
         raise ArgumentError(f"ratio must be above 1, got {ratio:g}.")
-    dwell_time, step = positive("dwell_time", dwell_time), positive("step", step)
-    questions = _questions(problem, dwell_time, step)
+    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions}
+    questions = _questions(problem, positive("step", step), {"dwell_time": dwell_time, **limits})
     return _margin(bracket(questions, low, high, ratio), questions)
 
 
-def _questions(problem: Callable[[float], Loop], dwell_time: float, step: float) -> Questions:
+def _questions(problem: Callable[[float], Loop], step: float, signals: dict[str, Any]) -> Questions:
+    """The questions of `bracket` about a value; `signals`: what `certify` takes of them."""
     from deadtime.certificates import certify, falsify
 
     def loop(value: float) -> Loop:
@@ -147,13 +159,13 @@ def _questions(problem: Callable[[float], Loop], dwell_time: float, step: float)
         return any(
             growth_rate(plant, law, mode, step) > GROWS
             and growth_bounds(plant, law, mode, step)[0] > 0.0
-            for mode in range(plant.modes)
+            for mode in SwitchingConstraint.of(plant.modes, **signals).lasting
         )
 
     return Questions(
         grows,
-        lambda value: certify(*loop(value), dwell_time, step, decay_rate=0.0),
-        lambda value: falsify(*loop(value), dwell_time, step),
+        lambda value: certify(*loop(value), step=step, decay_rate=0.0, **signals),
+        lambda value: falsify(*loop(value), step=step, **signals),
     )
 
 

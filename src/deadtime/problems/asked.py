@@ -14,7 +14,7 @@ from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 from deadtime.problems.problem import Problem
 from deadtime.switching import Rule, SemiMarkov, SwitchingSignal
-from deadtime.switching.constraint import SwitchingConstraint, one_or_each
+from deadtime.switching.constraint import SwitchingConstraint
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential
 from deadtime.switching.random import mean_or_twice
 
@@ -38,13 +38,7 @@ class Signals(NamedTuple):
     @property
     def options(self) -> dict[str, Any]:
         """What `certify` and `falsify` take of them; nothing where there is no limit."""
-        allowed = self.constraint
-        found: dict[str, Any] = {"dwell_time": one_or_each(allowed.dwell_time)}
-        if len(allowed.lasting) < allowed.modes:
-            found["maximum_dwell"] = one_or_each(allowed.maximum_dwell)
-        if not allowed.is_free:
-            found["transitions"] = allowed.transitions
-        return found
+        return self.constraint.options
 
 
 def step_of(problem: Problem) -> float:

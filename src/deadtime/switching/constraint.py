@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
@@ -68,7 +68,7 @@ class SwitchingConstraint:
         modes : int
             Number of modes.
         dwell_time, maximum_dwell : float, or one per mode
-            Seconds; `inf` in a list of maximum dwell times for a mode that may last without end.
+            Seconds; a `maximum_dwell` of inf for a mode, or for all, that may last without end.
         transitions : array_like of bool, shape (modes, modes)
             Whether a signal may switch from mode i (row) to mode j (column); all by default. The
             diagonal says nothing: how long a mode may last is said by `maximum_dwell`.
@@ -139,6 +139,16 @@ class SwitchingConstraint:
             tuple(j for j in after if reach[j, i]) for i, after in enumerate(self.following)
         )
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `certify` and `falsify` take of them; nothing where there is no limit."""
+        found: dict[str, Any] = {"dwell_time": one_or_each(self.dwell_time)}
+        if len(self.lasting) < self.modes:
+            found["maximum_dwell"] = one_or_each(self.maximum_dwell)
+        if not self.is_free:
+            found["transitions"] = self.transitions
+        return found
+
     def in_words(self) -> tuple[str, str]:
         """What signals do by it, after "that": how long they stay, and how they switch.
 
@@ -204,20 +214,21 @@ class SwitchingConstraint:
 
 
 def _per_mode(name: str, value: object, modes: int, unbounded: bool = False) -> tuple[float, ...]:
-    """A positive time for every mode; infinite ones only in a list, where that is a meaning."""
+    """A positive time for every mode, infinite where that has a meaning."""
     if not np.iterable(value) or isinstance(value, (str, bytes)):
-        return (positive(name, value),) * modes
+        return (_time(name, value, unbounded),) * modes
     given = list(value)  # pyright: ignore[reportCallIssue, reportArgumentType]
     if len(given) != modes:
         raise ArgumentError(
             f"{name} must be a number of seconds, or one for each of the {modes} modes, got "
             f"{len(given)} of them."
         )
-    times = []
-    for i, time in enumerate(given):
-        endless = unbounded and isinstance(time, (float, np.floating)) and time == np.inf
-        times.append(math.inf if endless else positive(f"{name}[{i}]", time))
-    return tuple(times)
+    return tuple(_time(f"{name}[{i}]", time, unbounded) for i, time in enumerate(given))
+
+
+def _time(name: str, value: object, unbounded: bool) -> float:
+    endless = unbounded and isinstance(value, (float, np.floating)) and value == np.inf
+    return math.inf if endless else positive(name, value)
 
 
 def _allowed(modes: int, transitions: ArrayLike | None) -> Bool[np.ndarray, "mode mode"]:

@@ -16,9 +16,15 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import count
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.constraint import SwitchingConstraint
+from deadtime.switching.constraint import PerMode, SwitchingConstraint
 from deadtime.switching.models.families import EQUAL, FAMILIES, Goodness, Observed, estimate
 from deadtime.switching.models.sojourns import Distribution, Fixed
+from deadtime.switching.models.truncated_fit import (
+    FAMILIES_BETWEEN,
+    estimate_between,
+    require_between,
+    require_family_between,
+)
 from deadtime.switching.signal import SwitchingSignal
 
 LEAST = 5
@@ -32,6 +38,8 @@ def fit_model(
     modes: int | None = None,
     first: str = "whole",
     transitions: ArrayLike | None = None,
+    dwell_time: PerMode | None = None,
+    maximum_dwell: PerMode | None = None,
 ) -> tuple[list[Distribution], Float[np.ndarray, "mode mode"], tuple[Goodness, ...]]:
     """Sojourn distributions, jump probabilities and goodness of a semi-Markov model.
 
@@ -61,11 +69,16 @@ def fit_model(
         first sojourn of a signal with an `initial_age` is dropped in any case.
     transitions : (modes, modes) of bool, optional
         The switches that can be: a log with another one is refused.
+    dwell_time, maximum_dwell : float, or one per mode, optional
+        The shortest and the longest sojourn, seconds, where they are known: families are fitted as
+        what is left of them in between (`deadtime.switching.models.truncated_fit`). Shifted
+        exponential and uniform ones are then not among them, for these limits are their own.
 
     Raises
     ------
     ArgumentError
-        If a mode has fewer than 5 complete sojourns, or its family cannot be fitted.
+        If a mode has fewer than 5 complete sojourns, one that is not between its limits, or its
+        family cannot be fitted.
 
     References
     ----------
@@ -86,7 +99,13 @@ def fit_model(
                 f"signals hold only {seen.complete.size} complete sojourns of mode {mode}: at "
                 f"least {LEAST} are needed to fit; log longer, or give SemiMarkov a distribution."
             )
-    fits = [_fit_mode(i, *pair) for i, pair in enumerate(zip(names, observed, strict=True))]
+    known = None
+    if dwell_time is not None or maximum_dwell is not None:
+        known = SwitchingConstraint.of(len(observed), dwell_time, maximum_dwell)
+    fits = []
+    for i, pair in enumerate(zip(names, observed, strict=True)):
+        ends = None if known is None else (known.dwell_time[i], known.maximum_dwell[i])
+        fits.append(_fit_mode(i, *pair, ends))
     jumps = np.zeros((len(observed), len(observed)))
     for log in logs:
         np.add.at(jumps, (log.modes[:-1], log.modes[1:]), 1.0)
@@ -158,12 +177,20 @@ def distance(dist: Distribution, observed: Observed) -> float:
     return float(max(np.abs(low - before).max(), np.abs(high - after).max()))
 
 
-def _fit_mode(mode: int, name: str, observed: Observed) -> tuple[Distribution, Goodness]:
-    """The mode's distribution; `name` may be "auto"."""
+def _fit_mode(
+    mode: int, name: str, observed: Observed, ends: tuple[float, float] | None = None
+) -> tuple[Distribution, Goodness]:
+    """The mode's distribution; `name` may be "auto"; `ends`: what is known of its sojourns."""
     from scipy.stats import kstwobign
 
-    candidates = (name,) if name != "auto" else ("fixed",) if observed.fixed else tuple(FAMILIES)
-    fits = {family: estimate(family, observed) for family in candidates}
+    families = tuple(FAMILIES) if ends is None else FAMILIES_BETWEEN
+    candidates = (name,) if name != "auto" else ("fixed",) if observed.fixed else families
+    if ends is None:
+        fits = {family: estimate(family, observed) for family in candidates}
+    else:
+        require_between(mode, observed, *ends)
+        require_family_between("family", name)
+        fits = {family: estimate_between(family, observed, *ends) for family in candidates}
     fitted = {family: fit for family, fit in fits.items() if fit is not None}
     if not fitted:
         raise ArgumentError(

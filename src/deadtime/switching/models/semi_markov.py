@@ -242,10 +242,14 @@ class SemiMarkov(JumpModel):
         modes: int | None = None,
         first: str = "whole",
         transitions: ArrayLike | None = None,
+        dwell_time: PerMode | None = None,
+        maximum_dwell: PerMode | None = None,
     ) -> SemiMarkov:
         """The model of maximum likelihood for logged signals.
 
-        Logs with a switch that `transitions` does not allow are refused, by their first one. See
+        Logs with a switch that `transitions` does not allow are refused, by their first one, and
+        with a sojourn that is not between `dwell_time` and `maximum_dwell`, where these are known;
+        families are then fitted as truncated there. See
         `deadtime.switching.models.fit.fit_model` for what the other arguments mean, and what few
         sojourns are worth: with fewer than about 50 per mode, name the family.
 
@@ -258,7 +262,9 @@ class SemiMarkov(JumpModel):
         """
         from deadtime.switching.models.fit import fit_model
 
-        sojourn, transition, goodness = fit_model(signals, family, modes, first, transitions)
+        sojourn, transition, goodness = fit_model(
+            signals, family, modes, first, transitions, dwell_time, maximum_dwell
+        )
         model = cls(sojourn, transition)
         vars(model).update(goodness=goodness)
         return model
