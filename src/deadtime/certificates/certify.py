@@ -330,6 +330,7 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
             transitions=signals.transitions,
             clock_tolerance=setting.clock_tolerance,
             mode_lag=setting.mode_lag,
+            lost_samples=setting.lost_samples,
         )
     except DeadtimeError as error:
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
