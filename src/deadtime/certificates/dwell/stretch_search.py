@@ -71,7 +71,7 @@ class StretchSearch:
     def suits(setting: Setting) -> bool:
         """Whether there are stretches, and not too much of them."""
         graph = setting.transitions
-        if graph.bucket is not None or graph.modes == 1:
+        if graph.bucket is not None or (graph.modes == 1 and not graph.losses):
             return False
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
             return False  # at a node it would matter what was before

@@ -27,6 +27,7 @@ from deadtime.switching.constraint import one_or_each
 DELAYS = 20  # the signal is at least this long
 CYCLES = 10
 SLACK = 1e-9  # of a period: round-off in a sojourn
+NAMED = 8  # lost samples
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -282,6 +283,8 @@ def _losses(cycle: Cycle) -> str:
     """
     if not cycle.lost:
         return ""
+    if len(cycle.lost) > NAMED:
+        return f", and {len(cycle.lost)} of every {cycle.periods} samples are lost (`lost`)"
     *some, last = map(str, cycle.lost)
     which = f"{', '.join(some)} and {last} are" if some else f"{last} is"
     return f", and of every {cycle.periods} samples, 0 the first, {which} lost"

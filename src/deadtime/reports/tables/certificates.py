@@ -76,6 +76,7 @@ def judge(
     trying: Callable[[str], None] = lambda _: None,
     maximum_dwell: Times | None = None,
     transitions: ArrayLike | None = None,
+    lost_samples: int = 0,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -100,6 +101,8 @@ def judge(
         thread that tries it.
     maximum_dwell, transitions
         As `certify` takes them.
+    lost_samples : int
+        How many samples in a row may be lost.
 
     Raises
     ------
@@ -108,12 +111,14 @@ def judge(
         cannot be certified is a result with a reason.
     """
     from deadtime.certificates import certify
+    from deadtime.certificates.clock import losses_in_range
 
     SwitchingConstraint.of(problem.plant.modes, dwell_time, maximum_dwell, transitions)
     step = positive("step", step)
     limits = {"maximum_dwell": maximum_dwell, "transitions": transitions}
     signals = {name: limit for name, limit in limits.items() if limit is not None}
     count("mode_lag", mode_lag, 0)
+    lost = losses_in_range(lost_samples, mode_lag)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
     names = list(problem.laws) if laws is None else list(laws)
@@ -133,6 +138,7 @@ def judge(
                 decay_rate=decay_rate,
                 delays=delays,
                 mode_lag=mode_lag,
+                lost_samples=lost,
                 progress=lambda what: trying(f"{name}: {what}"),
             )
             certified[name].set_result(found)
@@ -140,7 +146,7 @@ def judge(
             certified[name].set_exception(error)
 
     def search(name: str) -> Judged:
-        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag), signals)
+        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag, lost), signals)
 
     # A solver leaves Python to the other threads, a search for signals does not: the solver of the
     # law that takes longest works beside the searches of the others.
@@ -156,7 +162,7 @@ def _judge(
     problem: Problem,
     name: str,
     certified: Future[Certificate],
-    asked: tuple[Times, float, int],
+    asked: tuple[Times, float, int, int],
     signals: dict[str, Any],
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
@@ -165,7 +171,7 @@ def _judge(
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
-    dwell_time, step, lag = asked
+    dwell_time, step, lag, lost = asked
     try:
         certificate = certified.result()
     except ArgumentError as error:
@@ -173,7 +179,8 @@ def _judge(
     worst, margin, reason = certificate.witness, None, ""
     try:
         if worst is None and certificate.stable:
-            worst = falsify(plant, law, dwell_time, step, mode_lag=lag, **signals)
+            late = {"mode_lag": lag, "lost_samples": lost}
+            worst = falsify(plant, law, dwell_time, step, **late, **signals)
         too_long = why_left_out("delay margin", plant, law, step)
         if too_long:
             return Judged(name, certificate, worst, None, sentence_of(too_long))
