@@ -236,23 +236,37 @@ def _decide(
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
         fastest = max(0.0, *(-rate for rate, _, _ in rates))
+    early = search_signals and setting.lost_samples > 0  # the search is quick, functions are not
+    searched = _searched(corners, law, setting, progress) if early else []
+    if searched and searched[-1].stable is False:
+        return searched[-1]
     evidence, outcome = _evidence(setting, _rates(wanted, fastest), progress)
     if evidence is not None:
         return Certificate.of(evidence, outcome.cells)
     if not search_signals:
         return Certificate(None, f"Inconclusive: {outcome.reason}.")
-    searched = []
-    progress("looking for a signal that grows")
-    for corner in corners:
-        searched.append(_refute(corner, law, setting, ""))
-        if searched[-1].stable is False:
-            return searched[-1]
+    searched = searched or _searched(corners, law, setting, progress)
+    if searched[-1].stable is False:
+        return searched[-1]
     return Certificate(
         None,
         f"Inconclusive: {outcome.reason}, and no admissible signal was proved to grow either. "
         f"{searched[0].message}",
         witness=searched[0].witness,
     )
+
+
+def _searched(
+    corners: list[SwitchedSystem], law: Law, setting: Setting, progress: Callable[[str], None]
+) -> list[Certificate]:
+    """The worst signal of every corner, up to the first that is proved to grow."""
+    searched = []
+    progress("looking for a signal that grows")
+    for corner in corners:
+        searched.append(_refute(corner, law, setting, ""))
+        if searched[-1].stable is False:
+            break
+    return searched
 
 
 def _ends(delays: tuple[float, float] | np.ndarray) -> list[float] | list[np.ndarray]:
