@@ -270,6 +270,19 @@ def test_the_worst_signal_of_the_page_is_that_of_falsify(own):
     assert (np.diff(inner) > 0.6 * (1.0 - 1e-9)).all()
 
 
+def test_a_law_on_outputs_has_a_verdict_a_worst_signal_and_a_column_of_the_chart(tmp_path):
+    shown = observed(["averaged"], tmp_path)
+    problem = run_draft(shown.draft, shown.source).problem
+    (name, law), plant = next(iter(problem.laws.items())), problem.plant
+    rates = [dt.growth_rate(plant, law, i, problem.step) for i in range(plant.modes)]
+    assert jobs.growth_rates(problem, name) == rates
+    signal = jobs.worst_signal(shown.draft, shown.source, name, 0.6)
+    assert signal["growth_rate"] >= max(rates) - 1e-9
+    certified, refuted, reason = jobs.margin(shown.draft, shown.source, name, (0.02, 0.03), 0.6)
+    assert (certified, reason) == (0.03, "")
+    assert math.isnan(refuted)
+
+
 def test_a_column_without_an_answer_says_why():
     paper = open_named("paper")
     draft = dict(paper.draft) | {"run": {**paper.draft["run"], "step": 0.2}}
