@@ -30,8 +30,14 @@ from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.validate import MOST_TOLD
-from deadtime.certificates.reach import LARGEST, out_of_reach, told_late, too_large, why_no_table
+from deadtime.certificates.reach import (
+    LARGEST,
+    out_of_reach,
+    told_late,
+    too_large,
+    too_many_told,
+    why_no_table,
+)
 from deadtime.certificates.signals import admissible_signals, of_setting, times_and_ways
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
@@ -184,13 +190,9 @@ def certify(
         following,
         lost_samples,
     )
-    if (setting.mode_lag + lost_samples) * len(setting.F) > MOST_TOLD:
-        return Certificate(
-            None,
-            f"{'lost_samples' if lost_samples else 'mode_lag'} = {lost_samples or mode_lag} with a "
-            f"table of {len(setting.F):,} rows leaves too many rows that may be told: lengthen the "
-            "step.",
-        )
+    many = too_many_told(setting)
+    if many:
+        return Certificate(None, many)
     if setting.order > LARGEST:
         return Certificate(None, too_large(setting.order))
     return _decide(plants, law, table, setting, decay_rate, search_signals, progress)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from deadtime.certificates.proof.transitions import shortest
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.sojourns import shortest
+from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.memory import WithMemory
@@ -57,6 +59,19 @@ def told_late(law: Law, mode_lag: int) -> str:
         "The law measures other outputs in each mode, so what it makes of them depends on the "
         "plant's mode and on the one that it is told: certify with one C for all modes, or without "
         "mode_lag."
+    )
+
+
+def too_many_told(setting: Setting) -> str:
+    """Why a mode told late, or not told, has no certificate with so many rows, if so."""
+    late, rows = setting.mode_lag or setting.lost_samples, len(setting.F)
+    if late * rows <= MOST_TOLD:
+        return ""
+    name = "mode_lag" if setting.mode_lag else "lost_samples"
+    periods = " periods" if setting.mode_lag else ""
+    return (
+        f"{name} = {late}{periods} with a table of {rows:,} rows leaves too many rows that may be "
+        "told: lengthen the step."
     )
 
 

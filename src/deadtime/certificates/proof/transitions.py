@@ -52,83 +52,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from deadtime.certificates.proof.sojourns import Clock, decimal
 from deadtime.feedback.table import Context, row_of
 
 T = TypeVar("T")
 PerMode = T | tuple[T, ...]
 Following = tuple[tuple[int, ...], ...]
-
-READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
-
-
-def decimal(value: float) -> Fraction:
-    """The decimal that prints as a number."""
-    return Fraction(repr(float(value)))
-
-
-def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, float]:
-    """(the fewest full steps of a sojourn, the earliest s'/h there), rounded down.
-
-    −1 full steps: one period may hold two switches.
-
-    Examples
-    --------
-    >>> shortest(0.2, 0.1, 1e-5), shortest(0.25, 0.1, 1e-5)
-    ((0, 0.9999799999999981), (1, 0.4999749999999977))
-    """
-    part = (1 - decimal(tolerance)) * (1 - READINGS)
-    periods = part * decimal(dwell_time) / decimal(step)
-    whole = math.floor(periods)
-    return whole - 1, max(0.0, math.nextafter(float(periods - whole), 0.0))
-
-
-def longest(maximum_dwell: float, step: float, tolerance: float) -> tuple[int, float]:
-    """(the most full steps of a sojourn with a longest one, the latest s'/h there), rounded up."""
-    part = (1 + decimal(tolerance)) * (1 + READINGS)
-    periods = part * decimal(maximum_dwell) / decimal(step)
-    most = math.ceil(periods) - 1
-    return most, min(1.0, math.nextafter(float(periods - most), 1.0))
-
-
-@dataclass(frozen=True)
-class Clock:
-    """When a mode may be left, by its age in samples.
-
-    Attributes
-    ----------
-    first : int
-        The least age from which a step may switch.
-    last : int
-        The largest age that is told apart.
-    ends : bool
-        Whether the mode must be left at the age `last` (a maximum dwell time).
-    earliest, latest : float
-        The first instant of a switch at the age `first`, and the last at `last` where the mode must
-        be left then: fractions of the period.
-    """
-
-    first: int
-    last: int
-    ends: bool = False
-    earliest: float = 0.0
-    latest: float = 1.0
-
-    @classmethod
-    def of(
-        cls,
-        dwell_time: float,
-        maximum_dwell: float | None,
-        step: float,
-        tolerance: float,
-        told: int,
-    ) -> Clock:
-        """Of a dwell time and a maximum; `told` is the last age at which rows may change."""
-        first, earliest = shortest(dwell_time, step, tolerance)
-        if maximum_dwell is not None:
-            last, latest = longest(maximum_dwell, step, tolerance)
-            return cls(first, last, True, earliest, latest)
-        # The last age stands for all later ones, at which a mode may be left at any instant.
-        return cls(first, max(first + 1, told), False, earliest)
 
 
 @dataclass(frozen=True)
@@ -408,7 +337,7 @@ class Transitions:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
         stretches = []
         if self.losses:  # every age is a knot, and every stretch a period
-            each = [one for i in range(self.modes) for one in self._periods(i)]
+            each = self.all(tuple(range(self.last + 1)))
             return [Stretch(step.age, 0, step, 0, step.next_age) for step in each]
         for i, clock in enumerate(self.clocks):
             own = self.knots_of(i, knots)
@@ -426,12 +355,6 @@ class Transitions:
                     mixed = self.switches(i, at, self.row(i, at))
                     stretches += [Stretch(k, at - age, step, knots[0], 0) for step in mixed]
         return stretches
-
-    def _periods(self, mode: int) -> Iterator[Transition]:
-        """The steps from every age of a mode, under all rows that may act."""
-        for age in range(self.clocks[mode].last + 1):
-            for row, lost, next_lost in self._told(mode, age):
-                yield from self._steps(mode, age, row, lost, next_lost)
 
     def switches(self, mode: int, age: int, row: int) -> list[Transition]:
         """The mixed steps from (mode, age)."""
