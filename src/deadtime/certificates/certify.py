@@ -31,7 +31,6 @@ from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.reach import (
-    LARGEST,
     out_of_reach,
     told_late,
     too_large,
@@ -160,11 +159,9 @@ def certify(
     lost_samples = losses_in_range(lost_samples, mode_lag)
     reason = out_of_reach(plants, law, min(signals.dwell_time), step, tolerance)
     reason = reason or why_unmoved(plants)
-    if reason:
-        return Certificate(None, reason)
-    table = recurrence_of(law, step)
+    table = None if reason else recurrence_of(law, step)
     if table is None:
-        return Certificate(None, why_no_table(law))
+        return Certificate(None, reason or why_no_table(law))
     late = told_late(law, mode_lag)
     if late:
         return Certificate(None, late)
@@ -190,11 +187,9 @@ def certify(
         following,
         lost_samples,
     )
-    many = too_many_told(setting)
-    if many:
-        return Certificate(None, many)
-    if setting.order > LARGEST:
-        return Certificate(None, too_large(setting.order))
+    reason = too_many_told(setting) or too_large(setting.order)
+    if reason:
+        return Certificate(None, reason)
     return _decide(plants, law, table, setting, decay_rate, search_signals, progress)
 
 

@@ -76,7 +76,9 @@ def too_many_told(setting: Setting) -> str:
 
 
 def too_large(order: int) -> str:
-    """An estimate of what a loop of this order would take."""
+    """An estimate of what a loop of this order would take, if that is too much."""
+    if order <= LARGEST:
+        return ""
     gigabytes, minutes = 14 * 8e-9 * order**2 + 3e-7 * order**2, 0.5 * (order / 1000) ** 3
     return (
         f"the lifted loop has order {order:,}: a certificate would take about {gigabytes:.1f} GB "
