@@ -326,7 +326,7 @@ def test_the_command_line_certifies_and_verifies_losses(tmp_path, capsys):
     ):
         with pytest.raises(SystemExit, match=f"^{code}$"):
             main(command)
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     assert "up to 1 sample in a row may be lost" in said
     assert "every loss of samples with at most 1 in a row" in said
     assert "at most 1 samples in a row are lost, not 2" in said
