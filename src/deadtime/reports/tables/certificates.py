@@ -115,10 +115,10 @@ def judge(
 
     SwitchingConstraint.of(problem.plant.modes, dwell_time, maximum_dwell, transitions)
     step = positive("step", step)
-    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions}
+    lost = losses_in_range(lost_samples, mode_lag) or None
+    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions, "lost_samples": lost}
     signals = {name: limit for name, limit in limits.items() if limit is not None}
     count("mode_lag", mode_lag, 0)
-    lost = losses_in_range(lost_samples, mode_lag)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
     names = list(problem.laws) if laws is None else list(laws)
@@ -138,7 +138,6 @@ def judge(
                 decay_rate=decay_rate,
                 delays=delays,
                 mode_lag=mode_lag,
-                lost_samples=lost,
                 progress=lambda what: trying(f"{name}: {what}"),
             )
             certified[name].set_result(found)
@@ -146,7 +145,7 @@ def judge(
             certified[name].set_exception(error)
 
     def search(name: str) -> Judged:
-        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag, lost), signals)
+        return _judge(problem, name, certified[name], (dwell_time, step, mode_lag), signals)
 
     # A solver leaves Python to the other threads, a search for signals does not: the solver of the
     # law that takes longest works beside the searches of the others.
@@ -162,7 +161,7 @@ def _judge(
     problem: Problem,
     name: str,
     certified: Future[Certificate],
-    asked: tuple[Times, float, int, int],
+    asked: tuple[Times, float, int],
     signals: dict[str, Any],
 ) -> Judged:
     """The worst signal and the delay margin beside a certificate, which is waited for."""
@@ -171,7 +170,7 @@ def _judge(
     from deadtime.spectrum.affordable import why_left_out
 
     plant, law = problem.plant, problem.laws[name]
-    dwell_time, step, lag, lost = asked
+    dwell_time, step, lag = asked
     try:
         certificate = certified.result()
     except ArgumentError as error:
@@ -179,8 +178,7 @@ def _judge(
     worst, margin, reason = certificate.witness, None, ""
     try:
         if worst is None and certificate.stable:
-            late = {"mode_lag": lag, "lost_samples": lost}
-            worst = falsify(plant, law, dwell_time, step, **late, **signals)
+            worst = falsify(plant, law, dwell_time, step, mode_lag=lag, **signals)
         too_long = why_left_out("delay margin", plant, law, step)
         if too_long:
             return Judged(name, certificate, worst, None, sentence_of(too_long))
