@@ -232,6 +232,25 @@ CASES: dict[str, Case] = {
     ),
     "tracking": (lambda: tracking(), 0.5, 0.1, {}),
     "tracking-disturbance": (lambda: tracking([[1.0]]), 0.8, 0.1, {}),
+    "lost-state": (lambda: (MILD, DELAYED), 0.3, 0.1, {"lost_samples": 2}),
+    "lost-unseen": (lambda: (MILD, DELAYED), 0.2, 0.1, {"lost_samples": 4}),
+    "lost-far": (lambda: mild(1.234), 0.3, 0.1, {"lost_samples": 1}),
+    "lost-dwell": (
+        lambda: of("averaged, dwell-aware"),
+        *(0.4, 0.1, {"lost_samples": 1, "decay_rate": 0.0}),
+    ),
+    "lost-average": (lambda: (MILD, DELAYED), 0.3, 0.1, {"lost_samples": 1, "chatter": 2}),
+    "lost-one-mode": (lambda: designed(ALONE), 0.3, 0.1, {"lost_samples": 1}),
+    "lost-observed": (lambda: on_outputs([0.14, 0.05]), 0.3, 0.1, {"lost_samples": 2}),
+    "lost-modes": (
+        lambda: on_outputs(0.1, [[[1.0, 0.5]], [[1.0, 0.4]]]),
+        *(0.25, 0.1, {"maximum_dwell": 0.6, "lost_samples": 1}),
+    ),
+    "lost-range": (
+        lambda: on_outputs(0.14),
+        *(0.3, 0.1, {"delays": (0.135, 0.145), "decay_rate": 0.0, "lost_samples": 1}),
+    ),
+    "lost-tracking": (lambda: tracking(), 0.3, 0.1, {"lost_samples": 1}),
 }
 
 

@@ -48,6 +48,10 @@ def turned(X):
     return X[::-1]
 
 
+def other_half(X):
+    return np.roll(X, len(X) // 2, axis=0)
+
+
 def cleared(X):
     return 0.0 * X
 
@@ -168,12 +172,25 @@ FALSE = [
     ("tracking", entries("law.G", scaled(np.s_[:, 0, 1, 1], 1.2))),  # a sum that grows
     ("tracking-disturbance", entries("law.F", cleared)),
     ("observed-late", put("law.mode_lag", 5)),
+    *((name, entries("law.F", other_half)) for name in ("lost-observed", "lost-state", "lost-far")),
+    *(("lost-observed", entries("lyapunov.P", change)) for change in (other_half, turned)),
+    *(("lost-average", entries("lyapunov.S", change)) for change in (other_half, turned)),
+    ("lost-unseen", entries("lyapunov.P", turned)),
+    ("lost-modes", entries("law.G", scaled(np.s_[-1, 0, :2, :2], 2.0))),  # a prediction that grows
+    ("lost-tracking", put("signals.dwell_time", 0.2)),
 ]
 
 # malformed: no certificates at all
 MALFORMED = [
     *(("late-far", put("law.mode_lag", lag)) for lag in (0, -1, True, 2.0, 10**7)),
     *((name, put("law.mode_lag", 1)) for name in ("one-mode", "mean")),
+    *(("lost-observed", put("law.lost_samples", n)) for n in (0, -1, True, 2.0, 1, 3, 10**7)),
+    *(
+        (name, put("law.lost_samples", 1))
+        for name in ("rate", "late-mode", "observed", "free-rate-0")
+    ),
+    ("lost-state", put("law.mode_lag", 1)),
+    ("lost-state", entries("law.F", lambda F: F[:2])),
     *(("observed", put("law.memory", q)) for q in (0, -1, True, 2.0, 1, 3, 10**7)),
     ("observed", entries("law.G", lambda G: G + 1e-3)),  # reads what was remembered long ago
     ("paper", put("law.memory", 1)),

@@ -57,17 +57,19 @@ class Line:
         return x
 
 
-def period(plant, loop, table, state, told, spans):
+def period(plant, loop, table, state, told, spans, lost=False):
     """(x, w, past inputs) a period later; w = (x̄, s), the past inputs the oldest first.
 
-    `told` is (mode, row) that observer and law go by; `table` that of the law inside.
+    `told` is (mode, row) that observer and law go by; `table` that of the law inside. Where the
+    sample is `lost` the observer corrects nothing, and what it expects counts as measured.
     """
     x, w, past = state
     (mode, row), observer, h = told, loop.observer, loop.observer.step
     n_o = observer.plant.states
     x_bar, s = w[:n_o], w[n_o:]
     y = loop.outputs[spans[0][0]] @ x
-    estimate = x_bar + observer.gain[mode] @ (y - observer.C[mode] @ x_bar)
+    y = observer.C[mode] @ x_bar if lost else y
+    estimate = x_bar if lost else x_bar + observer.gain[mode] @ (y - observer.C[mode] @ x_bar)
     value = np.zeros(0) if not s.size else loop.servo.tracked @ y
     q = s + 0.5 * h * value
     references = np.zeros(table.state_gain.shape[2] - n_o - q.size)

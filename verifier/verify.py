@@ -32,9 +32,9 @@ has a kink where s is at a mark. With vertices, X = X⁰ + Σ λ_v (Xᵛ − X�
 |X/2^k| = θ ≤ 1/8 in the norm ∞: 24 terms of its series leave < θ²⁵/25!/(1 − θ/26) in every entry.
 
 **Ages.** For "linear", V_{i,a} and V at the next node are affine in the age a between breakpoints
-(knots, `last`, q₀, q₀ + 1, with a bucket q₀ + knots, all ages where rows go by age or the mode is
-told late), and M is the same: so (1) at the first and the last age there implies the others, as it
-does for V ≻ 0.
+(knots, `last`, q₀, q₀ + 1, with a bucket q₀ + knots, all ages where rows go by age, the mode is
+told late or samples are lost), and M is the same: so (1) at the first and the last age there
+implies the others, as it does for V ≻ 0.
 
 **Rounding.** P, Ψ, S, F, G, ρ are exact; V and up to order 16 its leading minors are rational.
 A, B, delays, the period are balls of half a unit in the last place; ages come from quotients of
@@ -135,15 +135,17 @@ def certificate(content):
     every = [(i, j) for i in range(c.modes) for j in range(c.m)]
     pairs = [(low[i][j], high[i][j]) if each else (low, high) for i, j in every]
     c.D = [pairs[i * c.m : i * c.m + c.m] for i in range(c.modes)]
-    more = [k for k in ("mode_lag", "memory") if k in law]
+    more = [k for k in ("mode_lag", "memory", "lost_samples") if k in law]
     c.context, ages, step, F, G, *n = take(law, "law", " ".join(["context ages step F G", *more]))
     found = {k: whole(x, k, 1) for k, x in zip(more, n, strict=True)}
-    c.lag, c.q = found.get("mode_lag", 0), found.get("memory", 0)
+    c.lag, c.q, c.lost = (found.get(k, 0) for k in ("mode_lag", "memory", "lost_samples"))
     c.ages, c.step = whole(ages, "ages", 1), real(step, "step")
     rows = {"none": 1, "mode": c.modes, "mode_age": c.modes * c.ages}.get(str(c.context))
     need(rows and (c.context == "mode_age" or c.ages == 1), "context is unknown, or ages not 1")
     fits = not c.lag or (c.context != "none" and c.modes > 1 and c.lag * rows <= 10**6)
     need(fits, "mode_lag where no row reads the mode, or too long a one")
+    need(not c.lost or (not c.lag and 2 * c.lost * rows <= 10**6), "lost_samples does not fit")
+    c.measured, rows = rows, rows * (1 + (c.lost > 0))  # then as many of lost samples
     out = c.q + c.m  # of the table: what is remembered, then the inputs
     c.F, c.G = array(F, "F", rows, out, c.n), array(G, "G", rows, None, out, out)
     need(not any(x for r in c.G for g in r[1:] for y in g for x in y[: c.q]), "G reads an old w")
@@ -171,9 +173,10 @@ def certificate(content):
     c.knots = [whole(k, "knots", 0) for k in knots]
     fits = c.knots and c.knots == sorted(set(c.knots)) and c.knots[0] * c.linear == 0
     need(fits, "knots do not ascend, or not from 0 where they have to")
-    c.P = array(P, "P", *() if c.linear else (c.modes, len(knots)), None, None)
+    places = c.modes * (c.lost + 1)  # the modes, then the modes after one lost sample, …
+    c.P = array(P, "P", *() if c.linear else (places, len(knots)), None, None)
     c.Psi = array(rest[0], "Psi", None, None) if c.linear else []
-    c.S = array(rest[1], "S", c.modes, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
+    c.S = array(rest[1], "S", places, len(knots), len(c.Psi), len(c.Psi)) if c.linear else []
     return c
 
 
@@ -262,6 +265,7 @@ class Loop:
         self.c, self.n, self.modes, self.deadline = c, c.n, range(c.modes), deadline
         gains = itertools.chain(*c.F, *itertools.chain(*c.G))
         self.acts, self.h = any(map(any, gains)), ball(c.step)  # else no input travels
+        need(self.acts or not c.lost, "lost_samples, though F and G are all zero")
         self.boxed = c.box and self.acts
         if self.boxed:
             self.places, self.reads = self.box_clock()
@@ -320,13 +324,13 @@ class Loop:
         self.longest = [(1 + tolerance) * (1 + room) * number(x) / h for x in c.maximum]
         self.bucket = c.chatter > 1 and c.modes > 1
         if c.modes == 1:
-            return [0], [None], [c.ages - 1]
+            return [0], [None], [c.ages - 1 + c.lost]
         first = [math.floor(x) - 1 for x in self.shortest]
         need(min(first) >= 0, "the dwell time is below one period")
         ends = [math.ceil(x) - 1 for x in self.longest]
         ends = [None if x is None else q for x, q in zip(c.maximum, ends, strict=True)]
         # Without a bucket the last age stands for all later ones.
-        lasts = [max(q + 1, c.ages - 1 + c.lag) for q in first]
+        lasts = [max(q + 1, c.ages - 1 + c.lag + c.lost) for q in first]
         if self.bucket:
             lasts = [max(q, math.ceil(c.chatter * number(c.dwell[0]) / h)) for q in first]
         lasts = [q if end is None else end for q, end in zip(lasts, ends, strict=True)]
@@ -334,22 +338,57 @@ class Loop:
 
     def rows(self, mode, age):
         """The rows that may act: of what the law may have been told."""
-        if self.c.context == "none":
-            return [0]
+        if self.c.context == "none" or self.c.lost:
+            return self.counted(mode, age, 0)
         late, ages, told = self.c.lag - age, self.c.ages, set()
         if self.bucket:
             first, last = (0, self.c.modes) if self.c.lag else (mode, mode + 1)
             return range(first * ages, last * ages)
         if late <= 0:
             return [mode * ages + min(-late, ages - 1)]
-        # Modes of the sojourns before, the last first, each of q₀ + 1 samples or more.
+        for here, seen in self.before(mode, late):
+            least = min(max(0, seen - late), ages - 1)
+            told |= {i * ages + a for i in here for a in range(least, ages)}
+        return sorted(told)
+
+    def before(self, mode, late):
+        """Modes of the sojourns before, as far back as `late` samples, the last first; how many
+        samples they have shown together, each sojourn q₀ + 1 or more."""
         here, seen = {mode}, 0
         while seen < late:
             here = {j for j in self.modes for i in here if i in self.c.follow[j]}
             seen += min(self.q0) + 1
-            least = min(max(0, seen - late), ages - 1)
-            told |= {i * ages + a for i in here for a in range(least, ages)}
-        return sorted(told)
+            yield here, seen
+
+    def counted(self, mode, age, since):
+        """The rows of a mode that was told `since` samples ago, by the ages that may be counted."""
+        c, top = self.c, self.c.ages - 1
+        if c.context == "none":
+            return [0]
+        low, high = max(since, age - c.lost), age
+        if c.lost > min(self.q0):  # a sojourn may pass unseen
+            high = max(low, top)
+        low, high = (0, top) if self.bucket else (low, high)
+        return sorted({mode * c.ages + min(a, top) for a in range(low, high + 1)})
+
+    def told(self, mode, age):
+        """Every (row, lost samples before, lost samples before the next) that a step may have."""
+        c = self.c
+        for lost in range(c.lost + 1):
+            yield from ((row, lost, 0) for row in self.rows(mode, age))
+            if lost < c.lost:
+                rows = self.unseen(mode, age, lost + 1)
+                yield from ((c.measured + row, lost, lost + 1) for row in rows)
+
+    def unseen(self, mode, age, lost):
+        """What acts at the last of so many lost samples in a row, before `measured` is added."""
+        c = self.c
+        if c.context == "none" or (age >= lost and not self.bucket) or c.modes == 1:
+            return self.counted(mode, age, lost)
+        if self.bucket:
+            return range(c.measured)
+        here = {i for modes, _ in self.before(mode, lost - age) for i in modes}
+        return sorted(i * c.ages + a for i in here for a in range(c.ages))
 
     def new_after(self, i, first, j, follows):
         """The product of the periods of mode j after a switch; i is told at first, by its ages."""
@@ -370,13 +409,13 @@ class Loop:
         Y = arb_mat(one[:n] + [u[N * m + j] for N, j in self.reads])
         return Y, arb_mat(now[:q] + u[: d - n - q])
 
-    def new_V(self, mode, age):
+    def new_V(self, mode, age, lost=0):
         """V at a node, if it is ≻ 0."""
-        c, d = self.c, self.d
+        c, d, place = self.c, self.d, lost * self.c.modes + mode
         rational = lambda X: fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in r] for r in X])  # noqa: E731
-        V = rational(c.P if c.linear else c.P[mode][c.knots.index(age)])
+        V = rational(c.P if c.linear else c.P[place][c.knots.index(age)])
         if c.Psi:
-            Psi, S, knots = rational(c.Psi), c.S[mode], [*c.knots, max(age, c.knots[-1]) + 1]
+            Psi, S, knots = rational(c.Psi), c.S[place], [*c.knots, max(age, c.knots[-1]) + 1]
             k = next(k for k in range(len(S)) if age < knots[k + 1])
             share = fmpq(age - knots[k], knots[k + 1] - knots[k])
             after = rational(S[min(k + 1, len(S) - 1)])
@@ -576,32 +615,44 @@ def linear(loop):
 
 
 def linear_in(loop, i, q0, last):
-    """The steps from the ages of one mode."""
-    V, c = loop.V, loop.c
+    """The steps from the ages of one mode between which all others lie."""
+    c = loop.c
     found = {0, last, q0, q0 + 1, *c.knots, *range(min(c.ages, last + 1))}
     found |= {k + q0 for k in c.knots if loop.bucket}
-    found |= set(range(min(c.lag + c.ages, last + 1) * (c.lag > 0)))
+    late = c.lag + c.lost
+    found |= set(range(min(late + c.ages, last + 1) * (late > 0)))
     starts = {a for a in found if a <= last}
-    for a in sorted(starts | {a - 1 for a in starts if a > 0}):
-        for row in loop.rows(i, a):
+    steps_from(loop, i, sorted(starts | {a - 1 for a in starts if a > 0}))
+
+
+def steps_from(loop, i, ages):
+    """All single periods from some ages of a mode."""
+    V, c, last, q0 = loop.V, loop.c, loop.last[i], loop.q0[i]
+    for a in ages:
+        for row, lost, then in loop.told(i, a):
+            here, at = V(i, a, lost), f" at age {a}" + f" after {lost} lost samples" * (lost > 0)
             if loop.q1[i] is None or a < last:
-                prove(loop, f"mode {i} at age {a}", V(i, a), V(i, min(a + 1, last)), row, (i, i))
+                there = V(i, min(a + 1, last), then)
+                prove(loop, f"mode {i}{at}", here, there, row, (i, i))
             for j in (j for j in sorted(c.follow[i]) if a >= q0):
-                V_next = V(j, a - q0 if loop.bucket else 0)
-                prove(loop, f"the switch {i} to {j} at age {a}", V(i, a), V_next, row, (i, j), a)
+                there = V(j, a - q0 if loop.bucket else 0, then)
+                prove(loop, f"the switch {i} to {j}{at}", here, there, row, (i, j), a)
 
 
 def stretches(loop):
     knots, c, highest = loop.c.knots, loop.c, max(loop.last)
     need(knots[-1] <= highest, f"the last knot is past the last age, {highest}")
     need(len(loop.modes) == 1 or knots[0] <= min(loop.q0), "the first knot is past a switch")
-    fixed = not loop.ranged and c.vertices == 1
-    need(fixed or len(knots) > highest, "not every age is a knot, though delay or plant varies")
+    fixed = not loop.ranged and c.vertices == 1 and not c.lost
+    need(fixed or len(knots) > highest, "not every age is a knot, though something varies")
     need(c.lag <= knots[0], "the first knot is before the lag of the mode")
     for i in loop.modes:
         own = [age for age in knots if age <= loop.last[i]]
         fits = loop.q1[i] is not None or own[-1:] == [loop.last[i]]
         need(own and fits, f"the last age of mode {i}, {loop.last[i]}, is no knot")
+        if c.lost:
+            steps_from(loop, i, own)
+            continue
         for start, end in itertools.pairwise([*own, loop.last[i] + 1]):
             stretches_from(loop, i, start, end)
 
@@ -684,6 +735,7 @@ def summary(c):
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
     kept = f", {c.q} remembered" * (c.q > 0)
     rows = f"rows by {c.context}" + f" of {c.lag} periods ago" * (c.lag > 0)
+    rows += f", {c.lost} samples in a row lost at most" * (c.lost > 0)
     loop = f"n = {c.n}, m = {c.m}{kept}, {plant}, h = {c.step!r} s, {D}, {first}, {rows}"
     return f"{rate}; {loop}; {signals} by a clock off by {c.tolerance!r} at most"
 

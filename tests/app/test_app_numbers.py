@@ -5,6 +5,7 @@ import io
 import math
 import time
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -268,6 +269,30 @@ def test_the_worst_signal_of_the_page_is_that_of_falsify(own):
     signal = dt.SwitchingSignal(found["times"], found["modes"])
     inner = signal.times[1:]
     assert (np.diff(inner) > 0.6 * (1.0 - 1e-9)).all()
+
+
+def test_a_law_on_outputs_has_a_verdict_and_one_that_is_no_table_has_none(tmp_path):
+    shown = observed(["averaged"], tmp_path)
+    problem = load_problem(tmp_path / "observed.toml")
+    (name, law), plant = next(iter(problem.laws.items())), problem.plant
+    rates = [dt.growth_rate(plant, law, i, problem.step) for i in range(plant.modes)]
+    assert jobs.growth_rates(problem, name) == rates
+    assert jobs.growth_elsewhere(shown.draft, shown.source, name) == rates
+    ruled = dt.StateDependentPredictor(plant, law.law.gains, dt.HalfSpace([1.0, 0.0]))
+    assert jobs.growth_rates(replace(problem, laws={"ruled": ruled}), "ruled") == []
+
+
+@pytest.mark.long
+def test_a_law_on_outputs_has_a_worst_signal_and_a_column_of_the_chart(tmp_path):
+    shown = observed(["averaged"], tmp_path)
+    problem = load_problem(tmp_path / "observed.toml")
+    (name, law), plant = next(iter(problem.laws.items())), problem.plant
+    rates = [dt.growth_rate(plant, law, i, problem.step) for i in range(plant.modes)]
+    signal = jobs.worst_signal(shown.draft, shown.source, name, 0.6)
+    assert signal["growth_rate"] >= max(rates) - 1e-9
+    certified, refuted, reason = jobs.margin(shown.draft, shown.source, name, (0.02, 0.03), 0.6)
+    assert (certified, reason) == (0.03, "")
+    assert math.isnan(refuted)
 
 
 def test_a_column_without_an_answer_says_why():

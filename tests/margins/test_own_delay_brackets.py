@@ -1,6 +1,7 @@
 """Between proof and refutation is little on plants with two different delays."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ PATH = Path(__file__).parents[2] / "benchmarks" / "own_delays.py"
 spec = importlib.util.spec_from_file_location("own_delays", PATH)
 assert spec is not None
 assert spec.loader is not None
+sys.path.append(str(PATH.parent))  # for what scripts share
 own_delays = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(own_delays)
 

@@ -17,7 +17,7 @@ from deadtime.app.outcome import run_draft
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
 from deadtime.feedback import Law
-from deadtime.feedback.law import TableLaw
+from deadtime.feedback.recurrence import recurrence_of
 from deadtime.margins import stability_margin
 from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
@@ -75,10 +75,12 @@ def lifted_order(problem: Problem) -> int:
 def growth_rates(problem: Problem, law: str) -> list[float]:
     """Growth of a law's loop with each mode held, 1/s; none where that is not defined."""
     chosen = problem.laws.get(law)
-    if chosen is None or problem.step is None or not isinstance(chosen, TableLaw):
+    if chosen is None or problem.step is None:
         return []
     modes = range(problem.plant.modes)
     try:
+        if recurrence_of(chosen, problem.step) is None:
+            return []
         return [growth_rate(problem.plant, chosen, i, step=problem.step) for i in modes]
     except DeadtimeError:
         return []

@@ -73,7 +73,9 @@ class Certificate:
         message = f"Stable for every admissible signal{_also(evidence)}, proved: the loop {pace}."
         return cls(True, message, rate, True, statement(evidence, cells), None, evidence)
 
-    def lyapunov(self, mode: int = 0, age: int = 0) -> Float[np.ndarray, "order order"]:
+    def lyapunov(
+        self, mode: int = 0, age: int = 0, lost: int = 0
+    ) -> Float[np.ndarray, "order order"]:
         """P_{mode,age} of V = ξᵀ P ξ, ξ = (x_k, w_k, u_{k−1}, …, u_{k−W}).
 
         w is what a law remembers of its outputs, (x̄, s) of `feedback.recurrence`; nothing of a law
@@ -85,6 +87,8 @@ class Certificate:
             The mode seen at the sample.
         age : int
             How many samples it has been seen for before.
+        lost : int
+            How many samples in a row were lost just before this one.
 
         Raises
         ------
@@ -96,7 +100,10 @@ class Certificate:
             raise ArgumentError(f"certificate has no Lyapunov function: {self.message}")
         mode = index("mode", mode, evidence.setting.A.shape[1])
         last = evidence.setting.transitions.clocks[mode].last
-        return evidence.lyapunov(mode, min(count("age", age, 0), last))
+        most = evidence.setting.lost_samples
+        if count("lost", lost, 0) > most:
+            raise ArgumentError(f"lost must be at most {most}, the certificate's, got {lost}.")
+        return evidence.lyapunov(mode, min(count("age", age, 0), last), lost)
 
     def save(self, path: str | Path) -> Path:
         """Write the certificate to a JSON file, which `verify` proves again.

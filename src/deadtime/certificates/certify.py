@@ -22,6 +22,7 @@ from deadtime.certificates.clock import (
     CLOCK_TOLERANCE,
     clock_tolerance_in_range,
     lag_in_range,
+    losses_in_range,
 )
 from deadtime.certificates.dwell.frame import whole
 from deadtime.certificates.dwell.search import Level, Search
@@ -29,13 +30,18 @@ from deadtime.certificates.dwell.stretch_search import StretchSearch
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
 from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.validate import MOST_TOLD
-from deadtime.certificates.reach import LARGEST, out_of_reach, told_late, too_large, why_no_table
+from deadtime.certificates.reach import (
+    out_of_reach,
+    told_late,
+    too_large,
+    too_many_told,
+    why_no_table,
+)
 from deadtime.certificates.signals import admissible_signals, of_setting, times_and_ways
 from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
-from deadtime.feedback.recurrence import recurrence_of
+from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.switched_system import check_delays
 from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
@@ -63,6 +69,7 @@ def certify(
     decay_rate: float | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
     mode_lag: int = 0,
+    lost_samples: int = 0,
     search_signals: bool = True,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Certificate:
@@ -105,6 +112,10 @@ def certify(
     mode_lag : int
         L, in periods: the law is told the mode of L samples ago, as in a run with
         `imperfections.ModeDelay(L)`. For a law that does not read the mode it changes nothing.
+    lost_samples : int
+        L, at most that many samples in a row may be lost, whichever: at a lost one the law learns
+        neither x or y nor the mode, as in a run with `imperfections.Dropout`. A law of the state
+        holds its input, an observer predicts.
     search_signals : bool
         Whether to look for a signal under which the loop grows where no certificate is found.
     progress : callable
@@ -145,17 +156,19 @@ def certify(
         raise ArgumentError(f"decay_rate must be ≥ 0, in 1/s, got {decay_rate:g}.")
     tolerance = clock_tolerance_in_range(clock_tolerance)
     mode_lag = lag_in_range(mode_lag)
+    lost_samples = losses_in_range(lost_samples, mode_lag)
     reason = out_of_reach(plants, law, min(signals.dwell_time), step, tolerance)
     reason = reason or why_unmoved(plants)
-    if reason:
-        return Certificate(None, reason)
-    table = recurrence_of(law, step)
+    table = None if reason else recurrence_of(law, step)
     if table is None:
-        return Certificate(None, why_no_table(law))
+        return Certificate(None, reason or why_no_table(law))
     late = told_late(law, mode_lag)
     if late:
         return Certificate(None, late)
     least, most, following = times_and_ways(signals)
+    reads = bool(np.any(table.state_gain) or np.any(table.input_gain))
+    lost_samples = lost_samples if reads else 0
+    table = with_lost_rows(law, table) if lost_samples else table
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
@@ -172,15 +185,11 @@ def certify(
         mode_lag if table.context != "none" and plants[0].modes > 1 else 0,
         table.memory,
         following,
+        lost_samples,
     )
-    if setting.mode_lag * len(setting.F) > MOST_TOLD:
-        return Certificate(
-            None,
-            f"mode_lag = {mode_lag} periods with a table of {len(setting.F):,} rows leaves too "
-            "many rows that may be told: lengthen the step.",
-        )
-    if setting.order > LARGEST:
-        return Certificate(None, too_large(setting.order))
+    reason = too_many_told(setting) or too_large(setting.order)
+    if reason:
+        return Certificate(None, reason)
     return _decide(plants, law, table, setting, decay_rate, search_signals, progress)
 
 
@@ -224,23 +233,37 @@ def _decide(
         fastest = max(0.0, -slowest)
     else:  # no mode lasts: at best the loop decays as in the fastest one
         fastest = max(0.0, *(-rate for rate, _, _ in rates))
+    early = search_signals and setting.lost_samples > 0  # the search is quick, functions are not
+    searched = _searched(corners, law, setting, progress) if early else []
+    if searched and searched[-1].stable is False:
+        return searched[-1]
     evidence, outcome = _evidence(setting, _rates(wanted, fastest), progress)
     if evidence is not None:
         return Certificate.of(evidence, outcome.cells)
     if not search_signals:
         return Certificate(None, f"Inconclusive: {outcome.reason}.")
-    searched = []
-    progress("looking for a signal that grows")
-    for corner in corners:
-        searched.append(_refute(corner, law, setting, ""))
-        if searched[-1].stable is False:
-            return searched[-1]
+    searched = searched or _searched(corners, law, setting, progress)
+    if searched[-1].stable is False:
+        return searched[-1]
     return Certificate(
         None,
         f"Inconclusive: {outcome.reason}, and no admissible signal was proved to grow either. "
         f"{searched[0].message}",
         witness=searched[0].witness,
     )
+
+
+def _searched(
+    corners: list[SwitchedSystem], law: Law, setting: Setting, progress: Callable[[str], None]
+) -> list[Certificate]:
+    """The worst signal of every corner, up to the first that is proved to grow."""
+    searched = []
+    progress("looking for a signal that grows")
+    for corner in corners:
+        searched.append(_refute(corner, law, setting, ""))
+        if searched[-1].stable is False:
+            break
+    return searched
 
 
 def _ends(delays: tuple[float, float] | np.ndarray) -> list[float] | list[np.ndarray]:
@@ -281,16 +304,18 @@ def _rate(rho: float, setting: Setting) -> str:
 
 def _levels(setting: Setting) -> list[Level | None]:
     """What to try, quickest first; None: along stretches."""
-    levels: tuple[Level | None, ...] = REMEMBERED_LEVELS if setting.memory else LEVELS
+    remembers = setting.memory or setting.lost_samples
+    levels: tuple[Level | None, ...] = REMEMBERED_LEVELS if remembers else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
         every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
     if along and setting.order <= whole(setting):  # V of the others would be found there
-        quick = setting.inputs and not setting.memory
+        quick = setting.inputs and not remembers
         levels = (*levels[: levels.index(None)], None) if quick else (None,)
-    most = 2 if setting.order > LARGE or setting.family.ranges else 4
+    many = setting.order > LARGE or setting.family.ranges or setting.lost_samples
+    most = 2 if many else 4
     return [level for level in levels if (along if level is None else level.eigenvectors <= most)]
 
 
@@ -316,6 +341,7 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
             transitions=signals.transitions,
             clock_tolerance=setting.clock_tolerance,
             mode_lag=setting.mode_lag,
+            lost_samples=setting.lost_samples,
         )
     except DeadtimeError as error:
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")

@@ -7,6 +7,7 @@ from deadtime.base.errors import ArgumentError
 
 CLOCK_TOLERANCE = 1e-5  # quartz, and far more than binary64 and the simulator round
 MOST_PERIODS = 100_000  # of a dwell time: more is a slip of units
+MOST_LOST = 100
 LEAST, MOST = 1e-8, 0.1  # the simulator moves switches within 1e-9 periods of a sample onto it
 
 
@@ -27,6 +28,21 @@ def lag_in_range(value: int) -> int:
         raise ArgumentError(
             f"mode_lag must be at most {MOST_PERIODS:,} periods, got {value:,}: is it in periods, "
             "not in milliseconds?"
+        )
+    return value
+
+
+def losses_in_range(value: int, mode_lag: int = 0) -> int:
+    """A number of samples in a row that may be lost."""
+    if count("lost_samples", value, 0) > MOST_LOST:
+        raise ArgumentError(
+            f"lost_samples must be at most {MOST_LOST} in a row, got {value:,}: the Lyapunov "
+            "function is another one after every number of them."
+        )
+    if value and mode_lag:
+        raise ArgumentError(
+            "lost_samples and mode_lag exclude each other: a lost sample tells the mode late by "
+            "itself; give one of them."
         )
     return value
 

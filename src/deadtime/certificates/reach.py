@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from deadtime.certificates.proof.transitions import shortest
+from deadtime.certificates.proof.evidence import Setting
+from deadtime.certificates.proof.sojourns import shortest
+from deadtime.certificates.proof.validate import MOST_TOLD
 from deadtime.feedback import Law
 from deadtime.feedback.law import TableLaw
 from deadtime.feedback.memory import WithMemory
@@ -60,8 +62,23 @@ def told_late(law: Law, mode_lag: int) -> str:
     )
 
 
+def too_many_told(setting: Setting) -> str:
+    """Why a mode told late, or not told, has no certificate with so many rows, if so."""
+    late, rows = setting.mode_lag or setting.lost_samples, len(setting.F)
+    if late * rows <= MOST_TOLD:
+        return ""
+    name = "mode_lag" if setting.mode_lag else "lost_samples"
+    periods = " periods" if setting.mode_lag else ""
+    return (
+        f"{name} = {late}{periods} with a table of {rows:,} rows leaves too many rows that may be "
+        "told: lengthen the step."
+    )
+
+
 def too_large(order: int) -> str:
-    """An estimate of what a loop of this order would take."""
+    """An estimate of what a loop of this order would take, if that is too much."""
+    if order <= LARGEST:
+        return ""
     gigabytes, minutes = 14 * 8e-9 * order**2 + 3e-7 * order**2, 0.5 * (order / 1000) ** 3
     return (
         f"the lifted loop has order {order:,}: a certificate would take about {gigabytes:.1f} GB "

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import count, instance, number, positive
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.wording import number_of
-from deadtime.certificates.clock import lag_in_range
+from deadtime.certificates.clock import lag_in_range, losses_in_range
 from deadtime.certificates.proof import check, load_evidence
 from deadtime.certificates.proof.archive import claims_too_much
 from deadtime.certificates.proof.evidence import Setting
@@ -25,7 +25,7 @@ from deadtime.certificates.proof.statement import decay_rate, signals_in_words, 
 from deadtime.certificates.proof.validate import why_malformed
 from deadtime.certificates.signals import of_setting
 from deadtime.feedback import Law
-from deadtime.feedback.recurrence import recurrence_of
+from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
 
@@ -74,6 +74,7 @@ class Asked:
     chatter: int | None = None
     clock_tolerance: float | None = None
     mode_lag: int | None = None
+    lost_samples: int | None = None
 
     def missing_from(self, setting: Setting) -> str:
         """How a certificate falls short of it, if it does."""
@@ -102,6 +103,12 @@ class Asked:
                 f"the certificate is about a law that is told the mode {setting.mode_lag} periods "
                 f"late, not {lag} (mode_lag=, --mode-lag)."
             )
+        lost = self.lost_samples or 0
+        if lost > setting.lost_samples and (setting.F.any() or setting.G.any()):
+            return (
+                f"the certificate is about a loop of which at most {setting.lost_samples} samples "
+                f"in a row are lost, not {lost} (lost_samples=, --lost-samples)."
+            )
         if law is None:
             return ""
         try:
@@ -110,6 +117,7 @@ class Asked:
             return f"the certificate is about another period than the law's: {error}"
         if table is None:
             return f"the certificate is about a table, and {type(law).__name__} is none."
+        table = with_lost_rows(law, table) if setting.lost_samples else table
         kinds = (table.context, table.ages, table.memory)
         kinds = kinds == (setting.context, setting.ages, setting.memory)
         F, G = table.state_gain, table.input_gain
@@ -169,6 +177,7 @@ def verify(
     chatter: int | None = None,
     clock_tolerance: float | None = None,
     mode_lag: int | None = None,
+    lost_samples: int | None = None,
 ) -> Verification:
     """Verify a certificate from its file: no solver, nothing believed but the numbers.
 
@@ -194,6 +203,8 @@ def verify(
         The part by which the clock may be off.
     mode_lag : int, optional
         How many periods late the law is told the mode; 0 where a law is given.
+    lost_samples : int, optional
+        How many samples in a row may be lost; a certificate for more of them will do.
 
     Raises
     ------
@@ -226,7 +237,10 @@ def verify(
     chatter = None if chatter is None else count("chatter", chatter)
     tolerance = None if clock_tolerance is None else number("clock_tolerance", clock_tolerance)
     lag = None if mode_lag is None else lag_in_range(mode_lag)
-    asked = Asked(plant, law, step, dwell_time, maximum_dwell, transitions, chatter, tolerance, lag)
+    lost = None if lost_samples is None else losses_in_range(lost_samples)
+    asked = Asked(
+        plant, law, step, dwell_time, maximum_dwell, transitions, chatter, tolerance, lag, lost
+    )
     archived = load_evidence(Path(path))
     evidence, setting = archived.evidence, archived.evidence.setting
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml --law mean --delays [0.3,0.1] [0.32,0.12]",
         "deadtime certify problem.toml --law expected --mode-lag 3",
         "deadtime certify problem.toml --law expected --longest-mode-lag",
+        "deadtime certify problem.toml --lost-samples 2",
     ),
 )
 def certify(
@@ -42,6 +43,7 @@ def certify(
     decay_rate: float | None = None,
     delays: tuple[str, str] | None = None,
     mode_lag: int = 0,
+    lost_samples: int = 0,
     least_dwell_time: bool = False,
     mode: int | None = None,
     longest_mode_lag: bool = False,
@@ -75,6 +77,9 @@ def certify(
         What is proved then holds for every delay in its range; each range lies in one period.
     mode_lag
         How many periods late the laws are told the mode, as by the imperfection mode_delay.
+    lost_samples
+        How many samples in a row may be lost, at most, whichever: what is proved then holds for
+        every loss of them, as by the imperfection dropout.
     least_dwell_time
         Look for the least dwell time instead: the shortest proved, and the longest refuted. Several
         dwell times, of the problem or given, move in proportion.
@@ -95,10 +100,12 @@ def certify(
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
         one = dwell_time is not None and "," not in dwell_time and mode is None
-        if one or any(option is not None for option in (decay_rate, delays, out)):
+        given = any(option is not None for option in (decay_rate, delays, out))
+        if one or given or lost_samples != 0:
             raise ArgumentError(
                 "--least-dwell-time looks for the dwell time itself: leave out --dwell-time (but "
-                "for one per mode, to keep in proportion), --decay-rate, --delays and --out."
+                "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples "
+                "and --out."
             )
         signals = _kept(chosen, dwell_time, maximum_dwell, mode)
         return least_dwell_times(chosen, law, signals, json_output)
@@ -106,10 +113,10 @@ def certify(
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
     if longest_mode_lag:
         given = (decay_rate, delays, out)
-        if any(one is not None for one in given) or mode_lag != 0:
+        if any(one is not None for one in given) or mode_lag != 0 or lost_samples != 0:
             raise ArgumentError(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
-                "--decay-rate, --delays and --out."
+                "--lost-samples, --decay-rate, --delays and --out."
             )
     asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
     if longest_mode_lag:
@@ -128,6 +135,7 @@ def certify(
             progress=advance,
             delays=ranges,
             mode_lag=mode_lag,
+            lost_samples=lost_samples,
             trying=lambda what: advance(what, 0),
             **asked.options,
         )
@@ -135,9 +143,10 @@ def certify(
     if json_output:
         record = about(chosen, period) | _recorded(asked) | {"delays": ranges}
         record |= {"mode_lag": mode_lag} if mode_lag else {}
+        record |= {"lost_samples": lost_samples} if lost_samples else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
-        _print_judged(chosen, judged, asked, (period, mode_lag), law is not None)
+        _print_judged(chosen, judged, asked, (period, mode_lag, lost_samples), law is not None)
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
     return 0 if law is None or judged[0].stable else 1
@@ -160,6 +169,7 @@ def verify(
     maximum_dwell: str | None = None,
     step: float | None = None,
     mode_lag: int | None = None,
+    lost_samples: int | None = None,
     json_output: AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
@@ -184,6 +194,8 @@ def verify(
         The sampling period in seconds that it must have; by default that of the problem.
     mode_lag
         How many periods late the law must be told the mode; with a problem 0 by default.
+    lost_samples
+        How many samples in a row it must allow to be lost.
     json_output
         Print the result as JSON instead of text.
     """
@@ -198,7 +210,12 @@ def verify(
         times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
         least, most = (one_or_all(one) for one in times)
         result = check(
-            certificate, dwell_time=least, maximum_dwell=most, step=step, mode_lag=mode_lag
+            certificate,
+            dwell_time=least,
+            maximum_dwell=most,
+            step=step,
+            mode_lag=mode_lag,
+            lost_samples=lost_samples,
         )
     else:
         chosen = _with_step(problem_of(problem), step)
@@ -206,8 +223,8 @@ def verify(
         asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
         dwell = asked.dwell.value
         only = None if law is None else laws[law]
-        lag = mode_lag or 0
-        result = check(certificate, chosen.plant, only, step=period, mode_lag=lag, **asked.options)
+        late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples}
+        result = check(certificate, chosen.plant, only, step=period, **late, **asked.options)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
@@ -322,7 +339,7 @@ def _print_judged(
     problem: Problem,
     judged: list[Judged],
     asked: Signals,
-    sampled: tuple[float, int],
+    sampled: tuple[float, int, int],
     in_full: bool,
 ) -> None:
     from deadtime.base.wording import number_of
@@ -335,8 +352,9 @@ def _print_judged(
         left_out,
     )
 
-    console, (step, lag) = Terminal(), sampled
+    console, (step, lag, lost) = Terminal(), sampled
     late = f"; laws are told the mode {number_of(lag, 'period')} late" if lag else ""
+    late += f"; up to {number_of(lost, 'sample')} in a row may be lost" if lost else ""
     stays, switches = asked.constraint.in_words()
     console.print(problem.title, style="bold", markup=False)
     console.print(

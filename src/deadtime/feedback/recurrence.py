@@ -12,6 +12,10 @@ l over the lags at which inputs reach the model, C and C_i the true outputs and 
 (w_{k+1}, u_k) are rows of a table over (x_k, w_k, u_{k−1}, …). The first `Feedback.memory` of what
 it gives are w: the plant does not read them, and the law reads the last of them. The reference is
 0, every sample is measured, and every input is applied as asked for.
+
+Where a sample is lost, `with_lost_rows`: an observer goes on as if it had been told C_i x̄, what it
+expects, so x̂ = x̄ and v = H C_i x̄, i the mode that it was told last; a law of the state holds its
+last input, u_k = u_{k−1}. These are rows of their own.
 """
 
 from __future__ import annotations
@@ -49,7 +53,41 @@ def recurrence_of(law: Law, step: float, signal: SwitchingSignal | None = None) 
     tables = law.tables(step, signal, 1)
     if tables is None or tables.feedback is None or tables.memory is None:
         return None
-    return _joined(tables.feedback, tables.memory, law.outputs)
+    return _joined(tables.feedback, tables.memory, law.outputs, lost=False)
+
+
+def with_lost_rows(law: Law, table: Feedback) -> Feedback:
+    """The table of `recurrence_of` with as many rows again: those of a sample that is lost.
+
+    The row c of a sample that is measured becomes c + rows where it is lost.
+
+    Examples
+    --------
+    >>> import deadtime as dt
+    >>> problem = dt.problems.paper()
+    >>> law = dt.AveragedPredictor(problem.plant, problem.gains)
+    >>> both = with_lost_rows(law, recurrence_of(law, 0.1))
+    >>> both.state_gain[1].tolist(), both.input_gain[1, :2].ravel().tolist()
+    ([[0.0, 0.0]], [1.0, 0.0])
+    """
+    F, G = np.zeros_like(table.state_gain), np.zeros_like(table.input_gain)
+    if isinstance(law, WithMemory) and law.outputs is not None:
+        tables = law.tables(table.step, SwitchingSignal.constant(0), 1)
+        assert tables is not None
+        assert tables.feedback is not None
+        assert tables.memory is not None
+        lost = _joined(tables.feedback, tables.memory, law.outputs, lost=True)
+        F, G = lost.state_gain, lost.input_gain
+    else:
+        G[:, 0] = np.eye(F.shape[1])
+    return Feedback(
+        np.concatenate((table.state_gain, F)),
+        np.concatenate((table.input_gain, G)),
+        table.context,
+        table.step,
+        table.ages,
+        memory=table.memory,
+    )
 
 
 def same_outputs(law: Law) -> bool:
@@ -60,7 +98,9 @@ def same_outputs(law: Law) -> bool:
     return law.outputs is None or bool(np.all(law.outputs == law.outputs[:1]))
 
 
-def _joined(feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"]) -> Feedback:
+def _joined(
+    feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode p n"], lost: bool
+) -> Feedback:
     """The table of (w, u) from those of u and of w, `outputs` being the plant's C."""
     modes, _, n = outputs.shape
     by_mode = feedback.context == "none" and modes > 1
@@ -68,7 +108,7 @@ def _joined(feedback: Feedback, memory: Memory, outputs: Float[np.ndarray, "mode
     rows = range(modes if by_mode else len(feedback.state_gain))
     pairs = [(c, 0) if by_mode else (c // feedback.ages, c) for c in rows]
     taps = max(feedback.taps, int(memory.lag.max()))
-    found = np.stack([_row(feedback, memory, outputs[i], i, row, taps) for i, row in pairs])
+    found = np.stack([_row(feedback, memory, outputs[i], i, row, taps, lost) for i, row in pairs])
     m, q = feedback.state_gain.shape[1], memory.gain.shape[1] + memory.push.shape[2]
     G = np.zeros((len(found), taps, q + m, q + m))
     G[:, 0, :, :q] = found[:, :, n : n + q]
@@ -85,13 +125,15 @@ def _row(
     mode: int,
     row: int,
     taps: int,
+    lost: bool,
 ) -> Float[np.ndarray, "out columns"]:
     """(w_{k+1}, u_k) over (x_k, w_k, u_{k−1}, …, u_{k−taps}), under a row in a mode."""
     n, n_o, sums = C.shape[1], memory.gain.shape[1], memory.push.shape[2]
     F, m, h = feedback.state_gain[row], feedback.state_gain.shape[1], memory.step
     unit = np.eye(n + n_o + sums + taps * m)
     x, x_bar, s, past = np.split(unit, np.cumsum([n, n_o, sums]))
-    measured, v = C @ x, memory.tracked[:sums] @ (C @ x)
+    measured = memory.C[mode] @ x_bar if lost else C @ x
+    v = memory.tracked[:sums] @ measured
     estimate = x_bar + memory.gain[mode] @ (measured - memory.C[mode] @ x_bar)
     u = F[:, :n_o] @ estimate + F[:, n_o : n_o + sums] @ (s + h / 2.0 * v)
     u = u + feedback.latest_first[row] @ past[: feedback.taps * m]

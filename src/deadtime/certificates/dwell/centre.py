@@ -60,8 +60,8 @@ class Model:
         if not any(eigenvectors):
             return model
         blocks = [
-            _dominant(loop_matrix(setting, full[i], oldest_row(setting, i)), count)
-            for i, count in enumerate(eigenvectors)
+            _dominant(loop_matrix(setting, full[i], row), eigenvectors[i])
+            for i, row in _oldest(setting)
         ]
         Psi = np.concatenate([block for block, _ in blocks])
         channels = Channels.of(setting, Centre(E, row, R, T, Psi, np.zeros((len(Psi), 0))))
@@ -98,6 +98,16 @@ def oldest_row(setting: Setting, mode: int) -> int:
     return setting.transitions.row(mode, setting.transitions.clocks[mode].last)
 
 
+def _oldest(setting: Setting) -> list[tuple[int, int]]:
+    """Every mode with that row, and where samples may be lost with that of a lost one, too."""
+    modes = range(setting.transitions.modes)
+    pairs = [(i, oldest_row(setting, i)) for i in modes]
+    if setting.lost_samples:
+        count = setting.transitions.measured
+        pairs += [(i, count + row) for i, row in pairs]
+    return pairs
+
+
 def loop_matrix(setting: Setting, E: np.ndarray, row: int) -> np.ndarray:
     """M of ξ⁺ = M ξ in a period of plant rows E under one row of the table."""
     n, d, unit = setting.states, setting.order, np.eye(setting.order)
@@ -127,7 +137,7 @@ def _directions(
         if lag:
             there = setting.input_at(lag, j)
             T[:, :, place], others[:, :, there] = differences[:, :, there], 0.0
-    lasts = [oldest_row(setting, i) for i in range(setting.transitions.modes)]
+    lasts = [row for _, row in _oldest(setting)]
     size = max(float(np.abs(differences).max()), 1e-300) * count
     first = _singular(others[lasts].reshape(-1, d), size)[1]
     left = others.reshape(count * m, d)
@@ -184,13 +194,13 @@ def _filter(
     at = 0
     # w_i(v, w): w_u = T_i (y, r), y_i = y − D w + D w_u, then w_x = (E_i − E₀) y_i.
     D = channels.D[:y]
-    for i, (Psi, Lambda) in enumerate(blocks):
+    for (i, row), (Psi, Lambda) in zip(_oldest(setting), blocks, strict=True):
         rows = slice(at, at + len(Psi))
         would = np.zeros((w, v + w))
         difference = full[i] - model.centre.E
         would[:n, :y] = difference
         if setting.rows_differ:
-            T = model.centre.T[oldest_row(setting, i)]
+            T = model.centre.T[row]
             would[n:, : y + r] = T
             would[:n, : y + r] += difference @ D[:, n:] @ T
             would[:n, v:] = -difference @ D

@@ -15,7 +15,7 @@ from deadtime.certificates.dwell.centre import loop_matrix
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.transitions import Stretch, Transition
 
-Node = tuple[int, int]  # (mode, which knot)
+Node = tuple[int, int]  # (place: mode and lost samples, which knot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,16 +24,20 @@ class Leap:
 
     stretch: Stretch
     M: np.ndarray
+    setting: Setting
 
     @property
     def here(self) -> Node:
         """The node it starts from."""
-        return self.stretch.step.mode, self.stretch.knot
+        step = self.stretch.step
+        return self.setting.transitions.place(step.mode, step.lost), self.stretch.knot
 
     @property
     def there(self) -> Node:
         """The node it ends at."""
-        return self.stretch.step.after, self.stretch.next_knot
+        step = self.stretch.step
+        place = self.setting.transitions.place(step.after, step.next_lost)
+        return place, self.stretch.next_knot
 
     def in_units(self, rho: float, units: np.ndarray) -> np.ndarray:
         """M in other units of ξ, divided by ρ to the number of periods."""
@@ -55,7 +59,7 @@ class Leaps:
         after = self._following(step, stretch.follows)
         steps = plant_rows(self.setting, step, instants or step.instants)
         periods = [loop_matrix(self.setting, E, step.row) for E in steps]
-        return [Leap(stretch, after @ M @ before) for M in periods]
+        return [Leap(stretch, after @ M @ before, self.setting) for M in periods]
 
     def full(self, mode: int, start: int, end: int) -> np.ndarray:
         """The product of the full steps from one age to another, by halves."""

@@ -100,7 +100,8 @@ def solve(
     v, w = len(units.v), len(units.w)
     s = len(model.centre.Psi)
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
-    unknowns = pi_size + model.setting.A.shape[1] * len(knots) * s_size + 2
+    places = model.setting.transitions.places
+    unknowns = pi_size + places * len(knots) * s_size + 2
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
     for sample in samples:
         block = _at_step(model, sample, units, knots, rho, unknowns)
@@ -120,7 +121,7 @@ def solve(
         return None
     x, status = answer
     Pi = unpack(x[:pi_size], v + w)
-    parts = x[pi_size:-2].reshape(model.setting.A.shape[1], len(knots), s_size)
+    parts = x[pi_size:-2].reshape(places, len(knots), s_size)
     S = np.array([[unpack(part, s) for part in mode] for mode in parts])
     return Solution(float(x[-1]), float(x[-2]), Pi, S.reshape(*parts.shape[:2], s, s), status)
 
@@ -164,12 +165,13 @@ def _at_step(
         here = np.eye(v, v + extra)[v - s :]
         there = model.centre.F * scale / units.v[v - s :, None] @ T / rho
         step = sample.transition
-        for mode, age, left, sign in (
-            (step.mode, step.age, here, 1.0),
-            (step.after, step.next_age, there, -1.0),
+        place = model.setting.transitions.place
+        for node, age, left, sign in (
+            (place(step.mode, step.lost), step.age, here, 1.0),
+            (place(step.after, step.next_lost), step.next_age, there, -1.0),
         ):
             products = squares(left)
             for knot, weight in interpolation(knots, age):
-                at = pi_size + (mode * len(knots) + knot) * s_size
+                at = pi_size + (node * len(knots) + knot) * s_size
                 M[at : at + s_size] += sign * float(weight) * products
     return M

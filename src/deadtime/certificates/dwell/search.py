@@ -65,7 +65,8 @@ class Search:
         self.model = Model.of(setting, (level.eigenvectors,) * modes, level.rank)
         last = setting.transitions.last
         marks = np.linspace(0, last, level.segments + 1).round().astype(int)
-        told = [setting.mode_lag] if 0 < setting.mode_lag < last else []
+        late = max(setting.mode_lag, setting.lost_samples)
+        told = [late] if 0 < late < last else []
         knots = sorted({*(int(mark) for mark in marks), *told})
         self.knots = tuple(knots) if level.eigenvectors else (0,)
         self.looked_at: set[tuple[Transition, Any, float]] = set()

@@ -2,7 +2,7 @@
 
 The nodes are few: the first age at which a mode may be left and the last that is told apart, two
 between them where the order is small. Where steps are not known (a range of delays, a polytope
-of plants) no stretch has one matrix, so every age is a node.
+of plants, samples that may be lost) no stretch has one matrix, so every age is a node.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PIECES = 3  # between the first and the last age, where the order is small
 AT_FIRST = 6  # ages per pair of modes and node that the program starts from
 WORST = 12  # leaps added in a round
 MOST_WORK = 4e8  # leaps times order³
-MOST_UNKNOWNS = 1500
+MOST_UNKNOWNS, MOST_AFTER_LOSSES = 1500, 2400
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,17 +71,18 @@ class StretchSearch:
     def suits(setting: Setting) -> bool:
         """Whether there are stretches, and not too much of them."""
         graph = setting.transitions
-        if graph.bucket is not None or graph.modes == 1:
+        if graph.bucket is not None or (graph.modes == 1 and not graph.losses):
             return False
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
             return False  # at a node it would matter what was before
-        d, modes, most = setting.order, graph.modes, whole(setting)
+        d, most = setting.order, whole(setting)
         if d > most and (_unknown(setting) or 2 * (graph.first + 1) < setting.past):
             return False  # over two stretches the delay line is not yet emptied
         entries = min(d, most) * (min(d, most) + 1) // 2 + 1
-        if modes * len(knots_of(setting)) * entries > MOST_UNKNOWNS:
+        unknowns = MOST_AFTER_LOSSES if graph.losses else MOST_UNKNOWNS
+        if graph.places * len(knots_of(setting)) * entries > unknowns:
             return False
-        return 2 * graph.switching * max(d, 8) ** 3 <= MOST_WORK
+        return 2 * graph.switching * (2 * graph.losses + 1) * max(d, 8) ** 3 <= MOST_WORK
 
     def propose(self, rho: float) -> StretchEvidence | None:
         """V at the nodes with a margin at all leaps known, or None."""
@@ -131,7 +132,9 @@ class StretchSearch:
         moving = [leap for leap in leaps if leap[0][0] != leap[1][0]]
         H = functionals(moving, len(T), whole(self.setting))
         nodes = tuple(
-            (i, k) for i in range(graph.modes) for k in range(len(graph.knots_of(i, self.knots)))
+            (place, k)
+            for place in range(graph.places)
+            for k in range(len(graph.knots_of(place % graph.modes, self.knots)))
         )
         if _unknown(self.setting):
             shape, moving = Shape.of(H, {}, {}, nodes), leaps
@@ -172,10 +175,10 @@ class StretchSearch:
         return bool(low)
 
     def _evidence(self, loops: Loops, V: dict[Node, np.ndarray], rho: float) -> StretchEvidence:
-        modes, d = self.setting.transitions.modes, self.setting.order
-        P = np.zeros((modes, len(self.knots), d, d))
-        for (mode, knot), X in sorted(V.items(), key=lambda item: item[0]):
-            P[mode, knot:] = loops.frame.T @ X @ loops.frame  # past a mode's last age it is unused
+        places, d = self.setting.transitions.places, self.setting.order
+        P = np.zeros((places, len(self.knots), d, d))
+        for (place, knot), X in sorted(V.items(), key=lambda item: item[0]):
+            P[place, knot:] = loops.frame.T @ X @ loops.frame  # past a mode's last age it is unused
         P = P / np.trace(P[0, 0])
         return StretchEvidence(self.setting, 0.5 * (P + np.swapaxes(P, -1, -2)), self.knots, rho)
 
@@ -191,5 +194,5 @@ class StretchSearch:
 
 
 def _unknown(setting: Setting) -> bool:
-    """Whether the steps are not known: a range of delays, or a polytope of plants."""
-    return setting.family.ranges or len(setting.A) > 1
+    """Whether the steps are not known: ranges of delays, a polytope of plants, lost samples."""
+    return setting.family.ranges or len(setting.A) > 1 or setting.lost_samples > 0

@@ -32,7 +32,7 @@ from deadtime.certificates.proof.transitions import Following
 T = TypeVar("T")
 
 FORMAT = "deadtime certificate 2"
-COUNTS = ("mode_lag", "memory")  # of the law
+COUNTS = ("mode_lag", "memory", "lost_samples")  # of the law
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
 MOST_BYTES = 2**30  # as the verifier that shares no code with this one
 DEEPEST = 20
@@ -40,7 +40,7 @@ _BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*+"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays",
-    "law": "context ages step F G mode_lag memory",
+    "law": "context ages step F G mode_lag memory lost_samples",
     "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions",
 }
 LYAPUNOV = {"linear": "kind knots P Psi S", "stretches": "kind knots P"}
@@ -206,6 +206,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         _count(law, "mode_lag"),
         _count(law, "memory"),
         _following(signals),
+        _count(law, "lost_samples"),
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":

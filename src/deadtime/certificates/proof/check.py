@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from deadtime.base.wording import number_of
 from deadtime.certificates.proof.channels import Channels
 from deadtime.certificates.proof.evidence import Evidence
 from deadtime.certificates.proof.large import LargeInequalities
@@ -102,4 +103,7 @@ def _spread(items: Sequence[T]) -> Iterator[T]:
 
 def _fails(step: Transition) -> str:
     to = f" to mode {step.after}" if step.switches else ""
-    return f"the inequality of the step from mode {step.mode} at age {step.age}{to} fails"
+    lost = f" after {number_of(step.lost, 'lost sample')}" if step.lost else ""
+    if step.next_lost:
+        to += " without a sample"
+    return f"the inequality of the step from mode {step.mode} at age {step.age}{lost}{to} fails"

@@ -75,6 +75,9 @@ class Setting(Frozen):
         these G has nothing beyond the first tap.
     following : tuple of tuples of int, or None
         The modes that each may switch to; None for all others.
+    lost_samples : int
+        How many samples in a row may be lost. Where it is 1 or more the table has the rows of lost
+        samples, as many again, after those of measured ones.
 
     Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
@@ -94,6 +97,7 @@ class Setting(Frozen):
     mode_lag: int = 0
     memory: int = 0
     following: Following | None = None
+    lost_samples: int = 0
 
     @cached_property
     def family(self) -> Family | Box:
@@ -114,6 +118,7 @@ class Setting(Frozen):
             self.ages,
             self.mode_lag,
             self.following,
+            self.lost_samples,
         )
 
     @property
@@ -213,7 +218,8 @@ class Evidence(Frozen):
     ----------
     P : (d, d)
     Pi : (v + w, v + w)
-    S : (modes, knots, s, s)
+    S : (places, knots, s, s)
+        The modes in turn; then, where samples may be lost, the modes after one lost sample, ….
     knots : tuple of int
         Ages of S, ascending from 0.
     rho : float
@@ -224,13 +230,14 @@ class Evidence(Frozen):
     centre: Centre
     P: Float[np.ndarray, "order order"]
     Pi: Float[np.ndarray, "vw vw"]
-    S: Float[np.ndarray, "mode knot s s"]
+    S: Float[np.ndarray, "place knot s s"]
     knots: tuple[int, ...]
     rho: float
 
-    def lyapunov(self, mode: int, age: int) -> Float[np.ndarray, "order order"]:
-        """V_{mode,age}, in floats; ages up to the last that is told apart."""
+    def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
+        """V_{mode,age} after so many lost samples, in floats; up to the last age told apart."""
+        place = self.setting.transitions.place(mode, lost)
         Psi = self.centre.Psi
         weights = interpolation(self.knots, age)
-        S = sum(float(weight) * self.S[mode, knot] for knot, weight in weights)
+        S = sum(float(weight) * self.S[place, knot] for knot, weight in weights)
         return self.P + Psi.T @ S @ Psi

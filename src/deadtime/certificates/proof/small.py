@@ -66,17 +66,24 @@ class SmallInequalities:
 
     def _ends(self, transition: Transition) -> tuple[int, ...]:
         """What Θ depends on: where the transition begins and ends; on nothing without S."""
-        ends = (transition.mode, transition.age, transition.after, transition.next_age)
+        here, there = self._places(transition)
+        ends = (here, transition.age, there, transition.next_age)
         return ends if self.s else ()
 
-    def S(self, mode: int, age: int) -> Any:
-        """S_{mode, age}, interpolated exactly."""
+    def _places(self, transition: Transition) -> tuple[int, int]:
+        """Where S before and after a transition stands."""
+        place = self.evidence.setting.transitions.place
+        here = place(transition.mode, transition.lost)
+        return here, place(transition.after, transition.next_lost)
+
+    def S(self, place: int, age: int) -> Any:
+        """S_{place, age}, interpolated exactly."""
         from flint import arb, fmpq
 
         total = balls.zeros(self.s, self.s)
         for knot, weight in interpolation(self.evidence.knots, age):
             factor = arb(fmpq(weight.numerator, weight.denominator))
-            total = total + balls.exact(self.evidence.S[mode, knot]) * factor
+            total = total + balls.exact(self.evidence.S[place, knot]) * factor
         return total
 
     def form(self, transition: Transition) -> Theta:
@@ -88,8 +95,9 @@ class SmallInequalities:
             return self.forms[key]
         lines, SF = self.Pi.tolist(), None
         if self.s:
-            here = self.S(transition.mode, transition.age)
-            SF = self.S(transition.after, transition.next_age) * self.F
+            first, last = self._places(transition)
+            here = self.S(first, transition.age)
+            SF = self.S(last, transition.next_age) * self.F
             lines = (self.Pi - self.F.transpose() * SF * (1 / self.rho2)).tolist()
             at = self.v - self.s
             for i in range(self.s):

@@ -31,7 +31,13 @@ def round_down(rate: float, digits: int = 4) -> str:
 
 def signals_in_words(setting: Setting) -> str:
     """The admissible signals."""
-    return _sojourns(setting) + _switches(setting)
+    return _sojourns(setting) + _switches(setting) + _losses(setting)
+
+
+def _losses(setting: Setting) -> str:
+    """How many samples may be lost; nothing where none may."""
+    most = setting.lost_samples
+    return f", and every loss of samples with at most {most} in a row" if most else ""
 
 
 def _switches(setting: Setting) -> str:
@@ -130,8 +136,10 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
             f" It remembers {number_of(setting.memory, 'number')} besides its inputs (an estimate, "
             "and sums of errors), whose rows are products of what it computes with, rounded; what "
             "decays is these, too, where the reference is 0, no constant disturbance acts, and "
-            "every sample is measured."
+            f"{_measured(setting)}."
         )
+    elif setting.lost_samples:
+        kept = f" What decays does so where {_measured(setting)}."
     kind, parts = _how(evidence)
     how = (
         f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
@@ -153,6 +161,17 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"{' or longer than the maximum' * (setting.maximum_dwell is not None)} by the part "
         f"{setting.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
         how,
+    )
+
+
+def _measured(setting: Setting) -> str:
+    """Which samples a law has, at the least."""
+    if not setting.lost_samples:
+        return "every sample is measured"
+    return (
+        f"at most {number_of(setting.lost_samples, 'sample')} in a row "
+        f"{'is' if setting.lost_samples == 1 else 'are'} lost, whichever, by the table's rows of a "
+        "lost sample and with the mode that was told last"
     )
 
 

@@ -9,7 +9,8 @@ meets:
 
 A law that is told the mode of L samples ago acts in the first L of these a_0 ≥ L steps by what i
 was, at ages that are known, and is told j from the node on: so nothing before a node matters
-after it.
+after it. Where samples may be lost a node is a mode, an age and how many samples were lost last,
+every age is a knot, and every stretch one period.
 
 With M the product of the matrices of the L periods of a stretch, what is proved is
 
@@ -46,7 +47,8 @@ class StretchEvidence(Frozen):
 
     Attributes
     ----------
-    P : (modes, knots, d, d)
+    P : (places, knots, d, d)
+        The modes in turn; then, where samples may be lost, the modes after one lost sample, ….
     knots : tuple of int
         Ages of the nodes, ascending.
     rho : float
@@ -54,11 +56,11 @@ class StretchEvidence(Frozen):
     """
 
     setting: Setting
-    P: Float[np.ndarray, "mode knot order order"]
+    P: Float[np.ndarray, "place knot order order"]
     knots: tuple[int, ...]
     rho: float
 
-    def lyapunov(self, mode: int, age: int) -> Float[np.ndarray, "order order"]:
+    def lyapunov(self, mode: int, age: int, lost: int = 0) -> Float[np.ndarray, "order order"]:
         """V_{mode,age}, in floats: what it will be at the next node if the mode lasts so long.
 
         Between nodes it may be singular, and need not fall over a period with a switch.
@@ -78,7 +80,8 @@ class StretchEvidence(Frozen):
         with precision():
             ahead = StretchInequalities(self).full(mode, age, self.knots[knot])
         M, periods = balls.middle(ahead), self.knots[knot] - age
-        return M.T @ self.P[mode, knot] @ M / self.rho ** (2 * periods)
+        place = self.setting.transitions.place(mode, lost)
+        return M.T @ self.P[place, knot] @ M / self.rho ** (2 * periods)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +145,14 @@ class StretchInequalities:
         before = self.full(step.mode, step.age - stretch.waits, step.age)
         after = self._following(step, stretch.follows)
         period = self.rows[step.row]
-        there = balls.exact(P[step.after, stretch.next_knot]) * self.rho ** (-2 * stretch.periods)
+        place = self.setting.transitions.place
+        here = balls.exact(P[place(step.mode, step.lost), stretch.knot])
+        there = balls.exact(P[place(step.after, step.next_lost), stretch.next_knot])
+        there = there * self.rho ** (-2 * stretch.periods)
         Q = after.transpose() * there * after
         seen, rest = period.seen * before, period.rest * before
         top = balls.top(Q, n)
-        vv = balls.exact(P[step.mode, stretch.knot]) - rest.transpose() * Q * rest
+        vv = here - rest.transpose() * Q * rest
         ww = balls.top(top.transpose(), n) * -1
         form = Form.of(vv, top * rest * -1, ww, balls.zeros(n, seen.nrows()), seen)
         return self.covering.holds(form, step, [])

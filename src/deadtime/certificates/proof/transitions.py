@@ -33,101 +33,39 @@ so that the k-th sojourn back is told only if b > (k − 1) p, and then at an ag
 Where b ≤ p that is the mode before, and one row if rows go by the mode and there are two. In the
 graph any row that may be told may act: V knows the mode and its age and not what was before. Of
 dwell times of their own p is the least, and the k-th mode back one from which k switches lead here.
+
+Where up to L samples in a row may be lost, a node is (i, a, l): the last l samples were lost. A
+step under a row of a measured sample leads to l = 0, one under a row of a lost one, where l < L, to
+l + 1. At the l-th lost sample in a row the law goes by the mode that it was told l samples ago, so
+the modes are those of a lag of l. The age it counts from the first sample of the mode that it was
+told, which is up to L after the first one, and on over lost ones: any age from a − L to a; but any
+age at all of a mode that has ended, and any age above where whole sojourns may be lost, L ≥ p.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TypeVar
 
 import numpy as np
 
+from deadtime.certificates.proof.sojourns import Clock, decimal
 from deadtime.feedback.table import Context, row_of
 
 T = TypeVar("T")
 PerMode = T | tuple[T, ...]
 Following = tuple[tuple[int, ...], ...]
 
-READINGS = Fraction(1, 2**50)  # of a ratio of two numbers: decimals, and binary64, and between
-
-
-def decimal(value: float) -> Fraction:
-    """The decimal that prints as a number."""
-    return Fraction(repr(float(value)))
-
-
-def shortest(dwell_time: float, step: float, tolerance: float) -> tuple[int, float]:
-    """(the fewest full steps of a sojourn, the earliest s'/h there), rounded down.
-
-    −1 full steps: one period may hold two switches.
-
-    Examples
-    --------
-    >>> shortest(0.2, 0.1, 1e-5), shortest(0.25, 0.1, 1e-5)
-    ((0, 0.9999799999999981), (1, 0.4999749999999977))
-    """
-    part = (1 - decimal(tolerance)) * (1 - READINGS)
-    periods = part * decimal(dwell_time) / decimal(step)
-    whole = math.floor(periods)
-    return whole - 1, max(0.0, math.nextafter(float(periods - whole), 0.0))
-
-
-def longest(maximum_dwell: float, step: float, tolerance: float) -> tuple[int, float]:
-    """(the most full steps of a sojourn with a longest one, the latest s'/h there), rounded up."""
-    part = (1 + decimal(tolerance)) * (1 + READINGS)
-    periods = part * decimal(maximum_dwell) / decimal(step)
-    most = math.ceil(periods) - 1
-    return most, min(1.0, math.nextafter(float(periods - most), 1.0))
-
-
-@dataclass(frozen=True)
-class Clock:
-    """When a mode may be left, by its age in samples.
-
-    Attributes
-    ----------
-    first : int
-        The least age from which a step may switch.
-    last : int
-        The largest age that is told apart.
-    ends : bool
-        Whether the mode must be left at the age `last` (a maximum dwell time).
-    earliest, latest : float
-        The first instant of a switch at the age `first`, and the last at `last` where the mode must
-        be left then: fractions of the period.
-    """
-
-    first: int
-    last: int
-    ends: bool = False
-    earliest: float = 0.0
-    latest: float = 1.0
-
-    @classmethod
-    def of(
-        cls,
-        dwell_time: float,
-        maximum_dwell: float | None,
-        step: float,
-        tolerance: float,
-        told: int,
-    ) -> Clock:
-        """Of a dwell time and a maximum; `told` is the last age at which rows may change."""
-        first, earliest = shortest(dwell_time, step, tolerance)
-        if maximum_dwell is not None:
-            last, latest = longest(maximum_dwell, step, tolerance)
-            return cls(first, last, True, earliest, latest)
-        # The last age stands for all later ones, at which a mode may be left at any instant.
-        return cls(first, max(first + 1, told), False, earliest)
-
 
 @dataclass(frozen=True)
 class Transition:
     """One step of the graph: from (mode, age) under a row to (after, next_age).
 
-    `instants` are the first and the last fraction of the period at which it may switch.
+    `instants` are the first and the last fraction of the period at which it may switch; `lost` and
+    `next_lost` are how many samples in a row were lost before this sample, and before the next.
     """
 
     mode: int
@@ -136,6 +74,8 @@ class Transition:
     after: int
     next_age: int
     instants: tuple[float, float] = (0.0, 1.0)
+    lost: int = 0
+    next_lost: int = 0
 
     @property
     def switches(self) -> bool:
@@ -187,6 +127,9 @@ class Transitions:
         Rows per mode of a (mode, age) table.
     lag : int
         L, how many samples ago the mode was that the law is told.
+    losses : int
+        How many samples in a row may be lost; the table then has the rows of lost samples, as many
+        again, after those of measured ones. One of `lag` and `losses` is 0.
     """
 
     clocks: tuple[Clock, ...]
@@ -195,6 +138,7 @@ class Transitions:
     context: Context
     ages: int
     lag: int = 0
+    losses: int = 0
 
     @classmethod
     def of(
@@ -208,6 +152,7 @@ class Transitions:
         ages: int,
         lag: int = 0,
         following: Following | None = None,
+        losses: int = 0,
     ) -> Transitions:
         """The graph of a (dwell time, maximum dwell time) at a period, in seconds.
 
@@ -216,15 +161,17 @@ class Transitions:
         """
         following = everywhere(modes) if following is None else following
         if modes == 1:
-            return cls((Clock(0, ages - 1),), following, None, context, ages)
+            own = Clock(0, ages - 1 + losses)
+            return cls((own,), following, None, context, ages, 0, losses)
         each = zip(*(per_mode(time, modes) for time in times), strict=True)
-        told = ages - 1 + lag
+        told = ages - 1 + lag + losses
         clocks = tuple(Clock.of(low, high, step, tolerance, told) for low, high in each)
         if chatter > 1:
             first, (dwell_time, *_) = clocks[0].first, per_mode(times[0], modes)
             last = max(first, math.ceil(chatter * decimal(dwell_time) / decimal(step)))
-            return cls((Clock(first, last),) * modes, following, first, context, ages, lag)
-        return cls(clocks, following, None, context, ages, lag)
+            clocks = (Clock(first, last),) * modes
+            return cls(clocks, following, first, context, ages, lag, losses)
+        return cls(clocks, following, None, context, ages, lag, losses)
 
     @property
     def modes(self) -> int:
@@ -260,8 +207,24 @@ class Transitions:
         """The row of the table at (mode, age), where that is what the law is told."""
         return row_of(self.context, self.ages, mode, max(0, age - self.lag))
 
+    @property
+    def measured(self) -> int:
+        """How many rows the table has of measured samples."""
+        return 1 if self.context == "none" else self.modes * self.ages
+
+    def place(self, mode: int, lost: int) -> int:
+        """Where V of a mode after so many lost samples stands among all of them."""
+        return lost * self.modes + mode
+
+    @property
+    def places(self) -> int:
+        """How many pairs of a mode and a number of lost samples there are."""
+        return (self.losses + 1) * self.modes
+
     def rows(self, mode: int, age: int) -> list[int]:
         """The rows that may apply: of what may be told, and of any age at a bucket's level."""
+        if self.losses:
+            return self._measured_rows(mode, age)
         if self.bucket is not None and self.lag:
             return list(range(self.modes * self.ages))
         if self.bucket is not None and self.context == "mode_age":
@@ -270,6 +233,30 @@ class Transitions:
             return [self.row(mode, age)]
         told = self._before(mode, self.lag - age).items()
         return [i * self.ages + a for i, least in sorted(told) for a in range(least, self.ages)]
+
+    def _measured_rows(self, mode: int, age: int, since: int = 0) -> list[int]:
+        """The rows of a measured sample, by the ages that a law may count; `since` samples ago."""
+        if self.context != "mode_age":
+            return [row_of(self.context, 1, mode, 0)]
+        first, last = max(0, age - since - self.losses) + since, age
+        if self.bucket is not None or self.losses > self.first:  # a whole sojourn may be lost
+            first, last = (0 if self.bucket is not None else first), self.ages - 1
+        ages = range(min(first, self.ages - 1), min(last, self.ages - 1) + 1)
+        return [mode * self.ages + a for a in ages]
+
+    def lost_rows(self, mode: int, age: int, lost: int) -> list[int]:
+        """The rows that may apply at the `lost`-th sample in a row that is lost."""
+        count = self.measured
+        if self.context == "none":
+            rows = [0]
+        elif self.bucket is not None:
+            rows = list(range(count))
+        elif age >= lost or self.modes == 1:
+            rows = self._measured_rows(mode, age, lost)
+        else:
+            told = sorted(self._before(mode, lost - age))
+            rows = [i * self.ages + a for i in told for a in range(self.ages)]
+        return [count + row for row in rows]
 
     def _before(self, mode: int, samples: int) -> dict[int, int]:
         """Which modes may have been seen so many samples before one was, and their least ages."""
@@ -306,9 +293,11 @@ class Transitions:
         segment imply the others.
         """
         changing = self.ages if self.context == "mode_age" and self.bucket is None else 0
-        shared = {*knots, 0, changing + self.lag}
+        shared = {*knots, 0, changing + self.lag + self.losses}
         if self.lag:
             shared |= self._changes()
+        if self.losses:
+            changing += self.losses
         shared |= {knot + (self.bucket or 0) for knot in knots}
         transitions = []
         for i, clock in enumerate(self.clocks):
@@ -317,12 +306,27 @@ class Transitions:
             for a in range(clock.last + 1):
                 if not (self.lag <= a < self.lag + changing or a in ends):
                     continue
-                for row in self.rows(i, a):
-                    if a < clock.last or not clock.ends:
-                        after = min(a + 1, clock.last)
-                        transitions.append(Transition(i, a, row, i, after))
-                    transitions += self.switches(i, a, row)
+                for row, lost, next_lost in self._told(i, a):
+                    transitions += self._steps(i, a, row, lost, next_lost)
         return transitions
+
+    def _told(self, mode: int, age: int) -> Iterator[tuple[int, int, int]]:
+        """The rows that may act, and the numbers of lost samples before this one and the next."""
+        for lost in range(self.losses + 1):
+            for row in self.rows(mode, age):
+                yield row, lost, 0
+            for row in self.lost_rows(mode, age, lost + 1) if lost < self.losses else ():
+                yield row, lost, lost + 1
+
+    def _steps(self, mode: int, age: int, row: int, lost: int, next_lost: int) -> list[Transition]:
+        """A step without a switch, where the mode may last, and those with one."""
+        clock, steps = self.clocks[mode], []
+        if age < clock.last or not clock.ends:
+            steps.append(Transition(mode, age, row, mode, min(age + 1, clock.last)))
+        steps += self.switches(mode, age, row)
+        if not self.losses:
+            return steps
+        return [replace(step, lost=lost, next_lost=next_lost) for step in steps]
 
     def _changes(self) -> set[int]:
         """The ages up to the lag at which what may be told is not what it is a sample before."""
@@ -332,6 +336,9 @@ class Transitions:
     def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
         stretches = []
+        if self.losses:  # every age is a knot, and every stretch a period
+            each = self.all(tuple(range(self.last + 1)))
+            return [Stretch(step.age, 0, step, 0, step.next_age) for step in each]
         for i, clock in enumerate(self.clocks):
             own = self.knots_of(i, knots)
             for k, age in enumerate(own):

@@ -58,7 +58,7 @@ def _numbers(setting: Setting) -> str:
         value = getattr(setting, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             return f"{name} is not a whole number of at least 1"
-    for name in ("mode_lag", "memory"):
+    for name in ("mode_lag", "memory", "lost_samples"):
         value = getattr(setting, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
             return f"{name} is not a whole number of at least 0"
@@ -103,8 +103,12 @@ def _context(setting: Setting) -> str:
         return "ages is not 1, though the rows do not depend on the age"
     if setting.mode_lag and (setting.context == "none" or modes == 1):
         return "mode_lag is not 0, though the rows do not depend on the mode"
-    if setting.mode_lag * len(setting.F) > MOST_TOLD:
-        return "mode_lag is too long for a table of so many rows"
+    if (setting.mode_lag + setting.lost_samples) * len(setting.F) > MOST_TOLD:
+        return "mode_lag or lost_samples is too long for a table of so many rows"
+    if setting.lost_samples:
+        if setting.mode_lag or not setting.inputs:
+            return "lost_samples is not 0, though mode_lag is not, or F and G are all zero"
+        rows = rows * 2
     return "" if len(setting.F) == rows else f"the table has {len(setting.F)} rows, not {rows}"
 
 
@@ -198,7 +202,7 @@ def _stretches(evidence: StretchEvidence) -> str:
     """P, and knots that every path through the graph meets."""
     setting, knots = evidence.setting, evidence.knots
     graph, family, d = setting.transitions, setting.family, setting.order
-    sizes = _misshapen({"P": (evidence.P, (setting.A.shape[1], len(knots), d, d))})
+    sizes = _misshapen({"P": (evidence.P, (graph.places, len(knots), d, d))})
     if sizes:
         return sizes
     if not np.array_equal(evidence.P, np.swapaxes(evidence.P, -1, -2)):
@@ -212,9 +216,10 @@ def _stretches(evidence: StretchEvidence) -> str:
     for own in graph.clocks:
         if not own.ends and own.last not in knots:
             return f"knots must hold {own.last}, from where a mode may last"
-    if (family.ranges or len(setting.A) > 1) and knots != tuple(range(graph.last + 1)):
+    varies = family.ranges or len(setting.A) > 1 or setting.lost_samples
+    if varies and knots != tuple(range(graph.last + 1)):
         return "knots must be all ages where the steps of a stretch are not known"
-    if max(graph.switching, graph.modes * len(knots)) > MOST_STRETCHES:
+    if max(graph.switching, graph.places * len(knots)) > MOST_STRETCHES:
         return "there are too many stretches"
     return ""
 
@@ -236,7 +241,7 @@ def _expected_shapes(
         "filter": (centre.F, (s, size)),
         "P": (evidence.P, (d, d)),
         "Pi": (evidence.Pi, (size, size)),
-        "S": (evidence.S, (setting.A.shape[1], len(evidence.knots), s, s)),
+        "S": (evidence.S, (setting.transitions.places, len(evidence.knots), s, s)),
     }
 
 

@@ -27,11 +27,14 @@ class Cycle:
         Their sojourns in sampling periods; the sum is an integer.
     offset : float
         Where in its period the switch to the first mode falls, in [0, 1).
+    lost : tuple of int
+        The samples of the cycle, 0 the first, that the law does not get.
     """
 
     modes: tuple[int, ...]
     gaps: tuple[float, ...]
     offset: float = 0.0
+    lost: tuple[int, ...] = ()
 
     @property
     def periods(self) -> int:
@@ -60,7 +63,7 @@ class Cycle:
         Examples
         --------
         >>> Cycle((0, 1, 0, 1), (2.0, 3.0, 2.0, 3.0)).reduce()
-        Cycle(modes=(0, 1), gaps=(2.0, 3.0), offset=0.0)
+        Cycle(modes=(0, 1), gaps=(2.0, 3.0), offset=0.0, lost=())
         """
         count = len(self.modes)
         for size in range(1, count):
@@ -84,7 +87,7 @@ class Cycle:
         Examples
         --------
         >>> Cycle.on_grid([(1, 3, False), (0, 2, True)], late=0.125)
-        Cycle(modes=(0, 1), gaps=(1.875, 3.125), offset=0.125)
+        Cycle(modes=(0, 1), gaps=(1.875, 3.125), offset=0.125, lost=())
         """
         first = min(sojourns[i:] + sojourns[:i] for i in range(len(sojourns)))
         modes, lengths, after = zip(*first, strict=True)

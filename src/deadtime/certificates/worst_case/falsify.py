@@ -13,18 +13,20 @@ from deadtime.certificates.clock import (
     CLOCK_TOLERANCE,
     clock_tolerance_in_range,
     lag_in_range,
+    losses_in_range,
 )
 from deadtime.certificates.signals import admissible_signals
 from deadtime.certificates.worst_case.admissible import Admissible, Dwell
 from deadtime.certificates.worst_case.candidates import candidates
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.losses import with_losses
 from deadtime.certificates.worst_case.runs import RunLoop, worst_in_runs
 from deadtime.certificates.worst_case.selection import Rated, improve, worst_of
 from deadtime.certificates.worst_case.witness import WorstCase, worst_case
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
-from deadtime.feedback.recurrence import recurrence_of, same_outputs
+from deadtime.feedback.recurrence import recurrence_of, same_outputs, with_lost_rows
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import aged_row, constant_growth, with_memory
 from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
@@ -40,6 +42,7 @@ def falsify(
     transitions: ArrayLike | None = None,
     clock_tolerance: float = CLOCK_TOLERANCE,
     mode_lag: int = 0,
+    lost_samples: int = 0,
     budget: int = 80_000,
 ) -> WorstCase:
     """The worst admissible switching signal found for a digital loop, and its growth rate.
@@ -73,6 +76,9 @@ def falsify(
     mode_lag : int
         L, in periods: the law is told the mode of L samples ago, as in a run with
         `imperfections.ModeDelay(L)`.
+    lost_samples : int
+        L, at most that many samples in a row may be lost, as `certify` has it: which ones along the
+        worst signals is chosen, too. For a law that is a table.
     budget : int
         How many cycles and beginnings of cycles may be looked at on the compressed loop, about; for
         a law that is no table, 400 times the number of runs.
@@ -113,9 +119,15 @@ def falsify(
     )
     _require_seen(given, step)
     count("budget", budget)
+    lost_samples = losses_in_range(lost_samples, mode_lag)
     mode_lag, tolerance = lag_in_range(mode_lag), clock_tolerance_in_range(clock_tolerance, 0.0)
     signals, least = Admissible.of(given, step, tolerance), given.dwell_time
     feedback = None if mode_lag and not same_outputs(law) else _table(law, step)
+    if feedback is None and lost_samples:
+        raise ArgumentError(
+            f"lost_samples needs a law that is a table, got {type(law).__name__}: run it with "
+            "imperfections.Dropout, or leave lost_samples out."
+        )
     if feedback is None:
         run = RunLoop(plant, law, step, mode_lag, least)
         return worst_in_runs(run, signals, budget)
@@ -129,6 +141,10 @@ def falsify(
         better, looked = improve(loop, signals, tried.cycles, floor)
         evaluated, upper = evaluated + tried.evaluated + looked, tried.upper_estimate
         known = [*known, *better]
+    if lost_samples:
+        loop = SampledLoop.of(loop.plant, with_lost_rows(law, feedback), loop.shift)
+        better, looked = with_losses(loop, known, lost_samples)
+        known, evaluated = [*known, *better], evaluated + looked
     about = plant, law, least
     result = worst_case(loop, *about, *worst_of(known, loop), evaluated, upper)
     if result.proven or result.growth_rate <= 0.0:

@@ -62,7 +62,7 @@ def prove(loop: SampledLoop, cycle: Cycle, rate: float) -> GrowthProof:
     """Prove that a loop grows along a cycle, at which it grows at about `rate` in floats, 1/s."""
     if not rate > 0.0:
         return GrowthProof(False, reason="no growth was computed")
-    if cycle.constant:
+    if cycle.constant and not cycle.lost:
         return _constant(loop, cycle.modes[0])
     order, step = loop.order, loop.step
     time = cycle.periods * step

@@ -75,8 +75,9 @@ def _starts(rated: list[Rated], loop: SampledLoop) -> tuple[list[Rated], int]:
 def worst_of(found: list[Rated], loop: Growing) -> Rated:
     """The fastest growth: a constant signal, or the simplest cycle, where little is lost."""
     step = loop.step
-    cycles = sorted((pair for pair in found if not pair[0].constant), key=lambda p: -p[1].rate)
-    constants = [pair for pair in found if pair[0].constant]
+    constants = [pair for pair in found if pair[0].constant and not pair[0].lost]
+    others = (pair for pair in found if not pair[0].constant or pair[0].lost)
+    cycles = sorted(others, key=lambda p: -p[1].rate)
     best = max(constants, key=lambda pair: pair[1].rate, default=None)
     floor = -math.inf if best is None else best[1].rate + BETTER / step
     fastest = next((pair for pair in cycles if _exact(pair, loop, floor) is not None), None)

@@ -14,10 +14,11 @@ from deadtime.base.frozen import Frozen
 from deadtime.certificates.proof.transitions import per_mode
 from deadtime.certificates.worst_case.cycles import Cycle
 from deadtime.certificates.worst_case.loop import Growth, SampledLoop
+from deadtime.certificates.worst_case.lost_at import LostAt
 from deadtime.certificates.worst_case.proof import GrowthProof, prove
 from deadtime.feedback import Law
 from deadtime.feedback.memory import WithMemory
-from deadtime.imperfections import ModeDelay
+from deadtime.imperfections import Imperfection, ModeDelay
 from deadtime.plant import SwitchedSystem
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import SwitchingSignal
@@ -26,6 +27,7 @@ from deadtime.switching.constraint import one_or_each
 DELAYS = 20  # the signal is at least this long
 CYCLES = 10
 SLACK = 1e-9  # of a period: round-off in a sojourn
+NAMED = 8  # lost samples
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,18 +94,26 @@ class WorstCase(Frozen):
         """The length of the cycle, seconds; of a constant signal, about the delay."""
         return self.cycle.periods * self.step
 
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """The samples of the cycle that are lost, 0 at time 0; of every `length` seconds."""
+        return self.cycle.lost
+
     def simulate(self, cycles: int = CYCLES) -> Trajectory:
         """Run the loop along some cycles of the signal, from x0 and u0.
 
-        A law that is told the mode late is told that of time 0 at first, not the cycle's before it:
-        the run needs some cycles to come to the growth.
+        A law that is told the mode late is told that of time 0 at first, not the cycle's before it,
+        and one whose first samples are lost knows no mode: the run needs some cycles to come to
+        the growth.
         """
         horizon = count("cycles", cycles) * self.cycle.periods * self.step
         signal = self.signal
         if not self.cycle.constant:
             least = per_mode(self.dwell_time, self.plant.modes)
             signal = repeat(self.cycle, cycles, least, self.step)
-        late = [ModeDelay(self.mode_lag)] if self.mode_lag else []
+        late: list[Imperfection] = [ModeDelay(self.mode_lag)] if self.mode_lag else []
+        if self.lost:
+            late.append(LostAt(self.lost, self.cycle.periods))
         return simulate(
             self.plant,
             self.law,
@@ -180,7 +190,8 @@ def of_cycle(
             for low, t in zip(least, missing, strict=True)
         )
     modes, sojourns = _pattern(cycle.modes, sojourns)
-    message = _message(rate, proof, _how(modes, sojourns, cycle.offset * step, dwell_time))
+    how = _how(modes, sojourns, cycle.offset * step, dwell_time) + _losses(cycle)
+    message = _message(rate, proof, how)
     return WorstCase(
         signal, rate, modes, sojourns, x0, u0, message, evaluated, upper_estimate, proof,
         plant, law, one_or_each(dwell_time), step, cycle, lag,
@@ -260,6 +271,23 @@ def _how(
     how += "alternate" if len(modes) == 2 else "follow each other"
     after = f"{phase:.3g} s after a sample" if phase > 0.0 else "at a sample"
     return f"{how}, mode {modes[0]} beginning {after}"
+
+
+def _losses(cycle: Cycle) -> str:
+    """Which samples are lost, in words; nothing where none is.
+
+    Examples
+    --------
+    >>> _losses(Cycle((0,), (3.0,), lost=(1, 2)))
+    ', and of every 3 samples, 0 the first, 1 and 2 are lost'
+    """
+    if not cycle.lost:
+        return ""
+    if len(cycle.lost) > NAMED:
+        return f", and {len(cycle.lost)} of every {cycle.periods} samples are lost (`lost`)"
+    *some, last = map(str, cycle.lost)
+    which = f"{', '.join(some)} and {last} are" if some else f"{last} is"
+    return f", and of every {cycle.periods} samples, 0 the first, {which} lost"
 
 
 def _message(rate: float, proof: GrowthProof, how: str) -> str:

@@ -76,6 +76,7 @@ def judge(
     trying: Callable[[str], None] = lambda _: None,
     maximum_dwell: Times | None = None,
     transitions: ArrayLike | None = None,
+    lost_samples: int = 0,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -100,6 +101,8 @@ def judge(
         thread that tries it.
     maximum_dwell, transitions
         As `certify` takes them.
+    lost_samples : int
+        How many samples in a row may be lost.
 
     Raises
     ------
@@ -108,10 +111,12 @@ def judge(
         cannot be certified is a result with a reason.
     """
     from deadtime.certificates import certify
+    from deadtime.certificates.clock import losses_in_range
 
     SwitchingConstraint.of(problem.plant.modes, dwell_time, maximum_dwell, transitions)
     step = positive("step", step)
-    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions}
+    lost = losses_in_range(lost_samples, mode_lag) or None
+    limits = {"maximum_dwell": maximum_dwell, "transitions": transitions, "lost_samples": lost}
     signals = {name: limit for name, limit in limits.items() if limit is not None}
     count("mode_lag", mode_lag, 0)
     for end in delays or ():
