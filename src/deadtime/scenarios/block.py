@@ -8,21 +8,23 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
+from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.dataset import Results
-from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.figures import Figures, Path, metrics_of, needs_own_run
 from deadtime.scenarios.forces import ForceMaps, forces_of
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
-from deadtime.scenarios.side_by_side import from_scenario
+from deadtime.scenarios.side_by_side import from_scenario, groups
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
-from deadtime.simulation.tracking import Followed, step_info
+from deadtime.simulation.step_figures import step_info, step_info_of
+from deadtime.simulation.tracking import Followed
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from deadtime.scenarios.helper import Helper
     from deadtime.scenarios.prepare import Runnable
 
-_FEW = 8  # scenarios whose trajectories the engine takes at a time
+_ROOM = 1 << 19  # numbers of trajectories that the engine takes at a time
 
 Stopped = Callable[[], bool]
 
@@ -132,8 +134,10 @@ class Block:
         """Run a law by the engine; which scenarios are left to `simulate`."""
         results, count = self.results, laid[0].scenarios
         whole = results.x is None and self._followed[row] is None
-        size = count if whole else min(count, _FEW)
-        left: list[int] = []
+        samples, numbers = self.loop.whole + 1, table.shape.x + table.shape.u
+        few = LANES * max(1, _ROOM // (samples * numbers * LANES))
+        size, left = count if whole else min(count, few), list[int]()
+        room = np.empty(0 if whole else groups(size) * samples * numbers * LANES)
         for start in range(0, count, size):
             if stopped():
                 return []
@@ -144,7 +148,7 @@ class Block:
                     table.feedback, start, these.stop - these.start, table.memory is not None
                 )
             felt = None if force is None else from_scenario(force, start, count)
-            figures = self._figures(row, table, laid, hearing, felt, start, these)
+            figures = self._figures(row, table, laid, hearing, felt, start, these, room)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
@@ -159,6 +163,7 @@ class Block:
         force: np.ndarray | None,
         start: int,
         these: slice,
+        room: np.ndarray,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results, followed = these.stop - these.start, self.results, self._followed[row]
@@ -166,15 +171,15 @@ class Block:
             figures = self.engine.run(table, laid[0], start, count, hearing, force)
         else:
             figures, path = self.engine.path(
-                table, laid[0], start, count, hearing=hearing, force=force
+                table, laid[0], start, count, hearing=hearing, force=force, room=room
             )
             if results.x is not None and results.u is not None:
-                results.x[row, these], results.u[row, these] = path
+                results.x[row, these], results.u[row, these] = path.x, path.u
             if followed is not None:
                 modes = None
                 if not followed.is_same_in_modes:
                     modes = laid[0].records.modes(self.loop.whole + 1)[start : start + count]
-                self._track(row, followed, path.x, modes, these)
+                self._track(row, followed, path, modes, these)
         if self.weighed is None:
             return [figures]
         weighed = self.weighed[1].run(table, laid[1], start, count, hearing, force)
@@ -184,22 +189,22 @@ class Block:
         self,
         row: int,
         followed: Followed,
-        x: Float[np.ndarray, "scenario n sample"],
+        path: Path,
         modes: Int[np.ndarray, "scenario sample"] | None,
         these: slice,
     ) -> None:
         """How a few scenarios follow the reference."""
         time = self.loop.step * np.arange(self.loop.whole + 1)
-        none = np.zeros(time.size, np.int64)
-        y = np.stack(
-            [
-                followed.outputs(states, none if modes is None else modes[i])
-                for i, states in enumerate(x)
-            ]
-        )
-        for output in range(y.shape[1]):
+        y = None
+        if modes is not None:
+            y = np.stack([followed.outputs(x, mode) for x, mode in zip(path.x, modes, strict=True)])
+        for output, C in enumerate(followed.rows[0]):
             where, r = followed.window(time, output)
-            for name, values in step_info(time[where], y[:, output, where], r).items():
+            if y is None:
+                found = step_info_of(path.laid, where.start, path.scenarios, C, time[where], r)
+            else:
+                found = step_info(time[where], y[:, output, where], r)
+            for name, values in found.items():
                 self.results.tracking[name][row, these, output] = values
 
     @cached_property

@@ -31,7 +31,8 @@ from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel, source_of
 from deadtime.scenarios.workers import Progress, run_blocks, show_progress
 from deadtime.simulation.simulate import require_steps
-from deadtime.simulation.tracking import TRACKING, Followed
+from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import Followed
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
 if TYPE_CHECKING:
