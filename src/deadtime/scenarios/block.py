@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
+from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import from_scenario, groups
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
@@ -63,6 +64,7 @@ class Block:
     results: Results
     helper: Helper
     weighed: tuple[Loop, Engine] | None = None
+    rooms: Rooms = field(default_factory=Rooms)
 
     def run(self, first: int, count: int, stopped: Stopped) -> int:
         """Run scenarios first, …, first + count − 1; how many of their signals end early.
@@ -81,14 +83,23 @@ class Block:
         if laid is not None and self.loop.forced:
             records = laid[0].records
             maps = self._force_maps
-            force = forces_of(maps, self.imperfections, signals, records, self.seed, first)
+            force = forces_of(
+                maps, self.imperfections, signals, records, self.seed, first, self.rooms
+            )
         if laid is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
             by_mode, given = any(map(_by_mode, tables.values())), (signals, laid[0])
             heard = {
                 size: HeardBlock(
-                    self.loop, self.imperfections, *given, self.seed, first, by_mode, size
+                    self.loop,
+                    self.imperfections,
+                    *given,
+                    self.seed,
+                    first,
+                    by_mode,
+                    size,
+                    self.rooms.under(size),
                 )
                 for size in {table.measured for table in tables.values()}
             }
@@ -137,7 +148,8 @@ class Block:
         samples, numbers = self.loop.whole + 1, table.shape.x + table.shape.u
         few = LANES * max(1, _ROOM // (samples * numbers * LANES))
         size, left = count if whole else min(count, few), list[int]()
-        room = np.empty(0 if whole else groups(size) * samples * numbers * LANES)
+        length = 0 if whole else groups(size) * samples * numbers * LANES
+        room = self.rooms.of("trajectories", (length,))
         for start in range(0, count, size):
             if stopped():
                 return []

@@ -244,7 +244,7 @@ def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     """Scenarios in a block, in whole vectors of eight; fewer where all that is heard is kept."""
     steps = _BLOCK_STEPS
     if any(isinstance(one, Relaying | TimingImperfection | Disturbance) for one in imperfections):
-        steps /= 8
+        steps /= 4
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 
