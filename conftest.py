@@ -41,3 +41,4 @@ def pytest_collection_finish() -> None:
     """What was imported and collected stays: the garbage collector need not visit it again."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000)  # of small objects that tests make, most go by themselves

@@ -161,7 +161,7 @@ def test_blocks_in_which_all_that_is_heard_is_kept_are_smaller():
     loop = Loop(SampledPlant(TRUTH, H), np.array(X0), 4e3)
     limits = [Saturation(-1.0, 1.0)]
     assert _block(loop, limits) == _block(loop, []) == 96
-    assert _block(loop, [*limits, Noise(0.1)]) == 8
+    assert _block(loop, [*limits, Noise(0.1)]) == 24
 
 
 def plain_follow(told, sampled, age):

@@ -85,3 +85,20 @@ def test_so_are_they_with_delays_of_every_mode_and_input(name):
     truth = dt.SwitchedSystem(TRUTH.A, TRUTH.B, [[0.28, 0.07], [0.21, 0.14], [0.31, 0.2]])
     law = {"observed": observed, "tracking": tracking}[name](plant=believed)
     require_single_runs(truth, {name: law}, [Noise(0.02), Dropout(0.1), Saturation(-1.0, 1.2)])
+
+
+@pytest.mark.long  # compiled for two kinds of laws
+def test_laws_that_measure_states_and_laws_that_measure_outputs_keep_apart_what_they_hear():
+    laws = {name: plants.LAWS[name](BELIEVED) for name in ("averaged", "weighted")}
+    laws = {"averaged": laws["averaged"], "outputs": observed(), "weighted": laws["weighted"]}
+    given = [Noise(0.02), Jitter(0.05), Dropout(0.1), WhiteDisturbance(0.01)]
+
+    def cost(some):
+        return dt.monte_carlo(
+            TRUTH, some, dt.Markov(2.0 - 2.0 * np.eye(3)), [0.3, -0.6, 0.9], 3.0, H, 9, 5,
+            imperfections=given,
+        ).cost  # fmt: skip
+
+    both = cost(laws)
+    for name, law in laws.items():
+        np.testing.assert_array_equal(both.sel(law=name), cost({name: law}).sel(law=name))

@@ -8,6 +8,7 @@ force that adds as much is held, so that a run can be evaluated anywhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +46,12 @@ class WhiteDisturbance(DrawnDisturbance):
         return 0, sizes.states
 
     def draws_from(
-        self, numbers: np.ndarray, sizes: Sizes, lengths: tuple[float, ...], steps: int
+        self,
+        numbers: np.ndarray,
+        sizes: Sizes,
+        lengths: tuple[float, ...],
+        steps: int,
+        room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> np.ndarray:
         return numbers.reshape(*numbers.shape[:2], steps, sizes.states)
 
@@ -92,12 +98,17 @@ class ColouredDisturbance(DrawnDisturbance):
         return std.size, std.size + sizes.states
 
     def draws_from(
-        self, numbers: np.ndarray, sizes: Sizes, lengths: tuple[float, ...], steps: int
+        self,
+        numbers: np.ndarray,
+        sizes: Sizes,
+        lengths: tuple[float, ...],
+        steps: int,
+        room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> np.ndarray:
         _, std, T = self._check(sizes.states)
         tau = np.array(lengths)[:, None]
         kept, fresh = np.exp(-tau / T), std * np.sqrt(-np.expm1(-2.0 * tau / T))
-        draws = np.empty((*numbers.shape[:2], steps, 2 * std.size + sizes.states))
+        draws = room_for((*numbers.shape[:2], steps, 2 * std.size + sizes.states))
         if numbers.shape[1] == 1:
             _follow_one(std, kept, fresh, numbers, draws)
         else:
@@ -160,7 +171,12 @@ class StepDisturbance(DrawnDisturbance):
         return 0, 0
 
     def draws_from(
-        self, numbers: np.ndarray, sizes: Sizes, lengths: tuple[float, ...], steps: int
+        self,
+        numbers: np.ndarray,
+        sizes: Sizes,
+        lengths: tuple[float, ...],
+        steps: int,
+        room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> np.ndarray:
         start = number("StepDisturbance.start", self.start)
         try:

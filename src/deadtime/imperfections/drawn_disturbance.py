@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -30,10 +31,11 @@ class DrawnDisturbance(Stacked, Disturbance):
         sizes: Sizes,
         lengths: tuple[float, ...],
         steps: int,
+        room_for: Callable[[tuple[int, ...]], np.ndarray] = np.empty,
     ) -> Float[np.ndarray, "stretch some steps r"]:
         """What decides w in runs that drew these numbers, stretch by stretch.
 
-        No length is 0. An axis of length 1 stands for all runs.
+        No length is 0. An axis of length 1 stands for all runs. `room_for` gives memory for it.
         """
 
     @abstractmethod

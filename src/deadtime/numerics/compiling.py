@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import hashlib
 import os
 import pickle
@@ -24,6 +25,7 @@ from numba.extending import typeof_impl
 from deadtime.base import notices
 
 _LONG = 1.0  # seconds of compiling after which it is said
+_GARBAGE = 20_000  # objects between two collections while compiling
 
 
 class _CacheFile(IndexDataCacheFile):
@@ -177,4 +179,27 @@ class _Notice(event.Listener):
             self._timer.cancel()
 
 
+class _RareCollections(event.Listener):
+    """Collects garbage rarely while Numba compiles, of which a tenth is collecting otherwise.
+
+    It makes millions of small objects, most of which go by themselves.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._usual = 0, gc.get_threshold()
+
+    def on_start(self, event: Any) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            self._usual = gc.get_threshold()
+            if self._usual[0] > 0:  # 0 is never
+                gc.set_threshold(max(_GARBAGE, self._usual[0]), *self._usual[1:])
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            gc.set_threshold(*self._usual)
+
+
 event.register("numba:compile", _Notice())
+event.register("numba:compile", _RareCollections())

@@ -101,9 +101,9 @@ class Streams:
     index: int
     spawned: tuple[int, ...] = ()
 
-    def spawn(self, count: int) -> list[Streams]:
-        """What `Generator.spawn` makes of each, stream by stream."""
-        return [replace(self, spawned=(*self.spawned, i)) for i in range(count)]
+    def spawned_as(self, i: int) -> Streams:
+        """What `Generator.spawn` makes of each as number i."""
+        return replace(self, spawned=(*self.spawned, i))
 
     def draw(self, first: int, normal: bool, room: Float[np.ndarray, "some count"]) -> None:
         """Fill `room` with the first numbers of generator number `first` and the next ones."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,17 +12,20 @@ from jaxtyping import Float, Int
 
 from deadtime.feedback import Law
 from deadtime.imperfections import Disturbance, Imperfection, Relaying, TimingImperfection
+from deadtime.numerics.lanes.code import LANES
 from deadtime.scenarios.dataset import Results
-from deadtime.scenarios.figures import Figures, metrics_of, needs_own_run
+from deadtime.scenarios.figures import Figures, Path, metrics_of, needs_own_run
 from deadtime.scenarios.forces import ForceMaps, forces_of
 from deadtime.scenarios.heard import HeardBlock
 from deadtime.scenarios.layout import Hearing
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
-from deadtime.scenarios.side_by_side import from_scenario
+from deadtime.scenarios.rooms import Rooms
+from deadtime.scenarios.side_by_side import from_scenario, groups
 from deadtime.scenarios.source import Source, scenario_seed
 from deadtime.simulation import simulate
-from deadtime.simulation.tracking import Followed, step_info
+from deadtime.simulation.step_figures import step_info, step_info_of
+from deadtime.simulation.tracking import Followed
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     from deadtime.scenarios.helper import Helper
     from deadtime.scenarios.prepare import Runnable
 
-_FEW = 8  # scenarios whose trajectories the engine takes at a time
+_ROOM = 1 << 19  # numbers of trajectories that the engine takes at a time
 
 Stopped = Callable[[], bool]
 
@@ -61,6 +64,7 @@ class Block:
     results: Results
     helper: Helper
     weighed: tuple[Loop, Engine] | None = None
+    rooms: Rooms = field(default_factory=Rooms)
 
     def run(self, first: int, count: int, stopped: Stopped) -> int:
         """Run scenarios first, …, first + count − 1; how many of their signals end early.
@@ -79,14 +83,23 @@ class Block:
         if laid is not None and self.loop.forced:
             records = laid[0].records
             maps = self._force_maps
-            force = forces_of(maps, self.imperfections, signals, records, self.seed, first)
+            force = forces_of(
+                maps, self.imperfections, signals, records, self.seed, first, self.rooms
+            )
         if laid is not None and any(
             isinstance(one, Relaying | TimingImperfection) for one in self.imperfections
         ):
             by_mode, given = any(map(_by_mode, tables.values())), (signals, laid[0])
             heard = {
                 size: HeardBlock(
-                    self.loop, self.imperfections, *given, self.seed, first, by_mode, size
+                    self.loop,
+                    self.imperfections,
+                    *given,
+                    self.seed,
+                    first,
+                    by_mode,
+                    size,
+                    self.rooms.under(size),
                 )
                 for size in {table.measured for table in tables.values()}
             }
@@ -132,8 +145,11 @@ class Block:
         """Run a law by the engine; which scenarios are left to `simulate`."""
         results, count = self.results, laid[0].scenarios
         whole = results.x is None and self._followed[row] is None
-        size = count if whole else min(count, _FEW)
-        left: list[int] = []
+        samples, numbers = self.loop.whole + 1, table.shape.x + table.shape.u
+        few = LANES * max(1, _ROOM // (samples * numbers * LANES))
+        size, left = count if whole else min(count, few), list[int]()
+        length = 0 if whole else groups(size) * samples * numbers * LANES
+        room = self.rooms.of("trajectories", (length,))
         for start in range(0, count, size):
             if stopped():
                 return []
@@ -144,7 +160,7 @@ class Block:
                     table.feedback, start, these.stop - these.start, table.memory is not None
                 )
             felt = None if force is None else from_scenario(force, start, count)
-            figures = self._figures(row, table, laid, hearing, felt, start, these)
+            figures = self._figures(row, table, laid, hearing, felt, start, these, room)
             for metric, values in metrics_of(self.loop, *figures).items():
                 results.metrics[metric][row, these] = values
             left += (start + np.flatnonzero(needs_own_run(self.loop, figures[0]))).tolist()
@@ -159,6 +175,7 @@ class Block:
         force: np.ndarray | None,
         start: int,
         these: slice,
+        room: np.ndarray,
     ) -> list[Figures]:
         """Figures of a few scenarios, then the cost's; trajectories go where they are asked for."""
         count, results, followed = these.stop - these.start, self.results, self._followed[row]
@@ -166,15 +183,15 @@ class Block:
             figures = self.engine.run(table, laid[0], start, count, hearing, force)
         else:
             figures, path = self.engine.path(
-                table, laid[0], start, count, hearing=hearing, force=force
+                table, laid[0], start, count, hearing=hearing, force=force, room=room
             )
             if results.x is not None and results.u is not None:
-                results.x[row, these], results.u[row, these] = path
+                results.x[row, these], results.u[row, these] = path.x, path.u
             if followed is not None:
                 modes = None
                 if not followed.is_same_in_modes:
                     modes = laid[0].records.modes(self.loop.whole + 1)[start : start + count]
-                self._track(row, followed, path.x, modes, these)
+                self._track(row, followed, path, modes, these)
         if self.weighed is None:
             return [figures]
         weighed = self.weighed[1].run(table, laid[1], start, count, hearing, force)
@@ -184,24 +201,34 @@ class Block:
         self,
         row: int,
         followed: Followed,
-        x: Float[np.ndarray, "scenario n sample"],
+        path: Path,
         modes: Int[np.ndarray, "scenario sample"] | None,
         these: slice,
     ) -> None:
         """How a few scenarios follow the reference."""
         time = self.loop.step * np.arange(self.loop.whole + 1)
-        none = np.zeros(time.size, np.int64)
-        y = np.stack(
-            [
-                followed.outputs(states, none if modes is None else modes[i])
-                for i, states in enumerate(x)
-            ]
-        )
-        self.results.metrics["iae"][row, these] = followed.absolute_error(time, y)
-        for output in range(y.shape[1]):
+        y, error = None, np.zeros(path.scenarios)
+        if modes is not None:
+            y = np.stack([followed.outputs(x, mode) for x, mode in zip(path.x, modes, strict=True)])
+
+        def figures(
+            output: int, where: slice, r: Float[np.ndarray, " W"]
+        ) -> dict[str, Float[np.ndarray, " run"]]:
+            if y is not None:
+                return step_info(time[where], y[:, output, where], r)
+            row = followed.rows[0, output]
+            return step_info_of(path.laid, where.start, path.scenarios, row, time[where], r)
+
+        for output in range(followed.rows.shape[1]):
             where, r = followed.window(time, output)
-            for name, values in step_info(time[where], y[:, output, where], r).items():
+            found = figures(output, where, r)
+            for name, values in found.items():
                 self.results.tracking[name][row, these, output] = values
+            if r.size < time.size:
+                along = followed.reference.along(time)[:, output]
+                found = figures(output, slice(0, time.size), along)
+            error += found["IAE"]
+        self.results.metrics["iae"][row, these] = error
 
     @cached_property
     def _followed(self) -> list[Followed | None]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +21,9 @@ from deadtime.imperfections.base import Drawing, DrawnTiming
 from deadtime.imperfections.drawn_disturbance import DrawnDisturbance
 from deadtime.imperfections.heard import DrawnRelaying, relayed
 from deadtime.numerics.pcg import Streams
+from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.source import scenario_seeds
 from deadtime.simulation.compiled import lags_of
-
-_STRETCHES = 64  # of a period: more than engines take
 
 
 class Run(NamedTuple):
@@ -36,17 +35,20 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class InManyRuns:
-    """An imperfection in many scenarios, with the stream of each."""
+    """An imperfection in many scenarios, with the stream of each.
+
+    What it draws lies in `rooms`, under a name of its own, until it draws again.
+    """
 
     one: Imperfection
     streams: Streams
+    rooms: Rooms = field(default_factory=Rooms)
+    name: Hashable = ""
 
     def room(self, sizes: Sizes, samples: int, scenarios: int) -> np.ndarray:
-        """Memory for what it draws in so many scenarios, to be used again for the next ones.
-
-        Fresh memory would cost as much as drawing.
-        """
-        return np.empty((scenarios, self._count(sizes, samples) or 0))
+        """Memory for what it draws in so many scenarios."""
+        shape = scenarios, self._count(sizes, samples) or 0
+        return self.rooms.of((self.name, "numbers"), shape)
 
     def is_fixed(self, sizes: Sizes, samples: int) -> bool:
         """Whether it does the same in all scenarios."""
@@ -84,10 +86,13 @@ class InManyRuns:
         one, there = self.one, [i for i, length in enumerate(lengths) if length > 0.0]
         if isinstance(one, DrawnDisturbance) and type(one).__module__.startswith("deadtime."):
             before, each = one.counts(sizes)
-            numbers = np.empty((len(there), runs, before + each * run.periods))
+            shape = len(there), runs, before + each * run.periods
+            numbers = self.rooms.of((self.name, "numbers"), shape)
             for i, room in zip(there, numbers, strict=True):
-                self._of_stretch[i].draw(first, True, room)
-            return one.draws_from(numbers, sizes, tuple(lengths[i] for i in there), run.periods)
+                self._of_stretch(i).draw(first, True, room)
+            room_for = partial(self.rooms.of, (self.name, "draws"))
+            some = tuple(lengths[i] for i in there)
+            return one.draws_from(numbers, sizes, some, run.periods, room_for)
         assert isinstance(one, Disturbance)
         each = [
             one.draws(sizes, lengths, run.moved, rng)[: run.periods, there]
@@ -95,9 +100,16 @@ class InManyRuns:
         ]
         return np.ascontiguousarray(np.stack(each).transpose(2, 0, 1, 3))
 
+    def _of_stretch(self, stretch: int) -> Streams:
+        """The streams of a stretch: their own, or what they spawn."""
+        if stretch not in self._streams:
+            more = self.streams if stretch == 0 else self.streams.spawned_as(stretch - 1)
+            self._streams[stretch] = more
+        return self._streams[stretch]
+
     @cached_property
-    def _of_stretch(self) -> list[Streams]:
-        return [self.streams, *self.streams.spawn(_STRETCHES)]
+    def _streams(self) -> dict[int, Streams]:
+        return {}
 
     def lags(self, first: int, room: np.ndarray, sizes: Sizes, samples: int) -> np.ndarray:
         """How long before each sample x is measured, (scenario or 1, sample or 1), seconds."""
@@ -116,12 +128,18 @@ def _as_we_wrote_it(one: Imperfection, base: type, method: str) -> bool:
 
 
 def in_many_runs(
-    imperfections: Sequence[Imperfection], kind: type, seed: int, first: int, count: int
+    imperfections: Sequence[Imperfection],
+    kind: type,
+    seed: int,
+    first: int,
+    count: int,
+    rooms: Rooms | None = None,
 ) -> list[InManyRuns]:
     """Those of a kind, in their order, in the scenarios first, …, first + count − 1 of a seed."""
+    rooms = Rooms() if rooms is None else rooms
     seeds, names = scenario_seeds(seed, first, count), [type(one).__name__ for one in imperfections]
     return [
-        InManyRuns(one, Streams(seeds, name, names[:place].count(name)))
+        InManyRuns(one, Streams(seeds, name, names[:place].count(name)), rooms, place)
         for place, (one, name) in enumerate(zip(imperfections, names, strict=True))
         if isinstance(one, kind)
     ]

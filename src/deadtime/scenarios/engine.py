@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.memory_form import memory_form
 from deadtime.scenarios.model_ahead import ModelAhead
 from deadtime.scenarios.records import Laid
+from deadtime.scenarios.side_by_side import groups
 from deadtime.scenarios.window_form import WindowForm, window_form
 from deadtime.switching import SignalBatch
 
@@ -160,14 +162,18 @@ class Engine:
         keep: int = 0,
         hearing: Hearing = PERFECT,
         force: np.ndarray | None = None,
+        room: np.ndarray = _NOTHING,
     ) -> tuple[Figures, Path]:
-        """The same for up to eight of them, with states and inputs from sample `keep` on."""
+        """The same with states and inputs from sample `keep` on, laid in `room` where that does.
+
+        New memory costs about as much as a run of a few scenarios.
+        """
         n, m = table.shape.x, table.shape.u
-        samples = self._run.samples - keep
-        path = np.empty(samples * (n + m) * LANES)
+        shape = groups(count), self._run.samples - keep, n + m, LANES
+        size = math.prod(shape)
+        path = room[:size] if room.size >= size else np.empty(size)
         figures = self._run_kernel(table, laid, first, count, hearing, force, path, keep)
-        both = path.reshape(samples, n + m, LANES).transpose(2, 1, 0)[:count]
-        return figures, Path(both[:, :n], both[:, n:])
+        return figures, Path(path.reshape(shape), count, n)
 
     def _run_kernel(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,11 +33,33 @@ class Figures(NamedTuple):
     final: Float[np.ndarray, " scenario"]
 
 
-class Path(NamedTuple):
-    """States and inputs at the samples: x (scenario, n, K + 1) and u (scenario, m, K + 1)."""
+@dataclass(frozen=True, eq=False)
+class Path:
+    """States and inputs at the samples.
 
-    x: Float[np.ndarray, "scenario n sample"]
-    u: Float[np.ndarray, "scenario m sample"]
+    Attributes
+    ----------
+    laid : (group, sample, n + m, lane)
+        x and u of all scenarios, eight side by side, the last of all filling the rest.
+    scenarios, states : int
+    """
+
+    laid: Float[np.ndarray, "group sample size lane"]
+    scenarios: int
+    states: int
+
+    @property
+    def x(self) -> Float[np.ndarray, "scenario n sample"]:
+        return self._each(self.laid[:, :, : self.states])
+
+    @property
+    def u(self) -> Float[np.ndarray, "scenario m sample"]:
+        return self._each(self.laid[:, :, self.states :])
+
+    def _each(self, part: np.ndarray) -> np.ndarray:
+        groups, samples, size, lanes = part.shape
+        each = part.transpose(0, 3, 2, 1).reshape(groups * lanes, size, samples)
+        return each[: self.scenarios]
 
 
 @np.errstate(all="ignore")  # of a scenario that diverges, which is run again

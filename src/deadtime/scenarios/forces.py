@@ -21,13 +21,14 @@ from deadtime.scenarios.drawn import Run, in_many_runs
 from deadtime.scenarios.laid import fill_series
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Records
+from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import groups, lay_forces
 from deadtime.simulation.forcing import force_over, lengths_of, spread_over
 from deadtime.switching import SignalBatch
 
 ACCURACY = 1e-12  # of the largest that a number makes, to which series are those of `_over`
 _CHECKS = 29  # of a series in each cell
-_FEW = 64  # scenarios that are gone through at a time, so that they stay in the caches
+_FEW = 32  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,17 +153,21 @@ def forces_of(
     records: Records,
     seed: int,
     first: int,
+    rooms: Rooms,
 ) -> np.ndarray:
     """The forces in scenarios first, first + 1, … with these signals, laid on periods.
 
-    (group, sample, stretch, n, lane), flat; what is drawn is the same whatever the signals are.
+    (group, sample, stretch, n, lane), flat, in `rooms`; what is drawn is the same whatever the
+    signals are.
     """
     loop, count = maps.loop, len(signals)
     samples, sampled = loop.whole + 1, loop.sampled
     sizes, lengths = Sizes.of(loop.plant, loop.step), lengths_of(sampled)
-    kinds = in_many_runs(imperfections, Disturbance, seed, first, count)
+    kinds = in_many_runs(imperfections, Disturbance, seed, first, count, rooms)
     along, run = maps.along(signals, records), Run(samples, samples + sampled.longest_lag)
-    laid = np.zeros(groups(count) * samples * (loop.acting.wide - loop.acting.plain) * LANES)
+    size = groups(count) * samples * (loop.acting.wide - loop.acting.plain) * LANES
+    laid = rooms.of("forces", (size,))
+    laid.fill(0.0)
     for begin in range(0, count, _FEW):
         few = min(_FEW, count - begin)
         for each, T in zip(kinds, along, strict=True):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from deadtime.feedback import Feedback
 from deadtime.imperfections import Heard, Imperfection, Relaying, Sizes
@@ -16,11 +17,12 @@ from deadtime.scenarios.drawn import in_many_runs
 from deadtime.scenarios.layout import KINDS, Hearing, Relayed, Sight
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Laid
+from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import from_scenario, groups, lay_lags, lay_numbers, lay_rows
 from deadtime.scenarios.sights import Sights
 from deadtime.switching import SignalBatch
 
-_FEW = 16  # scenarios that are gone through at a time, so that they stay in the caches
+_FEW = 32  # scenarios that are gone through at a time, so that they stay in the caches
 
 
 class _Stack(NamedTuple):
@@ -49,6 +51,8 @@ class HeardBlock:
         Whether a law goes by the modes that it is told.
     measured : int
         How many numbers laws measure.
+    rooms : Rooms
+        Where all that is heard lies.
     """
 
     loop: Loop
@@ -59,6 +63,7 @@ class HeardBlock:
     first: int
     by_mode: bool
     measured: int
+    rooms: Rooms = field(default_factory=Rooms)
 
     def hearing(
         self, feedback: Feedback | None, begin: int, count: int, remembers: bool = False
@@ -84,7 +89,8 @@ class HeardBlock:
     ) -> np.ndarray:
         """The rows of a context in scenarios that are told these modes, laid on samples."""
         part = slice(begin, begin + count)
-        row = np.empty(groups(count) * told.shape[1] * LANES, np.int32)
+        size = groups(count) * told.shape[1] * LANES
+        row = self._room(("rows", context, ages), size, np.int32)
         lay_rows(told[part], self._sampled[part], self.laid.age[part], KINDS[context], ages, row)
         return row
 
@@ -94,11 +100,11 @@ class HeardBlock:
         plant, samples = self.loop.plant, self.loop.whole + 1
         count = self.laid.scenarios
         sizes = Sizes(plant.modes, self.measured, plant.inputs, self.loop.step)
-        kinds = in_many_runs(self.imperfections, Relaying, self.seed, self.first, count)
+        kinds = in_many_runs(self.imperfections, Relaying, self.seed, self.first, count, self.rooms)
         rooms = [each.room(sizes, samples, min(_FEW, count)) for each in kinds]
         size = groups(count) * samples * LANES
         nothing, modes, reach = Heard.of_many(samples, sizes), None, 0
-        sights = Sights.of(self.loop, self.imperfections, self.seed, self.first, count)
+        sights = Sights.of(self.loop, self.imperfections, self.seed, self.first, count, self.rooms)
         lag, noise = np.zeros(0, np.int32), np.zeros(0)
         for begin in range(0, count, _FEW):
             few, heard = min(_FEW, count - begin), nothing
@@ -107,20 +113,25 @@ class HeardBlock:
                 heard = each.relay(begin, room[:few], heard, sizes)
             sample = heard.sample
             if sights is not None or sample is not nothing.sample:
-                lag = lag if lag.size else np.empty(size, np.int32)
+                lag = lag if lag.size else self._room("lag", size, np.int32)
             if sights is not None:
                 given = self.signals, self.laid.records, begin, few, sample
                 reach = sights.lay(*given, lag, reach)
             elif sample is not nothing.sample:
                 reach = lay_lags(sample, few, begin // LANES, lag, reach)
             if heard.noise.shape[1] > 1:
-                noise = noise if noise.size else np.zeros(size * self.measured)
+                if noise.size == 0:
+                    noise = self._room("noise", size * self.measured)
+                    noise.fill(0.0)
                 lay_numbers(heard.noise, begin // LANES, noise)
             true = heard.mode_of is nothing.mode_of and heard.named is nothing.named
             if self.by_mode and not true:
                 modes = self._sampled.copy() if modes is None else modes
                 modes[these] = heard.modes(self._sampled[these])
         return _Stack(lag, reach, noise, None if sights is None else sights.sight(), modes)
+
+    def _room(self, name: Hashable, size: int, kind: DTypeLike = np.float64) -> np.ndarray:
+        return self.rooms.of(name, (size,), kind)
 
     @cached_property
     def _sampled(self) -> np.ndarray:

@@ -197,9 +197,9 @@ def run_scenarios(
     One of `factored`, `dense` and `model` is the law, which reads `taps` past inputs; `memory` what
     it remembers, `belief` what its rows are weighed by (`feedback.belief.Belief`), and `bank` what
     it makes of outputs meanwhile. These may be None, and so may `clip`, `relayed` and `sight`, what
-    the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, empty or
-    for at most eight scenarios, gets x and u of every sample from `keep` on. The last scenario
-    fills the last group of eight.
+    the law hears (`layout.Hearing`), and `force`, what the plant feels (`forces`). `path`, unless
+    it is empty, gets x and u of every sample from `keep` on. The last scenario fills the last group
+    of eight.
     `ahead` is the memory of a model, None without one.
     """
     n, m, wide = len(shape.x), len(shape.u), len(shape.z)
@@ -361,8 +361,9 @@ def run_scenarios(
                 spread(window.line, place * m, width, u)
                 spread(window.line, (place + dense.taps) * m, width, u)
             if path.size and k >= keep:
-                store(path, (k - keep) * (n + m) * LANES, x)
-                store(path, ((k - keep) * (n + m) + n) * LANES, u)
+                at = (first * (run.samples - keep) + (k - keep) * LANES) * (n + m)
+                store(path, at, x)
+                store(path, at + n * LANES, u)
             acting = load_each(ring, work.acting, shape.u, shape.acting)
             if force is not None:
                 at = (first * run.samples + k * LANES) * len(shape.force)

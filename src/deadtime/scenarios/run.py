@@ -32,7 +32,8 @@ from deadtime.scenarios.named import named_laws
 from deadtime.scenarios.source import SwitchingModel, source_of
 from deadtime.scenarios.workers import Progress, run_blocks, show_progress
 from deadtime.simulation.simulate import require_steps
-from deadtime.simulation.tracking import TRACKING, Followed
+from deadtime.simulation.step_figures import TRACKING
+from deadtime.simulation.tracking import Followed
 from deadtime.switching import Markov, SemiMarkov, SignalBatch, SwitchingSignal
 
 if TYPE_CHECKING:
@@ -244,7 +245,7 @@ def _block(loop: Loop, imperfections: Sequence[Imperfection]) -> int:
     """Scenarios in a block, in whole vectors of eight; fewer where all that is heard is kept."""
     steps = _BLOCK_STEPS
     if any(isinstance(one, Relaying | TimingImperfection | Disturbance) for one in imperfections):
-        steps /= 8
+        steps /= 4
     return 8 * int(np.clip(steps / 8 / (loop.whole + 1), 1, _BLOCK / 8))
 
 

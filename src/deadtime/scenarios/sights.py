@@ -26,6 +26,7 @@ from deadtime.scenarios.drawn import InManyRuns, in_many_runs
 from deadtime.scenarios.layout import Sight
 from deadtime.scenarios.loop import Loop
 from deadtime.scenarios.records import Records
+from deadtime.scenarios.rooms import Rooms
 from deadtime.scenarios.side_by_side import groups
 from deadtime.simulation.compiled import Lags
 from deadtime.switching import SignalBatch
@@ -44,14 +45,21 @@ class Sights:
     row: np.ndarray | None
     place: np.ndarray | None
     news: np.ndarray | None
+    rooms: Rooms
     cuts: list[np.ndarray] = field(default_factory=list)
 
     @classmethod
     def of(
-        cls, loop: Loop, imperfections: Sequence[Imperfection], seed: int, first: int, count: int
+        cls,
+        loop: Loop,
+        imperfections: Sequence[Imperfection],
+        seed: int,
+        first: int,
+        count: int,
+        rooms: Rooms,
     ) -> Sights | None:
         """Those of scenarios first, …; None where no imperfection changes when x is measured."""
-        kinds = in_many_runs(imperfections, TimingImperfection, seed, first, count)
+        kinds = in_many_runs(imperfections, TimingImperfection, seed, first, count, rooms)
         if not kinds:
             return None
         samples, nobody = loop.whole + 1, np.empty((1, 0))
@@ -60,10 +68,13 @@ class Sights:
             fixed = [each.lags(0, nobody, sizes, samples) for each in kinds]
             _, offset = _sum(kinds, fixed).instants(step, samples)
             if not offset.any():
-                return cls(loop, kinds, None, None, None)
+                return cls(loop, kinds, None, None, None, rooms)
         periods = groups(count) * samples
-        size, news = periods * LANES, np.zeros(periods, np.bool_)
-        return cls(loop, kinds, np.empty(size, np.int32), np.empty(size), news)
+        size, news = (periods * LANES,), rooms.of("news", (periods,), np.bool_)
+        news.fill(False)
+        return cls(
+            loop, kinds, rooms.of("row", size, np.int32), rooms.of("place", size), news, rooms
+        )
 
     def lay(
         self,
@@ -92,12 +103,13 @@ class Sights:
             ],
         )
         runs = max(map(len, lags))
-        period, offset = np.empty((runs, samples), np.int64), np.empty((runs, samples))
+        shape, rooms = (runs, samples), self.rooms
+        period, offset = rooms.of("period", shape, np.int64), rooms.of("offset", shape)
         find_instants(*lags, loop.step, period, offset)
         reach = lay_periods(lag, reach, heard, period, begin, few)
         if self.row is not None:
             modes, most = loop.plant.modes, (few + -few % LANES) * samples
-            cut, when = np.empty(most, np.int32), np.empty(most)
+            cut, when = rooms.of("cut", (most,), np.int32), rooms.of("when", (most,))
             series = modes * (edges.size - 1) * loop.cells
             noted = lay_places(
                 self.row, self.place, self.news, lag, heard, offset, begin, few, records, modes,

@@ -1,10 +1,4 @@
-"""How well a run follows its reference: the figures of python-control's `step_info`, and errors.
-
-Of a step of the reference from what the output is, y₀, to r they go by the share of the way,
-f = (y − y₀)/(r − y₀), at the samples: nothing is interpolated, so that times may be late by less
-than a period, as in python-control. The integral of the error alone takes y as straight between
-samples, and r as held.
-"""
+"""What a run is to follow, and its outputs beside it."""
 
 from __future__ import annotations
 
@@ -19,24 +13,8 @@ from deadtime.estimation import OutputFeedback
 from deadtime.estimation.reference import Reference
 from deadtime.feedback import Law
 from deadtime.plant.steps import TOLERANCE
+from deadtime.simulation.step_figures import step_info
 
-SETTLED, RISE = 0.02, (0.1, 0.9)  # of a step, as in python-control
-_STEP = 1e-9  # of the output: what is less is no step
-
-OF_STEPS = ("RiseTime", "SettlingTime", "Overshoot", "Undershoot")  # NaN where there is none
-
-# Figure: (unit, long name).
-TRACKING = {
-    "RiseTime": ("s", "time from 10 % to 90 % of a step of the reference, inf if never"),
-    "SettlingTime": ("s", "time from which the output stays within 2 % of the step, inf if never"),
-    "Overshoot": ("%", "how far the output goes past the reference, of the step"),
-    "Undershoot": ("%", "how far the output goes the other way, of the step"),
-    "Peak": ("y", "maximum of |y| after the step"),
-    "PeakTime": ("s", "when that is, after the step"),
-    "SteadyStateValue": ("y", "the output at the end"),
-    "SteadyStateError": ("y", "reference minus output at the end"),
-    "IAE": ("y s", "integral of |reference − output| after the step"),
-}
 TRACKING_ERROR = "∫|r − y|"  # over a whole run, of all tracked outputs together: the metric iae
 
 
@@ -114,9 +92,9 @@ class Followed(Frozen):
         self, time: Float[np.ndarray, " T"], y: Float[np.ndarray, "*runs tracked T"]
     ) -> Float[np.ndarray, "*runs"]:
         """∫|r − y| over all of the time, summed over the tracked outputs."""
-        r = self.reference.along(time[:-1]).T
-        with np.errstate(all="ignore"):  # of runs that are lost
-            return np.asarray(_absolute(time, r - y[..., :-1], r - y[..., 1:]).sum(axis=-1))
+        along = self.reference.along(time).T
+        errors = [step_info(time, y[..., i, :], r)["IAE"] for i, r in enumerate(along)]
+        return np.asarray(np.sum(errors, axis=0))
 
 
 def measure_of(followed: Iterable[Followed | None]) -> str:
@@ -131,62 +109,3 @@ def measure_of(followed: Iterable[Followed | None]) -> str:
     """
     each = list(followed)
     return "cost" if not each or any(one is None for one in each) else "iae"
-
-
-def step_info(
-    time: Float[np.ndarray, " T"],
-    y: Float[np.ndarray, "*runs T"],
-    r: Float[np.ndarray, " T"],
-    settling: float = SETTLED,
-    rise: tuple[float, float] = RISE,
-) -> dict[str, Float[np.ndarray, "*runs"]]:
-    """The figures of `TRACKING`, of outputs that start at y₀ = y[…, 0] and are to be at r[−1].
-
-    NaN for those of a step that is none; times count from time[0].
-
-    Examples
-    --------
-    >>> time = np.linspace(0.0, 10.0, 1001)
-    >>> found = step_info(time, 1.0 - np.exp(-time), np.ones(1001))
-    >>> round(found["RiseTime"].item(), 3), found["Overshoot"].item()      # log 9, in samples
-    (2.2, 0.0)
-    """
-    start, target, after = y[..., 0], r[-1], time - time[0]
-    with np.errstate(all="ignore"):  # of runs that are lost
-        size = target - start
-        size = np.where(np.abs(size) > _STEP * np.maximum(abs(target), np.abs(start)), size, np.nan)
-        share = (y - start[..., None]) / size[..., None]
-        begin, end = (_first(share >= part, after) for part in rise)
-        outside = np.abs(share - 1.0) >= settling
-        last = time.size - np.argmax(outside[..., ::-1], axis=-1)
-        last = np.where(outside.any(axis=-1), last, 0)
-        settled = np.append(after, np.inf)[last]
-        magnitude = np.abs(y)
-        peak = magnitude.argmax(axis=-1)
-        some = np.isfinite(size)
-        found = {
-            "RiseTime": np.where(some, end - np.where(np.isfinite(begin), begin, 0.0), np.nan),
-            "SettlingTime": np.where(some, settled, np.nan),
-            "Overshoot": np.where(some, 100.0 * np.maximum(share.max(axis=-1) - 1.0, 0.0), np.nan),
-            "Undershoot": np.where(some, 100.0 * np.maximum(-share.min(axis=-1), 0.0), np.nan),
-            "Peak": magnitude.max(axis=-1),
-            "PeakTime": after[peak],
-            "SteadyStateValue": y[..., -1],
-            "SteadyStateError": target - y[..., -1],
-            "IAE": _absolute(time, r[:-1] - y[..., :-1], r[:-1] - y[..., 1:]),
-        }
-    return {name: np.asarray(value) for name, value in found.items()}
-
-
-def _first(there: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """The first time at which something is so, ∞ if never."""
-    return np.where(there.any(axis=-1), time[np.argmax(there, axis=-1)], np.inf)
-
-
-def _absolute(time: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """∫|e| of errors that are straight from `before` to `after` in every interval."""
-    a, b = np.abs(before), np.abs(after)
-    total = a + b
-    crossed = np.divide(a * a + b * b, total, out=np.zeros(total.shape), where=total > 0.0)
-    area = 0.5 * np.diff(time) * np.where(before * after < 0.0, crossed, total)
-    return np.asarray(area.sum(axis=-1))

@@ -21,7 +21,8 @@ from deadtime.simulation.columns import numbered_columns, write_csv
 from deadtime.simulation.ideal.run import IdealRecord
 from deadtime.simulation.initial_input import InputHistory
 from deadtime.simulation.record import DigitalRecord
-from deadtime.simulation.tracking import OF_STEPS, RISE, SETTLED, Followed, step_info
+from deadtime.simulation.step_figures import OF_STEPS, RISE, SETTLED, step_info
+from deadtime.simulation.tracking import Followed
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import first_reads
 

@@ -11,7 +11,7 @@ import numpy as np
 from deadtime.base.wording import compact
 from deadtime.problems import Problem
 from deadtime.simulation import Trajectory
-from deadtime.simulation.tracking import TRACKING
+from deadtime.simulation.step_figures import TRACKING
 
 if TYPE_CHECKING:
     from deadtime.scenarios.dataset import Comparison
