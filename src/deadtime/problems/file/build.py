@@ -12,7 +12,7 @@ from deadtime.base.wording import numbered
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, Sizes, StepDisturbance
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.gains import as_numbers, build_gains, servo_gains
@@ -41,6 +41,10 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         states = _names("states", file.plant.states, plant.states)
         inputs = _names("inputs", file.plant.inputs, plant.inputs)
         modes = _names("modes", file.plant.modes, plant.modes)
+    uncertain = None
+    if file.uncertainty is not None:
+        with _section("uncertainty"):
+            uncertain = UncertainPlant(plant, file.uncertainty.covariance)
     with _section("run"):
         step = None if file.run.step == "ideal" else positive("step", file.run.step)
     outputs, following = _measured(file, plant, states, step, source.parent)
@@ -95,6 +99,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
+        uncertain=uncertain,
     )
 
 
