@@ -48,7 +48,9 @@ def test_the_command_writes_one_page_that_needs_nothing_else(log, fit, tmp_path,
     assert "<b>road</b>" not in text
     for name in ("A[2][1,0]", "delay[1]"):
         low, high = fit.interval(name)
-        assert re.search(rf"{re.escape(name)}</td><td>[^<]+</td><td>{low:.5g}</td>", text)
+        assert re.search(
+            rf"{re.escape(name)}</td><td>[^<]+</td><td>{low:.5g}</td><td>{high:.5g}</td>", text
+        )
     assert [path.name for path in tmp_path.iterdir()].count("found.html") == 1
 
 
