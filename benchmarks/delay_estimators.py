@@ -2,8 +2,8 @@
 
     python benchmarks/delay_estimators.py --draws 100
 
-Logs of `benchmarks/identification.py`, the delay drawn anew for each from 0.1 … 0.5 s, so that it is
-no multiple of the period h = 0.05 s. Of the last state, which the input pushes:
+Logs of `benchmarks/identification.py`, the delay drawn anew for each from 0.1 … 0.5 s, so that
+it is no multiple of the period h = 0.05 s. Of the last state, which the input pushes:
 
 - `deadtime.identify`: all states, as it comes.
 - correlation: the peak of `scipy.signal.correlate` over `correlation_lags`, of the input with what
@@ -22,10 +22,10 @@ import argparse
 
 import control
 import numpy as np
-from identification import CASES, H, made
 from scipy.signal import correlate, correlation_lags
 
 import deadtime as dt
+from identification import CASES, H, made
 
 MOST = 12  # periods
 ASKED = ("one mode", "unstable, closed loop", "noisy sensors")

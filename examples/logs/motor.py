@@ -5,10 +5,11 @@
     J dω/dt = k i − b ω + load,    L di/dt = V(t − 0.0263 s) − R i − k ω
 
 R = 1 Ω, L = 0.05 H, k = 0.1 N m/A, b = 5e-4 N m s; J = 1e-3 kg m² with the arm in, 2.5e-3 with it
-out. The voltage is white, 3 V rms, held for 0.01 s, and arrives 26.3 ms late; load and supply jitter
-every 2 ms. Sampled every 0.01 s, written with six digits. No code of deadtime.
+out. The voltage is white, 3 V rms, held for 0.01 s, and arrives 26.3 ms late; load and supply
+jitter every 2 ms. Sampled every 0.01 s, written with six digits. No code of deadtime.
 """
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ def main(path):
         start = row * H
         arrival = start + (DELAY % H)
         marks = np.unique(np.append(start + FINE * np.arange(6), arrival))
-        for begin, end in zip(marks[:-1], marks[1:], strict=True):
+        for begin, end in pairwise(marks):
             sent = int(np.floor((0.5 * (begin + end) - DELAY) / H))
             V = (volts[sent] if sent >= 0 else 0.0) + 0.2 * rng.standard_normal()
             load = 2e-3 * rng.standard_normal()
