@@ -320,7 +320,7 @@ class Page:
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
         upload = pmui.FileInput(
-            label="Open a problem (.toml) or a log (.csv)", accept=".toml,.csv",
+            label="Open a problem or a log", accept=".toml,.csv",
             max_file_size=None, **WIDE,
         )  # fmt: skip
 
