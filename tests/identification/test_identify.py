@@ -164,6 +164,7 @@ def test_what_is_saved_is_a_problem_that_loads(tmp_path):
     problem = load_problem(tmp_path / "problem.toml")
     assert (problem.plant.A == fit.plant.A).all()
     assert (problem.plant.delays == fit.delays).all()
+    assert problem.uncertain is not None
     np.testing.assert_allclose(problem.uncertain.covariance, fit.uncertain.covariance, rtol=1e-6)
     assert problem.modes == ("fast", "slow")
     assert fit.model is not None

@@ -41,10 +41,6 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         states = _names("states", file.plant.states, plant.states)
         inputs = _names("inputs", file.plant.inputs, plant.inputs)
         modes = _names("modes", file.plant.modes, plant.modes)
-    uncertain = None
-    if file.uncertainty is not None:
-        with _section("uncertainty"):
-            uncertain = UncertainPlant(plant, file.uncertainty.covariance)
     with _section("run"):
         step = None if file.run.step == "ideal" else positive("step", file.run.step)
     outputs, following = _measured(file, plant, states, step, source.parent)
@@ -99,8 +95,16 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
-        uncertain=uncertain,
+        uncertain=_uncertain(file, plant),
     )
+
+
+def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlant | None:
+    """How well the plant is known, where the file says so."""
+    if file.uncertainty is None:
+        return None
+    with _section("uncertainty"):
+        return UncertainPlant(plant, file.uncertainty.covariance)
 
 
 def _start(run: schema.RunSection, plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, float]:
