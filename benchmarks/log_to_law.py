@@ -186,6 +186,8 @@ def draw(seed):
         fit = dt.identify(
             logged(plant, rng, dwell), delay=(0.0, 0.8), noise=False, per_mode=plant.per_mode
         )
+        if fit.plant.modes < plant.modes:
+            return "a mode that was not logged", None, False
         law, designed, why = judged(fit, dwell, 10.0 ** rng.uniform(-2.0, 1.0))
     except dt.DeadtimeError as error:
         return f"refused: {error}"[:70], None, False

@@ -58,14 +58,14 @@ def test_figures_show_what_the_log_holds(fit):
     figures = {name: figure for name, _, figure in figures_of(fit)}
     assert list(figures) == ["likelihood", "predictions", "whiteness", "inputs"]
     profile = figures["likelihood"].axes[0].lines
-    peak = profile[0].get_ydata()
+    shift, peak = (np.asarray(one, dtype=float) for one in profile[0].get_data())
     assert peak.max() == pytest.approx(0.0, abs=1e-3)
     low, high = 1e3 * (fit.delay_interval[0, 0] - fit.delays[0, 0])
-    at_ends = np.interp([low, high], profile[0].get_xdata(), peak)
+    at_ends = np.interp([low, high], shift, peak)
     np.testing.assert_allclose(at_ends, -(1.96**2) / 2, rtol=0.1)  # χ² of one degree of freedom
     panels = figures["predictions"].axes
     assert len(panels) == 3
-    shown, ahead, free = (line.get_ydata() for line in panels[0].lines)
+    shown, ahead, free = (np.asarray(line.get_ydata(), float) for line in panels[0].lines)
     known = np.isfinite(ahead)
     assert np.std((ahead - shown)[known]) < 0.3 * np.nanstd(shown)
     assert np.nanstd(free - shown) < 0.7 * np.nanstd(shown)
@@ -80,13 +80,11 @@ def test_an_input_that_the_model_lacks_sticks_out(log):
     again = log.copy()
     again["x1"] += 0.3 * np.concatenate((np.zeros(11), log["u1"][:-11]))
     fit = dt.identify(again, delay=(0.0, 0.6), noise=False)
-    bars, lines = None, None
-    for name, _, figure in figures_of(fit):
-        if name == "inputs":
-            bars, lines = figure.axes[0].collections[0], figure.axes[0].lines[1]
-    ends = np.array([np.abs(path.vertices[:, 1]).max() for path in bars.get_paths()])
+    axes = {name: figure.axes[0] for name, _, figure in figures_of(fit)}["inputs"]
+    bars, level = axes.collections[0], np.asarray(axes.lines[1].get_ydata(), dtype=float)
+    ends = np.array([np.abs(np.asarray(path.vertices)[:, 1]).max() for path in bars.get_paths()])
     assert not fit.tests.unrelated
-    assert ends.max() > 2.0 * lines.get_ydata().max()
+    assert ends.max() > 2.0 * level.max()
 
 
 def test_a_page_that_cannot_be_written_is_refused(fit, tmp_path):
