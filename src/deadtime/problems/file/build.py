@@ -30,7 +30,7 @@ from deadtime.problems.file.units import labels, require_units
 from deadtime.problems.law_registry import Model
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
 
 
@@ -51,10 +51,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         gains = _gains(file, plant, following, step)
     with _section("switching"):
         model = build_model(file.switching, plant.modes, source.parent)
-    with _section("signal"):
-        rule = build_rule(file.signal)
-        if rule is not None:
-            rule.require(plant)
+    rule = _rule(file, plant)
     weight = _weight(file, plant)
     laws, servos = Laws(file, plant, gains, model, rule, weight, step, following).build()
     with _section("run"):
@@ -97,6 +94,15 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
         uncertain=_uncertain(file, plant),
     )
+
+
+def _rule(file: schema.ProblemFile, plant: SwitchedSystem) -> Rule | None:
+    """The rule by which the state decides the mode, where there is one."""
+    with _section("signal"):
+        rule = build_rule(file.signal)
+        if rule is not None:
+            rule.require(plant)
+    return rule
 
 
 def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlant | None:
