@@ -69,7 +69,11 @@ from .margins import (
     stability_chart as stability_chart,
     stability_margin as stability_margin,
 )
-from .plant import SwitchedSystem as SwitchedSystem, Weight as Weight
+from .plant import (
+    SwitchedSystem as SwitchedSystem,
+    UncertainPlant as UncertainPlant,
+    Weight as Weight,
+)
 from .scenarios import (
     FunctionStudy as FunctionStudy,
     Study as Study,

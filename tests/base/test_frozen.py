@@ -66,6 +66,7 @@ def modes_identified():
 # What users hold: one of each kind, made in as little time as possible.
 OBJECTS = {
     "SwitchedSystem": lambda: PLANT,
+    "UncertainPlant": lambda: dt.UncertainPlant(ONE, 1e-4 * np.eye(7)),
     "SwitchingSignal": lambda: SIGNAL,
     "SignalBatch": lambda: dt.SignalBatch.of([SIGNAL, SIGNAL]),
     "Markov": lambda: dt.Markov([[0.0, 1.0], [2.0, 0.0]]),

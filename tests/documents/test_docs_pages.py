@@ -66,6 +66,7 @@ LONG = (
     "howto/add-a-law.md",
     "howto/add-an-imperfection.md",
     "howto/choose-a-law.md",
+    "howto/from-a-log.md",
     "theory/known-switching.md",
 )
 

@@ -182,8 +182,8 @@ def test_commands_of_the_page_on_them_are_those_there_are(monkeypatch):
 
 # Pages and the command line's tests, which run always, do the same with smaller budgets.
 LONG = (
-    "barrier", "belief_maps", "design", "known_switching", "mode_sensor", "mpc", "output_feedback",
-    "robustness", "saturated_servo",
+    "barrier", "belief_maps", "design", "from_a_log", "known_switching", "mode_sensor", "mpc",
+    "output_feedback", "robustness", "saturated_servo",
 )  # fmt: skip
 MARKS = dict.fromkeys(LONG, pytest.mark.long) | {"processor_in_the_loop": needs_compiler}
 SCRIPTS = [

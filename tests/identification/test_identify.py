@@ -1,5 +1,7 @@
 """What a log of a known plant gives back, and what is refused."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -162,6 +164,8 @@ def test_what_is_saved_is_a_problem_that_loads(tmp_path):
     problem = load_problem(tmp_path / "problem.toml")
     assert (problem.plant.A == fit.plant.A).all()
     assert (problem.plant.delays == fit.delays).all()
+    assert problem.uncertain is not None
+    np.testing.assert_allclose(problem.uncertain.covariance, fit.uncertain.covariance, rtol=1e-6)
     assert problem.modes == ("fast", "slow")
     assert fit.model is not None
     assert problem.title == 'a "plant"'
@@ -176,6 +180,11 @@ def test_a_margin_that_is_narrower_than_the_interval_is_not_enough():
     plant, gains = fit.plant, dt.place(fit.plant, [-1.0])
     margin = dt.delay_margin(plant, dt.AveragedPredictor(plant, gains), H)
     assert fit.verdict(margin).endswith(": enough.")
+    said = fit.verdict(margin, dt.AveragedPredictor(plant, gains), H)
+    assert re.search(r"enough\. Of 100 plants drawn .*, 100 decay", said)
+    weak = dt.AveragedPredictor(plant, -0.51 * np.ones((1, 1, 1)))  # the log leaves a = 0.5 ± 0.03
+    margin_of_weak = dt.delay_margin(plant, weak, H)
+    assert "Not enough: log for longer" in fit.verdict(margin_of_weak, weak, H)
     narrow = type(margin)(**{**vars(margin), "lower": margin.nominal - 1e-6})
     assert "not enough" in fit.verdict(narrow)
     nothing = type(margin)(**{**vars(margin), "lower": None, "upper": None})

@@ -73,7 +73,7 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
         If it is larger than a problem file can be, is not text or TOML, says something that a
         problem file may not, or names other files, which would be read on this machine.
     """
-    stem = _stem(name)
+    stem = file_stem(name)
     if len(content) > MOST_BYTES:
         raise too_large(name, len(content))
     source = folder / f"{stem}.toml"
@@ -97,12 +97,12 @@ def open_upload(name: str, content: bytes, folder: Path) -> Document:
 def too_large(name: str, size: int) -> ProblemFileError:
     """What to say of a file that is larger than a problem file can be."""
     return ProblemFileError(
-        f"{_stem(name)}.toml has {size / 1e6:.1f} MB, a problem file at most "
+        f"{file_stem(name)}.toml has {size / 1e6:.1f} MB, a problem file at most "
         f"{MOST_BYTES / 1e6:.0f} MB: choose another file."
     )
 
 
-def _stem(name: str) -> str:
+def file_stem(name: str) -> str:
     """A file's name without its ending and whatever could be more than a name."""
     return "".join(c for c in Path(name).stem if c.isalnum() or c in " -_")[:60] or "problem"
 

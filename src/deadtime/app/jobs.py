@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
+from deadtime.app.logs import FoundPlant, open_log
 from deadtime.app.outcome import run_draft
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
@@ -39,13 +40,25 @@ def try_upload(name: str, content: bytes) -> tuple[Document, float]:
     """
     with tempfile.TemporaryDirectory() as folder:
         document = open_upload(name, content, Path(folder))
+    return document, _seconds(document)
+
+
+def _seconds(document: Document) -> float:
+    """Run a document twice; seconds of this process for the second run."""
     try:
         run_draft(document.draft, document.source)
     except SectionError as error:
         raise complaint(document, error) from None
     began = time.process_time()
     run_draft(document.draft, document.source)
-    return document, time.process_time() - began
+    return time.process_time() - began
+
+
+def try_log(name: str, content: bytes) -> tuple[FoundPlant, float]:
+    """The plant of a log that came through a browser; seconds of a run of its problem."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = open_log(name, content, Path(folder))
+    return found, _seconds(found.document)
 
 
 def worst_signal(

@@ -13,13 +13,14 @@ import panel as pn
 import panel_material_ui as pmui
 from bokeh.layouts import column
 
+from deadtime.app import logs
 from deadtime.app.actions import Actions
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.costs import CSS, table_of
 from deadtime.app.documents import MOST_BYTES, Document, open_named, to_toml, too_large
 from deadtime.app.drawing import switch_at
 from deadtime.app.figures import MOST_PANELS, Figures
-from deadtime.app.jobs import try_upload
+from deadtime.app.jobs import try_log, try_upload
 from deadtime.app.opening import Opening
 from deadtime.app.outcome import Outcome, run_draft
 from deadtime.app.settings import Drawn, Given, draft_of
@@ -29,6 +30,7 @@ from deadtime.problems import NAMED
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
 _TRIAL = 60.0  # seconds after which a trial of an uploaded problem is stopped
+_IDENTIFYING = 120.0  # seconds after which a log is given up
 _LONG = 200  # characters of a title that are shown
 _SLOW = 1.0  # seconds of a processor above which a page cannot follow every move
 
@@ -60,6 +62,9 @@ class Page:
         self.message = pmui.Alert(object="", severity="info", visible=False, margin=(4, 10))
         self.costs = pn.pane.HTML("", sizing_mode="stretch_width", stylesheets=[CSS])
         self.about = pn.pane.HTML("", sizing_mode="stretch_width", margin=(0, 10))
+        self.found = pn.pane.HTML(
+            "", sizing_mode="stretch_width", margin=(0, 10), visible=False, stylesheets=[logs.CSS]
+        )
         self.panels = pmui.Column(sizing_mode="stretch_width", margin=0)
         self.groups = {name: pmui.Column(sizing_mode="stretch_width") for name in GROUPS}
         self.laws = pmui.Column(sizing_mode="stretch_width")
@@ -79,6 +84,7 @@ class Page:
         document, outcome = opening.document, opening.outcome
         controls = Controls(document, dict(opening.offer), opening.chosen, self.touch)
         self._forget()
+        self.found.param.update(object="", visible=False)
         self.document, self.offer, self.controls = document, opening.offer, controls
         self._shown = dict(document.draft)
         states = range(min(outcome.problem.plant.states, MOST_PANELS))
@@ -125,16 +131,36 @@ class Page:
 
         def on_tried(result: tuple[Document, float]) -> None:
             document, seconds = result
-            if seconds > _SLOW:
-                self.refuse(
-                    f"{document.name}.toml takes {seconds:.1f} s of a processor to run, too "
-                    "slow for a page that follows every move: use `deadtime simulate`."
-                )
-            elif self.attempt(lambda: self.open(document)):
+            if self._open_if_quick(document, seconds):
                 self.say(f"Opened {document.name}.toml.")
 
         self.say("Trying the file …")
         self.elsewhere(_TRIAL, on_tried, self.refuse, try_upload, name, content)
+
+    def _open_if_quick(self, document: Document, seconds: float) -> bool:
+        """Open a document that was tried and took so long; whether it was opened."""
+        if seconds > _SLOW:
+            self.refuse(
+                f"{document.name}.toml takes {seconds:.1f} s of a processor to run, too "
+                "slow for a page that follows every move: use `deadtime simulate`."
+            )
+            return False
+        return self.attempt(lambda: self.open(document))
+
+    def upload_log(self, name: str, content: bytes) -> None:
+        """Identify the plant of a log that came through the browser, and show its problem."""
+        if len(content) > logs.MOST_BYTES:
+            self.refuse(str(logs.too_large(name, len(content))))
+            return
+
+        def on_found(result: tuple[logs.FoundPlant, float]) -> None:
+            found, seconds = result
+            if self._open_if_quick(found.document, seconds):
+                self.found.param.update(object=logs.shown(found), visible=True)
+                self.say(f"The plant of {found.document.name}.csv, as a problem.")
+
+        self.say("Identifying the plant of the log …")
+        self.elsewhere(_IDENTIFYING, on_found, self.refuse, try_log, name, content)
 
     def elsewhere(
         self,
@@ -180,7 +206,8 @@ class Page:
         """The session is over: let go of what it holds, whoever still holds the page."""
         self._closed = True
         self._forget()
-        for name in ("panels", "groups", "laws", "controls", "figures", "outcome", "actions"):
+        held = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "found")
+        for name in held:
             vars(self).pop(name, None)
 
     # -- showing ---------------------------------------------------------------------------
@@ -293,13 +320,15 @@ class Page:
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
         upload = pmui.FileInput(
-            label="Open a problem file (.toml)", accept=".toml", max_file_size=None,
-            **WIDE,
+            label="Open a problem or a log", accept=".toml,.csv",
+            max_file_size=None, **WIDE,
         )  # fmt: skip
 
         def on_uploaded(event: Any) -> None:
             if event.new is not None:
-                self.upload(upload.filename or "problem.toml", event.new)
+                name = upload.filename or "problem.toml"
+                take = self.upload_log if name.lower().endswith(".csv") else self.upload
+                take(name, event.new)
 
         upload.param.watch(on_uploaded, "value", onlychanged=False)
         groups = pmui.Accordion(
@@ -308,7 +337,8 @@ class Page:
             active=[0, 1, 2], title_variant="subtitle1", disable_gutters=True,
             sizing_mode="stretch_width", margin=(5, 5),
         )  # fmt: skip
-        left = pmui.Column(self.message, self.about, self.panels, *self.actions.drawing())
+        curves = self.about, self.panels, *self.actions.drawing()
+        left = pmui.Column(self.message, self.found, *curves)
         right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
         phone = _on_a_phone()
         # There the drawer lies over the header, and so over the button that opened it.

@@ -41,6 +41,7 @@ def identify(
     law: str | None = None,
     out: File = None,
     figure: Path | None = None,
+    report: Path | None = None,
     json_output: AsJson = False,
 ) -> None:
     """What plant is this the log of? Matrices, delays and noise, each with its 95 % interval.
@@ -74,10 +75,13 @@ def identify(
         The problem file to write.
     figure
         The figure to write, PNG, SVG or PDF.
+    report
+        The page to write, HTML: what there is to say, all intervals, figures of how well it fits.
     json_output
         Print the result as JSON instead of text.
     """
     from deadtime.identification import identify as identified
+    from deadtime.reports.identified import HEADINGS, interval_rows, write_identification
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
@@ -92,17 +96,20 @@ def identify(
         inputs=inputs,
     )
     said = [*fit.sentences, *_verdict(fit, beside, law)]
-    written = [path for path in (out, figure) if path is not None]
+    written = [path for path in (out, figure, report) if path is not None]
     if out is not None:
         fit.save(out)
     if figure is not None:
         save_figure(fit.plot(), figure)
+    if report is not None:
+        name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
+        write_identification(fit, report, said, name, f"deadtime identify {_named(logs)}")
     if json_output:
         print_json(_record(fit, said), written)
         return
     print_heading(f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s", said)
     print()
-    print_table(("", "estimate", "from", "to"), _rows(fit))
+    print_table(HEADINGS, interval_rows(fit))
     for path in written:
         print(f"\nWritten: {path}")
 
@@ -138,12 +145,9 @@ def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list
     return [f"Law “{chosen}”, each mode held: {fit.verdict(margin, law, step)}"]
 
 
-def _rows(fit: Identification) -> list[tuple[str, str, str, str]]:
-    rows = []
-    for name in fit.names:
-        low, high = fit.interval(name)
-        rows.append((name, *(f"{value:.5g}" for value in (fit.estimate(name), low, high))))
-    return rows
+def _named(logs: tuple[Path, ...]) -> str:
+    """The logs as the command has them."""
+    return " ".join(map(str, logs))
 
 
 def _record(fit: Identification, said: list[str]) -> dict:

@@ -6,11 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadtime.cli.entry import JUDGE, AsJson, File, app, lines
-from deadtime.cli.printing import print_heading, print_json, progress_bar, save_figure
+from deadtime.cli.printing import (
+    print_heading,
+    print_json,
+    print_table,
+    progress_bar,
+    save_figure,
+)
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
-    from deadtime.margins import Robustness, Tolerance
+    from deadtime.margins import DrawnStability, Robustness, Tolerance
 
 
 @app.command(
@@ -31,6 +37,9 @@ def robustness(
     json_output: AsJson = False,
 ) -> None:
     """What does the loop stand? Wrong delay and gain, lost and late samples, late modes, noise.
+
+    Where the file has an [uncertainty], as `deadtime identify` writes it, also on how many of 100
+    plants drawn from it every law is stable.
 
     Parameters
     ----------
@@ -55,6 +64,7 @@ def robustness(
     from deadtime.problems.asked import step_of
     from deadtime.problems.slips import slips_of
     from deadtime.reports.figures.robustness import plot_robustness
+    from deadtime.reports.tables import drawn_plants
 
     chosen = problem_of(problem)
     name = next(iter(chosen.laws)) if law is None else law
@@ -80,21 +90,28 @@ def robustness(
     path = path if path.suffix else path.with_suffix(".png")
     save_figure(plot_robustness(result, f"{chosen.title}: law “{name}”", chosen.modes), path)
     slips = slips_of(chosen, period)
+    drawn = drawn_plants.drawn_of(chosen, period, seed)
     if json_output:
         setting = {"problem": chosen.name, "law": name, "step": period}
-        print_json(setting | _record(result, slips), [path])
+        print_json(setting | _record(result, slips, drawn), [path])
         return
     print_heading(chosen.title)
     print(f"Law “{name}”, sampled every {period:g} s:")
     for sentence in (*result.sentences, *slips):
         print(f"• {sentence}")
+    if drawn:
+        print("\nPlants drawn from [uncertainty]:")
+        print_table(drawn_plants.HEADINGS, drawn_plants.drawn_rows(drawn))
     print(f"\nFigure: {path}")
 
 
-def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
+def _record(
+    result: Robustness, slips: list[str], drawn: dict[str, DrawnStability]
+) -> dict[str, Any]:
     """The figures for JSON."""
     from deadtime.base.record import record
     from deadtime.plant.weight import record_of
+    from deadtime.reports.tables.drawn_plants import drawn_record
 
     delay, gain = result.delay, result.gain
     return {
@@ -106,6 +123,7 @@ def _record(result: Robustness, slips: list[str]) -> dict[str, Any]:
         "detection_lag": result.lag and _tolerance(result.lag),
         "noise": record(result.noise, "base", "doubling"),
         "sentences": [*result.sentences, *slips],
+        **({"drawn_plants": drawn_record(drawn)} if drawn else {}),
         **record_of(result.weight),
     }
 

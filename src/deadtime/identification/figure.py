@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from deadtime.identification.identification import Identification
 
 _SHOWN = 400  # samples of the log at most
-_POINTS = 13  # of a likelihood
+_POINTS = 13  # of a likelihood, where each takes a filter over the log
+_MANY = 41  # where it does not
 _FAR = 3.0  # of a log's range: a free run that leaves it is cut there
 
 
@@ -28,26 +29,35 @@ def plot_identification(fit: Identification) -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    part = fit._recording.parts[0]
-    part = Part(*(column[:_SHOWN] for column in part))
+    part = shown(fit)
     n, several = fit.plant.states, fit.plant.modes > 1
     rows = n + 2 + several
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(1.5 * WIDTH, 1.2 * rows + 0.8), layout="constrained")
         grid = figure.add_gridspec(rows, 1)
-        _draw_likelihood(figure.add_subplot(grid[0]), fit)
+        draw_likelihood(figure.add_subplot(grid[0]), fit)
         axes = [figure.add_subplot(grid[1 + i]) for i in range(n)]
-        _draw_log(axes, fit, part)
+        draw_log(axes, fit, part)
         if several:
-            modes = figure.add_subplot(grid[n + 1], sharex=axes[0])
-            modes.step(part.time, part.mode, where="post", color=COLOURS[0])
-            modes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
-            modes.set_xlabel("t (s)")
-        _draw_residuals(figure.add_subplot(grid[rows - 1]), fit)
+            draw_modes(figure.add_subplot(grid[n + 1], sharex=axes[0]), fit, part)
+        draw_residuals(figure.add_subplot(grid[rows - 1]), fit)
     return figure
 
 
-def _draw_likelihood(axes: Axes, fit: Identification) -> None:
+def shown(fit: Identification) -> Part:
+    """What figures show of the log: its beginning."""
+    return Part(*(column[:_SHOWN] for column in fit._recording.parts[0]))
+
+
+def draw_modes(axes: Axes, fit: Identification, part: Part) -> None:
+    """The mode over time."""
+    axes.step(part.time, part.mode, where="post", color=COLOURS[0])
+    axes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
+    axes.set_ylabel("mode")
+    axes.set_xlabel("t (s)")
+
+
+def draw_likelihood(axes: Axes, fit: Identification) -> None:
     """The profile over every delay, about its estimate."""
     found, layout = fit._found, fit._found.log.layout
     places = np.arange(layout.size)[layout.at_delays].tolist()
@@ -55,7 +65,8 @@ def _draw_likelihood(axes: Axes, fit: Identification) -> None:
     for row, (place, name) in enumerate(zip(places, names, strict=True)):
         D = float(found.best.theta[place])
         reach = 1.7 * np.abs(found.intervals[row] - D).max()
-        delays = np.clip(np.linspace(D - reach, D + reach, _POINTS), *found.window)
+        points = _POINTS if fit.noise.any() else _MANY
+        delays = np.clip(np.linspace(D - reach, D + reach, points), *found.window)
         falls = [profile(found.log, found.best, found.window, place, float(d)) for d in delays]
         colour = COLOURS[row % len(COLOURS)]
         axes.plot(1e3 * (delays - D), falls, color=colour, label=plain(f"{name}: {D:.4g} s"))
@@ -66,7 +77,7 @@ def _draw_likelihood(axes: Axes, fit: Identification) -> None:
     axes.legend(loc="lower center")
 
 
-def _draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
+def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
     """States as logged, as foretold a sample before, and as foretold from the first row on."""
     ahead, free = forecast(part, fit.plant, fit._found.log.nodes, fit.C)
     for i, own in enumerate(axes):
@@ -80,14 +91,17 @@ def _draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
 
 
-def _draw_residuals(axes: Axes, fit: Identification) -> None:
+def draw_residuals(axes: Axes, fit: Identification) -> None:
     """The residuals' correlation with themselves, and where it would be by chance."""
     r, count = autocorrelation(list(fit._found.white))
     lags = np.arange(1, LAGS + 1)
     for i in range(r.shape[1]):
         shift = 0.15 * (i - 0.5 * (r.shape[1] - 1))
-        axes.vlines(lags + shift, 0.0, r[:, i], color=COLOURS[i % len(COLOURS)])
+        name = plain(fit.states[i]) if r.shape[1] == len(fit.states) else f"output {i}"
+        axes.vlines(lags + shift, 0.0, r[:, i], color=COLOURS[i % len(COLOURS)], label=name)
     for side in (-1.0, 1.0):
         axes.plot(lags, side * 1.96 / np.sqrt(np.maximum(count, 1)), color="#666666", linestyle=":")
     axes.set_xlabel("samples between residuals; dotted: 95 % by chance")
     axes.set_ylabel("correlation")
+    if r.shape[1] > 1:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)

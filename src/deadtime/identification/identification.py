@@ -18,7 +18,7 @@ from deadtime.identification.hidden.identified import Hidden
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.sentences import sentences_of, verdict_of
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
 
 if TYPE_CHECKING:
@@ -156,6 +156,12 @@ class Identification(Frozen):
         return np.nanmax(np.abs(every), axis=0)
 
     @property
+    def uncertain(self) -> UncertainPlant:
+        """The plant with the covariance of all its entries and delays: to draw, and corners."""
+        size = self._found.log.layout.size
+        return UncertainPlant(self.plant, self._found.spread.covariance[:size, :size])
+
+    @property
     def message(self) -> str:
         """The sentences, as one text."""
         return " ".join(self.sentences)
@@ -234,14 +240,16 @@ class Identification(Frozen):
         A margin is of delays that all err alike. Of several delays it is "enough" only where the
         law is given, too: then each input's delay alone is held against its margin, and the loop
         must decay in every mode, held, at all corners of the box of intervals (up to 4 inputs).
-        Delays between corners, and different errors while modes switch, are not looked at.
+        Delays between corners, and different errors while modes switch, are not looked at. Of a law
+        that is given it also says on how many plants, drawn from all that the log leaves open
+        (`uncertain`), every mode held decays.
 
         Parameters
         ----------
         margin : DelayMargin
             Of the law on `plant`: `deadtime.delay_margin(fit.plant, law, fit.step, dwell_time)`.
         law : Law, optional
-            The law, for errors that differ.
+            The law, for errors that differ, and those of A and B.
         step : float, optional
             Its sampling period, seconds; that of the log by default.
 
@@ -260,13 +268,23 @@ class Identification(Frozen):
         Delay 0.2595 s (0.259 … 0.2599); the law bears 0 … 1.054 s: enough.
         """
         from deadtime.identification.separate_errors import MOST_INPUTS, failure_of
+        from deadtime.margins import drawn_stability
+        from deadtime.margins.drawn_plants import has_rates
 
-        failure = None
-        if law is not None and self._found.log.layout.delays > 1:
-            period = self.step if step is None else positive("step", step)
-            if self.plant.inputs <= MOST_INPUTS and margin.lower is not None:
-                failure = failure_of(self.plant, self.delay_interval, law, period)
-        return verdict_of(self.delays, self.delay_interval, margin, failure)
+        failure, period = None, self.step if step is None else positive("step", step)
+        apart = self._found.log.layout.delays > 1 and self.plant.inputs <= MOST_INPUTS
+        if law is not None and apart and margin.lower is not None:
+            failure = failure_of(self.plant, self.delay_interval, law, period)
+        said = verdict_of(self.delays, self.delay_interval, margin, failure)
+        if law is None or margin.lower is None or not has_rates(law):
+            return said
+        drawn = drawn_stability(self.uncertain, law, period)
+        also = (
+            ""
+            if drawn.all_stable
+            else " Not enough: log for longer, or design a law that bears more."
+        )
+        return f"{said} {drawn.sentence}{also}"
 
     def save(
         self, path: str | PathLike[str], *, title: str = "", horizon: float | None = None

@@ -34,6 +34,7 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
         f"inputs = {_texts(fit.inputs)}",
         f"modes = {_texts(fit.modes)}",
         "",
+        *_uncertainty(fit),
         "[gains]    # of least ∫|x|² + |u|²: change them to yours",
         f"lqr = {{Q = {_lists(np.eye(n))}, R = {_lists(np.eye(m))}}}",
         "",
@@ -55,6 +56,14 @@ def _delay_lines(fit: Identification) -> list[str]:
     rows = ends[:1] if same else ends
     within = "; ".join(f"{low:.6g} … {high:.6g}" for low, high in rows.reshape(-1, 2))
     return [f"delay = {value}    # s; at 95 %: {within}"]
+
+
+def _uncertainty(fit: Identification) -> list[str]:
+    """The covariance of all that was identified, to seven digits: a row a line."""
+    rows = fit.uncertain.covariance
+    lines = ["[uncertainty]    # of A row by row, mode by mode, then B, then the delays"]
+    lines += ["covariance = [", *(f"  [{', '.join(f'{v:.6e}' for v in row)}]," for row in rows)]
+    return [*lines, "]", ""]
 
 
 def _switching(fit: Identification) -> list[str]:

@@ -105,12 +105,8 @@ def judge_residuals(
         size = float(r.flat[np.abs(r).argmax()])
         worst = (lag, size) if abs(size) > abs(worst[1]) else worst
     spare = n * n * max(pairs_at - 1, 1)
-    lags = min(int(np.ceil(longest / recording.step)) + LAGS, _MOST_LAGS)
-    inputs = [_centred(part.input, recording) for part in recording.parts]
-    z = []
-    for lag in range(1, lags + 1):
-        r, count = _correlation(white, inputs, lag)
-        z.append(np.abs(r).max(axis=0) * np.sqrt(count))
+    r, count = with_inputs(white, recording, longest)
+    z, lags = np.abs(r).max(axis=1) * np.sqrt(count)[:, None], len(count)
     place = np.unravel_index(int(np.argmax(z)), (lags, m))
     chance = min(1.0, float(2.0 * norm.sf(np.max(z)) * lags * n * m))
     return ResidualTests(
@@ -120,6 +116,16 @@ def judge_residuals(
         float(recording.step * (place[0] + 1)),
         int(place[1]),
     )
+
+
+def with_inputs(
+    white: list[Float[np.ndarray, "sample n"]], recording: Recording, longest: float
+) -> tuple[Float[np.ndarray, "lag n m"], Float[np.ndarray, " lag"]]:
+    """The residuals' correlation with inputs of 1, 2, … samples before; the pairs it rests on."""
+    lags = min(int(np.ceil(longest / recording.step)) + LAGS, _MOST_LAGS)
+    inputs = [_centred(part.input, recording) for part in recording.parts]
+    found = [_correlation(white, inputs, lag) for lag in range(1, lags + 1)]
+    return np.array([r for r, _ in found]), np.array([float(count) for _, count in found])
 
 
 def _centred(u: np.ndarray, recording: Recording) -> np.ndarray:

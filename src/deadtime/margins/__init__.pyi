@@ -1,6 +1,10 @@
 from .chart import StabilityChart as StabilityChart, stability_chart as stability_chart
 from .constant_modes import DelayMargin as DelayMargin
 from .delay import delay_margin as delay_margin
+from .drawn_plants import (
+    DrawnStability as DrawnStability,
+    drawn_stability as drawn_stability,
+)
 from .dwell_time import LeastDwellTime as LeastDwellTime, least_dwell_time as least_dwell_time
 from .gain import GainMargin as GainMargin, gain_margin as gain_margin
 from .loop_transfer import loop_transfer as loop_transfer

@@ -19,7 +19,7 @@ from deadtime.laws import (
     ExactPredictor,
     StateDependentPredictor,
 )
-from deadtime.plant import SwitchedSystem, Weight
+from deadtime.plant import SwitchedSystem, UncertainPlant, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Markov, Rule, SemiMarkov, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
@@ -77,6 +77,8 @@ class Problem(Frozen):
         As `simulate` takes them.
     weight : Weight or None
         Of the cost by which its laws are compared; None: the identity.
+    uncertain : UncertainPlant or None
+        How well the plant that laws are made for is known; None: it says nothing of that.
     """
 
     name: str
@@ -107,6 +109,7 @@ class Problem(Frozen):
     predict: str = "applied"
     weight: Weight | None = None
     constraint: SwitchingConstraint | None = None
+    uncertain: UncertainPlant | None = None
 
     def __post_init__(self) -> None:
         if not self.states:

@@ -52,6 +52,13 @@ def write_metrics(record: Mapping[str, Any], folder: Path, indent: int = 2) -> N
 
 def write_page(folder: Path, template: str, **parts: Any) -> Path:
     """Write index.html, by a template of `templates/`; its path."""
+    path = folder / "index.html"
+    path.write_text(render(template, **parts), encoding="utf-8")
+    return path
+
+
+def render(template: str, **parts: Any) -> str:
+    """A page by a template of `templates/`."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(
@@ -60,7 +67,4 @@ def write_page(folder: Path, template: str, **parts: Any) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    path = folder / "index.html"
-    text = environment.get_template(template).render(version=__version__, **parts)
-    path.write_text(text, encoding="utf-8")
-    return path
+    return environment.get_template(template).render(version=__version__, **parts)

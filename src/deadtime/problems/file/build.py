@@ -12,7 +12,7 @@ from deadtime.base.wording import numbered
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, Sizes, StepDisturbance
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.gains import as_numbers, build_gains, servo_gains
@@ -30,7 +30,7 @@ from deadtime.problems.file.units import labels, require_units
 from deadtime.problems.law_registry import Model
 from deadtime.problems.problem import Problem
 from deadtime.problems.toml import section as _section
-from deadtime.switching import SwitchingSignal
+from deadtime.switching import Rule, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
 
 
@@ -51,10 +51,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         gains = _gains(file, plant, following, step)
     with _section("switching"):
         model = build_model(file.switching, plant.modes, source.parent)
-    with _section("signal"):
-        rule = build_rule(file.signal)
-        if rule is not None:
-            rule.require(plant)
+    rule = _rule(file, plant)
     weight = _weight(file, plant)
     laws, servos = Laws(file, plant, gains, model, rule, weight, step, following).build()
     with _section("run"):
@@ -95,7 +92,25 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         dwell_time=(min(promise.dwell_time) or None) if promise is not None else None,
         constraint=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
+        uncertain=_uncertain(file, plant),
     )
+
+
+def _rule(file: schema.ProblemFile, plant: SwitchedSystem) -> Rule | None:
+    """The rule by which the state decides the mode, where there is one."""
+    with _section("signal"):
+        rule = build_rule(file.signal)
+        if rule is not None:
+            rule.require(plant)
+    return rule
+
+
+def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlant | None:
+    """How well the plant is known, where the file says so."""
+    if file.uncertainty is None:
+        return None
+    with _section("uncertainty"):
+        return UncertainPlant(plant, file.uncertainty.covariance)
 
 
 def _start(run: schema.RunSection, plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, float]:

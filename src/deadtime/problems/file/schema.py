@@ -66,6 +66,15 @@ class PlantSection(Section):
     )
 
 
+class UncertaintySection(Section):
+    """How well [plant] is known, as `deadtime identify` writes it."""
+
+    covariance: Annotated[Matrix, Shape("(size, size)", [[1e-4]])] = Field(
+        description="Of all entries of A, row by row and mode by mode, then of B, then of the "
+        "delays, one per input, or mode by mode where each has its own."
+    )
+
+
 class LqrSection(Section):
     """Weights of ∫ xᵀQx + uᵀRu."""
 
@@ -301,6 +310,9 @@ class ProblemFile(Section):
     title: str = ""
     source: str = Field("", description="Where the numbers come from.")
     plant: PlantSection
+    uncertainty: UncertaintySection | None = Field(
+        None, description="How well the plant is known, for `deadtime robustness`."
+    )
     gains: GainsSection
     cost: CostSection | None = Field(
         None, description="What laws are compared by; ∫|x|² + |u|² by default."

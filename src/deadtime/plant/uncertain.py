@@ -1,0 +1,154 @@
+"""A plant that is known up to a covariance, as one identified from a log: others that it may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import count as whole_number, instance, number, read_only, real_array
+from deadtime.base.errors import ArgumentError
+from deadtime.base.frozen import Frozen
+from deadtime.plant.switched_system import SwitchedSystem
+
+_SHORTEST = 1e-3  # of the likeliest delay: no plant that is drawn has a shorter one
+_SYMMETRIC = 1e-6  # of a correlation: what a file's digits may leave
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class UncertainPlant(Frozen):
+    """A plant, and the covariance of its entries and delays (immutable).
+
+    θ is normal about the plant's: all of A_0, row by row, A_1, …, then B_0, …, then the delays, one
+    per input, or mode by mode where each mode has its own.
+
+    Parameters
+    ----------
+    plant : SwitchedSystem
+        The likeliest plant.
+    covariance : array_like, shape (size, size)
+        Of θ, symmetric and positive semidefinite.
+
+    Raises
+    ------
+    ArgumentError
+        If the covariance has another size, or is none.
+
+    Examples
+    --------
+    >>> import deadtime as dt, numpy as np
+    >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[2.0]]], delay=0.3)
+    >>> known = dt.UncertainPlant(plant, np.diag([0.1, 0.1, 0.01]) ** 2)
+    >>> len(known.draw(50)), len(known.corners())
+    (50, 4)
+    """
+
+    plant: SwitchedSystem
+    covariance: Float[np.ndarray, "size size"]
+
+    def __init__(self, plant: SwitchedSystem, covariance: ArrayLike) -> None:
+        instance("plant", plant, SwitchedSystem)
+        given = real_array("covariance", covariance, "(size, size)", 2)
+        entries = plant.A.size + plant.B.size
+        sizes = sorted({entries + plant.inputs, entries + plant.delays.size})
+        if given.shape not in [(size, size) for size in sizes]:
+            raise ArgumentError(
+                f"covariance must have as many rows and columns as A, B and the delays have "
+                f"entries, {' or '.join(map(str, sizes))}, got {given.shape}."
+            )
+        _require_covariance(given)
+        if given.shape[0] == sizes[0] < sizes[-1] and (plant.delays[0] != plant.delays).any():
+            raise ArgumentError(
+                f"covariance must have {sizes[-1]} rows and columns, one of every mode's delays, "
+                f"for modes have delays of their own; got {given.shape}."
+            )
+        vars(self).update(plant=plant, covariance=read_only(0.5 * (given + given.T)))
+
+    def draw(self, count: int, seed: int = 0) -> tuple[SwitchedSystem, ...]:
+        """Plants that it may be, at random.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        seed : int
+            Of the random numbers.
+        """
+        how_many = whole_number("count", count)
+        rng = np.random.default_rng(whole_number("seed", seed, least=0))
+        root = _root(self.covariance)
+        z = rng.standard_normal((how_many, root.shape[1]))
+        return tuple(self._at(shift) for shift in z @ root.T)
+
+    def corners(self, level: float = 0.95) -> tuple[SwitchedSystem, ...]:
+        """A polytope that holds A and B at a level, for `certify`: two corners per uncertain entry.
+
+        A and B lie with this probability in {θ : (θ − θ̂)ᵀ Σ⁻¹ (θ − θ̂) ≤ r²}, Σ their covariance
+        whatever the delays are, r² the quantile of χ² with d degrees of freedom, d = rank Σ. With
+        Σ = L Lᵀ the corners θ̂ ± √d r L e_k span the least cross-polytope about it. It grows with
+        √d: of many entries it is far wider than their intervals, and what a law cannot be proved
+        for on it, it may yet do for each plant of `draw`. The delays are the likeliest ones:
+        `certify(plant.corners(), law, …, delays=…)` takes their intervals beside.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+        """
+        from scipy.stats import chi2
+
+        if not 0.0 < number("level", level) < 1.0:
+            raise ArgumentError(f"level must be between 0 and 1, got {level:g}.")
+        entries = self.plant.A.size + self.plant.B.size
+        root = _root(self.covariance[:entries, :entries])
+        d = root.shape[1]
+        if not d:
+            return (self.plant,)
+        arm = float(np.sqrt(d * chi2.ppf(level, d))) * root.T
+        rest = np.zeros(len(self.covariance) - entries)
+        return tuple(self._at(np.concatenate((s * one, rest))) for one in arm for s in (1.0, -1.0))
+
+    def _at(self, shift: np.ndarray) -> SwitchedSystem:
+        """The plant that is so far from the likeliest one."""
+        plant = self.plant
+        of_A, of_B, of_D = np.split(shift, [plant.A.size, plant.A.size + plant.B.size])
+        delays = plant.delays + of_D.reshape(-1, plant.inputs)
+        return plant.like(
+            plant.A + of_A.reshape(plant.A.shape),
+            plant.B + of_B.reshape(plant.B.shape),
+            np.maximum(delays, _SHORTEST * plant.delays),
+        )
+
+    def __repr__(self) -> str:
+        return f"UncertainPlant({self.plant!r}, {len(self.covariance)} entries)"
+
+
+def _require_covariance(given: np.ndarray) -> None:
+    """Refuse what is no covariance, in units in which variances are 1."""
+    unit = np.sqrt(np.maximum(np.diagonal(given), 0.0))
+    within = np.outer(unit, unit)
+    if (np.diagonal(given) < 0.0).any() or (np.abs(given - given.T) > _SYMMETRIC * within).any():
+        raise ArgumentError("covariance must be symmetric, with variances ≥ 0 on its diagonal.")
+    least = np.linalg.eigvalsh(_scaled(given))[0]
+    if least < -_SYMMETRIC * len(given):
+        raise ArgumentError(
+            f"covariance must be positive semidefinite, got an eigenvalue {least:.4g} of the "
+            "correlations."
+        )
+
+
+def _scaled(covariance: np.ndarray) -> np.ndarray:
+    """The correlations; 0 where an entry is certain."""
+    unit = np.sqrt(np.diagonal(covariance))
+    back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
+    return 0.5 * (covariance + covariance.T) * back[:, None] * back
+
+
+def _root(covariance: np.ndarray) -> Float[np.ndarray, "size d"]:
+    """L of Σ = L Lᵀ, a column per direction that is uncertain at all."""
+    values, vectors = np.linalg.eigh(_scaled(covariance))
+    seen = values > len(values) * np.finfo(float).eps
+    unit = np.sqrt(np.diagonal(covariance))
+    return unit[:, None] * vectors[:, seen] * np.sqrt(values[seen])
