@@ -137,9 +137,8 @@ class Trajectory(Frozen):
         outside = np.flatnonzero(norm > 0.02 * peak)
         settled = outside.size == 0 or outside[-1] + 1 < time.size
         settling = (0.0 if outside.size == 0 else time[outside[-1] + 1]) if settled else np.inf
-        following = {}
-        if self.followed is not None:
-            following["iae"] = float(self.followed.absolute_error(*self._outputs()))
+        what = self.followed
+        following = {} if what is None else {"iae": float(what.absolute_error(*self._outputs()))}
         return {
             **parts,
             "peak": peak,
