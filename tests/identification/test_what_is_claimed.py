@@ -82,6 +82,7 @@ def saved(C, noise, W):
         disturbance=W,
         noise=noise,
         C=C,
+        uncertain=SimpleNamespace(covariance=np.eye(2)),
     )
     return problem_text(fit)
 
