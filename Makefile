@@ -20,7 +20,7 @@ TOOLS := pytest pytest-xdist hypothesis beartype mpmath
 reproduce: .venv/installed
 	$(BIN)/deadtime reproduce --out report
 
-# Which law, when: maps and answers, 3 minutes on two cores.
+# Which law, when: maps and answers, two minutes on two cores.
 study: .venv/installed
 	$(BIN)/deadtime study studies/paper.toml --out study-report
 
