@@ -103,7 +103,7 @@ def identify(
         save_figure(fit.plot(), figure)
     if report is not None:
         name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
-        write_identification(fit, report, said, name, f"deadtime identify {_named(logs)}")
+        write_identification(fit, report, said, name)
     if json_output:
         print_json(_record(fit, said), written)
         return
@@ -143,11 +143,6 @@ def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list
     step = step_of(problem)
     margin = delay_margin(fit.plant, law, step)
     return [f"Law “{chosen}”, each mode held: {fit.verdict(margin, law, step)}"]
-
-
-def _named(logs: tuple[Path, ...]) -> str:
-    """The logs as the command has them."""
-    return " ".join(map(str, logs))
 
 
 def _record(fit: Identification, said: list[str]) -> dict:

@@ -30,7 +30,6 @@ def write_identification(
     path: str | PathLike[str],
     sentences: Sequence[str] = (),
     title: str = "A plant from a log",
-    command: str = "",
 ) -> None:
     """Write the page on an identification.
 
@@ -43,8 +42,6 @@ def write_identification(
         What it opens with; those of the identification by default.
     title : str
         Its heading.
-    command : str
-        How to make it again, for its last line.
 
     Raises
     ------
@@ -67,7 +64,6 @@ def write_identification(
         figures=figures[1:],
         headings=HEADINGS,
         rows=interval_rows(fit),
-        command=f" with “{command}”" if command else "",
     )
     try:
         Path(path).write_text(text, encoding="utf-8")
