@@ -122,6 +122,7 @@ def test_V_falls_along_runs_with_losses_at_the_certified_rate(name, tmp_path):
     assert found.proven, found.message
     path = found.save(tmp_path / "c")
     assert dt.verify(path, plant, law, dwell_time=0.35, lost_samples=most).proven
+    assert "(offsets) and noise. " in f"{found.statement[0]} "
     setting, rho = found.evidence.setting, found.evidence.rho
     for seed in range(3):
         rng = np.random.default_rng(seed)

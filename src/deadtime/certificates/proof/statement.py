@@ -10,11 +10,6 @@ from deadtime.base.wording import number_of
 from deadtime.certificates.proof.evidence import Evidence, Setting
 from deadtime.certificates.proof.stretches import StretchEvidence
 
-NOT_COVERED = (
-    "Not covered: limits of the inputs (saturation, rates), constant forces (offsets), noise and "
-    "lost samples."
-)
-
 
 def decay_rate(evidence: Evidence | StretchEvidence) -> float:
     """−ln ρ/h, rounded down; 0 for ρ = 1, where the decay is strict but its rate not known."""
@@ -149,7 +144,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     return (
         f"{words[0].upper()}{words[1:]}, switching at any instant, and for every initial "
         f"state{memory} and past input, the digital loop of {plants} with this table{pace}. "
-        f"{NOT_COVERED}",
+        f"{_not_covered(setting)}",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",
@@ -162,6 +157,13 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         f"{setting.clock_tolerance!r} of it. Arithmetic of the running loop is taken as exact.",
         how,
     )
+
+
+def _not_covered(setting: Setting) -> str:
+    """What a run may have beside it, and the proof has not."""
+    forces = "limits of the inputs (saturation, rates), constant forces (offsets)"
+    losses = " and noise" if setting.lost_samples else ", noise and lost samples"
+    return f"Not covered: {forces}{losses}."
 
 
 def _measured(setting: Setting) -> str:
