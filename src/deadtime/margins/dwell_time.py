@@ -34,6 +34,7 @@ SHORTEST = 1.0 + 2.0 * CLOCK_TOLERANCE  # periods: two switches in one are not d
 CALM = 3.0  # time constants of the slowest mode: where proofs are sought first
 DOUBLINGS = 6  # of that, before giving up
 SAME = 1e-12  # of a dwell time, in 1/τ_d and back
+LAID_OUT = MOST_PERIODS * (1.0 - 1e-9)  # of the longest dwell time, which round-off may miss
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +186,8 @@ def _searched(
     if grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
         return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
-    most = min(shape.longest, MOST_PERIODS * step)
-    first = min(_calm(step, slowest) if rates else 0.5 * most, shape.longest)
+    most = min(shape.longest, LAID_OUT * step / max(shape.weights))
+    first = min(_calm(step, slowest) if rates else 0.5 * most, most)
     longest = _certified_dwell_time(questions, first, most)
     if longest is None:
         return _without_proof(questions, worst, shape)
@@ -236,7 +237,7 @@ def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) 
 def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) -> LeastDwellTime:
     refuted = shape.admits(worst) if worst.growth_rate > GROWS and worst.proven else None
     evaluations = _evaluations(questions)
-    reason = questions.proof(1.0 / evaluations[-1][0]).message
+    reason = questions.proof(min(questions.answers)).message  # by its own number: it is remembered
     each = _each(evaluations[-1][0], shape)
     return LeastDwellTime(
         None,
