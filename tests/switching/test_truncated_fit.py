@@ -104,6 +104,43 @@ def test_a_known_minimum_of_an_exponential_is_a_shift_by_hand():
     assert auto.sample(30.0, seed=2).dwell_time > 0.1
 
 
+def alternating(lengths):
+    times = np.concatenate(([0.0], np.cumsum(lengths)))
+    return SwitchingSignal(times[:-1], np.arange(times.size - 1) % 2, end=times[-1])
+
+
+def test_sojourns_that_end_soon_after_the_minimum_leave_a_model_though_their_survival_underflows():
+    """e^(−10/0.01) is 0 in floats, and what is left of an exponential there is one again."""
+    lengths = 10.0 + np.random.default_rng(0).exponential(0.01, 201)
+    model = SemiMarkov.fit(alternating(lengths), family="exponential", dwell_time=10.0)
+    scale = (lengths[:-1:2].sum() + lengths[-1] - 10.0 * 101) / 100
+    assert model.goodness[0].parameters["scale"] == pytest.approx(scale, rel=1e-6)
+    assert model.sojourn[0].sf([9.0, 10.0 + scale]) == pytest.approx([1.0, math.exp(-1.0)])
+    assert model.sojourn[0].cdf([0.0, 10.0]).tolist() == [0.0, 0.0]
+    assert model.mean[0] == pytest.approx(10.0 + scale, rel=1e-9)
+    again = SemiMarkov(stats.expon(scale=0.01), modes=2, dwell_time=10.0)
+    assert again.sojourn[0].sf(10.01) == pytest.approx(math.exp(-1.0))
+
+
+@pytest.mark.long
+def test_of_such_sojourns_no_gamma_is_fitted_whose_survival_underflows():
+    lengths = 10.0 + np.random.default_rng(0).exponential(0.01, 201)
+    auto = SemiMarkov.fit(alternating(lengths), dwell_time=10.0)
+    assert auto.mean == pytest.approx([lengths[::2].mean(), lengths[1::2].mean()], abs=1e-3)
+    with pytest.raises(ArgumentError, match="family 'gamma' cannot be fitted"):
+        SemiMarkov.fit(alternating(lengths), family="gamma", dwell_time=10.0)
+
+
+def test_a_log_that_ends_when_a_sojourn_has_lasted_longest_has_seen_it_end():
+    kind, parameters = TRUTH["gamma"]
+    dist, rng = kind(**parameters), np.random.default_rng(2)
+    lengths = dist.ppf(rng.uniform(*dist.cdf([LOW, HIGH]), 101))
+    lengths[-1] = HIGH
+    cut = SemiMarkov.fit(alternating(lengths), family="gamma", **LIMITS)
+    whole = SemiMarkov.fit(alternating(np.append(lengths, 0.1)), family="gamma", **LIMITS)
+    assert cut.goodness[0].parameters == pytest.approx(whole.goodness[0].parameters, rel=1e-6)
+
+
 def test_what_cannot_be_is_refused_by_name():
     logs = logs_of("gamma", 10, 20.0)
     shortest = sojourns_of(logs)[0].complete[0]

@@ -14,7 +14,7 @@ endless scale.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,11 +22,28 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.models.families import FAMILIES, Observed, Parameters, estimate
 from deadtime.switching.models.sojourns import Distribution
-from deadtime.switching.models.truncation import Truncated
+from deadtime.switching.models.truncation import Truncated, log_between
 
 FAMILIES_BETWEEN = ("exponential", "gamma", "weibull", "lognormal")
 FARTHEST = 8.0  # of the logarithm of a parameter: beyond, the likelihood has no maximum
+LEAST = -600.0  # log P(S > low) of a gamma: SciPy takes it from P(S > low), which ends at e^−708
 EQUAL = 1e-9  # of a limit, by which a logged sojourn may miss it
+
+
+class _Member(NamedTuple):
+    """A family of SciPy's at some parameters: what freezing it gives, which costs far more."""
+
+    family: Any
+    parameters: tuple[float, ...]
+
+    def cdf(self, t: Any, /) -> Any:
+        return self.family.cdf(t, *self.parameters)
+
+    def logcdf(self, t: Any) -> Any:
+        return self.family.logcdf(t, *self.parameters)
+
+    def logsf(self, t: Any) -> Any:
+        return self.family.logsf(t, *self.parameters)
 
 
 def estimate_between(
@@ -59,17 +76,20 @@ def estimate_between(
     name, _ = FAMILIES[family]
     dist = getattr(stats, name)
     unit = float(observed.complete.mean())
-    t, c = observed.complete / unit, np.maximum(observed.censored, low) / unit
+    # One that was cut off at the longest time ended there: it cannot have lasted longer.
+    ended = observed.censored >= high * (1.0 - EQUAL)
+    t = np.append(observed.complete, observed.censored[ended]) / unit
+    c = np.maximum(observed.censored[~ended], low) / unit
     ends = np.array([low, high]) / unit
 
     def less_likely(logs: Float[np.ndarray, " parameter"]) -> float:
         if np.abs(logs).max() > FARTHEST:
             return np.inf
         *shape, scale = np.exp(logs)
-        given = {"loc": 0.0, "scale": scale}
-        mass = _log_between(dist, ends[:1], ends[1], shape, given)[0]
-        seen = dist.logpdf(t, *shape, **given).sum() - t.size * mass
-        cut = _log_between(dist, c, ends[1], shape, given).sum() - c.size * mass
+        member = _Member(dist, (*shape, 0.0, scale))
+        mass = float(log_between(member, ends[0], ends[1]))
+        seen = dist.logpdf(t, *member.parameters).sum() - t.size * mass
+        cut = log_between(member, c, ends[1]).sum() - c.size * mass
         value = -float(seen + cut)
         return value if np.isfinite(value) else np.inf
 
@@ -87,6 +107,8 @@ def estimate_between(
     parameters = dict(zip(names, [*shape, scale * unit], strict=True))
     likelihood = -best.fun - t.size * np.log(unit)
     aic = 2.0 * len(parameters) - 2.0 * float(likelihood)
+    if family == "gamma" and float(log_between(dist(**parameters), np.array(low), high)) < LEAST:
+        return None
     return Truncated(dist(**parameters), low, high), parameters, aic
 
 
@@ -125,16 +147,3 @@ def _starts(family: str, observed: Observed, unit: float) -> list[np.ndarray]:
     start = np.clip(np.log(values), 1.0 - FARTHEST, FARTHEST - 1.0)
     wide = start + np.log(2.0) * np.array([-1.0, 1.0])[-count:]
     return [start, wide]
-
-
-def _log_between(
-    dist: Any, low: Float[np.ndarray, " t"], high: float, shape: Any, given: dict[str, float]
-) -> Float[np.ndarray, " t"]:
-    """log P(low < S ≤ high), of the smaller of survival and distribution: neither cancels."""
-    if np.isinf(high):
-        return dist.logsf(low, *shape, **given)
-    if dist.cdf(high, *shape, **given) < 0.5:
-        large, small = dist.logcdf(high, *shape, **given), dist.logcdf(low, *shape, **given)
-    else:
-        large, small = dist.logsf(low, *shape, **given), dist.logsf(high, *shape, **given)
-    return large + np.log(-np.expm1(np.minimum(small - large, 0.0)))

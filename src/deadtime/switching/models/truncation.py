@@ -6,17 +6,20 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.errors import ArgumentError
-from deadtime.switching.models.sojourns import Distribution, Fixed, describe, survival
+from deadtime.switching.models.sojourns import Distribution, Fixed, describe, log_survival, survival
 
 
 @dataclass(frozen=True)
 class Truncated:
     """A distribution of sojourns, given that they last between `low` and `high` seconds.
 
-        P(S > t | low < S ≤ high) = (sf(t) − sf(high))/(sf(low) − sf(high))
+        P(S > t | low < S ≤ high) = P(t < S ≤ high)/P(low < S ≤ high)
+
+    Both in logarithms: of sojourns that end soon after `low` little is left of either.
 
     Examples
     --------
@@ -29,28 +32,25 @@ class Truncated:
     dist: Distribution
     low: float
     high: float
-    _ends: tuple[float, float] = field(init=False, repr=False)
+    _mass: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        ends = survival(self.dist, self.low), survival(self.dist, self.high)
-        object.__setattr__(self, "_ends", ends)
+        mass = log_between(self.dist, np.array(self.low), self.high)
+        object.__setattr__(self, "_mass", float(mass))
 
     def sf(self, t: ArrayLike) -> np.ndarray:
         """P(S > t)."""
-        start, stop = self._ends
-        inside = np.clip(np.asarray(t, dtype=np.float64), self.low, self.high)
-        sf: Any = getattr(self.dist, "sf", None)
-        values = sf(inside) if sf is not None else np.exp(self.dist.logsf(inside))  # pyright: ignore
-        return np.clip((np.asarray(values) - stop) / (start - stop), 0.0, 1.0)
+        return np.asarray(np.exp(self.logsf(t)))
 
     def cdf(self, t: ArrayLike) -> np.ndarray:
         """P(S ≤ t)."""
-        return 1.0 - self.sf(t)
+        return np.asarray(0.0 - np.expm1(self.logsf(t)))
 
     def logsf(self, t: ArrayLike) -> np.ndarray:
         """log P(S > t)."""
-        with np.errstate(divide="ignore"):
-            return np.log(self.sf(t))
+        t = np.asarray(t, dtype=np.float64)
+        rest = log_between(self.dist, np.clip(t, self.low, self.high), self.high) - self._mass
+        return np.where(t <= self.low, 0.0, np.where(t >= self.high, -np.inf, np.minimum(rest, 0)))
 
     def mean(self) -> float:
         """E[S] = low + ∫ P(S > t) dt from low to high, seconds."""
@@ -62,6 +62,33 @@ class Truncated:
 
     def __repr__(self) -> str:
         return f"{describe(self.dist)} in [{self.low:g}, {self.high:g}] s"
+
+
+def log_between(
+    dist: Distribution, low: Float[np.ndarray, ...], high: float
+) -> Float[np.ndarray, ...]:
+    """log P(low < S ≤ high), of the smaller of survival and distribution: neither cancels.
+
+    Examples
+    --------
+    >>> from scipy.stats import expon
+    >>> log_between(expon(scale=0.01), np.array([10.0, 20.0]), np.inf).round(6).tolist()
+    [-1000.0, -2000.0]
+    """
+    if np.isinf(high):
+        return log_survival(dist, low)
+    with np.errstate(all="ignore"):
+        below = float(dist.cdf(high)) < 0.5
+        logs = _log_distribution if below else log_survival
+        one, other = logs(dist, low), logs(dist, np.array(high))
+        large, small = (other, one) if below else (one, other)
+        return large + np.log(-np.expm1(np.minimum(small - large, 0.0)))
+
+
+def _log_distribution(dist: Distribution, t: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+    """log P(S ≤ t)."""
+    logcdf: Any = getattr(dist, "logcdf", None)
+    return np.asarray(np.log(dist.cdf(t)) if logcdf is None else logcdf(t), dtype=np.float64)
 
 
 def truncate(name: str, dist: Distribution, low: float, high: float) -> Distribution:
@@ -78,7 +105,7 @@ def truncate(name: str, dist: Distribution, low: float, high: float) -> Distribu
         return dist
     start = survival(dist, low)
     stop = 0.0 if np.isinf(high) else survival(dist, high)
-    if not start > stop:
+    if not np.isfinite(log_between(dist, np.array(low), high)):
         raise _none(name, dist, low, high)
     return dist if start == 1.0 and stop == 0.0 else Truncated(dist, low, high)
 
