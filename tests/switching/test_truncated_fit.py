@@ -156,6 +156,9 @@ def test_what_cannot_be_is_refused_by_name():
     log = SwitchingSignal(times, np.arange(times.size) % 2)
     with pytest.raises(ArgumentError, match="family 'exponential' cannot be fitted"):
         SemiMarkov.fit(log, family="exponential", **LIMITS)
+    crowded = alternating(HIGH - 1e-3 * np.arange(40) / 40)
+    with pytest.raises(ArgumentError, match=r"'auto' cannot be .*: give SemiMarkov a distribution"):
+        SemiMarkov.fit(crowded, **LIMITS)
 
 
 def test_the_command_line_fits_between_limits_and_prints_a_section_that_says_so(tmp_path, capsys):

@@ -193,9 +193,12 @@ def _fit_mode(
         fits = {family: estimate_between(family, observed, *ends) for family in candidates}
     fitted = {family: fit for family, fit in fits.items() if fit is not None}
     if not fitted:
+        other = "take 'auto'"
+        if name == "auto":
+            other = "give SemiMarkov a distribution, or fit without the limits"
         raise ArgumentError(
             f"family {name!r} cannot be fitted to the sojourns of mode {mode}, which last from "
-            f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: take 'auto'."
+            f"{observed.complete[0]:g} to {observed.complete[-1]:g} s: {other}."
         )
     family = min(fitted, key=lambda key: fitted[key][2] + MARGIN * (key == "uniform"))
     dist, parameters, aic = fitted[family]
