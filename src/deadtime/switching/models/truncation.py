@@ -13,6 +13,9 @@ from deadtime.base.errors import ArgumentError
 from deadtime.switching.models.sojourns import Distribution, Fixed, describe, log_survival, survival
 
 
+ROUND_OFF = 1e-12  # of a limit, by which a multiple of a period may miss it
+
+
 @dataclass(frozen=True)
 class Truncated:
     """A distribution of sojourns, given that they last between `low` and `high` seconds.
@@ -50,7 +53,8 @@ class Truncated:
         """log P(S > t)."""
         t = np.asarray(t, dtype=np.float64)
         rest = log_between(self.dist, np.clip(t, self.low, self.high), self.high) - self._mass
-        return np.where(t <= self.low, 0.0, np.where(t >= self.high, -np.inf, np.minimum(rest, 0)))
+        early, over = t <= self.low * (1.0 + ROUND_OFF), t >= self.high * (1.0 - ROUND_OFF)
+        return np.where(early, 0.0, np.where(over, -np.inf, np.minimum(rest, 0.0)))
 
     def mean(self) -> float:
         """E[S] = low + ∫ P(S > t) dt from low to high, seconds."""
