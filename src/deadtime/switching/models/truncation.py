@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from deadtime.base.errors import ArgumentError
 from deadtime.switching.models.sojourns import Distribution, Fixed, describe, log_survival, survival
 
-
 ROUND_OFF = 1e-12  # of a limit, by which a multiple of a period may miss it
 
 
