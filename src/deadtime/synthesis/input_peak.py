@@ -136,8 +136,7 @@ def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
         return InitialStates.ball()
     if not isinstance(initial, Source):
         raise ArgumentError(
-            "initial must be an InitialStates or a StationaryNoise, got "
-            f"{type(initial).__name__}."
+            f"initial must be an InitialStates or a StationaryNoise, got {type(initial).__name__}."
         )
     initial.require_size(plant.states)
     return initial
