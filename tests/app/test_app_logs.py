@@ -80,6 +80,8 @@ def test_a_page_that_is_given_a_log_shows_its_plant(log, workers):
         (b"t,x,u\n0,1,1\n1,2,0\n1,3,1\n", r"log\.csv, line 4: t must be later"),
         (b"when,x,u\n0,1,1\n1,2,0\n2,1,0\n", "must have a column t"),
         (b't,x,u\n0,"1,1\n', r"log\.csv"),
+        (b"t,x,u\n0,1,1,5\n1,2,0,6\n2,3,1,7\n", "rows have more columns than its header names"),
+        (b"t,x,u\n0,1e999,1\n1,2,0\n2,3,1\n", "line 2: x must be a finite number, got inf"),
     ],
 )
 def test_hostile_and_malformed_logs_are_refused_by_name(content, said, tmp_path):
