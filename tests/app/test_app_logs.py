@@ -10,7 +10,7 @@ import pytest
 import deadtime as dt
 from deadtime.app import logs
 from deadtime.app.documents import open_named
-from deadtime.app.logs import MOST_ROWS, open_log, shown
+from deadtime.app.logs import MOST_ROWS, FoundPlant, open_log, shown
 from deadtime.app.page import Page
 from synthetic_logs import oscillator
 
@@ -101,6 +101,17 @@ def test_a_log_that_is_refused_changes_nothing(own, workers):
     assert not page.found.visible
     page.upload_log("log.csv", b"x" * (logs.MOST_BYTES + 1))
     assert "at most 4 MB" in page.message.object
+
+
+def test_a_plant_of_a_log_that_takes_too_long_to_run_is_for_the_command(own, workers, monkeypatch):
+    page = Page(own, workers)
+    found = FoundPlant(page.document, (), (), b"")
+    monkeypatch.setattr(page, "elsewhere", lambda limit, done, *rest: done((found, 9.0)))
+    page.upload_log("log.csv", b"t,x,u\n")
+    assert re.search(
+        r"The plant of \w+\.csv takes 9\.0 s .* use `deadtime identify`", page.message.object
+    )
+    assert not page.found.visible
 
 
 @pytest.mark.parametrize(("step", "longest"), [(0.0005, 0.03), (0.05, 2.0)])
