@@ -10,7 +10,7 @@ import pytest
 import deadtime as dt
 from deadtime.app import logs
 from deadtime.app.documents import open_named
-from deadtime.app.logs import MOST_ROWS, open_log, shown
+from deadtime.app.logs import MOST_ROWS, FoundPlant, open_log, shown
 from deadtime.app.page import Page
 from synthetic_logs import oscillator
 
@@ -80,6 +80,8 @@ def test_a_page_that_is_given_a_log_shows_its_plant(log, workers):
         (b"t,x,u\n0,1,1\n1,2,0\n1,3,1\n", r"log\.csv, line 4: t must be later"),
         (b"when,x,u\n0,1,1\n1,2,0\n2,1,0\n", "must have a column t"),
         (b't,x,u\n0,"1,1\n', r"log\.csv"),
+        (b"t,x,u\n0,1,1,5\n1,2,0,6\n2,3,1,7\n", "rows have more columns than its header names"),
+        (b"t,x,u\n0,1e999,1\n1,2,0\n2,3,1\n", "line 2: x must be a finite number, got inf"),
     ],
 )
 def test_hostile_and_malformed_logs_are_refused_by_name(content, said, tmp_path):
@@ -99,6 +101,17 @@ def test_a_log_that_is_refused_changes_nothing(own, workers):
     assert not page.found.visible
     page.upload_log("log.csv", b"x" * (logs.MOST_BYTES + 1))
     assert "at most 4 MB" in page.message.object
+
+
+def test_a_plant_of_a_log_that_takes_too_long_to_run_is_for_the_command(own, workers, monkeypatch):
+    page = Page(own, workers)
+    found = FoundPlant(page.document, (), (), b"")
+    monkeypatch.setattr(page, "elsewhere", lambda limit, done, *rest: done((found, 9.0)))
+    page.upload_log("log.csv", b"t,x,u\n")
+    assert re.search(
+        r"The plant of \w+\.csv takes 9\.0 s .* use `deadtime identify`", page.message.object
+    )
+    assert not page.found.visible
 
 
 @pytest.mark.parametrize(("step", "longest"), [(0.0005, 0.03), (0.05, 2.0)])

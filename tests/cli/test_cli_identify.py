@@ -142,17 +142,27 @@ def test_a_run_that_simulate_writes_is_a_log_with_the_names_of_the_file(tmp_path
 
 def test_a_log_of_each_law_and_a_name_that_is_no_csv(tmp_path, capsys):
     problem = tmp_path / "mine.toml"
-    problem.write_text(RUN + '[[law]]\nkind = "delayed"\n', encoding="utf-8")
+    laws = '[[law]]\nkind = "delayed"\n'
+    problem.write_text(RUN + laws, encoding="utf-8")
     out = ["simulate", str(problem), "--out", str(tmp_path / "run.png"), "--csv"]
     with pytest.raises(SystemExit):
         main([*out, str(tmp_path / "run.csv")])
     assert {one.name for one in tmp_path.glob("*.csv")} == {
         "run-averaged.csv", "run-delay-ignored.csv"
     }  # fmt: skip
+    (tmp_path / "run.png").unlink()
     with pytest.raises(SystemExit) as stopped:
         main([*out, str(tmp_path / "run.txt")])
     assert stopped.value.code == 2
     assert "csv must end in .csv" in capsys.readouterr().err
+    assert not (tmp_path / "run.png").exists()  # before anything is run
+    # Names of laws that are one name of a file.
+    problem.write_text(RUN + laws + 'name = "Averaged!"\n', encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main([*out, str(tmp_path / "both.csv")])
+    assert {one.name for one in tmp_path.glob("both*.csv")} == {
+        "both-1-averaged.csv", "both-2-averaged.csv"
+    }  # fmt: skip
 
 
 RUN = """\

@@ -242,6 +242,9 @@ def test_a_line_of_a_file_is_named_as_an_editor_counts_it(tmp_path):
     path.write_text("t,x,u\n0,1,1\n1,2,0\n1,3,1\n")
     with pytest.raises(dt.ArgumentError, match=r"line 4: t must be later"):
         dt.identify(path, modes=None)
+    path.write_text("t,x,u\n0,1,1,\n1,2,0,\n1,3,1,\n")  # no column for the last commas
+    with pytest.raises(dt.ArgumentError, match=r"line 4: t must be later.* got 1 after 1"):
+        dt.identify(path, modes=None)
     path.write_text("")
     with pytest.raises(dt.ArgumentError, match="is no CSV table"):
         dt.identify(path, modes=None)

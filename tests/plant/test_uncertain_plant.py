@@ -88,6 +88,7 @@ def test_a_proof_on_the_corners_is_of_every_plant_within():
         (-np.eye(5), "variances ≥ 0"),
         (np.eye(5) + np.eye(5, k=1), "must be symmetric"),
         (np.eye(5) + 2.0 * (1.0 - np.eye(5)), "positive semidefinite"),
+        ([[1.0, 0, 0, 0, 0.1], *4 * [[0.0] * 5]] + np.eye(5, k=-4) / 10, "beside a variance of 0"),
     ],
 )
 def test_what_is_no_covariance_is_refused(covariance, said):

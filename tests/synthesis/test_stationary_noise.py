@@ -101,6 +101,25 @@ def test_one_state_and_no_delay_is_the_first_order_process():
     assert found.item() == pytest.approx(K**2 * (x + v), rel=1e-6)
 
 
+@pytest.mark.parametrize("delay", [0.16, 0.997, 1.0])
+def test_an_error_of_a_sample_that_comes_back_after_a_long_delay_counts(delay):
+    """u = K x: between an error that was sent and its effect on x all inputs are 0."""
+    h, a, K, v = 0.01, -0.05, -0.5, 0.04
+    law = dt.DelayedStateFeedback(dt.SwitchedSystem([[[a]]], [[[1.0]]], delay), [[[K]]])
+    whole = int(delay / h + 1e-9)
+    late = delay - whole * h
+    L, added = np.zeros((whole + 2, whole + 2)), np.zeros(whole + 2)
+    L[0, 0], L[1, 0], added[1] = np.exp(a * h), K, K
+    L[0, whole] += np.expm1(a * (h - late)) / a
+    L[0, whole + 1] += np.expm1(a * h) / a - np.expm1(a * (h - late)) / a
+    L[2:, 1:-1] += np.eye(whole)
+    variance = solve_discrete_lyapunov(L, v * np.outer(added, added))[1, 1]
+    assert variance > 1.002 * K**2 * v
+    found = input_covariance(law.plant, law.digital(h), 0, dt.StationaryNoise(measurement=v))
+    assert found is not None
+    assert found.item() == pytest.approx(variance, rel=1e-8)
+
+
 def test_a_loop_that_grows_has_no_level_and_noise_adds_up():
     idle = dt.DelayedStateFeedback(MODEL, np.zeros((3, 2, 2)), allow_unstable=True)
     assert np.isinf(input_peak(MODEL, idle, H, NOISE).level).all()

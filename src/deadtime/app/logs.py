@@ -13,6 +13,7 @@ import numpy as np
 from deadtime.app.documents import Document, file_stem, open_upload
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
+from deadtime.identification.recording import read_table
 from deadtime.identification.report_figures import figures_of
 from deadtime.margins import delay_margin
 from deadtime.problems import load_problem
@@ -93,10 +94,7 @@ def _look(source: Path) -> tuple[bool, float]:
     """Whether a log has a column of the mode, and the longest delay to look for, seconds."""
     import pandas as pd
 
-    try:
-        frame = pd.read_csv(source, nrows=MOST_ROWS + 1, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ArgumentError(f"{source.name} is no CSV table: {error}") from None
+    frame = read_table(source, MOST_ROWS + 1).rename(columns=lambda c: str(c).strip())
     if len(frame) > MOST_ROWS:
         raise ArgumentError(
             f"{source.name} has more than {MOST_ROWS:,} rows, the most that a page takes: use "

@@ -131,18 +131,22 @@ class Page:
 
         def on_tried(result: tuple[Document, float]) -> None:
             document, seconds = result
-            if self._open_if_quick(document, seconds):
+            called = f"{document.name}.toml"
+            if self._open_if_quick(document, seconds, called, "simulate"):
                 self.say(f"Opened {document.name}.toml.")
 
         self.say("Trying the file …")
         self.elsewhere(_TRIAL, on_tried, self.refuse, try_upload, name, content)
 
-    def _open_if_quick(self, document: Document, seconds: float) -> bool:
-        """Open a document that was tried and took so long; whether it was opened."""
+    def _open_if_quick(self, document: Document, seconds: float, called: str, command: str) -> bool:
+        """Open a document that was tried and took so long; whether it was opened.
+
+        Else what was called so is refused, and a command named that has time.
+        """
         if seconds > _SLOW:
             self.refuse(
-                f"{document.name}.toml takes {seconds:.1f} s of a processor to run, too "
-                "slow for a page that follows every move: use `deadtime simulate`."
+                f"{called} takes {seconds:.1f} s of a processor to run, too "
+                f"slow for a page that follows every move: use `deadtime {command}`."
             )
             return False
         return self.attempt(lambda: self.open(document))
@@ -155,7 +159,8 @@ class Page:
 
         def on_found(result: tuple[logs.FoundPlant, float]) -> None:
             found, seconds = result
-            if self._open_if_quick(found.document, seconds):
+            called = f"The plant of {found.document.name}.csv"
+            if self._open_if_quick(found.document, seconds, called, "identify"):
                 self.found.param.update(object=logs.shown(found), visible=True)
                 self.say(f"The plant of {found.document.name}.csv, as a problem.")
 

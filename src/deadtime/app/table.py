@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from deadtime.simulation import Trajectory
+from deadtime.simulation.columns import numbered_columns
 
 
 def csv_of(runs: Mapping[str, Trajectory]) -> str:
@@ -27,13 +28,8 @@ def csv_of(runs: Mapping[str, Trajectory]) -> str:
     longest = max(runs.values(), key=lambda run: run.time.size)
     columns: dict[str, np.ndarray] = {"time": longest.time, "mode": longest.mode}
     for law, run in runs.items():
-        rows = {f"x[{i}]": row for i, row in enumerate(run.states)}
-        rows |= {f"u[{i}]": row for i, row in enumerate(run.inputs)}
-        if run.mismatch is not None:
-            rows |= {f"w[{i}]": row for i, row in enumerate(run.mismatch)}
-        if run.tracked is not None and run.reference is not None:
-            rows |= {f"y[{i}]": row for i, row in enumerate(run.tracked)}
-            rows |= {f"r[{i}]": row for i, row in enumerate(run.reference)}
+        signals = {"x": run.states, "u": run.inputs, "w": run.mismatch}
+        rows = numbered_columns(signals | {"y": run.tracked, "r": run.reference})
         columns |= {f"{law}: {name}": row for name, row in rows.items()}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

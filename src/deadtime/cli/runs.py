@@ -108,6 +108,7 @@ def simulate(
     from deadtime.reports.tables.certificates import delay_sentence
     from deadtime.reports.verdict import verdict
 
+    log = None if csv is None else _log(csv)
     chosen = problem_with(problem, step, horizon, x0)
     if law is not None:
         chosen = replace(chosen, laws={law: chosen.law(law)})
@@ -115,7 +116,7 @@ def simulate(
     with progress_bar(steps, quiet=json_output) as advance:
         result = compare(chosen, advance)
     saved = _save_figures(result, _picture(chosen, out))
-    logs = [] if csv is None else _save_logs(result, csv)
+    logs = [] if log is None else _save_logs(result, log)
     if json_output:
         print_json(metrics_of(result), [*saved, *logs])
         return
@@ -125,22 +126,30 @@ def simulate(
         print("Log: " + ", ".join(map(str, logs)))
 
 
-def _save_logs(result: Comparison, path: Path) -> list[Path]:
-    """The runs as CSV, one file for each law."""
-    from deadtime.base.wording import file_name
-
+def _log(path: Path) -> Path:
+    """Where the log goes."""
     path = path if path.suffix else path.with_suffix(".csv")
     if path.suffix.lower() != ".csv":
         raise ArgumentError(f"csv must end in .csv, got {str(path)!r}.")
+    return path
+
+
+def _save_logs(result: Comparison, path: Path) -> list[Path]:
+    """The runs as CSV, one file for each law; with numbers where names of files are not enough."""
+    from deadtime.base.wording import file_name
+
     problem, saved = result.problem, []
-    for name, run in result.runs.items():
-        target = path
-        if len(result.runs) > 1:
-            target = path.with_stem(f"{path.stem}-{file_name(name)}")
+    names = [file_name(name) for name in result.runs]
+    if len(set(names) - {""}) < len(names):
+        names = [f"{number}-{name}".rstrip("-") for number, name in enumerate(names, 1)]
+    for name, run in zip(names, result.runs.values(), strict=True):
+        target = path if len(names) == 1 else path.with_stem(f"{path.stem}-{name}")
         try:
             run.to_csv(target, problem.states, problem.inputs, problem.tracked)
         except OSError as error:
-            raise ArgumentError(f"csv {str(target)!r} cannot be written: {error}") from None
+            raise ArgumentError(
+                f"csv {str(target)!r} cannot be written ({error.strerror}): choose another file."
+            ) from None
         saved.append(target)
     return saved
 

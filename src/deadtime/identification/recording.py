@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -126,16 +127,32 @@ def _table(log: Any, number: int) -> _Table:
         raise ArgumentError(
             f"log must be the path of a CSV file or a pandas DataFrame, got {type(log).__name__}."
         ) from None
+    frame = read_table(source)
+    return _Table(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
+
+
+def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
+    """A CSV file with one header line, or its first rows; no column is taken for an index."""
+    import pandas as pd
+
     try:
-        frame = pd.read_csv(source, skipinitialspace=True, skip_blank_lines=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            return pd.read_csv(
+                source, skipinitialspace=True, skip_blank_lines=False, index_col=False, nrows=rows
+            )
     except OSError as error:
         raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError:
         raise ArgumentError(f"{source} is not UTF-8 text: save it as UTF-8.") from None
+    except pd.errors.ParserWarning:
+        raise ArgumentError(
+            f"{source} is no CSV table with one header line: its rows have more columns than its "
+            "header names. Name them all."
+        ) from None
     except ValueError as error:  # pandas' own are ValueErrors
         text = " ".join(str(error).split()).rstrip(".")
         raise ArgumentError(f"{source} is no CSV table with one header line: {text}.") from None
-    return _Table(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
 
 
 def _mode_column(tables: list[_Table], modes: str | None) -> str | None:
@@ -253,9 +270,10 @@ def _numbers(table: _Table, column: str) -> Float[np.ndarray, " sample"]:
     result = np.array(values, dtype=np.float64)
     bad = np.flatnonzero((np.isnan(result) & raw.notna().to_numpy()) | np.isinf(result))
     if bad.size:
+        got = brief(raw.astype(object).iloc[int(bad[0])])
         raise ArgumentError(
-            f"{table.place(int(bad[0]))}: {column} must be a finite number, got "
-            f"{brief(raw.iloc[int(bad[0])])}: leave the cell empty where nothing was measured."
+            f"{table.place(int(bad[0]))}: {column} must be a finite number, got {got}: leave the "
+            "cell empty where nothing was measured."
         )
     return result
 

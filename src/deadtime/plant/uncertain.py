@@ -67,7 +67,7 @@ class UncertainPlant(Frozen):
         vars(self).update(plant=plant, covariance=read_only(0.5 * (given + given.T)))
 
     def draw(self, count: int, seed: int = 0) -> tuple[SwitchedSystem, ...]:
-        """Plants that it may be, at random.
+        """Plants that it may be, at random; a delay that would be below 0 is next to 0 instead.
 
         Parameters
         ----------
@@ -131,6 +131,11 @@ def _require_covariance(given: np.ndarray) -> None:
     within = np.outer(unit, unit)
     if (np.diagonal(given) < 0.0).any() or (np.abs(given - given.T) > _SYMMETRIC * within).any():
         raise ArgumentError("covariance must be symmetric, with variances ≥ 0 on its diagonal.")
+    if given[within == 0.0].any():
+        raise ArgumentError(
+            "covariance must be positive semidefinite, got an entry beside a variance of 0: what "
+            "is certain goes with nothing else."
+        )
     least = np.linalg.eigvalsh(_scaled(given))[0]
     if least < -_SYMMETRIC * len(given):
         raise ArgumentError(
