@@ -15,7 +15,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.hidden.ascent import Ascent, ascended
 from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import Periods, Pooled
+from deadtime.identification.hidden.periods import Periods, Pooled, Posterior
 from deadtime.identification.hidden.regressions import (
     Regressions,
     climbed,
@@ -108,11 +108,11 @@ def fitted(
     """
     require_periods(periods, layout)
     found, agreed, starts = _best_regressions(periods, layout, np.random.default_rng(seed))
-    for model in found:
+    for model, begin in found:
         theta = plant_of(list(model.P), model.cells, model.weight, layout, recording.step, bounds)
         nodes = nodes_for(recording.parts, layout.split(theta)[0])
         log = HiddenLog(recording, layout, bounds, nodes, periods, model.S, model.chain)
-        ascent = ascended(log, theta, least_periods(layout))
+        ascent = ascended(log, theta, least_periods(layout), begin)
         if ascent is not None:
             unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
             unknowns += layout.modes * (layout.modes - 1)
@@ -127,7 +127,7 @@ def fitted(
 
 def _best_regressions(
     periods: Periods, layout: Layout, rng: np.random.Generator
-) -> tuple[list[Regressions], int, int]:
+) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
     """Those that the best starts lead to, the likeliest first; how many starts led there, of all.
 
     The first steps take modes to change at samples, with one covariance: no mode can vanish then
@@ -147,13 +147,13 @@ def _best_regressions(
     agreed = int((values > values.max(initial=-np.inf) - _ALIKE).sum())
     best = [one for row, one in enumerate(short) if row == 0 or row >= agreed][:_KEPT]
     long = [one for model, _ in best if (one := _in_best_cells(periods, model, layout)) is not None]
-    long.sort(key=lambda one: -one[1])
-    return [model for model, _ in long], agreed, starts
+    long.sort(key=lambda one: -one[1].value)
+    return long, agreed, starts
 
 
 def _in_best_cells(
     periods: Periods, model: Regressions, layout: Layout
-) -> tuple[Regressions, float] | None:
+) -> tuple[Regressions, Posterior] | None:
     """Regressions with a covariance of each mode, in the cells that are likeliest then."""
     least, tried = least_periods(layout), set()
     while True:
@@ -164,5 +164,5 @@ def _in_best_cells(
         model, posterior = found
         cells, _ = scanned(periods, posterior.weight, model.cells, layout)
         if cells.tobytes() in tried:
-            return model, posterior.value
+            return model, posterior
         model = maximised(rows_of_modes(periods, cells), posterior, cells, common=False)
