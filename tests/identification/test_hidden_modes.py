@@ -8,7 +8,11 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.hidden.periods import Periods
 from deadtime.identification.hidden.request import numbers_of
+from deadtime.identification.hidden.starts import drawn_start, stretches_of
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Part
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -198,3 +202,27 @@ def test_intervals_hold_the_delay_where_many_rows_are_wrong():
         right.append(matched(fit, mode)[0])
     assert 0.7 < np.mean(right) < 0.95
     assert np.sum(inside) >= 34
+
+
+def test_a_log_without_noise_is_told_where_modes_change_anywhere():
+    plant = Plant([[[-1.0]], [[-4.0]]], [[[1.0]], [[3.0]]], 0.312, np.zeros((1, 1)))
+    log, mode = made(plant, 240, seed=1)
+    fit = found(log, switches="anywhere")
+    assert matched(fit, mode)[0] > 0.9
+    assert abs(fit.delays[0, 0] - 0.312) < 1e-4
+
+
+def test_a_start_has_a_covariance_where_noise_enters_at_the_end_of_a_chain_of_states():
+    """What a period adds is then nearly of one direction: medians of its entries are indefinite."""
+    n, h, rng = 4, 0.05, np.random.default_rng(0)
+    A = np.diag(np.ones(n - 1), 1)
+    A[-1] = -np.poly(-np.ones(n))[:0:-1]
+    plant = Plant([A], [np.eye(n)[:, 3:]], h, np.diag([1e-15, 1e-15, 1e-15, 1e-2]))
+    y, u = plant.log(h * np.arange(400), rng.standard_normal((400, 1)), rng)
+    part = Part(h * np.arange(400), y, u, np.zeros(400, np.int64))
+    periods, layout = Periods.of((part,), 1, 4, None), Layout(2, n, 1, per_mode=False)
+    stretches = stretches_of(periods, layout)
+    assert stretches is not None
+    for _ in range(3):
+        start = drawn_start(periods, stretches, np.array([1]), layout, rng)
+        assert (np.linalg.eigvalsh(start.S) > 0.0).all()
