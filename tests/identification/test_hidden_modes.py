@@ -226,3 +226,15 @@ def test_a_start_has_a_covariance_where_noise_enters_at_the_end_of_a_chain_of_st
     for _ in range(3):
         start = drawn_start(periods, stretches, np.array([1]), layout, rng)
         assert (np.linalg.eigvalsh(start.S) > 0.0).all()
+
+
+def test_a_faint_input_leaves_delays_open_that_lie_far_from_the_likeliest():
+    """The likeliest lies 0.6 s off; the interval goes on to all peaks of the range, and says so."""
+    rng, count, plant = np.random.default_rng(11), 300, stiffer(W=1e-3)
+    mode = np.repeat(np.arange(count) % 2, rng.integers(10, 31, count))[:count]
+    u = 0.05 * rng.standard_normal((count, 1))
+    log = table(H * np.arange(count), *plant.log(H * np.arange(count), u, rng, mode))
+    fit = dt.identify(log, modes=2, delay=(0.0, 1.0), switches="samples")
+    low, high = fit.interval("delay")
+    assert low < 0.312 < high
+    assert "others that lie apart explain it nearly as well" in fit.message
