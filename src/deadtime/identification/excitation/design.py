@@ -76,7 +76,8 @@ def design_experiment(
     signal : SwitchingSignal, optional
         The modes that the plant is put into; read at samples. Not needed for one mode.
     law : Law, optional
-        To whose inputs those of the experiment are added; an unstable plant needs one.
+        To whose inputs those of the experiment are added; an unstable plant needs one. It must be
+        told what was sent (`applied` of `Controller.update`), where it remembers inputs.
     state_limit : float or (n,) array_like, optional
         What every |x| must not exceed at samples of a run from rest, by its mean and three standard
         deviations.
