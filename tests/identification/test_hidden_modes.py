@@ -152,7 +152,7 @@ def test_missing_rows_and_several_logs_are_taken():
     log, mode = made(stiffer(), 400, seed=5)
     log.loc[100:102, "x1"] = np.nan
     log.loc[200, "u1"] = np.nan
-    fit = found([log.iloc[:250], log.iloc[250:]])
+    fit = found([log.iloc[:250], log.iloc[250:255], log.iloc[255:]])  # the second tells nothing
     assert fit.hidden.mode.size == 400
     assert matched(fit, mode)[0] > 0.9
     assert abs(fit.delays[0, 0] - 0.312) < 1e-3

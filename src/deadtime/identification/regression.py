@@ -102,7 +102,7 @@ def rows_of(part: Part, low: int, high: int, within: bool) -> np.ndarray:
 def stacked(part: Part, k: np.ndarray, low: int, high: int) -> np.ndarray:
     """z = (x_{k+1}, x_k, u_{k−low}, …, u_{k−high}) of periods."""
     lags = np.arange(low, high + 1)
-    u = part.input[k[:, None] - lags].reshape(k.size, -1)
+    u = part.input[k[:, None] - lags].reshape(k.size, lags.size * part.input.shape[1])
     return np.hstack((part.output[k + 1], part.output[k], u))
 
 
