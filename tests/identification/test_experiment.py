@@ -216,6 +216,9 @@ REFUSED: list[tuple[dict, str]] = [
     ({"signal": dt.SwitchingSignal.constant(0)}, "signal must hold mode 1 for at least 9 periods"),
     ({"disturbance": 0.0}, "disturbance must move every state"),
     ({"disturbance": np.eye(3)}, "disturbance must be a number"),
+    ({"disturbance": [[1e-3, 5e-4], [0.0, 1e-3]]}, "disturbance must be symmetric"),
+    ({"disturbance": -1.0}, "disturbance must be symmetric and positive semidefinite"),
+    ({"hold": 1000}, "horizon must leave inputs that tell all unknowns apart"),
     ({"state_limit": 0.01}, r"state_limit\[0\] must be above"),
     ({"law": dt.OutputFeedback}, "law must be a Law"),
 ]
@@ -233,9 +236,29 @@ def test_an_unstable_plant_needs_a_law_and_an_input_a_limit():
         dt.design_experiment(unstable, 15.0, H, 1.0, disturbance=1e-3)
     with pytest.raises(dt.ArgumentError, match="horizon must have at least 7 periods after the"):
         dt.design_experiment(unstable, 0.6, H, 1.0, disturbance=1e-3)
+    with pytest.raises(dt.ArgumentError, match=r"horizon must have at least 7 .* got 0"):
+        dt.design_experiment(unstable, 0.01, H, 1.0, disturbance=1e-3)
+    with pytest.raises(dt.ArgumentError, match=r"horizon must be at most 20,000 .* got inf"):
+        dt.design_experiment(unstable, 1e300, 1e-300, 1.0, disturbance=1e-3)
     with pytest.raises(dt.ArgumentError, match="input_limit must be positive"):
         dt.design_experiment(PLANT, 20.0, H, 0.0, disturbance=1e-3, signal=SIGNAL)
     with pytest.raises(dt.ArgumentError, match="horizon must be at most 20,000 periods"):
         dt.design_experiment(PLANT, 2e4, H, 1.0, disturbance=1e-3, signal=SIGNAL)
     with pytest.raises(dt.ArgumentError, match="name must be one of"):
         designed(effort=0).standard_error("lag")
+
+
+def test_stable_modes_between_which_switching_is_unstable_need_a_law_too():
+    A = [[[-0.1, 1.0], [-10.0, -0.1]], [[-0.1, 10.0], [-1.0, -0.1]]]
+    plant = dt.SwitchedSystem(A, [[[0.0], [1.0]]] * 2, 0.13)
+    signal = dt.SwitchingSignal.periodic([0.5, 0.5], [0, 1], 20.0)
+    with pytest.raises(dt.ArgumentError, match=r"law must be given .* along its modes it grows"):
+        dt.design_experiment(plant, 20.0, H, 1.0, disturbance=1e-3, signal=signal)
+
+
+def test_a_mode_in_which_the_input_does_nothing_is_no_crash():
+    """There sequences that stand still for long tell nothing of B; others do."""
+    plant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], [[[1.0]], [[0.0]]], 0.13)
+    signal = dt.SwitchingSignal.periodic([1.0, 1.0], [0, 1], 10.0)
+    found = dt.design_experiment(plant, 10.0, 0.1, 1.0, disturbance=1e-3, signal=signal, effort=0)
+    assert np.isfinite(found.errors).all()

@@ -8,7 +8,11 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.hidden.periods import Periods
 from deadtime.identification.hidden.request import numbers_of
+from deadtime.identification.hidden.starts import drawn_start, stretches_of
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Part
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -148,7 +152,7 @@ def test_missing_rows_and_several_logs_are_taken():
     log, mode = made(stiffer(), 400, seed=5)
     log.loc[100:102, "x1"] = np.nan
     log.loc[200, "u1"] = np.nan
-    fit = found([log.iloc[:250], log.iloc[250:]])
+    fit = found([log.iloc[:250], log.iloc[250:255], log.iloc[255:]])  # the second tells nothing
     assert fit.hidden.mode.size == 400
     assert matched(fit, mode)[0] > 0.9
     assert abs(fit.delays[0, 0] - 0.312) < 1e-3
@@ -198,3 +202,39 @@ def test_intervals_hold_the_delay_where_many_rows_are_wrong():
         right.append(matched(fit, mode)[0])
     assert 0.7 < np.mean(right) < 0.95
     assert np.sum(inside) >= 34
+
+
+def test_a_log_without_noise_is_told_where_modes_change_anywhere():
+    plant = Plant([[[-1.0]], [[-4.0]]], [[[1.0]], [[3.0]]], 0.312, np.zeros((1, 1)))
+    log, mode = made(plant, 240, seed=1)
+    fit = found(log, switches="anywhere")
+    assert matched(fit, mode)[0] > 0.9
+    assert abs(fit.delays[0, 0] - 0.312) < 1e-4
+
+
+def test_a_start_has_a_covariance_where_noise_enters_at_the_end_of_a_chain_of_states():
+    """What a period adds is then nearly of one direction: medians of its entries are indefinite."""
+    n, h, rng = 4, 0.05, np.random.default_rng(0)
+    A = np.diag(np.ones(n - 1), 1)
+    A[-1] = -np.poly(-np.ones(n))[:0:-1]
+    plant = Plant([A], [np.eye(n)[:, 3:]], h, np.diag([1e-15, 1e-15, 1e-15, 1e-2]))
+    y, u = plant.log(h * np.arange(400), rng.standard_normal((400, 1)), rng)
+    part = Part(h * np.arange(400), y, u, np.zeros(400, np.int64))
+    periods, layout = Periods.of((part,), 1, 4, None), Layout(2, n, 1, per_mode=False)
+    stretches = stretches_of(periods, layout)
+    assert stretches is not None
+    for _ in range(3):
+        start = drawn_start(periods, stretches, np.array([1]), layout, rng)
+        assert (np.linalg.eigvalsh(start.S) > 0.0).all()
+
+
+def test_a_faint_input_leaves_delays_open_that_lie_far_from_the_likeliest():
+    """The likeliest lies 0.6 s off; the interval goes on to all peaks of the range, and says so."""
+    rng, count, plant = np.random.default_rng(11), 300, stiffer(W=1e-3)
+    mode = np.repeat(np.arange(count) % 2, rng.integers(10, 31, count))[:count]
+    u = 0.05 * rng.standard_normal((count, 1))
+    log = table(H * np.arange(count), *plant.log(H * np.arange(count), u, rng, mode))
+    fit = dt.identify(log, modes=2, delay=(0.0, 1.0), switches="samples")
+    low, high = fit.interval("delay")
+    assert low < 0.312 < high
+    assert "others that lie apart explain it nearly as well" in fit.message

@@ -18,23 +18,27 @@ def test_stretches_lie_all_over_a_long_log_and_a_short_one_is_left_whole():
         return Part(column, column[:, None], column[:, None], np.zeros(count, int))
 
     record = Recording((part(900), part(100)), 1.0, True, ("x",), ("u",), ("0",), False)
-    assert stretches(record, 500) is record
-    some = stretches(record, 200)
+    assert stretches(record, 500, 0) is record
+    some = stretches(record, 200, 0)
     assert 200 <= some.samples <= 211
     assert len(some.parts) == 10
     assert [p.time[0] for p in some.parts] == [*range(0, 900, 100), 0.0]
     assert all((np.diff(p.time) == 1.0).all() for p in some.parts)
+    longer = stretches(record, 200, 7)
+    assert [p.time.size for p in longer.parts] == [p.time.size + 7 for p in some.parts]
 
 
-def test_where_a_long_log_begins_does_not_move_its_estimate(monkeypatch):
-    plant = Plant([[[-0.5]]], [[[1.0]]], 0.162, 1e-3 * np.eye(1))
+@pytest.mark.parametrize("delay", [0.162, 0.812])
+def test_where_a_long_log_begins_does_not_move_its_estimate(monkeypatch, delay):
+    """The second delay is longer than a stretch of ten rows, of which no period would be known."""
+    plant = Plant([[[-0.5]]], [[[1.0]]], delay, 1e-3 * np.eye(1))
     rng, t = np.random.default_rng(0), H * np.arange(400)
     y, u = plant.log(t, rng.standard_normal((400, 1)), rng, sensor=0.03)
     log = pd.DataFrame({"t": t, "x": y[:, 0], "u": u[:, 0]})
     found = []
     for most in (10_000, 100):
         monkeypatch.setattr("deadtime.identification.noise._ENOUGH", most)
-        found.append(dt.identify(log, modes=None, delay=(0.0, 0.5), noise=True))
+        found.append(dt.identify(log, modes=None, delay=(delay - 0.15, delay + 0.3), noise=True))
     whole, some = found
     for name in whole.names:
         low, high = whole.interval(name)

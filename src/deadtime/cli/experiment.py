@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     group=BUILD,
     help_epilogue=lines(
         "deadtime experiment problem.toml --input-limit 1",
-        "deadtime experiment problem.toml --input-limit 1 --state-limit 0.5,2 --sojourn 1",
-        "deadtime experiment paper --input-limit 5 --law averaged --disturbance 1e-5 --sojourn 2",
+        "deadtime experiment problem.toml --input-limit 1 --state-limit 0.5,2",
+        "deadtime experiment paper --input-limit 5 --law averaged --disturbance 1e-5",
     ),
 )
 def experiment(

@@ -62,7 +62,8 @@ def estimate_with_noise(
     unit = np.concatenate((unit, np.ones(n * (n + 1) // 2 + len(C))))
     log = NoisyLog(recording, layout, C, within, bounds, unit, exact.log.nodes)
     starts = [log.join(exact.best.theta, noise) for noise in _first_noises(exact, C, recording)]
-    some = replace(log, recording=stretches(recording, _ENOUGH), _acting={})
+    lag = int(np.ceil(exact.window[1] / recording.step)) + 1
+    some = replace(log, recording=stretches(recording, _ENOUGH, lag), _acting={})
     tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
     best, window = maximise(log, theta)
@@ -100,15 +101,18 @@ def estimate_with_noise(
     )
 
 
-def stretches(recording: Recording, most: int) -> Recording:
-    """The recording, or of a longer one stretches from all over it, of about `most` samples."""
+def stretches(recording: Recording, most: int, lag: int) -> Recording:
+    """The recording, or of a longer one stretches from all over it, of about `most` samples.
+
+    Each has `lag` samples more, in which not all that acts is known.
+    """
     if recording.samples <= 2 * most:
         return recording
     parts, share = [], most / recording.samples
     for part in recording.parts:
         count = max(1, round(_STRETCHES * part.time.size / recording.samples))
         for rows in np.array_split(np.arange(part.time.size), count):
-            own = rows[: max(2, int(np.ceil(share * rows.size)))]
+            own = rows[: max(2, int(np.ceil(share * rows.size)) + lag)]
             parts.append(Part(*(column[own] for column in part)))
     return recording._replace(parts=tuple(parts))
 

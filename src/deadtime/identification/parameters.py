@@ -50,6 +50,11 @@ class Layout:
         """How many unknowns there are."""
         return self.of_A.size + self.of_B.size + self.delays
 
+    @property
+    def least_periods(self) -> int:
+        """How many periods each mode needs: twice what a state's regression costs, and one."""
+        return 2 * (self.n + 2 * self.m) + 1
+
     def spread(self, values: np.ndarray) -> np.ndarray:
         """One value per delay as (modes, m)."""
         return values[self.of_delay - self.of_delay.min()]

@@ -50,10 +50,9 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
             e = y - r @ P.T
             S = e.T @ e / count
         if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
-            nothing = Evaluation(-np.inf, score, np.eye(score.size))
+            nothing = Evaluation(-np.inf, score, np.eye(size))
             return nothing, np.full((len(terms), n, n), np.nan)
-        size = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / count
-        S = S + np.diag(size + np.finfo(float).tiny)  # of a log without any noise, too
+        S = floored(S, y, count)
         L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, e.T)
         moved = np.linalg.solve(L, by_P @ r.T).reshape(len(place), -1)
@@ -62,6 +61,12 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
         value -= 0.5 * count * (2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi * np.e))
         covariances.append(S)
     return Evaluation(value, score, information), np.array(covariances)
+
+
+def floored(S: Float[np.ndarray, "n n"], y: np.ndarray, total: float) -> Float[np.ndarray, "n n"]:
+    """The covariance S of residuals of y, of weight `total`, never singular: of no noise, too."""
+    least = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / total
+    return S + np.diag(least + np.finfo(float).tiny)
 
 
 class Lags(NamedTuple):
@@ -97,7 +102,7 @@ def rows_of(part: Part, low: int, high: int, within: bool) -> np.ndarray:
 def stacked(part: Part, k: np.ndarray, low: int, high: int) -> np.ndarray:
     """z = (x_{k+1}, x_k, u_{k−low}, …, u_{k−high}) of periods."""
     lags = np.arange(low, high + 1)
-    u = part.input[k[:, None] - lags].reshape(k.size, -1)
+    u = part.input[k[:, None] - lags].reshape(k.size, lags.size * part.input.shape[1])
     return np.hstack((part.output[k + 1], part.output[k], u))
 
 

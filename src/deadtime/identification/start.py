@@ -90,7 +90,7 @@ def require_enough(
     recording: Recording, layout: Layout, count: Int[np.ndarray, " mode"], window: float
 ) -> None:
     """Every mode has more periods than unknowns."""
-    least = 2 * (layout.n + 2 * layout.m) + 1
+    least = layout.least_periods
     for i in np.flatnonzero(count < least):
         name = recording.modes[i]
         whole = max(float(np.ptp(part.time)) for part in recording.parts)

@@ -5,13 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, bound, count, instance, positive
+from deadtime.base.checks import bound, count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
 from deadtime.identification.excitation.experiment import Experiment
+from deadtime.identification.excitation.given import (
+    added_noise,
+    modes_of_rows,
+    require_words,
+    table_of,
+    used_periods,
+)
 from deadtime.identification.excitation.information import SIGMAS, Prospect
 from deadtime.identification.excitation.loop import chain_of, require_bounded
 from deadtime.identification.excitation.search import (
@@ -21,15 +28,12 @@ from deadtime.identification.excitation.search import (
     steps,
     within_limits,
 )
-from deadtime.identification.maximum import REACH
 from deadtime.identification.parameters import Layout
-from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import SwitchedSystem
 from deadtime.switching import SwitchingSignal
-from deadtime.switching.grid import modes_at
 
 if TYPE_CHECKING:
-    from deadtime.feedback import Feedback, Law
+    from deadtime.feedback import Law
 
 _MOST_SAMPLES = 20_000
 
@@ -72,9 +76,11 @@ def design_experiment(
     signal : SwitchingSignal, optional
         The modes that the plant is put into; read at samples. Not needed for one mode.
     law : Law, optional
-        To whose inputs those of the experiment are added; an unstable plant needs one.
+        To whose inputs those of the experiment are added; an unstable plant needs one. It must be
+        told what was sent (`applied` of `Controller.update`), where it remembers inputs.
     state_limit : float or (n,) array_like, optional
-        What every |x| must not exceed at samples, by its mean and three standard deviations.
+        What every |x| must not exceed at samples of a run from rest, by its mean and three standard
+        deviations.
     criterion : "delay" or "all"
         Whether the delays alone are to be told well, or all unknowns (D-optimal).
     hold : int
@@ -93,8 +99,8 @@ def design_experiment(
     Raises
     ------
     ArgumentError
-        If an argument is malformed, a mode is hardly visited, an unstable plant has no law, or
-        noise alone exceeds a limit.
+        If an argument is malformed, a mode is hardly visited, the run is unstable, noise alone
+        exceeds a limit, or no inputs tell all unknowns apart.
 
     References
     ----------
@@ -112,34 +118,34 @@ def design_experiment(
     True
     """
     instance("plant", plant, SwitchedSystem)
-    _require_words(criterion, switches)
+    require_words(criterion, switches)
     step, horizon = positive("step", step), positive("horizon", horizon)
-    samples = round(horizon / step)
-    if samples > _MOST_SAMPLES:
+    if horizon / step > _MOST_SAMPLES + 0.5:
         raise ArgumentError(
-            f"horizon must be at most {_MOST_SAMPLES:,} periods of {step:g} s, got {samples:,}: "
-            "repeat a shorter experiment."
+            f"horizon must be at most {_MOST_SAMPLES:,} periods of {step:g} s, got "
+            f"{horizon / step:,.6g}: repeat a shorter experiment."
         )
+    samples = round(horizon / step)
     limit = bound("input_limit", input_limit, plant.inputs)
     if not ((limit > 0.0) & np.isfinite(limit)).all():
         raise ArgumentError(
             f"input_limit must be positive and finite, got {limit.tolist()}: the more an input "
             "moves the more a log tells."
         )
-    mode = _modes(plant, signal, step, samples)
+    mode = modes_of_rows(plant, signal, step, samples)
     per_mode = bool((plant.delays != plant.delays[0]).any())
     layout = Layout(plant.modes, plant.states, plant.inputs, per_mode)
     cells = cells_of(plant.delays.ravel(), step).reshape(plant.delays.shape)
-    used = _used(plant, mode, step, layout, switches == "anywhere")
-    S = _added_noise(plant, disturbance, step)
-    if law is None:
-        require_bounded(plant, horizon)
-    chain = chain_of(plant, step, mode, S, cells, layout, _table(law, plant, step, mode))
+    used = used_periods(plant, mode, step, layout, switches == "anywhere")
+    S = added_noise(plant, disturbance, step)
+    chain = chain_of(plant, step, mode, S, cells, layout, table_of(law, plant, step, mode))
+    require_bounded(chain)
     prospect = Prospect.of(chain, layout, used, criterion)
     room = _room(prospect, limit, state_limit)
     prospect = prospect.within(room)
     seed, effort = count("seed", seed, 0), count("effort", effort, 0)
     r = best_sequence(prospect, limit, count("hold", hold), effort, seed)
+    _require_told(prospect, r)
     usual = {
         clock: within_limits(prospect, binary_sequence(samples, limit, hold * clock))
         for clock in CLOCKS
@@ -149,98 +155,14 @@ def design_experiment(
     return Experiment.of(plant, step, prospect, r, peers, hold * clock)
 
 
-def _require_words(criterion: str, switches: str) -> None:
-    if criterion not in ("delay", "all"):
-        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
-    if switches not in ("anywhere", "samples"):
-        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-
-
-def _modes(
-    plant: SwitchedSystem, signal: SwitchingSignal | None, step: float, samples: int
-) -> Int[np.ndarray, " sample"]:
-    """The mode of every row."""
-    if signal is None:
-        if plant.modes > 1:
-            raise ArgumentError(
-                f"signal must be given for a plant of {plant.modes} modes: those that it is put "
-                "into, such as SwitchingSignal.periodic([2.0, 2.0], [0, 1], horizon)."
-            )
-        return np.zeros(samples, np.int64)
-    instance("signal", signal, SwitchingSignal)
-    signal.require_modes(plant.modes)
-    return np.asarray(modes_at(signal, step * np.arange(samples), step), np.int64)
-
-
-def _used(
-    plant: SwitchedSystem, mode: np.ndarray, step: float, layout: Layout, anywhere: bool
-) -> Bool[np.ndarray, " sample"]:
-    """The periods that an identification uses: those whose inputs it knows."""
-    first = int(cells_of(plant.delays.max(keepdims=True).ravel() + REACH * step, step)[0])
-    used = np.arange(mode.size) >= first
-    used[-1] = False
-    if anywhere:
-        used[:-1] &= mode[1:] == mode[:-1]
-    least = 2 * (layout.n + 2 * layout.m) + 1
-    visits = np.bincount(mode[used], minlength=layout.modes)
-    for i in np.flatnonzero(visits < least):
-        what = f"signal must hold mode {i} for" if layout.modes > 1 else "horizon must have"
-        raise ArgumentError(
-            f"{what} at least {least} periods after the first "
-            f"{first * step:g} s, got {visits[i]}: so short a log hardly tells it. "
-            "Lengthen the horizon, or visit the mode for longer."
-        )
-    return used
-
-
-def _added_noise(
-    plant: SwitchedSystem, disturbance: ArrayLike, step: float
-) -> Float[np.ndarray, "mode n n"]:
-    """S of every mode: what noise adds in a period."""
-    n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
-    given = as_floats("disturbance", disturbance, form)
-    each = {0: lambda W: W * np.eye(n), 1: np.diag}.get(given.ndim, lambda W: W)(given)
-    if each.shape not in ((n, n), (plant.modes, n, n)) or not np.isfinite(each).all():
-        raise ArgumentError(f"disturbance must be {form}, finite, got shape {given.shape}.")
-    W = np.broadcast_to(each, (plant.modes, n, n))
-    S = np.array(
-        [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
+def _require_told(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> None:
+    """Refuse a plant that no inputs tell."""
+    if np.isfinite(prospect.errors(r)).all():
+        return
+    raise ArgumentError(
+        "horizon must leave inputs that tell all unknowns apart, got none such: lengthen it, hold "
+        "values for fewer periods, or leave out an input that does nothing."
     )
-    try:
-        np.linalg.cholesky(S)
-    except np.linalg.LinAlgError:
-        raise ArgumentError(
-            "disturbance must move every state within a period, in every mode: without noise a log "
-            "tells a delay exactly, whatever the inputs. Give a W that is positive definite."
-        ) from None
-    return S
-
-
-def _table(
-    law: Law | None, plant: SwitchedSystem, step: float, mode: np.ndarray
-) -> Feedback | None:
-    """The law's table."""
-    if law is None:
-        return None
-    from deadtime.feedback import Law
-
-    instance("law", law, Law)
-    if law.outputs is not None:
-        raise ArgumentError(
-            "law must be one of the measured states here: an observer's error is not followed. "
-            "Give the law that the observer feeds."
-        )
-    times = step * np.arange(mode.size)
-    at = np.flatnonzero(np.diff(mode, prepend=-1))
-    along = SwitchingSignal(times[at], mode[at])
-    table = law.digital(step, along, mode.size)
-    m, n = table.state_gain.shape[1:]
-    if (n, m) != (plant.states, plant.inputs) or table.memory:
-        raise ArgumentError(
-            f"law must be a table of {plant.states} states and {plant.inputs} inputs without a "
-            f"memory of its own, got {n} and {m}."
-        )
-    return table
 
 
 def _room(

@@ -145,7 +145,7 @@ def _sentences(
         own, prbs, edge = (1e3 * float(told[key][place]) for key in ("experiment", "prbs", "step"))
         said.append(
             f"Standard error of {name} to be expected: {own:.3g} ms; of the best binary sequence "
-            f"(PRBS{held}) {prbs:.3g} ms, of a step {_milliseconds(edge)}."
+            f"(PRBS{held}) {_milliseconds(prbs)}, of a step {_milliseconds(edge)}."
         )
     D = plant.delays if layout.per_mode else plant.delays[0]
     off = np.abs(D - step * np.rint(D / step)).ravel()

@@ -23,6 +23,7 @@ from deadtime.identification.excitation.loop import Chain
 from deadtime.identification.parameters import Layout
 
 SIGMAS = 3.0  # standard deviations of the noise that limits leave room for
+_UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
 
 
 class Worth(NamedTuple):
@@ -131,9 +132,7 @@ class Prospect(Frozen):
         unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
         scaled = F * unit[:, None] * unit
         first = self.layout.size - self.layout.delays
-        try:
-            np.linalg.cholesky(scaled)
-        except np.linalg.LinAlgError:
+        if not _is_told(scaled):
             return -np.inf, np.zeros(F.shape)
         value, by_F = np.linalg.slogdet(scaled)[1], np.linalg.inv(scaled)
         if self.criterion == "delay":
@@ -148,7 +147,13 @@ class Prospect(Frozen):
 def errors_of(F: Float[np.ndarray, "size size"]) -> Float[np.ndarray, " size"]:
     """Roots of the diagonal of F⁻¹; infinite where F is singular."""
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(F), 1e-300))
-    values, vectors = np.linalg.eigh(F * unit[:, None] * unit)
-    if not values[0] > 1e-12:
+    scaled = F * unit[:, None] * unit
+    if not _is_told(scaled):
         return np.full(len(F), np.inf)
+    values, vectors = np.linalg.eigh(scaled)
     return unit * np.sqrt((vectors**2 / values).sum(axis=1))
+
+
+def _is_told(scaled: np.ndarray) -> bool:
+    """Whether an information, scaled to a diagonal of ones, has a part in every direction."""
+    return bool(np.isfinite(scaled).all()) and bool(np.linalg.eigvalsh(scaled)[0] > _UNSEEN)

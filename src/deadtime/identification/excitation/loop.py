@@ -158,16 +158,25 @@ def chain_of(
     return Chain(M, E, Z, Y, U, kind, mode, S, by_P, place, table is None)
 
 
-def require_bounded(plant: SwitchedSystem, horizon: float) -> None:
-    """Refuse a run of an unstable plant without a law, that noise alone would carry far away."""
-    growth = np.linalg.eigvals(plant.A).real.max(axis=1)
-    worst = int(growth.argmax())
-    if growth[worst] * horizon > _MOST_GROWTH:
-        raise ArgumentError(
-            f"law must be given for a plant that is unstable: mode {worst} grows by "
-            f"e^{growth[worst] * horizon:.3g} within the horizon. Give a law that stabilises it, "
-            "to which the experiment adds its inputs, or shorten the horizon."
-        )
+def require_bounded(chain: Chain) -> None:
+    """Refuse a run that noise alone would carry far away."""
+    use = chain.n if chain.open else chain.M.shape[1]
+    M, over, growth = chain.M[:, :use, :use], np.eye(use), 0.0
+    for kind in chain.kind.tolist():
+        over = M[kind] @ over
+        size = float(np.abs(over).max())
+        if size == 0.0:
+            return
+        over, growth = over / size, growth + np.log(size)
+    growth += np.log(max(float(np.abs(np.linalg.eigvals(over)).max()), 1e-300))
+    if growth > _MOST_GROWTH:
+        far = f"along its modes it grows by e^{growth:.3g} within the horizon"
+        if chain.open:
+            raise ArgumentError(
+                f"law must be given for a plant that is unstable: {far}. Give a law that "
+                "stabilises it, to which the experiment adds its inputs, or shorten the horizon."
+            )
+        raise ArgumentError(f"law must stabilise the plant: {far}. Give another, or none.")
 
 
 _MOST_GROWTH = 3.0  # of log |x|

@@ -37,21 +37,29 @@ class Ascent(NamedTuple):
     found: Posterior
 
 
-def ascended(log: HiddenLog, theta: Float[np.ndarray, " size"], least: float) -> Ascent | None:
+def ascended(
+    log: HiddenLog,
+    theta: Float[np.ndarray, " size"],
+    least: float,
+    found: Posterior | None = None,
+) -> Ascent | None:
     """The maximum that a start leads to; None where a mode is left with less periods than `least`.
 
-    The first step begins at the S and P that the log has.
+    The first step takes the modes as `found`, by default as the log's own S and P have them. S of
+    regressions without a plant must not judge a plant that is near them alone: of little noise no
+    period would seem to be of a mode.
     """
-    place, h = log.layout.at_delays, log.recording.step
-    found = log.posterior(theta, cells_of(theta[place], h))
-    values = [found.value]
+    place, h, values = log.layout.at_delays, log.recording.step, []
+    if found is None:
+        found = log.posterior(theta, cells_of(theta[place], h))
+        values.append(found.value)
     for _ in range(_STEPS):
         if found.weight.sum(axis=0).min() < least:
             return None
         log, theta = _stepped(log, theta, found)
         found = log.posterior(theta, cells_of(theta[place], h))
         values.append(found.value)
-        if values[-1] - values[-2] < _GAIN:
+        if len(values) > 1 and values[-1] - values[-2] < _GAIN:
             break
     return Ascent(log, theta, np.array(values), found)
 

@@ -100,7 +100,6 @@ def backward(stay, move, chain, ahead, same, node, pairs):
                 pairs[i, j] += share
             same[k, i] = own[i, i] / total
             back[i] = older[i] - largest
-    return total
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.hidden.ascent import Ascent, ascended
 from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import Periods, Pooled
+from deadtime.identification.hidden.periods import Periods, Pooled, Posterior
 from deadtime.identification.hidden.regressions import (
     Regressions,
     climbed,
@@ -65,22 +65,17 @@ def periods_of(
     return replace(periods, pooled=pooled)
 
 
-def least_periods(layout: Layout) -> int:
-    """How many periods a mode needs."""
-    return 2 * (layout.n + 2 * layout.m) + 1
-
-
 def refined(fit: Fitted) -> Fitted:
     """The same over all periods that are usable for delays near those found: a window of them."""
     log, theta = fit.ascent.log, fit.ascent.theta
     near = log.over(*window_of(log, theta[log.layout.at_delays]))
-    ascent = ascended(near, theta, least_periods(fit.layout))
+    ascent = ascended(near, theta, fit.layout.least_periods)
     return fit if ascent is None else fit._replace(ascent=ascent)
 
 
 def require_periods(periods: Periods, layout: Layout) -> None:
     """Refuse more modes than the log has periods for."""
-    least = least_periods(layout) * layout.modes
+    least = layout.least_periods * layout.modes
     if periods.count < least or stretches_of(periods, layout) is None:
         many = f"modes = {layout.modes} is too many for this log"
         said = many if layout.modes > 1 else "log is too short"
@@ -108,11 +103,11 @@ def fitted(
     """
     require_periods(periods, layout)
     found, agreed, starts = _best_regressions(periods, layout, np.random.default_rng(seed))
-    for model in found:
+    for model, begin in found:
         theta = plant_of(list(model.P), model.cells, model.weight, layout, recording.step, bounds)
         nodes = nodes_for(recording.parts, layout.split(theta)[0])
         log = HiddenLog(recording, layout, bounds, nodes, periods, model.S, model.chain)
-        ascent = ascended(log, theta, least_periods(layout))
+        ascent = ascended(log, theta, layout.least_periods, begin)
         if ascent is not None:
             unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
             unknowns += layout.modes * (layout.modes - 1)
@@ -120,14 +115,14 @@ def fitted(
             return Fitted(layout, ascent, bic, agreed, starts)
     raise ArgumentError(
         f"modes = {layout.modes} is too many for this log: from each of {starts} starts a mode is "
-        f"left with less than the {least_periods(layout)} periods that its matrices cost: ask for "
+        f"left with less than the {layout.least_periods} periods that its matrices cost: ask for "
         "fewer, or log for longer."
     )
 
 
 def _best_regressions(
     periods: Periods, layout: Layout, rng: np.random.Generator
-) -> tuple[list[Regressions], int, int]:
+) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
     """Those that the best starts lead to, the likeliest first; how many starts led there, of all.
 
     The first steps take modes to change at samples, with one covariance: no mode can vanish then
@@ -147,15 +142,15 @@ def _best_regressions(
     agreed = int((values > values.max(initial=-np.inf) - _ALIKE).sum())
     best = [one for row, one in enumerate(short) if row == 0 or row >= agreed][:_KEPT]
     long = [one for model, _ in best if (one := _in_best_cells(periods, model, layout)) is not None]
-    long.sort(key=lambda one: -one[1])
-    return [model for model, _ in long], agreed, starts
+    long.sort(key=lambda one: -one[1].value)
+    return long, agreed, starts
 
 
 def _in_best_cells(
     periods: Periods, model: Regressions, layout: Layout
-) -> tuple[Regressions, float] | None:
+) -> tuple[Regressions, Posterior] | None:
     """Regressions with a covariance of each mode, in the cells that are likeliest then."""
-    least, tried = least_periods(layout), set()
+    least, tried = layout.least_periods, set()
     while True:
         tried.add(model.cells.tobytes())
         found = climbed(periods, model, _LONG, least, False, 1e-3)
@@ -164,5 +159,5 @@ def _in_best_cells(
         model, posterior = found
         cells, _ = scanned(periods, posterior.weight, model.cells, layout)
         if cells.tobytes() in tried:
-            return model, posterior.value
+            return model, posterior
         model = maximised(rows_of_modes(periods, cells), posterior, cells, common=False)

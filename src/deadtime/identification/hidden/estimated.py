@@ -79,8 +79,10 @@ def estimated(found: Decoded) -> tuple[Estimate, Information]:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    _, curves = scanned(log.periods, posterior.weight, layout.spread(cells), layout)
-    start = Start(theta, cells, log.periods.first, curves)
+    whole = log.over(*log.bounds)  # other peaks may lie far from the delays found
+    weight = whole.posterior(theta, cells).weight
+    _, curves = scanned(whole.periods, weight, layout.spread(cells), layout)
+    start = Start(theta, cells, whole.periods.first, curves)
     A, B, delays = layout.split(theta)
     h = record.step
     window = max(log.bounds[0], (log.periods.first - 1) * h), log.periods.last * h

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.hidden.periods import Periods, Posterior, log_density, next_chain
 from deadtime.identification.parameters import Layout
+from deadtime.identification.regression import floored
 
 _SWEEPS = 3  # over the delays, in a scan
 
@@ -42,14 +43,8 @@ def regressed(
     y, r = root[:, :n], root[:, n:]
     unit = np.maximum(np.sqrt((r**2).sum(axis=0)), 1e-300)
     P = np.linalg.lstsq(r / unit, y, rcond=1e-13)[0].T / unit
-    return P, floored(y - r @ P.T, y, total)
-
-
-def floored(e: np.ndarray, y: np.ndarray, total: float) -> Float[np.ndarray, "n n"]:
-    """The covariance of residuals e of y, of weight `total`, never singular: of no noise, too."""
-    S = e.T @ e / total
-    least = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / total
-    return S + np.diag(least + np.finfo(float).tiny)
+    e = y - r @ P.T
+    return P, floored(e.T @ e / total, y, total)
 
 
 def rows_of_modes(periods: Periods, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:

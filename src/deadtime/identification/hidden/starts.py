@@ -104,7 +104,8 @@ def drawn_start(
     pure = np.flatnonzero(size <= np.quantile(size, rng.choice(_PURE)))
     flat = z.reshape(-1, z.shape[2])
     _, whole = regressed(rooted(flat, np.ones(len(flat))), n, float(len(flat)))
-    shared = np.median(S[pure], axis=0) + _LEAST * whole
+    best = pure[size[pure] <= np.median(size[pure])]  # entries' medians are no covariance
+    shared = S[best].mean(axis=0) + _LEAST * whole
     white = np.linalg.inv(np.linalg.cholesky(shared))
     P, off = [], np.full(pure.size, np.inf)
     for _ in range(modes):

@@ -1,0 +1,123 @@
+"""What `design_experiment` is given, checked: modes of rows, periods that count, noise, the law."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import as_floats, instance
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.cells import cells_of
+from deadtime.identification.maximum import REACH
+from deadtime.identification.parameters import Layout
+from deadtime.numerics.covariance import noise_covariances
+from deadtime.plant import SwitchedSystem
+from deadtime.switching import SwitchingSignal
+from deadtime.switching.grid import modes_at
+
+if TYPE_CHECKING:
+    from deadtime.feedback import Feedback, Law
+
+
+def require_words(criterion: str, switches: str) -> None:
+    """Refuse words that mean nothing."""
+    if criterion not in ("delay", "all"):
+        raise ArgumentError(f'criterion must be "delay" or "all", got {criterion!r}.')
+    if switches not in ("anywhere", "samples"):
+        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
+
+
+def modes_of_rows(
+    plant: SwitchedSystem, signal: SwitchingSignal | None, step: float, samples: int
+) -> Int[np.ndarray, " sample"]:
+    """The mode of every row."""
+    if signal is None:
+        if plant.modes > 1:
+            raise ArgumentError(
+                f"signal must be given for a plant of {plant.modes} modes: those that it is put "
+                "into, such as SwitchingSignal.periodic([2.0, 2.0], [0, 1], horizon)."
+            )
+        return np.zeros(samples, np.int64)
+    instance("signal", signal, SwitchingSignal)
+    signal.require_modes(plant.modes)
+    return np.asarray(modes_at(signal, step * np.arange(samples), step), np.int64)
+
+
+def used_periods(
+    plant: SwitchedSystem, mode: np.ndarray, step: float, layout: Layout, anywhere: bool
+) -> Bool[np.ndarray, " sample"]:
+    """The periods that an identification uses: those whose inputs it knows."""
+    first = int(cells_of(plant.delays.max(keepdims=True).ravel() + REACH * step, step)[0])
+    used = np.arange(mode.size) >= first
+    used[-1:] = False
+    if anywhere:
+        used[:-1] &= mode[1:] == mode[:-1]
+    least = layout.least_periods
+    visits = np.bincount(mode[used], minlength=layout.modes)
+    for i in np.flatnonzero(visits < least):
+        what = f"signal must hold mode {i} for" if layout.modes > 1 else "horizon must have"
+        raise ArgumentError(
+            f"{what} at least {least} periods after the first "
+            f"{first * step:g} s, got {visits[i]}: so short a log hardly tells it. "
+            "Lengthen the horizon, or visit the mode for longer."
+        )
+    return used
+
+
+def added_noise(
+    plant: SwitchedSystem, disturbance: ArrayLike, step: float
+) -> Float[np.ndarray, "mode n n"]:
+    """S of every mode: what noise adds in a period."""
+    n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
+    given = as_floats("disturbance", disturbance, form)
+    each = {0: lambda W: W * np.eye(n), 1: np.diag}.get(given.ndim, lambda W: W)(given)
+    if each.shape not in ((n, n), (plant.modes, n, n)) or not np.isfinite(each).all():
+        raise ArgumentError(f"disturbance must be {form}, finite, got shape {given.shape}.")
+    W = np.broadcast_to(each, (plant.modes, n, n))
+    size = np.abs(W).max()
+    askew = np.abs(W - W.swapaxes(1, 2)).max() > 1e-9 * size
+    if askew or np.linalg.eigvalsh(W).min() < -1e-9 * size:
+        raise ArgumentError(
+            f"disturbance must be symmetric and positive semidefinite, got {given.tolist()}."
+        )
+    S = np.array(
+        [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
+    )
+    try:
+        np.linalg.cholesky(S)
+    except np.linalg.LinAlgError:
+        raise ArgumentError(
+            "disturbance must move every state within a period, in every mode: without noise a log "
+            "tells a delay exactly, whatever the inputs. Give a W that reaches all states."
+        ) from None
+    return S
+
+
+def table_of(
+    law: Law | None, plant: SwitchedSystem, step: float, mode: np.ndarray
+) -> Feedback | None:
+    """The law's table."""
+    if law is None:
+        return None
+    from deadtime.feedback import Law
+
+    instance("law", law, Law)
+    if law.outputs is not None:
+        raise ArgumentError(
+            "law must be one of the measured states here: an observer's error is not followed. "
+            "Give the law that the observer feeds."
+        )
+    times = step * np.arange(mode.size)
+    at = np.flatnonzero(np.diff(mode, prepend=-1))
+    along = SwitchingSignal(times[at], mode[at])
+    table = law.digital(step, along, mode.size)
+    m, n = table.state_gain.shape[1:]
+    if (n, m) != (plant.states, plant.inputs) or table.memory:
+        raise ArgumentError(
+            f"law must be a table of {plant.states} states and {plant.inputs} inputs without a "
+            f"memory of its own, got {n} and {m}."
+        )
+    return table
