@@ -278,3 +278,21 @@ def test_without_python_control_it_says_how_to_get_it(monkeypatch):
         dt.ArgumentError, match=r'python-control.*pip install "deadtime\[control\]"'
     ):
         dt.loop_transfer(*single(), 0)
+
+
+def test_the_eigenvalue_of_a_loop_that_is_0_is_not_drawn():
+    """Three modes, two inputs with a delay each, one output: L has rank 1, the rest is chance."""
+    rng = np.random.default_rng(5)
+    A = [[[-1.2, 2.0], [0.0, -4.0]], [[-0.6, 1.1], [0.0, -4.0]], [[-0.3, 0.6], [0.0, -4.0]]]
+    plant = dt.SwitchedSystem(A, rng.normal(size=(3, 2, 2)), [0.17, 0.083])
+    observer = dt.luenberger(plant, [[1.0, 0.0]], [-6.0, -8.0], step=0.05)
+    view = loop_view(plant, dt.OutputFeedback(law_of(plant), observer), 0.05)
+    assert all(np.abs(each.loci).min() < 1e-14 * np.abs(each.loci).max() for each in view.modes)
+    gain, _, phase, _ = plot_loop(view).axes[:4]
+    drawn = [line for line in gain.get_lines() if len(line.get_xdata()) == view.omega.size]
+    assert len(drawn) == 3
+    for line, each in zip(drawn, view.modes, strict=True):
+        largest = np.abs(each.loci).max(axis=1)
+        assert np.array_equal(line.get_ydata(), largest)
+    turns = [line.get_ydata() for line in phase.get_lines() if line.get_xdata()[-1] > 1.0]
+    assert max(np.abs(np.diff(turn)).max() for turn in turns if len(turn) > 2) < 90.0

@@ -23,12 +23,14 @@ MOST = 5  # modes in one figure
 _REACH = 4.0  # of the Nyquist panel, around −1 … 1
 _TURNS = 800.0  # degrees of phase that are shown: a delay turns on and on
 _ABOVE = 30.0  # degrees of room above and below
+_ROUND_OFF = 1e-10  # of the largest eigenvalue: smaller ones are 0, and their phase is chance
 _MARK: dict[str, Any] = {"color": BLACK, "linestyle": "", "markersize": 4.0, "zorder": 5.0}
 _POINT: dict[str, Any] = {
     "color": BLACK, "linestyle": "", "marker": "+", "markersize": 8.0, "markeredgewidth": 1.6,
     "zorder": 5.0,
 }  # fmt: skip
 _DOTTED: dict[str, Any] = {"color": BLACK, "linewidth": 0.9, "linestyle": ":"}
+_BARE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.3}
 _CIRCLE: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "zorder": 3.0}
 _SHADE: dict[str, Any] = {"color": GREY, "alpha": 0.3, "linewidth": 0.0, "zorder": 0.5}
 
@@ -44,7 +46,8 @@ def plot_loop(
     """Gain, phase, Nyquist and sensitivity, a line for each of the first five modes.
 
     Of several channels the lines are the eigenvalues of L, which margins are about that all
-    channels share; sensitivities are largest singular values. Circles mark gain margins, squares
+    channels share, but for those that are 0 (of two inputs and one output L has one);
+    sensitivities are largest singular values. Circles mark gain margins, squares
     the phase margin, dotted lines where a delay longer or shorter by so much loses the loop. The
     grey disk is what the disk margin keeps clear. All are of the mode that is lost first, and
     black or grey, which no mode is.
@@ -79,9 +82,13 @@ def _add_mode(
     omega: np.ndarray, view: ModeView, gain: Axes, phase: Axes, nyquist: Axes, sensitivity: Axes
 ) -> None:
     look: Any = {"color": COLOURS[view.mode], "linestyle": LINES[view.mode % len(LINES)]}
+    largest = np.abs(view.loci).max(axis=1)
     for locus in view.loci.T:
-        gain.loglog(omega, np.abs(locus), **look)
-        phase.semilogx(omega, np.degrees(np.unwrap(np.angle(locus))), **look)
+        seen = np.abs(locus) > _ROUND_OFF * largest
+        if not seen.any():
+            continue
+        gain.loglog(omega[seen], np.abs(locus[seen]), **look)
+        phase.semilogx(omega[seen], np.degrees(np.unwrap(np.angle(locus[seen]))), **look)
         near = np.where(np.abs(locus) < 2.0 * _REACH, locus, np.nan)
         nyquist.plot(np.real(near), np.imag(near), **look)
     sensitivity.loglog(omega, view.sensitivity, **look)
@@ -169,7 +176,7 @@ def _mark_delay(view: LoopView, phase: Axes) -> bool:
         phase.annotate(
             f" {sign}{inwards(shift, 0.0)} s ", (frequency, 0.02 + 0.1 * row), va="bottom",
             ha="right" if right else "left", fontsize=8.0,
-            xycoords=phase.get_xaxis_transform(),
+            xycoords=phase.get_xaxis_transform(), bbox=_BARE,
         )  # fmt: skip
         marked = True
     return marked
