@@ -26,6 +26,31 @@ def test_the_noise_of_a_file_limits_the_inputs_and_what_has_none_is_refused(tmp_
         assert said in " ".join(capsys.readouterr().err.split())
 
 
+def test_one_limit_is_that_of_every_input(tmp_path, capsys):
+    out = ["--out", str(tmp_path / "found"), "--budget", "20", "--step", "0.05", "--json"]
+    problem = tmp_path / "two.toml"
+    problem.write_text(TWO, encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main(["design", str(problem), "--input-limit", "3", *out])
+    assert json.loads(capsys.readouterr().out)["input_limit"] == [3.0, 3.0]
+
+
+TWO = """\
+[plant]
+delay = [0.34, 0.13]
+A = [[[0.2]], [[0.4]], [[-1.0]]]
+B = [[[1.0, 0.5]], [[0.7, 0.5]], [[1.0, 1.0]]]
+[gains]
+lqr = { Q = [[1.0]], R = [[1.0, 0.0], [0.0, 1.0]] }
+[signal]
+kind = "constant"
+mode = 0
+[run]
+x0 = [0.2]
+horizon = 4.0
+step = 0.1
+"""
+
 NOISY = """\
 [plant]
 delay = 0.34

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, Flag, Folder, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, progress_bar, save_figure
-from deadtime.cli.problems import numbers_of, problem_of
+from deadtime.cli.problems import numbers_of, one_or_several, problem_of
 
 if TYPE_CHECKING:
     from deadtime.problems import Problem
@@ -111,6 +111,7 @@ def design(
         raise ArgumentError("--noise and --initial both say what moves the inputs: give one.")
     source = _noise(chosen, probability) if noise else None
     source = source or _initial(plant.states, initial, probability)
+    limit = None if input_limit is None else one_or_several("input-limit", input_limit)
     with progress_bar(budget, quiet=json_output) as advance:
         found = designed(
             plant,
@@ -121,7 +122,7 @@ def design(
             filtered=filtered,
             longest_step=longest_step,
             decay_rate=decay_rate,
-            input_limit=None if input_limit is None else numbers_of("input-limit", input_limit),
+            input_limit=limit,
             initial=source,
             budget=budget,
             weight=chosen.weight,

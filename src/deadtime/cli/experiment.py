@@ -9,7 +9,7 @@ from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table
-from deadtime.cli.problems import numbers_of, problem_of
+from deadtime.cli.problems import one_or_several, problem_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -86,11 +86,11 @@ def experiment(
         chosen.plant,
         length,
         period,
-        _some("input-limit", input_limit),
+        one_or_several("input-limit", input_limit),
         disturbance=_disturbance(chosen, disturbance),
         signal=_signal(chosen, length, sojourn, seed),
         law=None if law is None else chosen.law(law),
-        state_limit=None if state_limit is None else _some("state-limit", state_limit),
+        state_limit=None if state_limit is None else one_or_several("state-limit", state_limit),
         criterion=criterion,
         hold=hold,
         seed=seed,
@@ -107,18 +107,12 @@ def experiment(
     print(f"\nWritten: {out}")
 
 
-def _some(name: str, text: str) -> float | list[float]:
-    """One number, or several."""
-    numbers = numbers_of(name, text)
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
 def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
     """W as given, or that of the file."""
     from deadtime.imperfections import WhiteDisturbance
 
     if given is not None:
-        return _some("disturbance", given)
+        return one_or_several("disturbance", given)
     for one in problem.imperfections:
         if isinstance(one, WhiteDisturbance):
             return one.intensity

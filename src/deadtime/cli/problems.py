@@ -35,6 +35,12 @@ def problem_with(
     return problem_with_run(place, changes) if changes else problem_of(place)
 
 
+def one_or_several(name: str, text: str) -> float | list[float]:
+    """One number for all, or several with commas between them."""
+    numbers = numbers_of(name, text)
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
 def numbers_of(name: str, text: str) -> list[float]:
     """Numbers with commas between them."""
     try:

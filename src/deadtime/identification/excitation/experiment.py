@@ -151,9 +151,10 @@ def _sentences(
     off = np.abs(D - step * np.rint(D / step)).ravel()
     near = [n for n, o, e in zip(names, off, told["experiment"], strict=True) if o < 2.0 * e]
     if near:
+        are, its = ("are", "their intervals") if len(near) > 1 else ("is", "its interval")
         said.append(
-            f"{', '.join(near)} is within two standard errors of a whole number of periods, where "
-            "the likelihood has a kink: its interval may be longer or shorter than promised."
+            f"{', '.join(near)} {are} within two standard errors of a whole number of periods, "
+            f"where the likelihood has a kink: {its} may be longer or shorter than promised."
         )
     n = plant.states
     states, inputs = (", ".join(f"{v:.3g}" for v in part) for part in np.split(largest, [n]))
