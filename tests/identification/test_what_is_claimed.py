@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import t as t_of
 
 import deadtime as dt
+from deadtime.identification.identification import Identification
 from deadtime.identification.intervals import _last_rise
 from deadtime.identification.problem_text import problem_text
 from deadtime.identification.sentences import verdict_of
@@ -137,6 +138,30 @@ def test_a_log_that_hardly_tells_a_delay_says_so_and_its_interval_is_wide():
     assert low < 0.512 < high
     assert high - low > 0.3  # three periods on either side at least, where the log starts to tell
     assert "hardly tells the delay" in fit.message
+    assert "widen" not in fit.message
+
+
+def test_an_interval_that_ends_where_the_search_did_says_that_nothing_longer_was_tried():
+    rng, t = np.random.default_rng(0), H * np.arange(120)
+    y, u = FAINT.log(t, rng.choice([-1.0, 1.0], (120, 1)), rng)
+    fit = dt.identify(table(t, y, u), modes=None, delay=(0.0, 0.3), noise=False)
+    assert fit.interval("delay")[1] == pytest.approx(0.3)
+    assert "longer than 0.3 s, widen delay=(low, high), --delay LOW HIGH." in fit.message
+
+
+def test_a_sensors_noise_that_the_log_does_not_tell_may_be_any(monkeypatch):
+    told = np.array([1.0, 1e-6]), np.array([0.1, 1e4])
+    monkeypatch.setattr("deadtime.identification.identification._log_noise", lambda *_: told)
+    fit: Any = SimpleNamespace(disturbance=np.ones((1, 1, 1)), noise=np.ones(1), _found=None)
+    assert Identification._noise_interval(fit, 1) == (0.0, np.inf)
+
+
+def test_modes_that_have_numbers_only_are_called_what_they_are_without_names(tmp_path):
+    from deadtime.problems import load_problem
+
+    fit = faint(0)
+    fit.save(tmp_path / "mine.toml")
+    assert load_problem(tmp_path / "mine.toml").modes == ("mode 0",)
 
 
 def test_the_intervals_of_a_and_b_are_joined_over_all_delays_that_are_plausible():

@@ -231,7 +231,8 @@ class Identification(Frozen):
             wide = np.exp(reach * np.sqrt(2.0 / self._found.spare[i]))
             return value / float(wide), value * float(wide)
         values, errors = _log_noise(self._found, modes)
-        wide = float(np.exp(reach * errors[place]))
+        with np.errstate(over="ignore"):  # a noise that the log does not tell may be any
+            wide = float(np.exp(reach * errors[place]))
         return float(values[place]) / wide, float(values[place]) * wide
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:

@@ -32,7 +32,7 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
     lines += [
         f"states = {_texts(fit.states)}",
         f"inputs = {_texts(fit.inputs)}",
-        f"modes = {_texts(fit.modes)}",
+        *([] if _by_number(fit) else [f"modes = {_texts(fit.modes)}"]),
         "",
         *_uncertainty(fit),
         "[gains]    # of least ∫|x|² + |u|²: change them to yours",
@@ -46,6 +46,11 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
     ]
     lines += _noise(fit)
     return "\n".join([*lines, ""])
+
+
+def _by_number(fit: Identification) -> bool:
+    """Whether modes have no names but the numbers that a problem file gives them anyway."""
+    return list(fit.modes) == [str(i) for i in range(fit.plant.modes)]
 
 
 def _delay_lines(fit: Identification) -> list[str]:

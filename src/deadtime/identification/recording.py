@@ -163,7 +163,8 @@ def _mode_column(tables: list[_Table], modes: str | None) -> str | None:
             raise ArgumentError(
                 f"{table.name} must have the column {modes!r}, got "
                 f"{brief(list(table.frame.columns))}: log the mode, name its column by modes=, say "
-                "modes=None for a plant of one mode, or modes=2 for two that were not logged."
+                "modes=None (--one-mode) for a plant of one mode, or modes=2 (--modes 2) for two "
+                "that were not logged."
             )
     return modes
 

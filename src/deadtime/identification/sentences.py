@@ -39,15 +39,22 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
         if low + margin > D or high - margin < D:
             said.append(
                 f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
-                "delay=(low, high)."
+                "delay=(low, high), --delay LOW HIGH."
             )
         if several or right - left > _WIDE * (high - low):
             apart = ", and others that lie apart explain it nearly as well" if several else ""
             said.append(
                 f"The log hardly tells {name[0].lower()}{name[1:]}{apart}: move the input more, or "
-                "log for longer."
+                f"log for longer{_beyond(right, high, margin)}."
             )
     return said
+
+
+def _beyond(right: float, high: float, margin: float) -> str:
+    """What to do where the interval ends where the search did: nothing longer was tried."""
+    if right < high - margin:
+        return ""
+    return f"; if it may be longer than {high:.4g} s, widen delay=(low, high), --delay LOW HIGH"
 
 
 def _values(found: Estimate) -> np.ndarray:
