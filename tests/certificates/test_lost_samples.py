@@ -331,3 +331,19 @@ def test_the_command_line_certifies_and_verifies_losses(tmp_path, capsys):
     assert "up to 1 sample in a row may be lost" in said
     assert "every loss of samples with at most 1 in a row" in said
     assert "at most 1 samples in a row are lost, not 2" in said
+
+
+def test_the_program_of_many_nodes_takes_room_for_what_is_not_0_alone(monkeypatch):
+    """Each step has the S of two nodes: with all others, 0, it was gigabytes at twenty ages."""
+    seen = []
+    monkeypatch.setattr(
+        "deadtime.certificates.dwell.program.maximise",
+        lambda A, *_, **__: seen.append((A.nnz, np.prod(A.shape))),  # no answer
+    )
+    A = [[[-1.2, 2.0], [0.0, -4.0]], [[-0.6, 1.1], [0.0, -4.0]], [[-0.3, 0.6], [0.0, -4.0]]]
+    B = [[[0.0, -1.5], [4.0, 0.0]], [[0.0, -0.8], [4.0, 0.0]], [[0.0, -0.4], [4.0, 0.0]]]
+    plant = dt.SwitchedSystem(A, B, [0.17, 0.083])
+    law = dt.AveragedPredictor(plant, dt.lqr(plant, np.eye(2), np.eye(2), step=0.05))
+    found = dt.certify(plant, law, 0.25, step=0.05, lost_samples=2, search_signals=False)
+    assert found.stable is None
+    assert max(size for _, size in seen) > 10 * max(full for full, _ in seen)

@@ -97,25 +97,29 @@ def solve(
 
     `roughly`: only so far that a positive margin is told from none.
     """
+    from scipy.sparse import csr_matrix, vstack
+
     v, w = len(units.v), len(units.w)
     s = len(model.centre.Psi)
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
     places = model.setting.transitions.places
     unknowns = pi_size + places * len(knots) * s_size + 2
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
-    for sample in samples:
+    blocks = [csr_matrix(block) for block in blocks]
+    for sample in samples:  # each has the S of two nodes, of how many there may be
         block = _at_step(model, sample, units, knots, rho, unknowns)
-        blocks.append(pack(block))
+        blocks.append(csr_matrix(pack(block)))
         cones.append(block.shape[1])
     bounds = np.zeros((unknowns, v + w, v + w))
     bounds[:pi_size] = squares(np.eye(v + w))
     bound = pack(bounds)
     nonnegative = np.zeros((1, unknowns))
     nonnegative[0, -2] = 1.0
-    A = np.concatenate([*blocks, nonnegative, bound, -bound])
+    ends = csr_matrix(np.concatenate([nonnegative, bound, -bound]))
+    A: Any = vstack([*blocks, ends], format="csc")
     rows, columns, _ = packing(v + w)
     eye = (rows == columns).astype(float)
-    b = np.concatenate([np.zeros(len(A) - 2 * len(eye)), eye, eye])
+    b = np.concatenate([np.zeros(A.shape[0] - 2 * len(eye)), eye, eye])
     answer = maximise(-A, b, [*cones, 1, v + w, v + w], roughly=roughly)
     if answer is None:
         return None
