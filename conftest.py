@@ -37,6 +37,21 @@ def _filled_faces() -> None:
             getattr(import_module(face), name)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test marked few(n), n of its cases, spread over them, run always; the others are long."""
+    cases: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("few") and not item.get_closest_marker("long"):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for each in cases.values():
+        (number,) = each[0].get_closest_marker("few").args
+        always = {round(k * (len(each) - 1) / max(number - 1, 1)) for k in range(number)}
+        for place, item in enumerate(each):
+            if place not in always:
+                item.add_marker("long")
+
+
 def pytest_collection_finish() -> None:
     """What was imported and collected stays: the garbage collector need not visit it again."""
     gc.collect()

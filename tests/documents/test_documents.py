@@ -103,7 +103,7 @@ def test_python_of_the_page_on_imperfections_runs_and_names_them_all():
     kinds, found = set(), [imperfections.Imperfection]
     for kind in found:
         found += kind.__subclasses__()
-        own = kind.__module__.startswith("deadtime.") and not inspect.isabstract(kind)
+        own = kind.__module__.startswith("deadtime.imperfections.") and not inspect.isabstract(kind)
         kinds |= {kind} if own else set()
     kinds -= {imperfections.Imperfection}
     assert len(kinds) == 12

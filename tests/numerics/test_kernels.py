@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numba import njit
 
 import deadtime as dt
 from deadtime.base.checks import read_only
@@ -135,7 +136,7 @@ def test_garbage_is_collected_rarely_while_compiling_and_as_before_afterwards(us
     try:
         gc.set_threshold(*usual)
         with where_compiling_starts(lambda _: seen.append(gc.get_threshold())):
-            kernel(lambda a: a[0] + usual[0], eager=True)(np.ones(3))
+            njit(lambda a: a[0] + usual[0])(np.ones(3))  # which is kept nowhere
         assert gc.get_threshold() == usual
     finally:
         gc.set_threshold(*before)

@@ -43,7 +43,7 @@ def made_up(monkeypatch):
             simulate=simulate,
         )
 
-    def falsify(plant, law, dwell_time, step, mode_lag=0):
+    def falsify(plant, law, dwell_time, step, mode_lag=0, **others):
         return worst(plant, law, distance_of(plant) > LIMIT)
 
     def certify(plant, law, dwell_time, step, decay_rate=None, delays=None, mode_lag=0, **others):

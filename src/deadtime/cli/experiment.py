@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, app, lines
 from deadtime.cli.printing import print_heading, print_json, print_table
@@ -76,6 +75,7 @@ def experiment(
     json_output
         Print the result as JSON instead of text.
     """
+    from deadtime.base.checks import positive
     from deadtime.identification import design_experiment
     from deadtime.problems.asked import step_of
 
