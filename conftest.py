@@ -39,7 +39,7 @@ def _filled_faces() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test marked few(n), n of its cases, spread over them, run always; the others are long."""
+    """Of a test marked few(n) n of its cases, spread over them, run always; the others are long."""
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         if item.get_closest_marker("few") and not item.get_closest_marker("long"):

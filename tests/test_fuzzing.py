@@ -18,6 +18,7 @@ def apart() -> Iterator[Callable[..., runner.Found]]:
         yield lambda *call: pool.submit(*call).result()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("kind", "count"), COUNTS.items())
 def test_mutants_are_read_or_refused_with_an_error_of_the_package(apart, kind, count):
     found = apart(runner.fuzz, kind, count)

@@ -60,6 +60,7 @@ def test_batches_are_runs_one_by_one(names):
                 assert found == pytest.approx(value, rel=1e-10), (name, metric)
 
 
+@pytest.mark.long
 def test_the_optimal_law_costs_the_least_it_says_and_less_than_the_others():
     """The mean over signals with switches at samples is the least cost, to Monte Carlo's error."""
     law = LAWS["optimal"]

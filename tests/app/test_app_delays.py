@@ -87,6 +87,7 @@ FORMS = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("form", list(FORMS))
 def test_every_delay_moves_by_itself_and_the_costs_are_those_of_simulate(form, tmp_path):
     delay, sliders = FORMS[form]
@@ -108,6 +109,7 @@ def test_every_delay_moves_by_itself_and_the_costs_are_those_of_simulate(form, t
     assert shown == pytest.approx(cost_of(delays, 1.1 * delays), rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_moved_delay_is_saved_and_scripted_as_it_is_shown(tmp_path, monkeypatch):
     page = page_of(tmp_path, FORMS["a mode and input"][0])
     page.controls.sliders["plant.delay.1.0"].value = 0.25

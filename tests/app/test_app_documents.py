@@ -20,6 +20,7 @@ from deadtime.problems.file import load_problem
 from mixer import OWN
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", list(dt.problems.NAMED))
 def test_an_untouched_problem_is_saved_as_it_was_opened(name):
     document = open_named(name)
@@ -88,6 +89,7 @@ def test_uploads_cannot_read_files_of_this_machine(tmp_path):
         open_upload("a.toml", fitted.encode(), tmp_path)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -216,6 +216,7 @@ def test_the_csv_holds_every_sample_of_every_law(own):
             np.testing.assert_array_equal([float(r[f"{law}: u[{i}]"]) for r in rows], run.inputs[i])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", mostly_long(["own", "paper"], "paper"))
 def test_the_script_makes_the_same_runs_and_a_figure(name, own, tmp_path, monkeypatch, capsys):
     document = own if name == "own" else open_named("paper")
@@ -303,6 +304,7 @@ def test_a_column_without_an_answer_says_why():
     assert "dwell_time = 0.2 s is not above one period of 0.2 s" in reason
 
 
+@pytest.mark.long
 def test_a_column_of_the_chart_is_a_stability_margin():
     paper = open_named("paper")
     draft = draft_of(paper, {}, Settings({"step": 0.05}))
@@ -315,6 +317,7 @@ def test_a_column_of_the_chart_is_a_stability_margin():
 # -- what moves ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", mostly_long(["own", "follower"], "own"))
 def test_every_slider_runs_at_both_ends(name, own):
     document = own if name == "own" else open_named(name)

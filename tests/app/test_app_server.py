@@ -33,6 +33,7 @@ def handshake(url, origin):
     return status
 
 
+@pytest.mark.long
 def test_the_page_is_this_machines_alone_and_ends_quietly():
     explorer = Explorer("follower")
     try:

@@ -12,6 +12,7 @@ from deadtime.app.documents import open_named
 from deadtime.app.settings import Given
 
 
+@pytest.mark.long
 def test_a_job_that_takes_too_long_is_stopped_and_the_next_one_runs(workers):
     began = time.monotonic()
     with pytest.raises(dt.ArgumentError, match=r"takes longer than 0\.5 s, and was stopped"):
@@ -20,6 +21,7 @@ def test_a_job_that_takes_too_long_is_stopped_and_the_next_one_runs(workers):
     assert workers.submit(5.0, math.sqrt, 4.0).result() == 2.0
 
 
+@pytest.mark.long
 def test_a_process_that_dies_is_replaced(workers):
     with pytest.raises(dt.ArgumentError, match="ended its process"):
         workers.submit(5.0, os._exit, 1).result()

@@ -99,6 +99,7 @@ class Served:
                 await asyncio.sleep(0.1)
 
 
+@pytest.mark.long
 def test_nothing_stays_of_sessions_that_are_over():
     async def visit():
         async with Served(most=10) as served:

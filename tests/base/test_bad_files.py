@@ -91,6 +91,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("text", "message"), HOSTILE.values(), ids=HOSTILE)
 @pytest.mark.parametrize("kind", ["problem", "study"])
 def test_a_hostile_text_is_refused_within_five_seconds_of_work(kind, text, message, tmp_path):

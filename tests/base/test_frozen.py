@@ -166,6 +166,7 @@ def made():
     return make
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("again", [lambda v: v, pickled, copy.deepcopy, copy.copy])
 @pytest.mark.parametrize("name", OBJECTS)
 def test_no_array_of_an_immutable_object_can_be_written_to(name, again, made):

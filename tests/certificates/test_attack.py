@@ -147,6 +147,7 @@ def test_no_certificate_is_violated_by_signals_searched_by_other_code(seeds, lea
     assert violated == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("seeds", "least"),
     [(range(115, 118), 2), pytest.param(range(100, 130), 8, marks=pytest.mark.long)],

@@ -33,6 +33,7 @@ def ideal_run(setting, horizon=3.0):
     return dt.simulate(plant, law, signal, x0, horizon, step=None), gains
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_forward_then_inverse_transformation_is_the_identity(setting):
     run, gains = ideal_run(setting)

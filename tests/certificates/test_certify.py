@@ -96,6 +96,7 @@ def certified(name):
     return plant, law, proved(plant, law, dwell_time, step)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("name", "digits"),
     # Fifty digits take ten times as long.

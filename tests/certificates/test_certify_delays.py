@@ -50,6 +50,7 @@ def test_it_falls_by_fifty_digits_too():
         assert_steps_decrease(certificate, loop, 2, most=4)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", CASES)
 def test_it_falls_along_runs(name):
     plant, law, certificate = certified(name)
@@ -110,6 +111,7 @@ def place(family, cell, u):
     return (a + Fraction(u) * (b - a)) * 10
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("corners", [1, 2])
 def test_enclosures_hold_the_plant_cut_at_every_arrival(corners):
     A, B = generic(corners)

@@ -67,6 +67,7 @@ def parameters(box, cell, delays, s):
 # -- the steps of the plant --------------------------------------------------------------------
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("seed", range(40))
 def test_every_step_at_delays_in_their_ranges_is_a_point_of_the_box(seed):
     A, B, box = generic()

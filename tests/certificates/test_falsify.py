@@ -45,6 +45,7 @@ KNOWN = {
 # -- closed forms ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", KNOWN)
 def test_a_constant_signal_is_worst_where_theory_says_so(name):
     plant, law = free(KNOWN[name])
@@ -57,6 +58,7 @@ def test_a_constant_signal_is_worst_where_theory_says_so(name):
     assert measured(worst) == pytest.approx(max(rates), abs=1e-6)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("least", "most", "step"), [(0.3, 0.7, 0.1), (0.33, 0.47, 0.1), (0.25, 0.25, 0.1)]
 )
@@ -110,6 +112,7 @@ def test_two_stable_modes_are_destabilised_by_the_worst_switching():
     assert worst.signal.dwell_time >= 0.2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("dwell", [0.62, 0.7])
 def test_switches_off_the_grid_are_found_where_they_are_worse(dwell):
     step = 0.5
@@ -181,6 +184,7 @@ def test_no_pair_of_modes_and_sojourns_on_the_grid_is_worse_for_a_law(name):
 # -- known limits ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("alpha", "step", "grows"),
     [(0.65, 0.1, False), (0.66, 0.1, True), (0.638, 0.01, False), (0.6395, 0.01, True)],
@@ -191,6 +195,7 @@ def test_the_paper_s_law_is_refuted_from_the_known_distance_on(alpha, step, grow
     assert worst.message.startswith("The loop grows" if grows else "No admissible signal was found")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("scale", "grows"), [(0.79, False), (0.806, True)])
 def test_the_three_mode_plant_s_law_is_refuted_from_the_known_distance_on(scale, grows):
     plant, law = averaged(dt.problems.three_mode().plant.apart(scale), [-2.0, -3.0])

@@ -58,6 +58,7 @@ def turning():
     return laws.free(laws.TURNING)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("loop", "dwell_time", "lag", "budget"),
     [

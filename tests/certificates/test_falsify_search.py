@@ -29,6 +29,7 @@ def test_the_same_search_finds_the_same_signal():
     assert runs[0].sojourns == runs[1].sojourns
 
 
+@pytest.mark.long
 def test_another_unit_of_time_changes_the_rate_alone():
     plant = plants.generic()
     c = 4.0
@@ -46,6 +47,7 @@ def test_identical_modes_leave_nothing_to_switch():
     assert worst.upper_estimate == pytest.approx(worst.growth_rate, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_longer_dwell_time_never_makes_it_worse():
     rates = [
         dt.falsify(*free(TURNING), tau, H, budget=QUICK).growth_rate for tau in (0.2, 0.7, 1.4)

@@ -44,6 +44,7 @@ def test_without_a_tolerance_it_decays():
     assert worst.signal.dwell_time >= 2.0 * H
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "most"),
     mostly_long(

@@ -37,6 +37,7 @@ def assert_same(ours, theirs):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", ["averaged", "mode 1 only"])
 def test_certificates_are_those_of_whole_solutions(law):
     whole = certify(law)

@@ -72,6 +72,7 @@ def test_a_multiple_eigenvalue_has_its_growth_rate_to_the_last_digits(n, seed):
     assert dt.growth_rate(plant, law, 0, H) == pytest.approx(-DECAY, abs=1e-9)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", [name for name in plants.LAWS if name != "exact"])
 @pytest.mark.parametrize("mode", [0, 2])
 def test_bounds_hold_the_growth_rate_of_fifty_digits_and_are_close(name, mode):
@@ -138,6 +139,7 @@ def test_an_unstable_loop_of_a_multiple_eigenvalue_is_refuted(n):
     assert certificate.witness.proof.rate == pytest.approx(DECAY, abs=1e-9)
 
 
+@pytest.mark.long
 def test_growth_that_cannot_be_proved_is_no_answer_but_a_reason(monkeypatch):
     plant = plants.paper()
     law = plants.LAWS["averaged"](plant)

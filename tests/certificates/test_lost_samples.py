@@ -135,6 +135,7 @@ def test_V_falls_along_runs_with_losses_at_the_certified_rate(name, tmp_path):
         assert all(b <= rho**2 * a * (1.0 + 1e-9) for a, b in pairwise(values))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", LOOPS)
 def test_runs_and_controllers_that_lose_samples_follow_the_same_equations(name):
     (plant, law), most = LOOPS[name][0](), LOOPS[name][1]
@@ -210,6 +211,7 @@ def unstable():
     return plant, on_outputs(plant, [[1.0, 0.0]], (-4.0, -5.0))
 
 
+@pytest.mark.long
 def test_a_loop_that_is_certified_without_losses_is_refuted_with_six_and_its_witness_grows():
     plant, law = unstable()
     assert dt.certify(plant, law, 0.35, STEP, decay_rate=0.0, search_signals=False).proven

@@ -111,6 +111,7 @@ def a_signal(rng, modes, dwell, horizon):
 FEW = (0, 2, 3, 11)  # with ages, with two inputs, with three modes, with both
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "seed",
     [pytest.param(k, marks=() if k in FEW else pytest.mark.long) for k in range(12) if k != 7],
@@ -214,6 +215,7 @@ def told_late():
     return found
 
 
+@pytest.mark.long
 def test_without_a_lag_and_for_laws_that_do_not_read_the_mode_the_file_is_the_same(tmp_path):
     for name, lags in (("expected", (0,)), ("mean", (0, 7))):
         loop, dwell, step, options = corpus.CASES[name]
@@ -254,6 +256,7 @@ def test_another_lag_written_into_a_file_proves_nothing(lag, told_late, tmp_path
 # -- signals that grow -------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("alpha", "lag"), [(1.0, 3), (0.5, 11)])
 def test_the_worst_signal_grows_as_said_in_a_run_with_late_modes(alpha, lag):
     plant, law = paper_loop(alpha)
@@ -277,6 +280,7 @@ def test_a_constant_mode_grows_the_same_however_late_it_is_told():
         dt.growth_rate(plant, law, 1, STEP, mode_lag=-1)
 
 
+@pytest.mark.long
 def test_a_lag_that_is_refuted_is_not_certified():
     plant, law = paper_loop(1.0)
     certificate = dt.certify(plant, law, 0.4, STEP, mode_lag=3)

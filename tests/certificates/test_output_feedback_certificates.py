@@ -117,6 +117,7 @@ def put_back(certificate, plant, law, signal, periods=40):
 LOWEST = {"own delays, true ones others": 0.8, "sums": 0.5, "sums and a disturbance": 0.8}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", LOWEST)
 def test_V_falls_along_runs_at_the_certified_rate(name, tmp_path):
     plant, law = LOOPS[name]()

@@ -36,6 +36,7 @@ def with_part(evidence, part, value):
     return replace(evidence, **{name: value})
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ALPHA)
 def test_the_evidence_itself_passes_both_methods(name):
     evidence, loop = evidence_of(name), made(name)[3]
@@ -46,6 +47,7 @@ def test_the_evidence_itself_passes_both_methods(name):
     assert least(evidence, loop) > 0.0
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("part", ["P", "Pi", "S"])
 @pytest.mark.parametrize("name", ALPHA)
 def test_perturbed_evidence_is_rejected_wherever_the_second_method_refutes_it(name, part):

@@ -16,6 +16,7 @@ from deadtime.certificates.proof.covering import Covering
 from evidence import ALPHA, ARRAYS, PAPER, TIMES, designed, made
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ALPHA)
 def test_files_hold_the_evidence_bit_by_bit_and_prove_it_again(name, tmp_path):
     plant, law, certificate, _ = made(name)

@@ -141,6 +141,7 @@ class Sampled:
         return min(found)
 
 
+@pytest.mark.few(11)
 @pytest.mark.parametrize("name", FILES)
 def test_the_inequality_of_every_step_holds_at_sampled_instants(name):
     content = json.loads((CORPUS / f"{name}.json").read_text(encoding="utf-8"))

@@ -111,6 +111,7 @@ def assert_stretches_decrease(evidence, loop):
     assert count >= modes * (5 * (modes - 1) + 1)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", LOOPS)
 def test_every_stretch_decreases_the_lyapunov_function(name):
     make, *times = LOOPS[name]
@@ -161,6 +162,7 @@ def random_modes(rng, modes, n):
     return np.stack([a - (np.linalg.eigvals(a).real.max() + 0.3) * np.eye(n) for a in A])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("seed", "modes", "n"), [(3, 2, 2), (5, 2, 3), (2, 3, 2), (6, 2, 4)])
 def test_without_input_certify_reaches_what_the_lmis_on_exponentials_prove(seed, modes, n):
     A, step = random_modes(np.random.default_rng(seed), modes, n), 0.02

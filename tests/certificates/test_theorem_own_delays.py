@@ -106,6 +106,7 @@ def test_epsilon_star_is_that_of_the_proof_by_quadrature(name):
     assert bound.epsilon_star >= (1.0 - 1e-10) / sizes.inverse_star(0.0)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", DELAYS)
 def test_what_arrives_is_within_the_inequality_of_the_proof(name):
     # With modes far apart: nothing in it needs them close.
@@ -146,6 +147,7 @@ def test_what_arrives_is_within_the_inequality_of_the_proof(name):
         assert 0.02 < worst <= 1.0
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", DELAYS)
 @pytest.mark.parametrize("seed", range(2))
 def test_runs_stay_below_the_envelope(name, seed):
@@ -169,6 +171,7 @@ def test_runs_stay_below_the_envelope(name, seed):
 
 
 # Two modes and two inputs; three modes, and inputs of which two have one delay.
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "seed"),
     mostly_long(itertools.product(DELAYS, range(2)), ("two", 0), ("pairs", 1)),

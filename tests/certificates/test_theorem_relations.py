@@ -70,6 +70,7 @@ def test_lambda_increases_from_zero(case):
         assert bound.lam(0.1) == max(bound.delta1(0.1), bound.delta2(0.1))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("form", FORMS)
 def test_a_longer_delay_leaves_less_room(form):
     stars = [

@@ -122,6 +122,7 @@ def test_whatever_is_no_certificate_gets_a_line_and_no_traceback(tmp_path):
     assert run(FILES[0], paths[0])[0] == 2
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("forgery", "reason"),
     [

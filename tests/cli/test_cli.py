@@ -100,6 +100,7 @@ def test_reproduce_runs_a_problem_file_and_reports_json(folder, capsys):
     assert all(rate < 0 for rate in json.loads(out)["growth_without_switching"].values())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -230,6 +231,7 @@ def test_installed_command_runs_in_its_own_process():
     assert result.stderr == ""
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("command", ["simulate", "certify --help", "--help"])
 def test_commands_load_what_they_need_only(tmp_path, command):
     """A figure needs matplotlib, a run of some thousand periods no compiler, and help nothing."""

@@ -56,6 +56,7 @@ def test_json_says_what_was_written(tmp_path, monkeypatch, capsys):
     assert record["c"]["rom"] < 200
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -30,6 +30,7 @@ def commands_below(page, title):
     return [line.rstrip() for line in below if line.startswith("deadtime")]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_a_command_ends_with_examples_that_can_be_copied(capsys, command):
     code, out, err = run(capsys, command, "--help")
@@ -46,6 +47,7 @@ def test_help_of_a_command_ends_with_examples_that_can_be_copied(capsys, command
         assert function.__name__ == command.replace("-", "_")
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_takes_json(capsys, command):
     _, out, _ = run(capsys, command, "--help")
@@ -71,6 +73,7 @@ def test_help_of_all_says_where_to_start_and_groups_every_command(capsys):
     assert "Exit codes: 0 done, 1 the answer is no, 2 the request is wrong" in out
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("other", [["--help"], ["-h"], ["help"]])
 def test_help_is_found_by_whatever_name_it_is_called(capsys, other):
     expected = run(capsys)
@@ -121,6 +124,7 @@ def script(capsys, tmp_path):
     return path
 
 
+@pytest.mark.few(2)
 @needs_bash
 @pytest.mark.parametrize(
     ("typed", "offered"),
@@ -169,6 +173,7 @@ def read_until(terminal, wanted):
     return seen
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_scripts_name_every_command_and_pass_their_shell(capsys, tmp_path, shell):
     code, out, err = run(capsys, "completion", shell)

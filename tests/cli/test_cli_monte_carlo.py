@@ -113,6 +113,7 @@ def test_sojourns_are_those_asked_for(capsys, monkeypatch):
     np.testing.assert_allclose(asked[0].transition, (1.0 - np.eye(3)) / 2.0)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["text", "json"])
 def test_interrupted_it_prints_and_saves_what_is_done(capsys, monkeypatch, ending):
     @contextmanager
@@ -203,6 +204,7 @@ def test_requests_that_are_wrong_are_refused_before_the_run(folder, capsys, argu
     assert message in err
 
 
+@pytest.mark.long
 def test_a_disk_that_fails_is_told_by_name(capsys, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
@@ -267,6 +269,7 @@ def test_curves_are_distribution_functions_and_axes_leave_out_what_is_far(data):
     assert right.get_xlim()[0] < 1.0 < right.get_xlim()[1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("cost", "lost"),
     [

@@ -72,6 +72,7 @@ def ran(request, tmp_path_factory):
     return folder, asked, result, (folder / "codes").read_text().split(), outputs
 
 
+@pytest.mark.long
 def test_every_command_runs_without_a_word_on_stderr(ran):
     _, asked, result, codes, _ = ran
     assert (result.stderr, result.stdout, result.returncode) == (b"", b"", 0)
@@ -162,6 +163,7 @@ def test_on_a_terminal_output_is_styled(tmp_path):
     assert ANSI not in plain
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("terminal", "environment"),
     [(False, {}), (True, {"NO_COLOR": "1"}), (False, {"NO_COLOR": "1", "FORCE_COLOR": "1"})],
@@ -185,6 +187,7 @@ def deadtime(line, **options):
     )
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("reader", ["true", "head -1"])
 @pytest.mark.parametrize("what", ["schema", "completion bash --json", "--help"])
 def test_a_reader_that_goes_ends_the_command_in_silence(reader, what):

@@ -53,6 +53,7 @@ def test_every_law_gives_what_its_table_says_whatever_was_applied(name, step):
     assert (np.abs(run(dt.Controller(law, step), x, modes, applied) - u) <= 1e-14 * scale).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", mostly_long(["averaged", "single", "mean with gains"], "averaged"))
 def test_a_long_delay_loses_no_digits_over_many_windows(name):
     law = plants.LAWS[name](GENERIC)
@@ -73,6 +74,7 @@ def test_block_sums_hold_at_every_length_of_the_window(taps):
     assert (np.abs(run(dt.Controller(law, 0.004), x, modes, applied) - u) <= 1e-14 * scale).all()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", RUNNING)
 def test_in_the_loop_it_gives_the_inputs_of_simulate(name):
     """On a plant that is not the law's model."""
@@ -89,6 +91,7 @@ def test_in_the_loop_it_gives_the_inputs_of_simulate(name):
     assert (np.abs(found - loop.inputs.T) <= 1e-12 * np.maximum.accumulate(scale)).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware", "expected"])
 def test_a_warm_restart_changes_no_bit(name):
     law = plants.LAWS[name](GENERIC)

@@ -44,6 +44,7 @@ def loop(law, plant, u0, horizon, seed=3):
     return run
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", LAWS)
 def test_in_the_loop_it_gives_the_inputs_and_the_belief_of_simulate(name):
     """On a plant that is not the filter's model, in noise, with inputs still in flight."""

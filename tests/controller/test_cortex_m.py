@@ -149,6 +149,7 @@ CASES = [
 ]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("law", "plant", "step", "precision", "core"), CASES)
 def test_an_emulated_cortex_m_gives_the_answers_of_the_vectors(
     tmp_path, monkeypatch, law, plant, step, precision, core

@@ -51,6 +51,7 @@ def belief_of(library, controller):
     return np.ctypeslib.as_array(library.call("belief"), shape)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", EVERY)
 def test_the_check_passes_and_visits_every_row(tmp_path, name):
     law = EVERY[name]()
@@ -60,6 +61,7 @@ def test_the_check_passes_and_visits_every_row(tmp_path, name):
     assert f", {rows} of {rows} rows, all" in exported.check.message
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "table",
     mostly_long(
@@ -119,6 +121,7 @@ def test_every_call_gets_the_answer_the_status_and_the_belief_of_the_controller(
     assert seen >= {0, 1, 2, 4, 7, 8}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "count", [5_000, pytest.param(1_000_000, marks=pytest.mark.long)], ids=["few", "million"]
 )
@@ -158,6 +161,7 @@ def test_any_bits_at_all_get_a_finite_input_a_status_and_probabilities(tmp_path)
         assert belief.sum(axis=1).min() >= 0.3e-9  # no mode is ever ruled out
 
 
+@pytest.mark.long
 def test_a_copy_of_the_state_is_a_warm_restart_and_a_belief_that_is_none_is_said(tmp_path):
     law = LAWS["ages"]()
     controller, library = compiled(tmp_path, law)

@@ -71,6 +71,7 @@ def equals_rows(folder, law, step, count, tolerance=1e-12, **export):
 FEW_TAPS = ("averaged", "expected", "mean, dwell-aware")
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("name", "step"),
     [*((name, 0.0066) for name in RUNNING), *((name, 0.1) for name in FEW_TAPS)],
@@ -79,6 +80,7 @@ def test_every_law_gives_what_its_table_says_whatever_was_applied(tmp_path, name
     equals_rows(tmp_path, plants.LAWS[name](GENERIC), step, 2000, 1e-14)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("taps", [1, 33, 34, 400])
 def test_block_sums_hold_at_every_length_of_the_window(tmp_path, taps):
     step = min(0.004, 0.234 / taps)
@@ -214,6 +216,7 @@ def any_bits(plant, count, seed):
     return numbers[:, : plant.states], modes, told, times
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["averaged", "averaged, dwell-aware"])
 @pytest.mark.parametrize(
     "count", [10_000, pytest.param(1_000_000, marks=pytest.mark.long)], ids=["few", "million"]
@@ -253,6 +256,7 @@ def test_before_a_reset_and_after_damage_it_says_not_ready_and_rests(tmp_path):
     assert (library.run(x, modes)[1] == 10).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("step", [0.0066, 0.05])
 def test_damaged_inputs_are_said_and_pass(tmp_path, step):
     """NaN in the input in force, or in the ring: u stays finite and within the limits."""

@@ -110,6 +110,7 @@ def closed_loop(law_path, plant_path, folder, signal, cuts, step, horizon):
 OWN = np.array([[0.234, 0.1], [0.1, 0.187], [0.3, 0.05]])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "delay", "true", "version"),
     [
@@ -158,6 +159,7 @@ def test_the_plant_alone_follows_inputs_of_any_length(tmp_path, version):
     plants.close(result["x[1]"], before + after, 1e-14)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_states_of_both_can_be_kept_and_put_back(tmp_path, version):
     law = plants.LAWS["averaged"](GENERIC)
@@ -185,6 +187,7 @@ def test_states_of_both_can_be_kept_and_put_back(tmp_path, version):
     assert answers[0] == answers[1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_bad_inputs_get_a_status_and_applied_is_read_if_told(tmp_path, version):
     law, path = plants.LAWS["averaged, dwell-aware"](GENERIC), tmp_path / "law.fmu"
@@ -275,6 +278,7 @@ def test_a_master_that_adds_up_its_time_gets_a_sample_a_step(tmp_path, version, 
     slave.close()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_calls_that_the_standard_forbids_are_refused_and_change_nothing(tmp_path, version):
     plant, law = plants.scalar([-0.7], 1.3, delay=0.3), tmp_path / "law.fmu"
@@ -304,6 +308,7 @@ def test_calls_that_the_standard_forbids_are_refused_and_change_nothing(tmp_path
         slave.close()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_descriptions_tell_names_units_dependencies_and_inputs_before_the_start(tmp_path, version):
     names = Names("mine <&>", ("position (m)", "speed", "angle"), ("up", "down", "off"))
@@ -349,6 +354,7 @@ def test_a_plant_whose_input_changes_too_often_names_the_argument(tmp_path):
 CASES = [("x", "2.0"), ("x", "3.0"), ("y", "2.0"), ("y", "3.0")]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("given", "version"), mostly_long(CASES, *CASES[:2]))
 def test_a_law_on_a_belief_reads_no_mode_and_tells_how_likely_each_is(tmp_path, given, version):
     """Of the state, and of two outputs, on a bank of filters."""

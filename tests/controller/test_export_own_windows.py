@@ -46,6 +46,7 @@ def made(tmp_path):
     return make
 
 
+@pytest.mark.few(1)
 @needs_compiler
 @pytest.mark.parametrize("name", list(LAWS))
 @pytest.mark.parametrize(
@@ -134,6 +135,7 @@ def test_hostile_calls_damage_and_restarts_are_those_of_the_controller(made):
     assert library.call("restore", kept) == Status.OK
 
 
+@pytest.mark.long
 @needs_frama_c
 @pytest.mark.parametrize(
     ("name", "precision"),
@@ -152,6 +154,7 @@ def test_frama_c_finds_no_alarm_from_any_state(tmp_path, name, precision):
     assert run.stdout.count(" 100% of the logical properties") == 2
 
 
+@pytest.mark.long
 @needs_compiler
 def test_the_sanitizers_find_nothing(made, tmp_path):
     made("low rank")

@@ -152,6 +152,7 @@ def test_a_longer_period_fits_as_promised(tmp_path, monkeypatch):
     assert "e-01" not in str(refused.value)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["Makefile", "main.c", "controller_vectors.csv"])
 def test_a_file_of_the_user_s_is_never_replaced(tmp_path, monkeypatch, name):
     monkeypatch.setenv("CC", "none")

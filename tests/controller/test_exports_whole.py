@@ -55,6 +55,7 @@ def test_inputs_before_the_start_need_not_be_given_for_an_fmu_of_two(folder):
     assert {path.name for path in folder.iterdir()} == {"two.toml", "m.fmu", "p.fmu"}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [

@@ -68,6 +68,7 @@ def test_c_with_any_names_compiles_and_passes(tmp_path, called):
     assert f"u[1]: {in_comment(called)}" in header
 
 
+@pytest.mark.few(2)
 @FEW
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_an_fmu_with_any_names_is_well_formed(tmp_path, monkeypatch, called, version):
@@ -115,6 +116,7 @@ step = 0.1
 EVIL = '\\u0000 \\u202e \\u0001 \\\\ \\"\\"\\" \\n import os'
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "name", mostly_long(["deadtime", "numpy", "two inputs", "ü"], "numpy", "ü")
 )

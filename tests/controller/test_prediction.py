@@ -50,6 +50,7 @@ def test_each_mode_is_predicted_as_the_plant_moves_under_the_inputs_in_flight(pl
     plants.close(prediction.states, whole, 1e-13)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("plant", [GENERIC, OWN], ids=["one delay", "delays of their own"])
 @pytest.mark.parametrize("name", [*PREDICTING, "semi-Markov"])
 def test_gains_times_predictions_are_the_input_of_every_law(name, plant):

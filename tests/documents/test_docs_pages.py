@@ -134,6 +134,7 @@ def run(name, folder, monkeypatch, capsys):
     return names, everything
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", mostly_long(RUN, *(name for name in RUN if name not in LONG)))
 def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monkeypatch, capsys):
     if "export" in PAGES[name] and compiler() is None:

@@ -192,6 +192,7 @@ SCRIPTS = [
 ]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_how_to_script_runs_without_a_word_on_stderr_and_leaves_a_picture(tmp_path, script):
     result = subprocess.run(

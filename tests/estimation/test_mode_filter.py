@@ -190,6 +190,7 @@ def shares_apart(given, there, samples=20):
     return np.abs(apart.sum(axis=1)) / count, errors
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("switches", ["samples", "anywhere"])
 def test_what_is_given_a_probability_happens_as_often_within_the_error_of_few_runs(switches):
     apart, errors = shares_apart(*given_and_there(switches, switches, 300))

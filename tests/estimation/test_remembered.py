@@ -45,6 +45,7 @@ def tracking(integral, reference):
     return dt.OutputFeedback(law, observer, servo=servo, reference=reference)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("predict", ["applied", "commanded"])
 @pytest.mark.parametrize("name", plants.LAWS)
 def test_every_law_on_estimates_runs_as_by_periods(name, predict):
@@ -53,6 +54,7 @@ def test_every_law_on_estimates_runs_as_by_periods(name, predict):
         require_same(law, kinds, predict=predict, **OPTIONS)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("predict", ["applied", "commanded"])
 @pytest.mark.parametrize("integral", [True, False])
 @pytest.mark.parametrize("reference", [1.0, SCHEDULE, lambda t: [math.sin(t), 0.0]])

@@ -231,6 +231,7 @@ def _blind(law):
     return Blind(law.law, law.observer, servo=law.servo, reference=law.reference)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", [name for name in LAWS if name != "exact"])
 def test_a_controller_tracks_as_simulate_does(law):
     reference = ([0.0, 2.0], [[1.0, 0.0], [1.0, -2.0]])

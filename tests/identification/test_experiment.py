@@ -146,6 +146,7 @@ def test_the_optimum_beats_binary_sequences_and_a_step_by_its_own_criterion():
     assert np.log(every.errors).sum() < np.log(found.errors).sum()
 
 
+@pytest.mark.long
 def test_limits_hold_and_then_the_optimum_is_worth_much_more():
     """Binary sequences must be made smaller until the states keep their limits."""
     found = designed(state_limit=[0.2, 0.3], hold=2)

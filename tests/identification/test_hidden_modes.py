@@ -62,6 +62,7 @@ def matched(fit, mode):
     return max((np.mean(np.array(o)[fit.hidden.mode] == mode), o) for o in orders)
 
 
+@pytest.mark.long
 def test_three_modes_with_two_inputs_are_found_with_the_delay_of_each():
     log, mode = made(THIRD_ORDER)
     fit = found(log, 3)

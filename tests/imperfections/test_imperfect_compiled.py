@@ -52,6 +52,7 @@ def test_sensors_in_any_order_are_as_by_periods(first):
             require_same(law, [first, second], signal=AGED)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("step", [0.1, 0.251, 0.4])
 def test_measurements_within_disturbed_periods_are_as_by_periods(step):
     for kinds in itertools.product(FORCES, [*TIMINGS, SENSORS[1]], [NOISE, SENSORS[0]]):

@@ -191,6 +191,7 @@ def test_the_noise_of_what_also_pushes_is_heard():
     assert (run.states[:, 1] != other.states[:, 1]).any()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("own", "at_once"),
     [

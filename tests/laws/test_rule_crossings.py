@@ -90,6 +90,7 @@ def test_more_samples_find_what_few_samples_of_a_function_miss():
 # -- a second method ---------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("model_delay", [0.234, 0.31, 0.1])
 @pytest.mark.parametrize("name", RULES)
 def test_the_loop_equals_an_integration_with_event_detection(name, model_delay):

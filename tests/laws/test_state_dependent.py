@@ -111,6 +111,7 @@ def test_a_rule_that_never_switches_gives_the_run_along_a_constant_signal(name):
             assert one.metrics()[key] == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", TABLES)
 @pytest.mark.parametrize("model_delay", [0.234, 0.31])
 def test_a_run_under_a_rule_is_the_run_along_the_signal_that_it_turned_out_to_be(

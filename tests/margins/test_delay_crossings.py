@@ -187,6 +187,7 @@ def first_lost(plant, law, end):
     return solved.x[1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", mostly_long(range(12), 0, 1, 3))
 def test_ideal_loops_are_lost_where_roots_begin_to_be_encircled(seed):
     plant, law = encirclements.random_loop(seed + 100)

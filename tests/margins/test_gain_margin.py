@@ -45,6 +45,7 @@ def lifted(plant, table, row, mode):
     return M, by_factor
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("law", TABLES)
 def test_the_gain_margin_ends_where_a_lifted_loop_reaches_the_unit_circle(law):
     made = plants.LAWS[law](MODEL)
@@ -156,6 +157,7 @@ def test_laws_that_are_no_table_are_refused_by_name():
         dt.gain_margin(PLANT, plants.LAWS["averaged"](MODEL), 0.0)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e100, 1e200, 1e250])
 @pytest.mark.parametrize("observed", [False, True])
 def test_the_units_of_an_input_change_no_margin(unit, observed, recwarn):
@@ -188,6 +190,7 @@ def test_an_ideal_integrator_has_the_margin_of_its_phase():
     assert margin.upper == pytest.approx(0.5 * np.pi / 0.6, rel=1e-9)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("delay", [1e-12, 1e-6, 0.2, 1.0])
 def test_an_ideal_unstable_mode_is_lost_at_both_ends_where_its_equation_says(delay):
     # x' = x − 3 k x(t − D): at rest 3 k = 1; at s = iω (3 k)² = 1 + ω², ω D = π − atan(ω) … .
@@ -200,6 +203,7 @@ def test_an_ideal_unstable_mode_is_lost_at_both_ends_where_its_equation_says(del
     assert margin.upper == (pytest.approx(known, rel=1e-9) if known < 1e6 else np.inf)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", mostly_long(range(8), 0, 1, 2))
 def test_ideal_loops_are_lost_to_a_gain_where_roots_begin_to_be_encircled(seed):
     plant, law = encirclements.random_loop(seed + 200)

@@ -46,6 +46,7 @@ def test_the_least_dwell_time_of_two_modes_that_turn_lies_in_a_narrow_bracket():
     )  # refuted below, proved above
 
 
+@pytest.mark.long
 def test_a_common_lyapunov_function_proves_every_dwell_time_above_a_period():
     plant = dt.SwitchedSystem([[[-1.0]], [[-2.0]]], np.ones((2, 1, 1)), 0.1)
     law = dt.AveragedPredictor(plant, np.zeros((2, 1, 1)), allow_unstable=True)

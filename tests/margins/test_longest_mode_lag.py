@@ -84,6 +84,7 @@ def run(capsys, *arguments):
     return stopped.value.code, captured.out, captured.err
 
 
+@pytest.mark.long
 def test_the_command_line_certifies_and_verifies_with_a_lag(capsys, tmp_path):
     about = ["paper", "--law", "delay ignored", "--dwell-time", "0.4", "--step", "0.1"]
     code, out, _ = run(capsys, "certify", *about, "--mode-lag", "3", "--json")

@@ -170,6 +170,7 @@ def test_margins_of_phase_and_disk_are_python_control_s_and_the_others_deadtime_
     assert view.delay.longer == dt.delay_margin(plant, law).longer
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_factor_within_the_disk_loses_the_loop_and_one_on_its_edge_does(seed):
     rng = np.random.default_rng(seed)

@@ -265,6 +265,7 @@ def apart(alpha):
     return plant, dt.AveragedPredictor(plant, dt.place(plant, [-1.0, -2.0]))
 
 
+@pytest.mark.long
 def test_the_paper_s_modes_may_be_between_0_65_and_0_66_as_far_apart_at_a_step_of_0_1():
     margin = dt.stability_margin(apart, (0.1, 1.0), dwell_time=0.2, step=0.1)
     assert 0.65 <= margin.certified < margin.refuted <= 0.66

@@ -17,6 +17,7 @@ own_delays = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(own_delays)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", mostly_long(own_delays.NUMBERS[::2], 3))
 def test_between_certified_and_refuted_is_little_and_neither_end_is_trivial(number):
     margin = own_delays.bracket(number)

@@ -47,6 +47,7 @@ def test_inputs_are_called_by_their_names():
 
 
 # Delays by mode; by input, of one mode; by both.
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", mostly_long(range(14, 34), 18, 21, 33))
 def test_loops_are_lost_at_the_shifts_that_growth_rates_say(seed):
     plant, law = drawn(seed)
@@ -187,6 +188,7 @@ def certified_pair():
     return plant, dt.AveragedPredictor(plant, dt.place(plant, [-2.0]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("input", mostly_long([None, 0, 1], 1))
 def test_runs_decay_at_delays_drawn_from_the_certified_margin(input):
     plant, law = certified_pair()

@@ -63,6 +63,7 @@ def test_lost_samples_and_late_modes_are_tried_as_simulate_has_them(result):
     assert bool(result.lag.lost[-1, 0]) == lost("expected", [ModeDelay(last)])
 
 
+@pytest.mark.long
 def test_the_price_of_noise_is_quadratic_and_doubles_where_it_says():
     result = assess("averaged", scenarios=20)
     noise = result.noise
@@ -126,6 +127,7 @@ def test_what_every_run_has_beside_what_is_tried_is_kept():
     assert result.late.cost.shape[1] == 4
 
 
+@pytest.mark.long
 def test_a_law_without_a_table_has_tolerances_and_no_margins():
     rule = dt.HalfSpace([1.0, 0.0], 0.0)
     plant = plants.paper(0.3).apart(0.1)

@@ -49,6 +49,7 @@ def ends(of, periods):
     return [int(of.runs([LateSamples(n)], 1)[1][0]) for n in periods]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("horizon", [2.0, 3.0, 8.0])
 @pytest.mark.parametrize("x0", [(1.0, 0.0), (0.0, 0.0)])
 def test_a_limit_cycle_around_the_reference_is_not_tolerated_over_any_horizon(horizon, x0):
@@ -115,6 +116,7 @@ HELD = dt.AveragedPredictor(SCALAR, dt.place(SCALAR, [-1.5]))
 SWITCHED = dt.SwitchingSignal.periodic([0.7, 0.9], [0, 1], 30.0)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "moved",
     [{"imperfections": [StepDisturbance([0.5])]}, {"imperfections": [Noise(0.1)]}, {"u0": 0.3}],

@@ -100,6 +100,7 @@ def test_held_modes_is_held_for_every_mode():
         assert np.array_equal(Gamma[i], discretise(plant.A[i], plant.B[i], 0.1)[1])
 
 
+@pytest.mark.few(4)
 def test_the_gramian_equals_van_loan_s_in_50_digits(case):
     A, B, tau = case
     n, size = A.shape[0], sum(B.shape)

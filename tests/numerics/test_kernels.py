@@ -260,6 +260,7 @@ def with_sums(folder):
     return {"PYTHONPATH": os.pathsep.join((str(folder), *sys.path))}
 
 
+@pytest.mark.long
 def test_what_is_compiled_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
     path = with_sums(tmp_path)
     for name in ("Pair", "Couple"):
@@ -305,6 +306,7 @@ def test_the_cache_follows_intrinsics_and_what_makes_them():
     assert {"laid.py", "moves.py", "sums.py", "code.py"} <= files
 
 
+@pytest.mark.long
 def test_a_numba_with_other_private_names_compiles_all_the_same(tmp_path):
     code = """
         from numba.core import caching
@@ -317,6 +319,7 @@ def test_a_numba_with_other_private_names_compiles_all_the_same(tmp_path):
     assert run(code, tmp_path / "cache", **with_sums(tmp_path)) == ["3.0", "False"]
 
 
+@pytest.mark.long
 def test_where_no_folder_can_be_written_kernels_are_compiled_all_the_same(tmp_path):
     code = """
         from numba.core import caching

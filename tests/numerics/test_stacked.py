@@ -33,6 +33,7 @@ def test_pieces_at_once_are_the_pieces_one_by_one(pieces):
         assert np.array_equal(found, np.array(expected), equal_nan=True)
 
 
+@pytest.mark.few(1)
 def test_gramians_at_once_are_the_gramians_one_by_one(pieces):
     A, B, mode, tau = pieces
     Q = np.eye(A.shape[1]) + 0.1

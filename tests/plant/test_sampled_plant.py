@@ -120,6 +120,7 @@ def test_pieces_along_a_signal_are_the_plant_integrated(delay):
     assert total == pytest.approx(reference[-1, 3], rel=1e-10)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("delay", [0.251, 0.3, 0.04])
 @pytest.mark.parametrize("name", ["averaged, dwell-aware", "expected", "exact"])
 def test_a_run_is_its_plant_integrated_under_the_inputs_that_were_sent(name, delay):

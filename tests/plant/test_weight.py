@@ -83,6 +83,7 @@ RUNS = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", RUNS)
 def test_the_cost_of_every_kind_of_run_is_the_integral_of_its_states_and_inputs(name):
     run = RUNS[name]()
@@ -101,6 +102,7 @@ def test_the_cost_of_every_kind_of_run_is_the_integral_of_its_states_and_inputs(
     assert run.metrics(weight)["cost"] == pytest.approx(parts @ density, rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "limited"),
     mostly_long(itertools.product(LAWS, (False, True)), ("averaged", False)),

@@ -24,6 +24,7 @@ def stable_law():
 # --- design and the optimal law
 
 
+@pytest.mark.long
 def test_the_cost_of_a_constant_mode_is_the_mean_of_runs_from_the_unit_vectors():
     plant, law = stable_law()
     signal = dt.SwitchingSignal.constant(0)

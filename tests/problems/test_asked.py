@@ -51,6 +51,7 @@ def file(tmp_path, monkeypatch):
     return write
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("signal", "options", "expected"),
     [

@@ -89,6 +89,7 @@ def test_python_is_told_what_is_wrong(call, message):
         call()
 
 
+@pytest.mark.long
 def test_monte_carlo_draws_from_the_model_of_the_file_unless_told_otherwise(tmp_path, capsys):
     path, data = write(tmp_path), tmp_path / "all.csv"
     options = ["--scenarios", "8", "--out", str(tmp_path / "a.png"), "--json"]

@@ -63,6 +63,7 @@ estimate = [1.0, 0.2]
 OPTIONS = {"covariance": [0.1, 0.2], "estimate": [1.0, 0.2]}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("observer", "own", "options"),
     [

@@ -71,6 +71,7 @@ def test_a_markov_model_runs_the_ideal_loop_too(tmp_path):
     assert not run.record.held
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("lines", "same"),
     [

@@ -9,6 +9,7 @@ from shares import mostly_long
 RULE = {"paper": (0.2, 0.4), "three-mode": (0.9, 1.8), "follower": (1.0, 2.0)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", mostly_long(dt.problems.NAMED, "paper"))
 def test_signal_is_the_median_of_201_under_the_averaged_law(name):
     problem = dt.problems.NAMED[name]()

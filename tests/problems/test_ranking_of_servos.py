@@ -78,6 +78,7 @@ def test_the_reference_ranks_where_the_cost_prefers_the_law_that_stays_behind(re
     assert float(table(result)[1][1].replace(",", "")) == pytest.approx(quick["iae"], rel=0.01)
 
 
+@pytest.mark.long
 def test_many_runs_rank_by_the_same_error(problem):
     signals = [dt.SwitchingSignal.random(3, 20.0, dwell_time=0.7, seed=i) for i in range(3)]
     data = dt.monte_carlo(

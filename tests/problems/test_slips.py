@@ -60,6 +60,7 @@ def test_figures_that_agree_are_not_remarked_on():
     assert disagreement_of(result) == []
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("delay", [250.0, 2500.0])
 def test_a_delay_in_milliseconds_is_answered_within_seconds(delay):
     plant = plants.scalar([-0.2, -0.3], delay=delay)

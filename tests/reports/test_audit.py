@@ -233,6 +233,7 @@ def test_the_same_seed_gives_the_same_audit():
     assert [claim.many for claim in one] == [claim.many for claim in other]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("plot", [plot_claims, plot_dwell_times, plot_distances])
 def test_figures_are_drawn_within_their_frame(claims, plot, tmp_path):
     figure = plot(list(claims.values()))

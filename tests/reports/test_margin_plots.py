@@ -86,6 +86,7 @@ def test_a_distance_of_one_is_ten_to_the_zero_without_a_sign():
     assert "$10^{0}$" in [tick.get_text() for tick in axes.get_xticklabels()]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("form", ["printed", "sharp"])
 @pytest.mark.parametrize("name", ["paper", "three-mode", "follower"])
 def test_the_theorem_reaches_where_the_distance_meets_what_it_allows(name, form):

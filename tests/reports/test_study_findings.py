@@ -233,6 +233,7 @@ def test_the_report_opens_with_the_answers_and_holds_every_map(small, tmp_path, 
     assert float(rows[0]["regret"]) == pytest.approx(first["laws"]["averaged"]["regret"], rel=1e-5)
 
 
+@pytest.mark.long
 def test_the_command_runs_a_study_and_prints_its_answers(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = PLAIN.replace("[0.2, 0.8]", "0.8").replace("[0.5, 1.0]", "0.5")
@@ -249,6 +250,7 @@ def test_the_command_runs_a_study_and_prints_its_answers(tmp_path, monkeypatch, 
     assert record["scenarios"] == 6
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

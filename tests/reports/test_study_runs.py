@@ -181,6 +181,7 @@ def test_the_uncompensated_law_fails_where_the_predictors_succeed(small):
     assert max(final[law].max() for law in study.laws if law != "delay ignored") < 0.1
 
 
+@pytest.mark.long
 def test_a_law_that_cannot_be_built_is_recorded_and_the_study_goes_on(tmp_path):
     text = PLAIN.replace("[0.2, 0.8]", "[0.02, 0.8]")  # the step is too long for 0.02 s
     data = run_study(load(tmp_path, text), tmp_path / "x.zarr", workers=1)
@@ -197,6 +198,7 @@ def test_a_law_that_cannot_be_built_is_recorded_and_the_study_goes_on(tmp_path):
     assert answers(data)
 
 
+@pytest.mark.long
 def test_a_plant_without_gains_fails_every_law_of_its_cells(tmp_path):
     plant = """
 [plant]

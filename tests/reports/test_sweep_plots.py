@@ -121,6 +121,7 @@ def test_a_cell_not_run_and_a_law_not_built_are_told_apart():
     assert not plot_heat(data, "averaged", where={"delay": 0.25}).legends
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("count", range(5))
 def test_any_number_of_axes_is_drawn_with_every_cell_in_its_place(count):
     names = list(AXES)[4 - count :]
@@ -382,6 +383,7 @@ def test_bad_requests_get_one_line_and_code_2(run, arguments, message):
     assert message in err
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_out_may_be_a_figure_where_there_is_one(run, ending):
     data = sweep("delay", laws=("averaged", "mean"), oracle="")

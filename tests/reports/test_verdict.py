@@ -106,6 +106,7 @@ def test_decay_rate_of_a_growing_loop_is_negative_however_few_its_samples():
     assert run.metrics()["decay_rate"] < 0.0
 
 
+@pytest.mark.long
 def test_laws_whose_names_differ_in_punctuation_keep_their_own_data(tmp_path):
     laws = {"a b": PAPER.laws["averaged"], "a-b": PAPER.laws["mean"], "_c $": PAPER.laws["oracle"]}
     problem = dataclasses.replace(

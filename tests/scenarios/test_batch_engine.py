@@ -112,6 +112,7 @@ class OwnLags(SampledPlant):
         return tuple(result)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("tabulated", [True, False])
 def test_every_input_and_mode_may_have_lags_of_its_own(tabulated, monkeypatch):
     # Against a loop that reads who acts when between any two events, with SciPy's exponential.
@@ -171,6 +172,7 @@ def driven():
     return plant, dt.AveragedPredictor(plant, gains, allow_unstable=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("periods", [1_000_000, pytest.param(10_000_000, marks=pytest.mark.long)])
 def test_window_sums_are_exact_after_millions_of_periods(periods):
     plant, law = driven()

@@ -92,6 +92,7 @@ OUTPUTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", mostly_long([*OUTPUTS], "outputs of every mode, lost and limited"))
 def test_scenarios_on_a_belief_from_outputs_are_those_of_single_runs(case):
     law, given = OUTPUTS[case]()

@@ -73,6 +73,7 @@ def check_as_simulated(loop, law, scenarios=(3, 6)):
 
 # Factored rows, and rows by mode. Batches of other tests have the others; of a law that knows its
 # signal so do the tests below.
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", mostly_long(plants.LAWS, "averaged", "expected"))
 def test_every_law_runs_as_simulated_on_a_plant_that_is_not_its_own(name):
     assert TRUTH.delay % H > 0.0

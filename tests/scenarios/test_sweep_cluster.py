@@ -116,6 +116,7 @@ def test_a_killed_worker_is_made_up_for(slow):
     assert tree(store) == tree(folder / "whole.zarr")
 
 
+@pytest.mark.long
 def test_a_cluster_elsewhere_is_used_by_its_address(slow, tmp_path, monkeypatch):
     from distributed import LocalCluster
 

@@ -55,6 +55,7 @@ def test_the_command_lists_what_went_wrong_law_by_law(capsys):
     assert "averaged: in" not in said
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("here")
 def test_interrupted_the_command_says_how_far_it_came_and_ends_with_130(monkeypatch, capsys):
     def interrupt(*_):
@@ -79,6 +80,7 @@ def test_progress_on_a_cluster_is_a_line_now_and_then(capsys):
     ]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -44,6 +44,7 @@ def test_a_store_opens_with_plain_xarray_and_carries_the_study(own, own_store):
         assert (plain.attrs["version"], plain.attrs["seed"]) == (dt.__version__, 3)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("shape", [(), (7,), (3, 5), (2, 3, 4), (4, 1, 9, 2)])
 @pytest.mark.parametrize("cost", [1e-3, 0.07, 0.3, 5.0])
 def test_blocks_cover_every_cell_once_and_take_about_a_second(tmp_path, shape, cost):
@@ -57,6 +58,7 @@ def test_blocks_cover_every_cell_once_and_take_about_a_second(tmp_path, shape, c
     assert layout.size <= 2 * max(1.0, len(seen) * cost) or cost > 0.25
 
 
+@pytest.mark.long
 def test_a_cell_half_written_is_absent_and_is_written_again(own, tmp_path):
     study, data = own
     store = tmp_path / "x.zarr"
@@ -135,6 +137,7 @@ def test_what_is_no_store_is_refused(tmp_path):
         dt.open_sweep(tmp_path / "other.zarr")
 
 
+@pytest.mark.long
 def test_a_damaged_chunk_is_named_and_computed_again_on_request(
     own_store, tmp_path, monkeypatch, capsys
 ):
@@ -182,6 +185,7 @@ def test_a_store_that_may_not_be_written_is_named(own, tmp_path):
         dt.sweep(study, tmp_path / "x.zarr", workers=1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("options", "message"),
     [("size=200k", "is full: what is stored is kept; make room"), ("ro", "may not be written")],

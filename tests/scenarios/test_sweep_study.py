@@ -60,6 +60,7 @@ transitions = [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
 """
 
 
+@pytest.mark.long
 def test_cells_draw_the_signals_that_the_problem_allows_until_an_axis_replaces_them(tmp_path):
     before, after = PROBLEM.split("[switching]")[0], "[run]" + PROBLEM.split("[run]")[1]
     before = before.split('[[law]]\nkind = "expected"')[0]

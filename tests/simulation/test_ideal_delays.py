@@ -113,6 +113,7 @@ LAWS_OF_ONE = {
 }
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("seed", mostly_long(SEEDS, 0, 1, 3, 5))
 @pytest.mark.parametrize("name", LAWS)
 def test_a_run_solves_the_plants_equation_and_the_laws(name, seed):
@@ -202,6 +203,7 @@ def plant_of_a_kind(rng, kind):
     return dt.SwitchedSystem(A, B, delays)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "kind", "seed"),
     mostly_long(

@@ -20,6 +20,7 @@ HISTORIES = {
 }
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("form", HISTORIES)
 @pytest.mark.parametrize("name", ["averaged", "exact", "delayed"])
 def test_every_form_of_history_agrees_with_a_second_discretisation(form, name):

@@ -77,6 +77,7 @@ def test_until_the_first_input_arrives_the_state_moves_freely():
 # -- a second discretisation -------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_reference_does_not_depend_on_its_mesh():
     law = plants.LAWS["averaged"](PAPER)
     coarse = reference(law, PAPER, SWITCHING, [-1.0, 1.0], 5.0)
@@ -86,6 +87,7 @@ def test_the_reference_does_not_depend_on_its_mesh():
     plants.close(coarse.inputs(t), fine.inputs(t), 1e-12)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "horizon"),
     [
@@ -101,23 +103,27 @@ def test_the_paper_s_example_agrees_with_a_second_discretisation(name, horizon):
     agrees(plants.LAWS[name](PAPER), PAPER, SWITCHING, [-1.0, 1.0], horizon)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_any_off_grid_signal_agrees_with_a_second_discretisation(seed):
     signal = dt.SwitchingSignal.random(2, 12.0, dwell_time=0.05, mean_sojourn=0.5, seed=seed)
     agrees(plants.LAWS["averaged"](PAPER), PAPER, signal, [-1.0, 1.0], 5.0)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", plants.IDEAL)
 def test_three_modes_agree_with_a_second_discretisation(name):
     agrees(plants.LAWS[name](PLANT), PLANT, SIGNAL, X0, 3.0)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", plants.IDEAL)
 @pytest.mark.parametrize("delay", mostly_long([0.234, 0.3171, 0.1517], 0.234))
 def test_a_law_with_a_wrong_model_agrees_with_a_second_discretisation(name, delay):
     agrees(plants.LAWS[name](other_model(delay)), PLANT, SIGNAL, X0, 1.5)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("delay", "model_delay"),
     [(1.0, 0.95), (1.0, 1.05), (1.0, 0.5), (0.5, 1.0), (0.05, 0.6), (0.6, 0.05)],
@@ -186,6 +192,7 @@ def test_thirty_seconds_in_three_runs_are_one_run(name):
     plants.close(np.hstack(inputs), whole.inputs[:, :-1], 1e-10)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", plants.IDEAL)
 @pytest.mark.parametrize("first", [0.1, 0.8, 1.5])
 def test_splitting_the_horizon_changes_nothing(name, first):

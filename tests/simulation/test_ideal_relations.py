@@ -10,6 +10,7 @@ from ideal_runs import PLANT, SIGNAL, X0, run, same_run
 # -- the digital loop's limit ------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", plants.IDEAL)
 def test_the_digital_loop_tends_to_the_ideal_one_with_order_one(name):
     plant = plants.generic(0.2)
@@ -34,6 +35,7 @@ def test_identical_modes_make_every_predictor_the_same_run():
         same_run(run(name, plant), same, 1e-12)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", plants.IDEAL)
 def test_a_change_of_state_variables_commutes_with_simulation(name):
     T = np.array([[2.0, 0.5, 0.0], [-1.0, 1.0, 0.3], [0.2, 0.0, 0.7]])
@@ -43,6 +45,7 @@ def test_a_change_of_state_variables_commutes_with_simulation(name):
     plants.close(other.inputs, one.inputs, 1e-11)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", plants.IDEAL)
 def test_a_change_of_time_unit_commutes_with_simulation(name):
     c = 60.0
@@ -53,6 +56,7 @@ def test_a_change_of_time_unit_commutes_with_simulation(name):
     same_run(other, one, 1e-10)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", plants.IDEAL)
 def test_runs_superpose(name):
     whole = run(name, u0=[0.4, -1.0])

@@ -61,6 +61,7 @@ def test_an_ideal_run_reports_1001_uniform_points_unless_asked_for_others():
     plants.close(some.inputs, one.inputs[:, [0, 17, 500, 1000]], 1e-14)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["averaged", "exact", "delayed"])
 def test_the_cost_is_the_integral_of_the_reference(name):
     law = plants.LAWS[name](PLANT)

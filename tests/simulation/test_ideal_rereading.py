@@ -160,6 +160,7 @@ def along(law, run, t):
         yield parts, [law.gains[after]] * model.modes, weight
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "number"),
     mostly_long(

@@ -144,6 +144,7 @@ def test_the_digital_example_equals_an_integration_with_sliding():
 # -- other plants ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("seed", "slides"), [(0, 0), (1, 1), (3, 1), (5, 1)])
 def test_three_modes_follow_the_delay_free_loop_from_the_delay_on_sliding_or_not(seed, slides):
     gains = 0.8 * np.random.default_rng(seed).normal(size=(3, 1, 2))

@@ -66,6 +66,7 @@ def integrated(plant, gains, name, history, end):
     return edges, np.array(states).T, switches
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("history", HISTORIES)
 @pytest.mark.parametrize("delays", [DELAYS, DELAYS[::-1]])
 @pytest.mark.parametrize("name", RULES)
@@ -79,6 +80,7 @@ def test_a_run_is_that_of_an_event_driven_integration(name, delays, history):
     assert found == pytest.approx(switches, abs=1e-9)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", RULES)
 def test_every_input_is_the_feedback_of_the_state_that_it_meets(name):
     plant = plant_with(DELAYS)

@@ -44,6 +44,7 @@ def tracking():
     return dt.OutputFeedback(law, observer, servo=servo, reference=3.0)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("kind", [*PUSHED, "reference"])
 @pytest.mark.parametrize("x0", [1e-6, 0.0])
 def test_what_stays_bounded_is_never_said_to_fail(kind, x0):
@@ -120,6 +121,7 @@ def test_a_run_that_diverges_or_ends_early_is_lost():
     assert outcome_of(short, 600.0).kind == "ends early"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["force", "coloured", "noise"])
 def test_robustness_does_not_lose_what_is_only_pushed(kind):
     law = dt.AveragedPredictor(PLANT, GAINS)

@@ -103,6 +103,7 @@ def test_a_force_is_felt_by_a_plant_that_its_state_switches():
     plants.close(one.states, states, 1e-9)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("delays", "name"), PAIRS)
 def test_a_law_with_the_right_model_and_rule_leaves_no_mismatch(delays, name):
     plant = plant_with(DELAYS[delays])
@@ -114,6 +115,7 @@ def test_a_law_with_the_right_model_and_rule_leaves_no_mismatch(delays, name):
         assert np.abs(known).max() <= 1e-13 * np.abs(one.inputs).max()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", RULES)
 def test_every_input_is_exact_for_a_model_that_is_not_the_plant(name):
     plant = plant_with(DELAYS["per mode and input"])

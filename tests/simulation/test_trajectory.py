@@ -50,6 +50,7 @@ SIGNALS = {
 }
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize("signal", SIGNALS.values(), ids=SIGNALS)
 @pytest.mark.parametrize("horizon", [2.0, 2.02, 2.034, 2.05, 2.0999])
 @pytest.mark.parametrize("delay", [0.234, 0.3, 0.04])

@@ -35,6 +35,7 @@ def scalar_delayed(k, delay, a=0.0):
 # -- closed forms ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("plant", [PAPER, plants.generic(), plants.generic(0.7)])
 def test_the_exact_law_of_a_plant_leaves_the_n_placed_poles_and_no_other_root(plant):
     K = plants.gains(plant)
@@ -135,6 +136,7 @@ def second_matrix(plant, law, mode):
     return matrix
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("loop", mostly_long(["same", "later", "sooner", "other"], "other"))
 @pytest.mark.parametrize("name", IDEAL)
 def test_roots_solve_the_equation_written_down_from_the_law_s_definition(name, loop):
@@ -192,6 +194,7 @@ def test_a_line_through_a_root_has_no_count():
     assert count_right_of(loop, -0.5) == 0
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("delay", [1.0001, 1.001, 1.02, 0.98, 0.3, 2.5])
 def test_roots_far_out_and_close_together_are_all_found(delay):
     # Up to twice the loop's gain |K e^{AD} B| = 73 there are chains of nearly one real part.
@@ -240,6 +243,7 @@ def test_no_root_lies_beyond_the_radius(name, delay):
 # -- limits and runs ---------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", IDEAL)
 @pytest.mark.parametrize("loop", mostly_long(["paper", "other"], "paper"))
 def test_the_digital_rate_tends_to_the_ideal_one_with_order_one(name, loop):
@@ -277,6 +281,7 @@ def test_a_run_of_the_ideal_loop_becomes_a_sum_of_the_rightmost_motions(name, lo
 # -- relations ---------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", IDEAL)
 def test_other_units_of_state_and_time_scale_the_roots(name):
     plant, c = plants.generic(), 1.7

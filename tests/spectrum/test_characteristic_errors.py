@@ -48,6 +48,7 @@ def turns_of(plant, law, root, error, count):
     return [mpmath.arg(b / a) for a, b in pairwise(values)]
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("kind", ["delayed", "exact", "mismatched"])
 @pytest.mark.parametrize("poles", GAINS)
@@ -87,6 +88,7 @@ def test_a_short_delay_tends_to_none(delay):
     )
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("delay", [1e-15, 1e-12, 1e-10, 1e-8, 1e-3, 1.0])
 @pytest.mark.parametrize("gain", [1e-3, 1.0, 1e4])
 def test_an_integrator_is_lost_at_a_quarter_turn_however_short_the_nominal_delay(gain, delay):

@@ -253,6 +253,7 @@ def test_roots_under_the_expected_law_make_its_moments_along_motions_singular(se
 # -- bounds ------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", mostly_long(range(4), 1))
 @pytest.mark.parametrize("name", LAWS)
 def test_beyond_the_radius_what_goes_round_the_loop_is_less_than_one(name, seed):
@@ -301,6 +302,7 @@ def test_both_ways_to_compute_the_memory_agree_and_slopes_are_slopes(name):
 # -- relations and runs ------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", mostly_long(range(4), 1))
 @pytest.mark.parametrize("name", LAWS)
 def test_the_digital_rate_tends_to_the_ideal_one_with_order_one(name, seed):
@@ -311,6 +313,7 @@ def test_the_digital_rate_tends_to_the_ideal_one_with_order_one(name, seed):
     assert 0.85 < np.log2(coarse / fine) < 1.15
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", LAWS)
 def test_a_run_of_the_ideal_loop_becomes_a_sum_of_the_rightmost_motions(name):
     plant, law, mode = random_loop(name, 1)
@@ -350,6 +353,7 @@ def test_inputs_in_another_order_have_the_same_roots(name):
     )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["averaged", "mean"])
 def test_a_dwell_time_long_past_changes_nothing(kind):
     plant, plain, mode = random_loop(kind, 2)

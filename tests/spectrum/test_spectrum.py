@@ -95,6 +95,7 @@ def characteristic(plant, feedback, mode, row):
     return matrix
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("truth", mostly_long(DELAYS, 0.234))
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("name", ["averaged", "delayed"])

@@ -185,6 +185,7 @@ BOUNDARIES = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "seed", "slides"),
     [("sectors", 1, 1), ("sectors", 4, 1), ("forms", 0, 1), ("forms", 1, 1), ("forms", 2, 0)],

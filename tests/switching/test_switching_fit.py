@@ -131,6 +131,7 @@ def test_closed_forms_by_hand(family, complete, censored, expected):
     assert model.goodness[1].censored == len(censored)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("logs", [one_log, short_logs], ids=["complete", "censored"])
 @pytest.mark.parametrize("family", SMOOTH)
 def test_smooth_families_are_recovered_at_the_top_of_their_likelihood(family, logs):
@@ -158,6 +159,7 @@ def test_starts_and_ends_of_supports_are_recovered(logs):
         assert abs(low + width - 1.0) < 5.0 * 0.8 / fit.complete
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("family", [*SMOOTH, "shifted exponential"])
 def test_ignoring_what_was_cut_off_makes_sojourns_too_short(family):
     logs, truth = short_logs(TRUTH[family]), TRUTH[family]
@@ -188,6 +190,7 @@ STARTS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("family", "start", "cut"), mostly_long(STARTS, STARTS[1], STARTS[5]))
 def test_the_start_of_a_support_is_less_biased_than_the_least_sojourn_by_nine_tenths(
     family, start, cut
@@ -234,6 +237,7 @@ def test_jump_probabilities_are_shares_of_the_switches():
     assert (np.abs(model.transition - JUMPS) <= 3.0 * np.sqrt(JUMPS * (1 - JUMPS) / visits)).all()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("family", TRUTH)
 def test_the_unit_of_time_only_scales_the_fit(family):
     logs = short_logs(TRUTH[family], count=60)
@@ -257,6 +261,7 @@ def test_recordings_that_begin_amid_a_sojourn_are_read_without_it():
 # -- goodness ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("logs", [one_log, short_logs], ids=["complete", "censored"])
 @pytest.mark.parametrize("family", TRUTH)
 def test_the_criterion_is_that_of_the_distribution_returned(family, logs):
@@ -291,6 +296,7 @@ def test_auto_takes_a_uniform_only_where_it_is_the_best_by_four():
     assert leads[-1] > 4.0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("family", "most"), [("gamma", 2), ("exponential", 2), ("uniform", 30)])
 def test_auto_seldom_takes_ten_sojourns_for_uniform_ones(family, most):
     """Whatever they are; with the criterion of the extreme observations it took 29 of 40 gammas."""
@@ -315,6 +321,7 @@ def test_equal_sojourns_are_fixed_ones():
     assert SemiMarkov.fit(cut_later).goodness[0].family != "fixed"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("logs", [one_log, short_logs], ids=["complete", "censored"])
 def test_the_distance_is_small_for_the_right_family_and_large_for_a_wrong_one(logs):
     for family, truth in TRUTH.items():

@@ -91,6 +91,7 @@ def test_ages_end_where_hazards_stay_or_survival_is_below_a_millionth(sojourn, s
     assert SemiMarkov(sojourn).ages(step) == ages
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("most", [1, 7, 500, 99_999, 250_000])
 def test_the_count_of_ages_stops_where_it_is_told_to(most):
     """However long or heavy the tail; what needs fewer ages is counted as before."""

@@ -54,6 +54,7 @@ def written_out(family, observed):
     return value
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("family", TRUTH)
 def test_the_fit_is_where_the_likelihood_that_is_written_out_is_largest(family):
     logs = logs_of(family, 60, 6.0)

@@ -180,6 +180,7 @@ def pick_is_positive(values, poles):
     return min(mpmath.eigsy(mpmath.matrix(entries), eigvals_only=True)) >= 0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("poles", "delay"),
     [

@@ -38,6 +38,7 @@ def short():
     return designed(0.9, 6.0, 60)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("floors", [(0.9, 3.0), (0.9, 2.9), (0.5, 3.0), (0.5, 2.9)])
 @pytest.mark.parametrize("filtered", [None, False])
 def test_the_plain_design_counts_and_is_the_dearest_answer_where_it_meets_the_request(
@@ -75,6 +76,7 @@ def test_turning_poles_are_sped_up_and_cost_less_than_the_plain_design():
     assert found.cost < 0.75
 
 
+@pytest.mark.long
 def test_a_larger_budget_never_costs_more_and_a_decay_of_two_is_cheap():
     costs = [designed(0.9, 2.0, budget).cost for budget in (20, 75, 150)]
     assert costs[0] >= costs[1] >= costs[2]

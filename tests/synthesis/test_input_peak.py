@@ -92,6 +92,7 @@ def kept(level):
     return float(np.mean(1.0 - np.exp(-0.5 * (level / reach) ** 2)))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.999])
 def test_the_level_of_a_normal_start_is_kept_as_often_as_it_says_and_no_lower_one_than_least(part):
     found = input_peak(PLANT, LAW, H, dt.InitialStates.normal(X, part))

@@ -54,6 +54,7 @@ def test_the_limits_of_a_mode_with_a_delay_of_its_own_are_its_own_in_seconds():
         assert own.most * 2.0 == pytest.approx(alone.most * delay, rel=1e-9)
 
 
+@pytest.mark.long
 def test_no_gains_have_a_margin_beyond_what_no_linear_controller_has():
     plant = dt.SwitchedSystem(A, B, [2.5, 2.0])
     limit, rng = dt.delay_limit(plant), np.random.default_rng(0)
