@@ -159,7 +159,6 @@ def test_the_plant_alone_follows_inputs_of_any_length(tmp_path, version):
     plants.close(result["x[1]"], before + after, 1e-14)
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_states_of_both_can_be_kept_and_put_back(tmp_path, version):
     law = plants.LAWS["averaged"](GENERIC)
@@ -187,7 +186,6 @@ def test_states_of_both_can_be_kept_and_put_back(tmp_path, version):
     assert answers[0] == answers[1]
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_bad_inputs_get_a_status_and_applied_is_read_if_told(tmp_path, version):
     law, path = plants.LAWS["averaged, dwell-aware"](GENERIC), tmp_path / "law.fmu"
@@ -278,7 +276,6 @@ def test_a_master_that_adds_up_its_time_gets_a_sample_a_step(tmp_path, version, 
     slave.close()
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_calls_that_the_standard_forbids_are_refused_and_change_nothing(tmp_path, version):
     plant, law = plants.scalar([-0.7], 1.3, delay=0.3), tmp_path / "law.fmu"

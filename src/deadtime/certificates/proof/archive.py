@@ -36,7 +36,7 @@ COUNTS = ("mode_lag", "memory", "lost_samples")  # of the law
 HINTS = ("E", "row", "R", "T", "F")  # of the centre
 MOST_BYTES = 2**30  # as the verifier that shares no code with this one
 DEEPEST = 20
-_BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*+"?|[\[{\]}]', re.DOTALL)
+_BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
     "plant": "A B delays",

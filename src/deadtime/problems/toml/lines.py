@@ -6,12 +6,13 @@ import re
 from collections.abc import Mapping
 from pathlib import Path as File
 
-# Every quantifier keeps what it took, so that no text costs more than its length.
+# What follows a repetition may be missing, so that none is gone back on and no text costs more than
+# its length. (To forbid it, `*+`, is wrong for groups before Python 3.11.5.)
 _TOKEN = re.compile(
     r"""
-    (?P<long>  "{3} (?:[^"\\] | \\. | "(?!""))*+ (?:"{3,5} | \Z)
-             | '{3} (?:[^'] | '(?!''))*+ (?:'{3,5} | \Z) )
-  | (?P<quiet> "(?:[^"\\\n] | \\[^\n])*+ "? | '[^'\n]*+ '? | \#[^\n]*+ )
+    (?P<long>  "{3} (?:[^"\\] | \\. | "(?!""))* (?:"{3,5})?
+             | '{3} (?:[^'] | '(?!''))* (?:'{3,5})? )
+  | (?P<quiet> "(?:[^"\\\n] | \\[^\n])* "? | '[^'\n]*+ '? | \#[^\n]*+ )
   | (?P<open> [\[{] ) | (?P<close> [\]}] ) | (?P<dot> \. ) | (?P<end> [\n=,] )
     """,
     re.VERBOSE | re.DOTALL,
