@@ -114,7 +114,10 @@ def through(gain=0.1):
     return plant, dt.DelayedStateFeedback(plant, gains, allow_unstable=True)
 
 
-def in_a_ring(delays=(0.15, 0.234)):
+OF_INPUTS = [0.15, 0.234]  # s
+
+
+def in_a_ring(delays=OF_INPUTS):
     """Scalar, of two inputs: mode 0 grows under its own gains if it is held, and may not be."""
     plant = dt.SwitchedSystem([[[0.6]], [[-2.0]], [[-0.5]]], [[[1.0, 0.5]]] * 3, delays)
     gains = np.array([[[-0.3], [-0.1]], [[-0.5], [0.2]], [[-0.2], [0.1]]])
