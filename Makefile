@@ -56,7 +56,7 @@ long: as-users .venv/installed-test
 ENGINES := $(addprefix tests/,simulation/test_digital_loop.py simulation/test_ideal_loop.py \
 	scenarios/test_engines.py certificates/test_falsify_search.py)
 as-users: .venv/installed-test
-	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-users $(BIN)/pytest $(PARALLEL) $(ENGINES)
+	$(TESTED) NUMBA_OPT=3 NUMBA_CACHE_DIR=$(CURDIR)/.venv/numba-users $(BIN)/pytest -m "few or not long" $(PARALLEL) $(ENGINES)
 
 # Mutants of every kind of file that the package reads: make fuzz FUZZ="--kind log --count 100000".
 FUZZ ?= --count 2000 --seconds 120
