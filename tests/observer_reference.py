@@ -81,3 +81,28 @@ def period(plant, loop, table, state, told, spans, lost=False):
     x_after = line.carry(plant, plant.delays, x, spans)
     bar_after = line.carry(model, model.delays, estimate, [(mode, 0.0, h)])
     return x_after, np.concatenate((bar_after, s + h * value)), [*past[1:], u]
+
+
+PROBLEM = """\
+[plant]
+A = [[[0.0, 1.0], [-1.0, -0.8]], [[0.0, 1.0], [-1.3, -0.6]]]
+B = [[[0.0], [1.0]], [[0.0], [1.1]]]
+delay = 0.14
+[gains]
+poles = [-1.0, -2.0]
+[[law]]
+kind = "averaged"
+[signal]
+kind = "random"
+dwell_time = 0.5
+mean_sojourn = 1.2
+seed = 1
+[run]
+x0 = [1.0, 0.0]
+horizon = 2.0
+step = 0.1
+[observer]
+kind = "luenberger"
+C = [[1.0, 0.0]]
+poles = [-4.0, -5.0]
+"""

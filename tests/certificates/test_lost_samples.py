@@ -293,35 +293,10 @@ def test_no_losses_are_no_other_certificate_and_what_does_not_fit_is_refused(tmp
     assert dt.certify(*never, 0.25, STEP, lost_samples=2).evidence.setting.lost_samples == 0
 
 
-FILE = """\
-[plant]
-A = [[[0.0, 1.0], [-1.0, -0.8]], [[0.0, 1.0], [-1.3, -0.6]]]
-B = [[[0.0], [1.0]], [[0.0], [1.1]]]
-delay = 0.14
-[gains]
-poles = [-1.0, -2.0]
-[[law]]
-kind = "averaged"
-[signal]
-kind = "random"
-dwell_time = 0.5
-mean_sojourn = 1.2
-seed = 1
-[run]
-x0 = [1.0, 0.0]
-horizon = 2.0
-step = 0.1
-[observer]
-kind = "luenberger"
-C = [[1.0, 0.0]]
-poles = [-4.0, -5.0]
-"""
-
-
 @pytest.mark.long
 def test_the_command_line_certifies_and_verifies_losses(tmp_path, capsys):
     file, out = tmp_path / "mine.toml", str(tmp_path / "c.json")
-    file.write_text(FILE)
+    file.write_text(reference.PROBLEM)
     for command, code in (
         (["certify", str(file), "--law", "averaged", "--lost-samples", "1", "--out", out], 0),
         (["verify", out, "--problem", str(file), "--lost-samples", "1"], 0),

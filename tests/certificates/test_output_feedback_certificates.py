@@ -194,32 +194,7 @@ def test_margins_and_the_command_line_follow(tmp_path):
     assert proved.certified
     assert alone.lower <= proved.lower < 0.17 < proved.upper <= alone.upper
     file, out = tmp_path / "mine.toml", tmp_path / "cert.json"
-    file.write_text(PROBLEM)
+    file.write_text(reference.PROBLEM)
     for command in (["certify", str(file), "--out", str(out)], ["verify", str(out)]):
         with pytest.raises(SystemExit, match=r"^0$"):
             main([*command, *(["--problem", str(file)] if command[0] == "verify" else [])])
-
-
-PROBLEM = """\
-[plant]
-A = [[[0.0, 1.0], [-1.0, -0.8]], [[0.0, 1.0], [-1.3, -0.6]]]
-B = [[[0.0], [1.0]], [[0.0], [1.1]]]
-delay = 0.14
-[gains]
-poles = [-1.0, -2.0]
-[[law]]
-kind = "averaged"
-[signal]
-kind = "random"
-dwell_time = 0.5
-mean_sojourn = 1.2
-seed = 1
-[run]
-x0 = [1.0, 0.0]
-horizon = 2.0
-step = 0.1
-[observer]
-kind = "luenberger"
-C = [[1.0, 0.0]]
-poles = [-4.0, -5.0]
-"""

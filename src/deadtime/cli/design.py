@@ -77,8 +77,8 @@ def design(
         With which it must, of a normal x(0) whose standard deviations --initial gives; with
         --noise the share of the time, 0.99 by default.
     noise
-        Under the noise of the file's imperfections, of kinds white-disturbance and noise, that
-        goes on for ever, instead of from a state at the start.
+        Under the noise of the file's imperfections, of kinds white-disturbance and noise, once it
+        is stationary, instead of from a state at the start.
     filtered
         Only laws with a low-pass filter, or only without; both by default.
     budget
@@ -212,7 +212,7 @@ def _print(problem: Problem, found: Design, mode: int | None) -> None:
     else:  # the sentence says it
         keep = [i for i in range(len(HEADINGS)) if i != at]
         print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
-    print(f"Cost: {text_of(found.weight)}, each mode for ever, the mean over |x(0)| = 1.")
+    print(f"Cost: {text_of(found.weight)}, each mode held, the mean over |x(0)| = 1.")
     what = "what it stays below" if found.initial.kind == "noise" else "the largest"
     print(f"Peak |u|: {what} under constant switching signals, for {found.initial.text}.")
     print("\nWhat linear controllers of one mode alone can tolerate:")

@@ -107,7 +107,7 @@ def design(
     initial : InitialStates or StationaryNoise, optional
         The states at the start, the ball |x(0)| ≤ 1 by default: over a ball, box or ellipsoid the
         exact worst case, of a normal x(0) with the probability that it says at least
-        (`deadtime.synthesis.input_peak`). Or noise that goes on for ever: then the limit is kept
+        (`deadtime.synthesis.input_peak`). Or stationary noise: then the limit is kept
         with just the probability that it says, at any one instant.
     progress : callable
         Called with a few words before each of at most `budget` designs that are tried.

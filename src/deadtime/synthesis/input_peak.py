@@ -14,7 +14,7 @@ with F_n the distribution of χ² with as many degrees as X has directions: with
 that size no u_k exceeds c; the product is Šidák's inequality (Journal of the American Statistical
 Association 62, 626–633, 1967). With one state the bounds meet.
 
-Noise that goes on for ever spreads the inputs, too: `deadtime.synthesis.stationary_noise`.
+Stationary noise spreads the inputs, too: `deadtime.synthesis.stationary_noise`.
 """
 
 from __future__ import annotations

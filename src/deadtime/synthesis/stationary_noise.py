@@ -1,4 +1,4 @@
-"""How far noise that goes on for ever spreads the inputs of a loop that decays.
+"""How far stationary noise spreads the inputs of a loop that decays.
 
 With one mode held, under white noise w of the plant, E[w(t) w(s)ᵀ] = W δ(t − s), and noise
 v_k ~ N(0, V) of every sample, the lifted state z = (x_k, u_{k−1}, …, u_{k−W}) follows
@@ -38,7 +38,7 @@ from deadtime.plant.weight import weight_matrix
 
 @dataclass(frozen=True, eq=False, init=False)
 class StationaryNoise(Frozen):
-    """Noise that goes on for ever, as what moves the inputs of a loop (immutable).
+    """Stationary noise, as what moves the inputs of a loop (immutable).
 
     Parameters
     ----------
