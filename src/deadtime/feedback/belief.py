@@ -28,7 +28,8 @@ class Belief(NamedTuple):
     start : (modes, ages), π_0
     Phi : (modes, n, n), Gamma : (modes, lags, n, m), lag : (lags,): the model over a whole period
         in each mode, x_{k+1} = Φ_i x_k + Σ_l Γ_i,l u_{k−lag_l}
-    noise : (modes, n, n), the covariance of x_{k+1} about that
+    noise : (modes, ends, n, n), the covariance of x_{k+1} about that, by the mode in which the
+        period ends where it matters, else of one end
     hazard : (modes, ages), the probability that a mode of that age ends by the next sample
     jump : (modes, modes), the probabilities of the next mode, rows sum to 1
     forgetting : the part of π that is taken from all modes alike after every sample
@@ -42,7 +43,7 @@ class Belief(NamedTuple):
     Phi: Float[np.ndarray, "mode n n"]
     Gamma: Float[np.ndarray, "mode lag n m"]
     lag: Int[np.ndarray, " lag"]
-    noise: Float[np.ndarray, "mode n n"]
+    noise: Float[np.ndarray, "mode end n n"]
     hazard: Float[np.ndarray, "mode age"]
     jump: Float[np.ndarray, "mode mode"]
     forgetting: float

@@ -44,7 +44,8 @@ def continuous(
             images.append(noise_covariances(one[None], unit, np.array([step]))[0].ravel())
         W = np.linalg.lstsq(np.array(images).T, S[i].ravel(), rcond=None)[0].reshape(n, n)
         values, vectors = np.linalg.eigh(0.5 * (W + W.T))
-        result[i] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        W = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        result[i] = 0.5 * (W + W.T)  # to the last bit, as who reads it makes it
     return result
 
 

@@ -29,7 +29,7 @@ class _Motion:
     def __init__(self, run: RunningLaw, rng: np.random.Generator, amplitude: float) -> None:
         assert run.believing is not None
         self.belief, self.rng, self.amplitude = run.believing, rng, amplitude
-        self.roots = [_root(Q) for Q in run.believing.form.noise]
+        self.roots = [_root(Q[0]) for Q in run.believing.form.noise]
         self.put()
 
     def put(self) -> None:
