@@ -74,7 +74,9 @@ def test_what_a_cut_period_adds_is_the_mean_over_its_instant():
     plants.close(found[[0, 1, 2], [0, 1, 2]], held, 1e-12)
     stiff = np.array([[[-300.0, 40.0], [0.0, -2.0]], [[-5.0, 0.0], [90.0, -80.0]]])
     W, s = np.array([np.eye(2), np.diag([0.0, 9.0])]), (np.arange(4000) + 0.5) / 4000 * STEP
-    Q = [noise_covariances(np.repeat(A[None], 4000, 0), w, s) for A, w in zip(stiff, W, strict=True)]
+    Q = [
+        noise_covariances(np.repeat(A[None], 4000, 0), w, s) for A, w in zip(stiff, W, strict=True)
+    ]
     Phi = np.array([expm(stiff[1] * t) for t in s])
     sums = (Phi @ Q[0][::-1] @ Phi.transpose(0, 2, 1) + Q[1]).mean(axis=0)
     plants.close(switched_covariances(stiff, W, STEP)[0, 1], sums, 1e-4)
@@ -94,10 +96,13 @@ def test_one_noise_given_mode_by_mode_is_that_noise():
 
 def test_a_mode_is_told_by_its_noise_alone():
     """A and B alike: nothing but the size of what a period adds differs."""
-    plant = dt.SwitchedSystem(np.zeros((2, 1, 1)) - 0.2, np.ones((2, 1, 1)), 0.05)
+    plant = dt.SwitchedSystem(np.full((2, 1, 1), -0.2), np.ones((2, 1, 1)), 0.05)
     W, rng, right = np.array([[[0.01]], [[1.0]]]), np.random.default_rng(1), []
     options = {"disturbance": W, "allow_alike": True}
-    running, x = dt.ModeFilter(plant, dt.Markov([[0.0, 0.2], [0.2, 0.0]]), STEP, **options).start(), 0.0
+    running, x = (
+        dt.ModeFilter(plant, dt.Markov([[0.0, 0.2], [0.2, 0.0]]), STEP, **options).start(),
+        0.0,
+    )
     for k in range(400):
         mode = k // 40 % 2
         right.append(running.update([x]).argmax() == (k - 1) // 40 % 2)
@@ -123,7 +128,8 @@ def test_runs_of_a_batch_are_single_runs(of):
 @needs_compiler
 @pytest.mark.parametrize("of", mostly_long(["states", "outputs"], "states"))
 def test_the_c_answers_as_the_controller(tmp_path, of):
-    W, model = 0.1 * EACH, believing_laws.MARKOV
+    # A state without noise costs a bank digits in C and Python alike, whatever the others have.
+    W, model = 0.1 * EACH + 0.005 * np.eye(3), believing_laws.MARKOV
     if of == "states":
         inner = dt.ExpectedPredictor(believing_laws.PLANT, believing_laws.GAINS, model)
         law = believing_laws.believing(inner, model, disturbance=W)
@@ -136,12 +142,12 @@ def test_the_c_answers_as_the_controller(tmp_path, of):
     library = Library(tmp_path, law.plant)
     library.n = len(law.filter.noise)
     library.reset()
-    seen = believing_laws.record(law, 3.0).measured.T
-    for y in seen:
+    run = believing_laws.record(law, 3.0)
+    for y in run.measured.T:
         found, status = library.run([y], [-7], [None], [None])
         u = controller.update(y)
         assert status[0] == controller.status
-        np.testing.assert_allclose(found[0], u, rtol=1e-12, atol=1e-12 * np.abs(u).max())
+        plants.close(found[0], u, 1e-12, np.abs(run.inputs).max())
 
 
 @pytest.mark.parametrize(

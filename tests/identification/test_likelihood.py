@@ -98,7 +98,7 @@ def test_the_largest_likelihood_over_the_covariance_is_the_normal_density_of_the
         Phi, added = plant.period(part.time, part.input, part.mode, k)
         expected = Phi @ part.output[k] + added
         total += normal(expected, S[part.mode[k]]).logpdf(part.output[k + 1])
-    assert found.value == pytest.approx(total, rel=1e-9)
+    assert found.value == pytest.approx(total, rel=1e-8)  # S has 1e-8 of it added
 
 
 @pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
@@ -134,7 +134,7 @@ def test_an_even_log_may_be_taken_for_an_uneven_one():
     assert even.value == pytest.approx(uneven.value, rel=1e-10)
     np.testing.assert_allclose(even.score, uneven.score, rtol=1e-9)
     np.testing.assert_allclose(even.information, uneven.information, rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(S, S_uneven, rtol=1e-10)
+    np.testing.assert_allclose(S, S_uneven, rtol=1e-8)  # so much of it is added
 
 
 @pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])

@@ -112,7 +112,10 @@ def test_runs_of_a_batch_are_single_runs():
 
 def test_under_stationary_noise_each_mode_has_its_own():
     plant = dt.problems.paper().plant
-    law, W = dt.AveragedPredictor(plant, plants.gains(plant)), np.array([np.eye(2), np.diag([0.0, 3.0])])
+    law, W = (
+        dt.AveragedPredictor(plant, plants.gains(plant)),
+        np.array([np.eye(2), np.diag([0.0, 3.0])]),
+    )
     found = dt.synthesis.input_peak(plant, law, 0.05, StationaryNoise(W)).level
     for mode in range(2):
         own = dt.synthesis.input_peak(plant, law, 0.05, StationaryNoise(W[mode])).level

@@ -185,7 +185,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
             f"--noise needs an imperfection of the kind white-disturbance or noise, of which the "
             f"problem {problem.name!r} has none."
         )
-    W = W[0] if (W == W[0]).all() else W
+    W = W[0] if (W[0] == W).all() else W
     return StationaryNoise(W, V, 0.99 if probability is None else probability)
 
 

@@ -14,7 +14,7 @@ from deadtime.identification.start import Start
 
 LEVEL = 0.95
 _NEAR = 4.0  # standard errors: a kink so close bends the likelihood within the interval
-_UNSEEN = 1e-11  # of an eigenvalue of the information, scaled to a diagonal of ones
+_UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of ones
 
 
 class Spread(NamedTuple):

@@ -23,7 +23,7 @@ from deadtime.identification.scoring import Evaluation
 from deadtime.identification.transition import transitions_of
 
 _BLOCK = 4_000_000  # numbers of a log that are stacked at a time
-_APART = 1e-9  # of variances: information to which double precision does not lose another one
+_APART = 1e-8  # of variances: information to which double precision does not lose another one
 
 
 class Term(NamedTuple):
@@ -71,11 +71,17 @@ def floored(
 
     A state without noise beside noisy ones, or noises that are multiples of each other, would tell
     some combinations of unknowns so well that beside them others are lost to round-off. So each
-    state has 3e-5 of the deviation of its noise by itself, and of what Φ − I makes of the others'.
+    state has 1e-4 of the deviation of its noise by itself, and of what Φ − I makes of the others',
+    once and again, as noise that acts on dx/dt spreads from state to state.
     """
     M = Phi - np.eye(len(S))
-    least = _APART * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / total
-    return S + _APART * (M @ S @ M.T) + np.diag(least + np.finfo(float).tiny)
+    M /= max(1.0, float(np.abs(np.linalg.eigvals(M)).max()))
+    spread, moved = np.diag(np.diagonal(S)), S
+    for _ in range(len(S) - 1):
+        moved = M @ moved @ M.T
+        spread = spread + moved
+    least = 1e-24 * (y**2).sum(axis=0) / total + np.finfo(float).tiny
+    return S + _APART * spread + np.diag(least)
 
 
 class Lags(NamedTuple):

@@ -36,9 +36,9 @@ class WhiteDisturbance(DrawnDisturbance):
     Parameters
     ----------
     intensity : array_like
-        W: a number for W = number·I, shape (n,) for a diagonal, (n, n), or (modes, n, n) for one per
-        mode, which acts from the instant of a switch on; positive semidefinite, in units of x² per
-        second.
+        W: a number for W = number·I, shape (n,) for a diagonal, (n, n), or (modes, n, n) for one
+        per mode, which acts from the instant of a switch on; positive semidefinite, in units of x²
+        per second.
     """
 
     intensity: ArrayLike
@@ -64,12 +64,11 @@ class WhiteDisturbance(DrawnDisturbance):
 
     @once
     def _check(self, sizes: Sizes) -> Float[np.ndarray, "*mode n n"]:
-        name, n, form = "WhiteDisturbance.intensity", sizes.states, "one, (n,), (n, n) or (modes, n, n)"
-        given = as_floats(name, self.intensity, form)
+        name, n = "WhiteDisturbance.intensity", sizes.states
+        given = as_floats(name, self.intensity, "one, (n,), (n, n) or (modes, n, n)")
         if given.ndim == 3:
-            shape = sizes.modes, n, n
-            given = real_array(name, given, "(modes, n, n)", 3)
-            each = require_shape(name, given, shape, "(modes, n, n)")
+            form = "(modes, n, n)"
+            each = require_shape(name, real_array(name, given, form, 3), (sizes.modes, n, n), form)
             for mode, W in enumerate(each):
                 _require_covariance(f"{name}[{mode}]", W)
             return each

@@ -60,13 +60,13 @@ def noise_covariances(
 def switched_covariances(
     A: Float[np.ndarray, "mode n n"], W: Float[np.ndarray, "mode n n"], tau: float
 ) -> Float[np.ndarray, "mode mode n n"]:
-    """What noise W_σ adds in τ seconds that begin in mode i and end in j, of both and W_i ≠ W_j.
+    """What noise of intensity W_σ adds in τ seconds that begin in mode i and end in mode j.
 
         Q_ij = (1/τ) ∫₀^τ (e^{A_j s} Q_i(τ − s) e^{A_jᵀ s} + Q_j(s)) ds
 
-    is its mean over s, the time spent in j, which is spread evenly. By Gauss and Legendre's rule on
-    pieces of [0, τ] in which e^{As} changes by a factor of about e; up to 512 of them, more than a
-    sampled plant has.
+    is the mean over s, the time spent in j, which is spread evenly. By Gauss and Legendre's rule on
+    pieces of [0, τ] over which e^{As} changes by a factor of about e, of which there are at most
+    512: what decays faster than that has gone.
 
     Examples
     --------

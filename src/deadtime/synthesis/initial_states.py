@@ -116,7 +116,8 @@ class InitialStates(Frozen):
         """Refuse a plant with another number of states."""
         if self.size.ndim and len(self.size) != plant.states:
             raise ArgumentError(
-                f"initial must be of n = {plant.states} states, got a {self.kind} of {len(self.size)}."
+                f"initial must be of n = {plant.states} states, got a {self.kind} of "
+                f"{len(self.size)}."
             )
 
     @property

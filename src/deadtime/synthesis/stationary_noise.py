@@ -90,8 +90,7 @@ class StationaryNoise(Frozen):
             one = getattr(self, name)
             if one.ndim and one.shape[-1] != plant.states:
                 raise ArgumentError(
-                    f"{name} must be of n = {plant.states} states, got a matrix of "
-                    f"{one.shape[-1]}."
+                    f"{name} must be of n = {plant.states} states, got a matrix of {one.shape[-1]}."
                 )
         if self.process.ndim == 3 and len(self.process) != plant.modes:
             raise ArgumentError(

@@ -35,8 +35,8 @@ class WhiteDisturbanceSection(ImperfectionSection):
         float | Vector | Matrix | Matrices,
         Shape("a number, (n,), (n, n), or (n, n) for each mode", [0.1, 0.1]),
     ] = Field(
-        description="W in units of x² per second: a number, a diagonal, an n × n matrix, or one for "
-        "every mode."
+        description="W in units of x² per second: a number, a diagonal, an n × n matrix, or one "
+        "for every mode."
     )
 
 
