@@ -161,3 +161,29 @@ def test_the_c_answers_as_the_controller(tmp_path, of):
 def test_what_is_no_noise_of_every_mode_is_refused(W, message):
     with pytest.raises(dt.ArgumentError, match=message):
         dt.ModeFilter(PLANT, MODEL, STEP, disturbance=W)
+
+
+@pytest.mark.long
+def test_what_is_given_a_probability_happens_as_often_and_not_with_the_mean_noise():
+    A = [[[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]]
+    plant = dt.SwitchedSystem(A, [[[0.0], [1.0]], [[0.0], [1.2]]], 0.312)
+    model, W = (
+        dt.Markov([[0.0, 0.8], [1.3, 0.0]]),
+        np.array([np.diag([0.0, w]) for w in (1e-4, 1e-2)]),
+    )
+    inner = dt.ExpectedPredictor(plant, plants.gains(plant), model)
+    apart = []
+    for own in (W, W.mean(axis=0)):
+        law = dt.BeliefPredictor(inner, dt.ModeFilter(plant, model, 0.05, disturbance=own))
+        given, there = [], []
+        for seed in range(60):
+            signal = model.sample(15.0, seed=seed)
+            options = {"imperfections": [WhiteDisturbance(W)], "seed": seed}
+            run = dt.simulate(plant, law, signal, [0.5, 0.0], 15.0, 0.05, **options)
+            given.append(run.belief[1])
+            there.append(run.mode)
+        given, there = np.ravel(given), np.ravel(there)
+        quarter = np.minimum((4.0 * given).astype(int), 3)
+        apart.append([abs((there - given)[quarter == q].sum()) / there.size for q in range(4)])
+    assert np.sum(apart[0]) < 0.008  # of all samples
+    assert np.sum(apart[1]) > 0.02
