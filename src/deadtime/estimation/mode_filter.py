@@ -21,7 +21,7 @@ from deadtime.estimation.filter_arguments import (
     require_distinct,
 )
 from deadtime.estimation.running_filter import RunningFilter
-from deadtime.feedback.belief import Belief, frozen
+from deadtime.feedback.belief import Belief, frozen, held_noise
 from deadtime.numerics.covariance import noise_covariances, switched_covariances, transition
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov
@@ -243,8 +243,9 @@ class ModeFilter(Frozen):
         ahead = form.Phi @ x + form.Gamma.sum(axis=1) @ u
         size = (np.abs(form.Phi) @ np.abs(x) + np.abs(form.Gamma).sum(axis=1) @ np.abs(u)).max(0)
         result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
+        noise = held_noise(form)
         for i, j in np.ndindex(result.shape):
-            root_of.function(form.noise[i, 0], size, np.zeros(n), root)
+            root_of.function(noise[i], size, np.zeros(n), root)
             apart = ahead[j] - ahead[i]
             whiten.function(root, apart)
             result[i, j] = np.linalg.norm(apart)

@@ -107,6 +107,11 @@ class Believing(ABC):
     beliefs: list[np.ndarray]
 
 
+def held_noise(belief: Belief) -> Float[np.ndarray, "mode n n"]:
+    """The covariance of a period that is spent in one mode."""
+    return np.stack([by_end[min(i, len(by_end) - 1)] for i, by_end in enumerate(belief.noise)])
+
+
 def frozen(belief: Belief) -> Belief:
     """The same with arrays that cannot be written to: one type for compiled loops."""
     arrays = [read_only(part) if isinstance(part, np.ndarray) else part for part in belief]
