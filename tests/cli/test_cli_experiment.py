@@ -71,6 +71,8 @@ def test_the_noise_of_the_file_s_sensors_is_counted_unless_another_is_given(tmp_
     assert errors[0] == errors[1] > 1.5 * errors[2]
     assert "deviations of 0.02." in records[0]["sentences"][-1]
     assert "noise must be numbers" in said([*asked, "--noise", "much"], capsys)[2]
+    problem.write_text(NOISY + '[observer]\nkind = "luenberger"\nC = [[1.0]]\npoles = [-3.0]\n')
+    assert "noise must be given where the problem measures outputs" in said(asked, capsys)[2]
 
 
 def test_what_cannot_be_done_is_one_line(capsys):
