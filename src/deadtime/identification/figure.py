@@ -103,5 +103,4 @@ def draw_residuals(axes: Axes, fit: Identification) -> None:
         axes.plot(lags, side * 1.96 / np.sqrt(np.maximum(count, 1)), color="#666666", linestyle=":")
     axes.set_xlabel("samples between residuals; dotted: 95 % by chance")
     axes.set_ylabel("correlation")
-    if r.shape[1] > 1:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)
