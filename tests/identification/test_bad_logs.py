@@ -95,6 +95,7 @@ def test_the_digits_of_a_delay_show_how_sure_it_is():
     text = fit.sentences[0].split(" within ")[1].removesuffix(" s.").split(" … ")
     shown = [float(one) for one in text]
     np.testing.assert_allclose(shown, [low, high], atol=0.05 * (high - low))
+    assert "within 0 … 0.2 s." in said(GOOD, delay=(0.0, 0.2))
 
 
 REFUSED = {

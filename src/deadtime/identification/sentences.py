@@ -40,7 +40,8 @@ def _delays(found: Estimate, recording: Recording) -> list[str]:
     names, said = delay_names(recording, found), []
     each = zip(names, _values(found), found.intervals, found.several, strict=True)
     for place, (name, D, (left, right), several) in enumerate(each):
-        left, digits = max(left, low), _digits(D, right - left)
+        left = low if left <= found.log.bounds[0] else left
+        digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
         said.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
         margin = _EDGE * (high - low)
@@ -71,7 +72,7 @@ def _digits(D: float, width: float) -> int:
     """So many that an interval's ends differ in two of them."""
     if not 0.0 < width < abs(D):
         return 4
-    return min(max(4, 2 + int(np.ceil(np.log10(abs(D) / width)))), 12)
+    return min(max(4, 1 + int(np.ceil(np.log10(abs(D) / width)))), 12)
 
 
 def _beyond(right: float, high: float, margin: float) -> str:
