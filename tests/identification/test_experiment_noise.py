@@ -231,3 +231,20 @@ def test_the_error_of_the_delay_from_noisy_logs_is_the_one_that_was_promised(swi
         errors.append(fit.delays[0, 0] - 0.312)
     measured = np.sqrt(np.mean(np.square(errors)))
     assert measured == pytest.approx(found.standard_error("delay"), rel=0.12)
+
+
+@pytest.mark.long
+def test_in_a_closed_loop_it_is_too():
+    plant, K = Plant([[[0.5]]], [[[1.0]]], 0.233, 1e-3 * np.eye(1)), -1.2
+    known = dt.SwitchedSystem(plant.A, plant.B, 0.233)
+    law = dt.DelayedStateFeedback(known, [[[K]]])
+    how: dict = {"disturbance": 1e-3, "noise": 0.02, "law": law, "effort": 0}
+    found, errors = dt.design_experiment(known, 15.0, H, 1.0, **how), []
+    for seed in range(240):
+        u, rng = np.ascontiguousarray(found.inputs.T), np.random.default_rng(seed)
+        y, u = plant.log(found.time, u, rng, None, 0.02, np.array([[K]]))
+        log = pd.DataFrame({"t": found.time, "x": y[:, 0], "u": u[:, 0]})
+        fit = dt.identify(log, modes=None, delay=(0.1, 0.4), noise=True)
+        errors.append(fit.delays[0, 0] - 0.233)
+    measured = np.sqrt(np.mean(np.square(errors)))
+    assert measured == pytest.approx(found.standard_error("delay"), rel=0.12)
