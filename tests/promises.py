@@ -6,9 +6,10 @@ import numpy as np
 
 import deadtime as dt
 from deadtime.identification.excitation.exact_states import ExactStates
-from deadtime.identification.excitation.given import noisy_tables
+from deadtime.identification.excitation.given import root_of
 from deadtime.identification.excitation.information import Prospect
 from deadtime.identification.excitation.loop import chain_of
+from deadtime.identification.excitation.noise_tables import NoiseTables
 from deadtime.identification.excitation.noisy_states import NoisyStates
 from deadtime.identification.parameters import Layout
 
@@ -25,6 +26,6 @@ def prospect(plant, mode, used, step, *, criterion="delay", law=None, sensors: A
     chain = chain_of(given, step, mode, S, cells, layout, table, deviation**2)
     measured = ExactStates.of(chain, used, layout.size)
     if deviation.any():
-        tables = noisy_tables(given, plant.W, deviation, step, cells, layout)
+        tables = NoiseTables.of(layout, given.A, root_of(plant.W, deviation, step), step)
         measured = NoisyStates.of(chain, used, layout.size, tables)
     return Prospect.of(chain, layout, measured, criterion)

@@ -18,13 +18,14 @@ from deadtime.identification.excitation.given import (
     deviations_of,
     intensity_of,
     modes_of_rows,
-    noisy_tables,
     require_words,
+    root_of,
     table_of,
     used_periods,
 )
 from deadtime.identification.excitation.information import SIGMAS, Prospect
 from deadtime.identification.excitation.loop import chain_of, require_bounded
+from deadtime.identification.excitation.noise_tables import NoiseTables
 from deadtime.identification.excitation.noisy_states import NoisyStates
 from deadtime.identification.excitation.search import (
     CLOCKS,
@@ -153,7 +154,7 @@ def design_experiment(
     chain = chain_of(plant, step, mode, S, cells, layout, table, deviation**2)
     require_bounded(chain)
     if deviation.any():
-        tables = noisy_tables(plant, W[0], deviation, step, cells, layout)
+        tables = NoiseTables.of(layout, plant.A, root_of(W[0], deviation, step), step)
         measured = NoisyStates.of(chain, used, layout.size, tables)
     else:
         measured = ExactStates.of(chain, used, layout.size)

@@ -12,7 +12,6 @@ from deadtime.base.checks import as_floats, bound, instance
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
 from deadtime.identification.maximum import REACH
-from deadtime.identification.noisy_even import Tables, tables_of
 from deadtime.identification.parameters import Layout
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import SwitchedSystem
@@ -126,19 +125,12 @@ def added_noise(
     return S
 
 
-def noisy_tables(
-    plant: SwitchedSystem,
-    W: Float[np.ndarray, "n n"],
-    deviation: Float[np.ndarray, " n"],
-    step: float,
-    cells: Int[np.ndarray, "mode m"],
-    layout: Layout,
-) -> Tables:
-    """What a period does and how that moves with the plant, with W and with the sensors' noise."""
+def root_of(
+    W: Float[np.ndarray, "n n"], deviation: Float[np.ndarray, " n"], step: float
+) -> Float[np.ndarray, "n n"]:
+    """L with W = L Lᵀ, of a W that has a little in every direction."""
     floor = _FLOOR * (float(np.trace(W)) + float((deviation**2).sum()) / step)
-    root = np.linalg.cholesky(W + floor * np.eye(len(W)))
-    theta = layout.join(plant.A, plant.B, plant.delays)
-    return tables_of(layout, theta, root, cells, step, deviation.size)
+    return np.linalg.cholesky(W + floor * np.eye(len(W)))
 
 
 def table_of(

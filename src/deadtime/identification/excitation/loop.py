@@ -36,8 +36,8 @@ class Chain(NamedTuple):
     """The matrices of distinct periods, and of every sample which they are.
 
     M, E, Z, Y as in the module, U that of `Rows`; S : (modes, n, n), V : variances of the sensors,
-    by_P : of each mode the derivatives of what a period does by its unknowns, (own, n, n + 2 m),
-    place : whose they are
+    P : what a period makes of z, by_P : of each mode its derivatives by its unknowns,
+    (own, n, n + 2 m), place : whose they are
     """
 
     M: Float[np.ndarray, "kind xi xi"]
@@ -49,6 +49,7 @@ class Chain(NamedTuple):
     mode: Int[np.ndarray, " sample"]
     S: Float[np.ndarray, "mode n n"]
     V: Float[np.ndarray, " n"]
+    P: Float[np.ndarray, "mode n z"]
     by_P: list[Float[np.ndarray, "own n z"]]
     place: list[Int[np.ndarray, " own"]]
     open: bool
@@ -166,7 +167,8 @@ def chain_of(
     by_P = [one[1] for one in weights]
     U = rows.gains[pairs[1]]
     V = np.zeros(n) if V is None else V
-    return Chain(M, E, Z, Y, U, kind, mode, S, V, by_P, place, table is None)
+    P = np.array([one[0] for one in weights])
+    return Chain(M, E, Z, Y, U, kind, mode, S, V, P, by_P, place, table is None)
 
 
 def require_bounded(chain: Chain) -> None:

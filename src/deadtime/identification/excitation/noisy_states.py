@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.excitation.exact_states import Pullback
 from deadtime.identification.excitation.loop import Chain
-from deadtime.identification.noisy_even import Tables
+from deadtime.identification.excitation.noise_tables import NoiseTables
 
 _UNSEEN = 1e-12  # of an eigenvalue of the noise's information, scaled to a diagonal of ones
 
@@ -63,11 +63,11 @@ class NoisyStates(Frozen):
 
     @classmethod
     def of(
-        cls, chain: Chain, used: Bool[np.ndarray, " sample"], size: int, tables: Tables
+        cls, chain: Chain, used: Bool[np.ndarray, " sample"], size: int, tables: NoiseTables
     ) -> NoisyStates:
         """Those of a chain, over the periods that an identification uses.
 
-        tables : of the plant and its noise, unknowns of which stand behind the `size` others
+        tables : of the noise, whose unknowns stand behind the `size` others
         """
         count, n = used.size, chain.n
         white, carried = np.zeros((2, count, n, n))
@@ -85,7 +85,7 @@ class NoisyStates(Frozen):
                 moved = one.by_S @ one.inverse
                 F[at] += 0.5 * np.einsum("aij,bji->ab", moved, moved)
             if used[k]:
-                carried[k] = tables.Phi[chain.mode[k]] @ (np.eye(n) - one.K)
+                carried[k] = chain.P[chain.mode[k], :, :n] @ (np.eye(n) - one.K)
                 joint = joint.after(k, one, carried[k])
         rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(chain.S))]
         return cls(white, carried, chain.by_P, chain.place, rows, _without_noise(F, size))
@@ -116,15 +116,15 @@ class NoisyStates(Frozen):
 
 
 def _filter(
-    chain: Chain, begins: Bool[np.ndarray, " sample"], tables: Tables
+    chain: Chain, begins: Bool[np.ndarray, " sample"], tables: NoiseTables
 ) -> Iterator[Filtered]:
     """Kalman's filter along a chain, with derivatives by the unknowns `tables.wide`."""
     n, q = chain.n, tables.wide.size
     V, by_V = np.diag(chain.V), np.zeros((q, n, n))
     by_V[q - n + np.arange(n), np.arange(n), np.arange(n)] = 2.0 * chain.V
     P, by_P, none = V, by_V, np.zeros((n, n))
-    still = np.full(int(tables.wide[-1]) + 1, -1)
-    still[tables.wide] = np.arange(q)
+    place = np.full(int(tables.wide[-1]) + 1, -1)
+    place[tables.wide] = np.arange(q)
     for k, i in enumerate(chain.mode.tolist()):
         if begins[k]:
             one = Filtered(np.eye(n), none, none, np.zeros((q, n, n)), np.zeros((q, n, n)))
@@ -134,11 +134,11 @@ def _filter(
             K = P @ inverse
             one = Filtered(K, S, inverse, (by_P - K @ by_S) @ inverse, by_S)
         yield one
-        keep, Phi = np.eye(n) - one.K, tables.Phi[i]
+        keep, Phi = np.eye(n) - one.K, chain.P[i, :, :n]
         P = keep @ P @ keep.T + one.K @ V @ one.K.T
         by_P = Phi @ (keep @ by_P @ keep.T + one.K @ by_V @ one.K.T) @ Phi.T + tables.of_Q[i]
-        own = still[tables.own[i]]
-        turned = tables.moved[i][own >= 0, :, :n] @ P @ Phi.T
+        own = place[chain.place[i]]
+        turned = chain.by_P[i][own >= 0, :, :n] @ P @ Phi.T
         by_P[own[own >= 0]] += turned + turned.swapaxes(1, 2)
         P = Phi @ P @ Phi.T + tables.Q[i]
 
@@ -147,13 +147,13 @@ class _Joint(NamedTuple):
     """The covariance of (ξ̂, η) before a sample is measured; ξ̂ = (x̂, inputs in flight)."""
 
     chain: Chain
-    tables: Tables
+    tables: NoiseTables
     by_P: Float[np.ndarray, "mode unknown n z"]
     covariance: Float[np.ndarray, "all all"]
     use: int
 
     @classmethod
-    def of(cls, chain: Chain, size: int, tables: Tables) -> _Joint:
+    def of(cls, chain: Chain, size: int, tables: NoiseTables) -> _Joint:
         """Of nothing yet."""
         n, unknowns = chain.n, int(tables.wide[-1]) + 1
         by_P = np.zeros((len(chain.S), unknowns, *chain.by_P[0].shape[1:]))
@@ -184,12 +184,12 @@ class _Joint(NamedTuple):
         """That of the next sample."""
         n, use, i, kind = self.chain.n, self.use, self.chain.mode[k], self.chain.kind[k]
         Z, M = self.chain.Z[kind][:, :use], self.chain.M[kind][:use, :use]
-        P = np.hstack((self.tables.Phi[i], self.tables.G[i]))
+        P = self.chain.P[i]
         told = self.chain.Z[kind][:, :n].copy()  # what e does to ẑ: the law is told y, not x̂
         told[:n] = one.K
         of_xi, of_eta = M[:, :n].copy(), self.by_P[i] @ told
         of_xi[:n] = P @ told
-        of_eta[self.tables.wide] += self.tables.Phi[i] @ one.by_K
+        of_eta[self.tables.wide] += P[:, :n] @ one.by_K
         by_z = (self.by_P[i] @ Z).reshape(-1, use)
 
         def over(rows: np.ndarray) -> np.ndarray:
