@@ -11,7 +11,7 @@ from scipy.linalg import expm
 class Plant:
     """dx/dt = A_i x + Σ_j b_ij u_j(t − D_ij) + noise of intensity W."""
 
-    def __init__(self, A, B, D, W: Any = None):
+    def __init__(self, A, B, D, W=None):
         self.A, self.B = np.array(A, float), np.array(B, float)
         self.D = np.broadcast_to(np.asarray(D, float), (len(self.A), self.B.shape[2]))
         self.W, self.kept = np.zeros(self.A[0].shape) if W is None else W, {}
