@@ -76,7 +76,8 @@ def require_seen(F: Float[np.ndarray, "size size"], names: list[str]) -> None:
     raise ArgumentError(
         f"log does not tell {', '.join(dict.fromkeys(together))} apart: they can all change "
         "together and nothing in it would. Log a run in which states and inputs move apart, such "
-        "as with an input that is not a function of the state alone."
+        "as with an input that is not a function of the state alone, or widen delay=(low, high) if "
+        "the delay may lie outside it."
     )
 
 

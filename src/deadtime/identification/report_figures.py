@@ -95,5 +95,4 @@ def _draw_inputs(axes: Axes, fit: Identification) -> None:
         axes.plot(time, side * reach / np.sqrt(np.maximum(count, 1.0)), color="#666666", ls=":")
     axes.set_xlabel("time since the input (s); dotted: 95 % by chance")
     axes.set_ylabel("correlation")
-    if len(fit.inputs) > 1:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)

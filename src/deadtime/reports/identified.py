@@ -30,6 +30,7 @@ def write_identification(
     path: str | PathLike[str],
     sentences: Sequence[str] = (),
     title: str = "A plant from a log",
+    command: str = "",
 ) -> None:
     """Write the page on an identification.
 
@@ -42,6 +43,8 @@ def write_identification(
         What it opens with; those of the identification by default.
     title : str
         Its heading.
+    command : str
+        How to make it again, for its last line.
 
     Raises
     ------
@@ -64,6 +67,7 @@ def write_identification(
         figures=figures[1:],
         headings=HEADINGS,
         rows=interval_rows(fit),
+        command=command,
     )
     try:
         Path(path).write_text(text, encoding="utf-8")
