@@ -24,6 +24,7 @@ CSS = """
 .found table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 .found td, .found th { text-align: right; padding: 2px 8px; white-space: nowrap; }
 .found td:first-child { text-align: left; }
+@media (max-width: 480px) { .found td, .found th { padding: 2px 4px; font-size: 0.8rem; } }
 """
 
 
@@ -63,7 +64,7 @@ def _delay(one: tuple[str, float, float, float]) -> str:
     off = f"± {wide[0]} ms" if wide[0] == wide[1] else f"+ {wide[0]} / − {wide[1]} ms"
     return (
         f"<div class='delay'>{escape(name).capitalize()} <b>{value:.4g} s</b> {off} "
-        f"<small>({low:.5g} … {high:.5g} s at 95 %)</small></div>"
+        f"<small>({low:.5g} … {high:.5g} s at 95&nbsp;%)</small></div>"
     )
 
 

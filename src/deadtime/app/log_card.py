@@ -45,6 +45,7 @@ class LogCard:
     def __init__(self, page: Shown, workers: Workers) -> None:
         self._page, self._errands = page, Errands(workers)
         self._name, self._content = "", b""
+        self._asked: Asked | None = None
         self._found: FoundPlant | None = None
         self._report = b""
         self.form = LogForm()
@@ -55,7 +56,7 @@ class LogCard:
         self.shown, self.likelihood, self.details = (pn.pane.HTML("", **html) for _ in range(3))
         self.begin = pmui.Button(label="Identify", margin=4)
         self.cancel = pmui.Button(label="Cancel", variant="outlined", margin=4, visible=False)
-        self.close_ = pmui.Button(label="Close", variant="outlined", margin=4)
+        self.closing = pmui.Button(label="Close the log", variant="outlined", margin=4)
         self.progress = Progress(LIMIT)
         self._downloads = [
             self._download("Problem file", lambda: self._found and self._found.document.text),
@@ -63,7 +64,7 @@ class LogCard:
         ]
         self.begin.on_click(lambda _: self.identify())
         self.cancel.on_click(lambda _: self.stop())
-        self.close_.on_click(lambda _: self.close())
+        self.closing.on_click(lambda _: self.close())
         self.settings = pmui.Accordion(
             ("Columns, modes and delays", self.form.view),
             active=[0], title_variant="subtitle1", disable_gutters=True,
@@ -72,7 +73,7 @@ class LogCard:
         self.view = pmui.Paper(
             self.about,
             self.settings,
-            pmui.FlexBox(self.begin, self.cancel, self.close_, margin=(2, 6)),
+            pmui.FlexBox(self.begin, self.cancel, *self._downloads, self.closing, margin=(2, 6)),
             *self.progress.view,
             pmui.Grid(
                 pmui.Grid(self.shown, size={"xs": 12, "lg": 6}),
@@ -80,13 +81,12 @@ class LogCard:
                 container=True, spacing=1, sizing_mode="stretch_width",
             ),
             self.details,
-            pmui.FlexBox(*self._downloads, margin=(2, 6)),
             sizing_mode="stretch_width", margin=(4, 10), visible=False, elevation=2,
         )  # fmt: skip
 
     def _download(self, label: str, make: Callable[[], str | None]) -> pmui.FileDownload:
         button = pmui.FileDownload(
-            label=f"Download {label.lower()}", filename=label, size="small", margin=4,
+            label=f"Download {label.lower()}", filename=label, margin=4,
             visible=False, callback=lambda: io.BytesIO((make() or "").encode()),
         )  # fmt: skip
         button.variant = "outlined"  # as an argument Panel warns of it
@@ -124,7 +124,7 @@ class LogCard:
     def identify(self) -> None:
         """Identify the plant, as the form asks."""
         try:
-            asked = self.form.asked()
+            self._asked = self.form.asked()
         except ArgumentError as error:
             self._page.refuse(str(error))
             return
@@ -132,8 +132,8 @@ class LogCard:
         self._busy("waiting for a process")
         self._page.say(f"Identifying the plant of {file_stem(self._name)}.csv …")
         self._errands.begin(
-            LIMIT, self._on_done, lambda error: self._on_failed(error, asked),
-            try_log, self._name, self._content, asked, told=self._on_told,
+            LIMIT, self._on_done, self._on_failed,
+            try_log, self._name, self._content, self._asked, told=self._on_told,
         )  # fmt: skip
 
     def _on_told(self, said: str | tuple[FoundPlant, float]) -> None:
@@ -143,7 +143,8 @@ class LogCard:
         found, seconds = said
         called = f"The plant of {found.document.name}.csv"
         if not self._page.open_found(found.document, seconds, called):
-            self.stop()
+            self._errands.stop()
+            self._idle()
             return
         self._found = found
         self.shown.object, self.details.object = page_of.shown(found), page_of.details(found)
@@ -161,27 +162,31 @@ class LogCard:
             visible=True, filename=f"{file_stem(self._name)}-report.html"
         )
 
-    def _on_failed(self, error: BaseException, asked: Asked) -> None:
+    def _on_failed(self, error: BaseException) -> None:
         self._idle()
         slow = isinstance(error, TooLongError)
         if self._found is not None:
             why = f"it takes longer than {LIMIT:g} s" if slow else str(error).rstrip(".")
-            self._without_likelihood(why, asked)
+            self._without_likelihood(why)
             return
         if slow:
             self._page.refuse(
                 f"{file_stem(self._name)}.csv takes longer than {LIMIT:g} s, the most that a page "
                 "gives a log, and was stopped. Ask less of it and press Identify again: a "
                 "narrower range of delays, modes that are logged or fewer of them, fewer states, "
-                f"a stretch of the log. Or run, without a limit: {asked.command(self._name)}"
+                f"a stretch of the log. Or run, without a limit: {self._command()}"
             )
         else:
             self._page.refuse(str(error))
 
-    def _without_likelihood(self, why: str, asked: Asked) -> None:
+    def _command(self) -> str:
+        """What asks the same without a limit."""
+        return "" if self._asked is None else self._asked.command(self._name)
+
+    def _without_likelihood(self, why: str) -> None:
         self.likelihood.object = page_of.likelihood(
             f"No curve of the likelihood over the delay: {why}. All else is here; for the curve "
-            f"run {asked.command(self._name)} --report {file_stem(self._name)}.html"
+            f"run {self._command()} --report {file_stem(self._name)}.html"
         )
 
     # -- its end ---------------------------------------------------------------------------
@@ -191,7 +196,7 @@ class LogCard:
         self._errands.stop()
         self._idle()
         if self._found is not None:
-            self._without_likelihood("it was cancelled", self.form.asked())
+            self._without_likelihood("it was cancelled")
         elif self._content:
             self._page.say("Cancelled. Nothing was changed.")
 

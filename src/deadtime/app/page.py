@@ -308,7 +308,13 @@ class Page:
             label="Problem", options=["", *NAMED], value="", helper_text="or a file:", **WIDE
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
-        door = Door(self.take, self.refuse, **WIDE)
+        phone = _on_a_phone()
+
+        def take(name: str, size: int, content: bytes | None) -> None:
+            page.sidebar_open = page.sidebar_open and not phone
+            self.take(name, size, content)
+
+        door = Door(take, self.refuse, **WIDE)
         groups = pmui.Accordion(
             ("Laws", self.laws),
             *self.groups.items(),
@@ -323,8 +329,7 @@ class Page:
             pmui.Grid(right, size={"xs": 12, "lg": 5}),
             container=True, spacing=1, sizing_mode="stretch_width",
         )  # fmt: skip
-        phone = _on_a_phone()
-        # There the drawer lies over the header, and so over the button that opened it.
+        # On a phone the drawer lies over the header, and so over the button that opened it.
         closing = pmui.Button(label="Close", variant="outlined", visible=phone, **WIDE)
         page = pmui.Page(
             title="deadtime explorer",
