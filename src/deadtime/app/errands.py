@@ -66,7 +66,8 @@ class Errands:
                 here(partial(told, said))
 
         self._out[errand] = None  # it may be heard of before it is known by its future
-        future = self._workers.submit(limit, job, *given, told=on_told if told else None)
+        more = {"told": on_told} if told else {}
+        future = self._workers.submit(limit, job, *given, **more)
         if errand in self._out:
             self._out[errand] = future
         future.add_done_callback(on_finished)

@@ -15,6 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
+from weakref import WeakSet
 
 from deadtime.base.errors import ArgumentError, DeadtimeError
 
@@ -46,7 +47,7 @@ class Workers:
         self._closed = threading.Event()
         self._all: set[_Worker] = set()
         self._doing: dict[Future[Any], _Worker] = {}
-        self._stopped: set[Future[Any]] = set()
+        self._stopped: WeakSet[Future[Any]] = WeakSet()
         self._lock = threading.Lock()
         for _ in range(count):
             self._start()
