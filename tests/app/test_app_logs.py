@@ -113,6 +113,7 @@ def test_a_page_that_is_given_a_log_shows_its_plant(log, workers):
         (b"x" * (logs.MOST_BYTES + 1), "has 16.0 MB, a page takes logs of at most 16 MB"),
         (b"t,x,u\n" + b"0,0,0\n" * (MOST_ROWS + 1), "more than 200,000 rows"),
         (b"t," + b",".join(b"c%d" % i for i in range(41)) + b"\n", "offers at most 40"),
+        (b"t,x,x ,u\n0,1,1,1\n", "a name of its own for every column, got x twice"),
         (b"", r"log\.csv is no CSV table"),
         (b"\xff\xfe\x00,\x01", r"log\.csv"),
         (b"t,x,u\n0,1,1\n1,2,0\n1,3,1\n", r"log\.csv, line 4: t must be later"),

@@ -139,6 +139,11 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
             "`deadtime identify`, which has no limit, or keep a stretch of the log."
         )
     columns = list(frame.columns)
+    twice = {one for one in columns if columns.count(one) > 1}
+    if twice:
+        raise ArgumentError(
+            f"{source.name} must have a name of its own for every column, got {twice.pop()} twice."
+        )
     clock = next((one for one in TIMES if one in columns), None)
     if clock is None:
         raise ArgumentError(
@@ -154,7 +159,7 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
             f"{_MOST_COLUMNS}: leave those out that are no states, inputs or modes."
         )
     numbers = tuple(one for one in others if _is_of_numbers(frame[one]))
-    few = tuple(one for one in others if frame[one].nunique() <= MOST_MODES)
+    few = tuple(one for one in others if frame[one].drop_duplicates().size <= MOST_MODES)
     states, inputs = columns_of(others, "x"), columns_of(others, "u")
     words = [one for one in few if one not in numbers]
     mode = "mode" if "mode" in others else words[0] if len(words) == 1 else None
