@@ -25,9 +25,7 @@ class Progress:
         self._limit, self._stage, self._began = limit, "", 0.0
         self._clock: Any = None
         self._bar = pmui.LinearProgress(sizing_mode="stretch_width", margin=(4, 10), visible=False)
-        self.text = pn.pane.HTML(
-            "", css_classes=["progress"], sizing_mode="stretch_width", margin=(0, 10), visible=False
-        )
+        self.text = pn.pane.HTML("", sizing_mode="stretch_width", margin=(0, 10), visible=False)
         self.view = [self._bar, self.text]
 
     def show(self, stage: str) -> None:
@@ -51,4 +49,5 @@ class Progress:
 
     def _tick(self) -> None:
         seconds = time.monotonic() - self._began
-        self.text.object = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
+        said = f"{escape(self._stage)} … {seconds:.0f} s of at most {self._limit:.0f} s"
+        self.text.object = f"<div class='progress'>{said}</div>"
