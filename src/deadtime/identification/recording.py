@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
-_TIMES = ("t", "time")
+TIMES = ("t", "time")
 _NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
@@ -197,9 +197,7 @@ def _columns(
     """The columns of states or inputs."""
     found = list(table.frame.columns)
     if given is None:
-        form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
-        places = {name: match[1] for name in found if (match := form.fullmatch(name))}
-        chosen = sorted(places, key=lambda name: int(places[name] or 0))
+        chosen = columns_of(found, letter)
     elif isinstance(given, str):
         raise ArgumentError(
             f"{argument} must be a list of columns, such as {given.split(',')}, got the text "
@@ -213,6 +211,19 @@ def _columns(
             f"them so, or say which they are by {argument}=[…], --{argument}."
         )
     return tuple(chosen)
+
+
+def columns_of(columns: Sequence[str], letter: str) -> list[str]:
+    """Those that a letter and a number name, by their numbers.
+
+    Examples
+    --------
+    >>> columns_of(["t", "x2", "x1: speed (m/s)", "extra"], "x")
+    ['x1: speed (m/s)', 'x2']
+    """
+    form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
+    places = {name: match[1] for name in columns if (match := form.fullmatch(name))}
+    return sorted(places, key=lambda name: int(places[name] or 0))
 
 
 def _labels(tables: list[_Table], column: str | None) -> dict[str, int]:
@@ -267,7 +278,7 @@ def _part(
     labels: dict[str, int],
 ) -> Part:
     """One log as arrays."""
-    clock = next((name for name in _TIMES if name in table.frame.columns), None)
+    clock = next((name for name in TIMES if name in table.frame.columns), None)
     if clock is None:
         raise ArgumentError(
             f"{table.name} must have a column t of times in seconds, got "

@@ -27,13 +27,24 @@ if TYPE_CHECKING:
 
 def figures_of(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
     """(name, caption, figure), the likelihood first."""
+    yield likelihood_figure(fit)
+    yield from quick_figures(fit)
+
+
+def likelihood_figure(fit: Identification) -> tuple[str, str, Figure]:
+    """(name, caption, figure) of the likelihood over the delays.
+
+    Of noisy measurements each of its points takes a search over all else: it may well take longer
+    than the identification did.
+    """
     with _figure(1, 2.6) as (figure, (axes,)):
         draw_likelihood(axes, fit)
-    yield (
-        "likelihood",
-        "How likely every delay is, all else at its likeliest; dotted: the 95 % interval.",
-        figure,
-    )
+    caption = "How likely every delay is, all else at its likeliest; dotted: the 95 % interval."
+    return "likelihood", caption, figure
+
+
+def quick_figures(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
+    """(name, caption, figure) of all others: predictions and modes, what is left."""
     part, n, several = shown(fit), fit.plant.states, fit.plant.modes > 1
     with _figure(n + several, 1.1, 2.0) as (figure, axes):
         draw_log(axes[:n], fit, part)
