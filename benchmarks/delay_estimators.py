@@ -4,8 +4,8 @@
 
 Logs of `benchmarks/identification.py`, the delay drawn anew for each from 0.1 … 0.5 s, so that
 it is no multiple of the period h = 0.05 s. Of the last state, which the input pushes; every method
-is told that the delay is at most 0.6 s, 12 periods. Median: of the error's size. Time: of the processor, the
-median of a log.
+is told that the delay is at most 0.6 s, 12 periods. Median: of the size of errors. Time: of the
+processor, the median of a log.
 
 - `deadtime.identify`: all states, as it comes, and how many of its intervals hold the delay.
 - correlation: the peak of `scipy.signal.correlate` over `correlation_lags`, of the input with what

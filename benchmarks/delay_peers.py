@@ -14,11 +14,11 @@ another package) and nfoursid (`pip install nfoursid`) are optional.
 
 - `control.markov`: 16 parameters of what the state gains in a period, by least squares.
 - `control.eigensys_realization`: a model of n + 12 states from 4 (n + 12) + 1 such parameters.
-- SIPPY, ARX and ARMAX: orders and delay by the information criterion, the delay from 0 to 11 (SIPPY
-  counts from the sample before); of ARX na 0–5 and nb 1–5, its defaults, of ARMAX 1–3 each.
-- SIPPY, N4SID and PARSIM-K, its method for closed loops: all states as outputs, horizons as by
-  default, the order from 1 to n + 12 by Akaike's criterion; or n + 12, what a delay of 12 periods
-  takes.
+- SIPPY, ARX and ARMAX: orders and delay by Akaike's criterion, the delay from 0 to 11 (SIPPY counts
+  from the sample before); of ARX na 0–5 and nb 1–5, its defaults, of ARMAX 1–3 each.
+- SIPPY, N4SID: all states as outputs, horizons as by default, the order from 1 to n + 12 by
+  Akaike's criterion, and n + 12, what a delay of 12 periods takes. PARSIM-K, its method for closed
+  loops: the same with n + 12.
 - nfoursid: all states as outputs, 20 block rows, rank n + 12. It leaves the rank to the eye; the
   widest gap between singular values is that of the plant without its delay.
 """
@@ -97,12 +97,9 @@ def of_fraction(model, periods):
     return {"whole": middle(periods), "share": share(np.diff(outputs))}
 
 
-def by_sippy_arx(criterion):
-    def found(log, x, u):
-        model = sippy(x[:, -1], u, "ARX", IC=criterion, delays=[0, MOST - 1])
-        return of_fraction(model, model.theta)
-
-    return found
+def by_sippy_arx(log, x, u):
+    model = sippy(x[:, -1], u, "ARX", IC="AIC", delays=[0, MOST - 1])
+    return of_fraction(model, model.theta)
 
 
 def by_sippy_armax(log, x, u):
@@ -133,12 +130,11 @@ def by_nfoursid(log, x, u):
 PEERS = {
     "`control.markov`": (by_markov, "control"),
     "`control.eigensys_realization`": (by_realization, "control"),
-    "SIPPY ARX, AIC": (by_sippy_arx("AIC"), "sippy_unipi"),
-    "SIPPY ARX, BIC": (by_sippy_arx("BIC"), "sippy_unipi"),
+    "SIPPY ARX, AIC": (by_sippy_arx, "sippy_unipi"),
     "SIPPY ARMAX, AIC": (by_sippy_armax, "sippy_unipi"),
     "SIPPY N4SID, AIC": (by_sippy_states("N4SID"), "sippy_unipi"),
     "SIPPY N4SID, order n + 12": (by_sippy_states("N4SID", chosen=False), "sippy_unipi"),
-    "SIPPY PARSIM-K, AIC": (by_sippy_states("PARSIM-K"), "sippy_unipi"),
+    "SIPPY PARSIM-K, order n + 12": (by_sippy_states("PARSIM-K", chosen=False), "sippy_unipi"),
     "nfoursid": (by_nfoursid, "nfoursid"),
 }
 
