@@ -20,6 +20,8 @@ processor, the median of a log.
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
+import functools
 import time
 
 import numpy as np
@@ -89,23 +91,18 @@ def timed(method, *given):
     return found, time.process_time() - began
 
 
-def compared(case, draws, samples, methods):
-    """Errors (ms) and times (s) of every method, and how many intervals hold the delay."""
-    errors, times, held = {}, {}, 0
-    for seed in range(-1, draws):  # the first, of seed 4999, compiles and counts for nothing
-        log, delay = drawn(case, seed, samples)
-        given = log, log.filter(regex="^x").to_numpy(), log["u0"].to_numpy()
-        (own, ends), took = timed(by_identify, *given, "noisy" in case)
-        found = {"`deadtime.identify`": (own, took)}
-        found |= {name: timed(method, *given) for name, method in methods.items()}
-        if seed < 0:
-            continue
-        held += ends[0] < delay < ends[1]
-        for name, (readings, took) in found.items():
-            times.setdefault(name, []).append(took)
-            for reading, value in readings.items():
-                errors.setdefault((name, reading), []).append(1e3 * (value - delay))
-    return errors, times, held
+def measured(case, seed, samples):
+    """Errors (ms) and seconds of every method on a log, and whether `identify` holds the delay."""
+    log, delay = drawn(case, seed, samples)
+    given = log, log.filter(regex="^x").to_numpy(), log["u0"].to_numpy()
+    (own, ends), took = timed(by_identify, *given, "noisy" in case)
+    found = {"`deadtime.identify`": (own, took)}
+    found |= {name: timed(method, *given) for name, method in (METHODS | present()[0]).items()}
+    errors, times = {}, {}
+    for name, (readings, took) in found.items():
+        times[name] = took
+        errors |= {(name, read): 1e3 * (value - delay) for read, value in readings.items()}
+    return errors, times, ends[0] < delay < ends[1]
 
 
 def main():
@@ -113,21 +110,29 @@ def main():
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--samples", type=int, default=400)
     parser.add_argument("--case", nargs="*", default=ASKED, choices=ASKED)
+    parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
-    peers, missing = present()
+    missing = present()[1]
     print(
         f"left out, as they do not import: {', '.join(missing)}" if missing else "all peers there"
     )
     print("log | method | read as | bias, ms | deviation | root mean square | median | ms a log")
     for case in given.case:
-        errors, times, held = compared(case, given.draws, given.samples, METHODS | peers)
-        for (name, reading), error in errors.items():
-            size, half = np.sqrt(np.mean(np.square(error))), np.median(np.abs(error))
+        one = functools.partial(measured, case, samples=given.samples)
+        with concurrent.futures.ProcessPoolExecutor(given.processes) as pool:
+            errors, times, held = zip(*pool.map(one, range(given.draws)), strict=True)
+        for name, reading in errors[0]:
+            error = np.array([each[name, reading] for each in errors])
+            size, half = np.sqrt(np.mean(error**2)), np.median(np.abs(error))
+            took = 1e3 * np.median([each[name] for each in times])
             print(
                 f"{case} | {name} | {reading} | {np.mean(error):+.2f} | {np.std(error):.2f} | "
-                f"{size:.2f} | {half:.2f} | {1e3 * np.median(times[name]):.1f}"
+                f"{size:.2f} | {half:.2f} | {took:.1f}"
             )
-        print(f"{case}: {held} of {given.draws} intervals of `identify` hold the delay", flush=True)
+        print(
+            f"{case}: {sum(held)} of {given.draws} intervals of `identify` hold the delay",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
