@@ -24,8 +24,10 @@ H = 0.05
 LEAD, LEAST = 24, 16  # samples before the first that is used, and of every mode after it
 SLOW, FAST = [[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]
 THIRD = [[0.0, 1.0], [-1.0, -1.5]]
+GROWS = [[0.0, 1.0], [0.5, -0.5]]  # at 0.5 1/s
 PUSH = [[0.0], [1.0]]
 BOTH = [[0.2, 1.0], [1.0, -0.5]]
+HOLDS = [[-0.8, -0.7], [-0.2, 0.1]]
 # name: A, B, delays, process noise s (s √h a sample), sensors' deviation, feedback
 CASES = {
     "one mode": ([SLOW], [PUSH], [0.312], 0.03, 0.0, None),
@@ -36,6 +38,15 @@ CASES = {
     "noisy sensors": ([SLOW], [PUSH], [0.312], 0.03, 0.02, None),
     "noisy, two modes": ([SLOW, FAST], [PUSH] * 2, [0.312], 0.03, 0.02, None),
     "noisy, closed loop": ([[[0.5]]], [[[1.0]]], [0.23], 0.03, 0.02, [[-1.2]]),
+    "noisy, three modes, two inputs": (
+        *([SLOW, FAST, THIRD], [BOTH] * 3, [0.312, 0.174], 0.03, 0.02, None),
+    ),
+    "three modes, two inputs, closed loop": (
+        *([SLOW, FAST, GROWS], [BOTH] * 3, [0.312, 0.174], 0.03, 0.0, HOLDS),
+    ),
+    "noisy, three modes, two inputs, closed loop": (
+        *([SLOW, FAST, GROWS], [BOTH] * 3, [0.312, 0.174], 0.03, 0.02, HOLDS),
+    ),
 }
 
 
@@ -125,7 +136,7 @@ def coverage(draws, first, count, cases):
             noise = sensor > 0.0
             fit = dt.identify(log, delay=(0.0, 1.0), noise=noise, switches="samples")
             ends = fit.delay_interval[0]
-            inside_D += [low < true < high for (low, high), true in zip(ends, D, strict=True)]
+            inside_D.append([low < true < high for (low, high), true in zip(ends, D, strict=True)])
             for name, whole in (("A", np.array(A)), ("B", np.array(B))):
                 for (i, a, b), true in np.ndenumerate(whole):
                     low, high = fit.interval(f"{name}[{i}][{a},{b}]")
@@ -133,13 +144,13 @@ def coverage(draws, first, count, cases):
             error.append(fit.delays[0] - D)
             claimed.append(np.diff(ends)[:, 0] / 3.93)
             peak.append(correlated(log) - D[0])
+        held = f"{np.sum(inside_D, axis=0)} of {draws} | {sum(inside_AB)} of {len(inside_AB)}"
         ratio = np.std(error, axis=0) / np.sqrt(np.mean(np.square(claimed), axis=0))
         figures = (1e3 * np.std(error, axis=0), 1e3 * np.mean(claimed, axis=0), ratio)
         said = [np.array2string(one, precision=3) for one in figures]
         bias = np.array2string(1e3 * np.mean(error, axis=0), precision=3)
         print(
-            f"{case} | {100 * np.mean(inside_D):.1f} % | {100 * np.mean(inside_AB):.1f} % | "
-            f"{' | '.join(said)} | {bias} | {1e3 * np.mean(peak):.1f}",
+            f"{case} | {held} | {' | '.join(said)} | {bias} | {1e3 * np.mean(peak):.1f}",
             flush=True,
         )
 
