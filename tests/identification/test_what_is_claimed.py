@@ -10,7 +10,7 @@ from scipy.stats import t as t_of
 
 import deadtime as dt
 from deadtime.identification.identification import Identification
-from deadtime.identification.intervals import _last_rise
+from deadtime.identification.peaks import fresh_rise
 from deadtime.identification.problem_text import problem_text
 from deadtime.identification.sentences import verdict_of
 from deadtime.identification.separate_errors import failure_of
@@ -207,6 +207,6 @@ def test_intervals_of_a_delay_that_noise_hides_hold_it():
 
 
 def test_only_what_rises_again_beyond_an_interval_is_another_peak():
-    assert _last_rise(np.array([9.0, 8.0, 6.0, 5.0]), 4.0) is None
-    assert _last_rise(np.array([9.0, 3.0, 6.0, 2.0]), 4.0) == 2
-    assert _last_rise(np.array([9.0, 3.0, 3.5, 2.0]), 4.0) is None
+    assert fresh_rise(np.array([9.0, 8.0, 6.0, 5.0]), 4.0) is None
+    assert fresh_rise(np.array([9.0, 3.0, 6.0, 2.0]), 4.0) == 2
+    assert fresh_rise(np.array([9.0, 3.0, 3.5, 2.0]), 4.0) is None

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
 from deadtime.numerics.covariance import noise_covariances
@@ -96,6 +98,7 @@ def estimate_with_noise(
         exact.spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
+        ends_over_peaks(log, best, spread, exact.start),
     )
 
 

@@ -67,6 +67,10 @@ class NoisyLog(Frozen):
         low[at], high[at] = size - np.log(1e6), size + np.log(1e6)
         return low, high
 
+    def cells(self, theta: np.ndarray) -> np.ndarray:
+        """The cells that delays lie in."""
+        return cells_of(theta[self.layout.at_delays], self.recording.step)
+
     def starts(self, low: float, high: float) -> list[Bool[np.ndarray, " sample"]]:
         """The samples before which nothing is known, for delays between two; of every part."""
         starts = []
@@ -155,7 +159,7 @@ class NoisyLog(Frozen):
         layout, record = self.layout, self.recording
         theta, L = vector[: layout.size], self.root(vector)
         if record.even:
-            own = cells_of(theta[layout.at_delays], record.step) if cells is None else cells
+            own = self.cells(theta) if cells is None else cells
             periods_of = even_periods(layout, theta, L, layout.spread(own), record.step)
         else:
             periods_of = uneven_periods(layout, theta, L, self.nodes)
