@@ -137,6 +137,19 @@ def test_an_even_log_may_be_taken_for_an_uneven_one():
     np.testing.assert_allclose(S, S_uneven, rtol=1e-10)
 
 
+def test_the_same_uneven_log_six_times_tells_six_times_as_much():
+    """Their rows are more than a root has, so that they are gathered."""
+    k = np.arange(7, T - 1)
+    nodes = nodes_for(UNEVEN.parts, TRUE.A)
+    once, six = (
+        concentrated(uneven_terms(parts, [k] * len(parts), LAYOUT, H, nodes, THETA), LAYOUT.size)
+        for parts in (UNEVEN.parts, UNEVEN.parts * 6)
+    )
+    assert six[0].value == pytest.approx(6.0 * once[0].value, rel=1e-10)
+    np.testing.assert_allclose(six[0].score, 6.0 * once[0].score, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(six[1], once[1], rtol=1e-10)
+
+
 @pytest.mark.parametrize("record", [LOG, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("missing", [False, True])
 def test_the_likelihood_of_noisy_states_is_the_dense_gaussian_of_the_whole_log(record, missing):

@@ -1,5 +1,7 @@
 """Score and information of noisy logs against those of the dense Gaussian of the whole log."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -111,3 +113,20 @@ def test_an_even_log_may_be_taken_for_an_uneven_one():
     unit = 1.0 / np.sqrt(np.diagonal(one.information))
     off = (one.information - other.information) * unit * unit[:, None]
     assert np.abs(off).max() < 1e-9
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_memory_does_not_grow_with_the_rows_but_for_a_few_numbers_of_each(even):
+    """Derivatives of all samples would be 2 · (24 + 13) numbers a row."""
+    peaks, rng = [], np.random.default_rng(0)
+    for count in (10_000, 30_000):
+        t, noise = H * np.arange(count), rng.standard_normal((count, 4))
+        part = Part(t, noise[:, :2].copy(), noise[:, 2:].copy(), np.zeros(count, int))
+        log = log_of(Recording((part,), H, even, ("y1", "y2"), ("u1", "u2"), ("0", "1"), True))
+        vector, starts = log.join(LAYOUT.join(A, B, D), NOISE), log.starts(*WINDOW)
+        assert log.P0[0, 0] > 0.0
+        tracemalloc.start()
+        assert np.isfinite(log.evaluate(vector, starts).value)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] - peaks[0] < 8 * 4 * 20_000
