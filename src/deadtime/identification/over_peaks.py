@@ -62,7 +62,7 @@ def _mixed(
         own[row], theta[place[row]] = cell, (cell - 0.5) * h
         low[place] = np.maximum((own - 1) * h, log.bounds[0])
         high[place] = np.minimum(own * h, log.bounds[1])
-        found = climb(evaluate_in(own), theta, low, high, _GAIN)
+        found = climb(evaluate_in(own), theta, low, high, gain=_GAIN)
         F = found.found.information.copy()
         F[place[row], place[row]] += 12.0 / h**2
         try:

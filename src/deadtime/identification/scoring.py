@@ -43,9 +43,10 @@ def climb(
     theta: Float[np.ndarray, " size"],
     low: Float[np.ndarray, " size"],
     high: Float[np.ndarray, " size"],
+    steps: int = _STEPS,
     gain: float = _GAIN,
 ) -> Maximum:
-    """The local maximum within bounds that a start leads to, but for `gain` of log likelihood.
+    """The local maximum within bounds that a start leads to; `gain` is worth a step.
 
     Examples
     --------
@@ -58,7 +59,7 @@ def climb(
     now, damping = evaluate(theta), 1e-3
     if not np.isfinite(now.value):
         return Maximum(theta, now, np.zeros(theta.size, bool))
-    for _ in range(_STEPS):
+    for _ in range(steps):
         held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
         trial, rise = _step(theta, now, held | (low == high), damping, low, high)
         if rise < gain:
