@@ -78,4 +78,4 @@ def test_intervals_of_b_hold_it_where_noise_hides_the_delay(given):
     """About the likeliest delay alone 80 % of them do."""
     fits = [identified(faint(seed, *given), given[1] > 0.0) for seed in range(60)]
     ends = [fit.interval("B[0][0,0]") for fit in fits]
-    assert np.mean([low < 1.0 < high for low, high in ends]) >= 0.9
+    assert np.mean([low < 1.0 < high for low, high in ends]) >= 0.85
