@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.identification.intervals import profile
+from deadtime.identification.delay_intervals import profile
 from deadtime.identification.recording import Part
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast
 from deadtime.identification.sentences import delay_names

@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, real_array
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.hidden.identified import identify_hidden
 from deadtime.identification.hidden.request import numbers_of, require_exact_and_even
 from deadtime.identification.identification import Identification
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.logged_modes import fit_switching
 from deadtime.identification.maximum import ExactLog, maximise
 from deadtime.identification.noise import continuous, estimate_with_noise
@@ -259,5 +260,5 @@ def _exact(
         spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
-        ends_over_peaks(log, best, spread, start, several),
+        ends_over_peaks(log, best, spread, start),
     )

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
 from deadtime.numerics.covariance import noise_covariances
@@ -86,13 +88,11 @@ def estimate_with_noise(
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     expect_many_calls()
-    layout, n = exact.log.layout, C.shape[1]
-    unit = np.sqrt(np.diagonal(exact.spread.covariance))
-    unit = np.concatenate((unit, np.ones(n * (n + 1) // 2 + len(C))))
-    log = NoisyLog(recording, layout, C, within, bounds, unit, exact.log.nodes)
+    layout = exact.log.layout
+    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
     starts = [log.join(exact.best.theta, noise) for noise in _first_noises(exact, C, recording)]
     lag = int(np.ceil(exact.window[1] / recording.step)) + 1
-    some = replace(log, recording=stretches(recording, _ENOUGH, lag), _acting={})
+    some = replace(log, recording=stretches(recording, _ENOUGH, lag))
     tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
     best, window = maximise(log, theta)
@@ -127,6 +127,7 @@ def estimate_with_noise(
         exact.spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
+        ends_over_peaks(log, best, spread, exact.start),
     )
 
 

@@ -44,8 +44,9 @@ def climb(
     low: Float[np.ndarray, " size"],
     high: Float[np.ndarray, " size"],
     steps: int = _STEPS,
+    gain: float = _GAIN,
 ) -> Maximum:
-    """The local maximum within bounds that a start leads to.
+    """The local maximum within bounds that a start leads to; `gain` is worth a step.
 
     Examples
     --------
@@ -60,8 +61,8 @@ def climb(
         return Maximum(theta, now, np.zeros(theta.size, bool))
     for _ in range(steps):
         held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
-        trial, gain = _step(theta, now, held | (low == high), damping, low, high)
-        if gain < _GAIN:
+        trial, rise = _step(theta, now, held | (low == high), damping, low, high)
+        if rise < gain:
             break
         after = evaluate(trial)
         if np.isfinite(after.value) and after.value > now.value:

@@ -10,13 +10,14 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.choice import Fitted
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.information import Information, information_of
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.regressions import scanned
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.noise import continuous
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import judge_residuals, residuals_of
