@@ -1,0 +1,216 @@
+"""Steps of an ellipsoid of plants, [A B] + Σ z_i axes_i with |z| ≤ 1: what z does to the rows E.
+
+On a cell E(p, z) = E(p, 0) + Σ z_i L_i, L_i the derivative by z_i somewhere on the cell and in the
+ball; over both it is enclosed by way of the entries θ of A and B,
+
+    L_i = Σ_θ (∂E/∂θ) (axes_i)_θ,    ∂E/∂θ = Σ_k (pieces after) L(𝒜_k τ_k, ∂𝒜_k/∂θ τ_k) (before),
+
+with every entry in its range Â ± (Σ_i axes_i²)^½. So δE = Σ z_i middle(L_i) + R, and entry by entry
+|R| ≤ (Σ_i radius(L_i)²)^½, by Cauchy and Schwarz.
+
+A quadratic form asks for δE only as q = δE y. With C = Σ_i vec L_i vec L_iᵀ, n k square, and any
+W (n, n) and X (k, k) with W ⊗ X ⪰ C,
+
+    (ηᵀ δE y)² ≤ Σ_i (ηᵀ L_i y)² = (η ⊗ y)ᵀ C (η ⊗ y) ≤ (ηᵀ W η) (yᵀ X y),
+
+so yᵀ X y − qᵀ W⁻¹ q ≥ 0: one quadratic inequality, however many axes there are. For least squares
+on measured states C is a Kronecker product and nothing is lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.certificates.proof import balls
+from deadtime.certificates.proof.definite import congruent
+
+ROUNDS = 60  # of fitting W and X in turn
+FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
+ROOM = 1e-6  # by what part W ⊗ X is above C
+
+
+def entries_of(axes: np.ndarray, modes: tuple[int, ...]) -> list[tuple[int, int, int]]:
+    """The entries (mode, row, column) of [A B] in these modes that some axis moves."""
+    _, _, n, both = axes.shape
+    places = product(sorted(set(modes)), range(n), range(both))
+    return [place for place in places if np.any(axes[:, *place])]
+
+
+def unit_matrices(
+    entries: list[tuple[int, int, int]], shape: tuple[int, ...]
+) -> Float[np.ndarray, "entry n nm"]:
+    """[A B] with a 1 at each entry, whatever its mode."""
+    result = np.zeros((len(entries), *shape))
+    for at, (_, a, b) in enumerate(entries):
+        result[at, a, b] = 1.0
+    return result
+
+
+def radius_of(axes: np.ndarray) -> Float[np.ndarray, "mode n nm"]:
+    """How far every entry may be off, rounded up."""
+    largest = np.abs(axes).max(axis=0)
+    unit = np.where(largest > 0.0, largest, 1.0)
+    return unit * np.sqrt(((axes / unit) ** 2).sum(axis=0)) * (1.0 + 1e-12)
+
+
+def swelled(generator: Any, radius: np.ndarray) -> Any:
+    """A generator with every entry off by up to a radius."""
+    return generator + balls.symmetric_matrix(radius)
+
+
+def along_axes(by_entry: dict[tuple[int, int, int], Any], axes: np.ndarray) -> Any:
+    """(n k, d): L_i in the column i, row by row, from ∂E/∂θ."""
+    from flint import arb_mat
+
+    columns = [derivative.entries() for derivative in by_entry.values()]
+    J = arb_mat([list(row) for row in zip(*columns, strict=True)])
+    return J * balls.exact(np.array([axes[:, *place] for place in by_entry]))
+
+
+@dataclass(frozen=True, eq=False)
+class Sway:
+    """What an ellipsoid does to E on a cell (immutable).
+
+    Attributes
+    ----------
+    W : (n, n), X : (k, k)
+        (ηᵀ δ y)² ≤ (ηᵀ W η) (yᵀ X y) of all δ = Σ z_i middle(L_i), for sure.
+    rest : (n, k) balls
+        What is left of δE, around 0.
+    """
+
+    W: np.ndarray
+    X: np.ndarray
+    rest: Any
+
+    @classmethod
+    def of(cls, columns: Any, n: int) -> Sway | None:
+        """From L_i in columns (n k, d); None if no W and X were proved."""
+        middle = balls.middle(columns)
+        rest = _lengths(columns, n)
+        W, X = kronecker(middle.reshape(n, -1, middle.shape[1]))
+        C = balls.exact(middle)
+        if congruent(_product(W, X) - C * C.transpose()) is not None:
+            return cls(W, X, rest)
+        return None
+
+
+def _product(W: np.ndarray, X: np.ndarray) -> Any:
+    """W ⊗ X in balls."""
+    from flint import arb, arb_mat
+
+    return arb_mat(
+        [
+            [arb(float(w)) * arb(float(x)) for w in line for x in row]
+            for line in W
+            for row in X
+        ]
+    )
+
+
+def _lengths(columns: Any, n: int) -> Any:
+    """(Σ_i radius(L_i)²)^½ of every entry, as balls around 0."""
+    from flint import arb, arb_mat
+
+    sizes = [
+        sum((entry.rad() * entry.rad() for entry in row), arb(0)).sqrt() for row in columns.tolist()
+    ]
+    return arb_mat(n, len(sizes) // n, [balls.symmetric(size) for size in sizes])
+
+
+def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
+    """W and X with W ⊗ X ⪰ C in floats, of about the least determinant.
+
+    By Lagrange: for a weight S ⪰ 0 on the axes W ⊗ X is fitted to Λ S Λᵀ, C = Λ Λᵀ, each factor in
+    turn as the covariances of a matrix normal distribution; where Λᵀ (W ⊗ X)⁻¹ Λ is largest S
+    grows in proportion, as the weights of a least ellipsoid do [Titterington, Appl. Statist. 27
+    (1978) 227]. In the end W is scaled.
+    """
+    n, k, _ = L.shape
+    rows, columns = _unit(L, (1, 2)), _unit(L, (0, 2))
+    flat = (L / rows[:, None, None] / columns[:, None]).reshape(n * k, -1)
+    left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
+    L = (left * sizes).reshape(n, k, -1)
+    W, X, root = np.eye(n), np.eye(k), np.eye(len(sizes))
+    for _ in range(ROUNDS):
+        seen = L @ root
+        size = float((seen**2).sum()) / (n * k)
+        X = np.tensordot(seen, np.linalg.solve(W, seen.reshape(n, -1)).reshape(seen.shape), ((0, 2), (0, 2)))
+        X = X / n + FLOOR * size * np.eye(k)
+        seen = seen.transpose(1, 0, 2)
+        W = np.tensordot(seen, np.linalg.solve(X, seen.reshape(k, -1)).reshape(seen.shape), ((0, 2), (0, 2)))
+        W = W / k + FLOOR * np.eye(n)
+        inside = _whitened(L, W, X) @ root
+        root = _square_root(inside.T @ inside)
+        root = root / max(float(np.linalg.norm(root)), 1e-300) * np.sqrt(len(sizes))
+    W = W * np.linalg.norm(_whitened(L, W, X), 2) ** 2 * (1.0 + ROOM)
+    W, X = W * rows * rows[:, None], X * columns * columns[:, None]
+    return 0.5 * (W + W.T), 0.5 * (X + X.T)
+
+
+def _whitened(L: np.ndarray, W: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """(n k, d): the L_i in units in which W and X are I."""
+    ways = np.linalg.inv(np.linalg.cholesky(W)), np.linalg.inv(np.linalg.cholesky(X))
+    return np.tensordot(ways[0], ways[1] @ L, 1).reshape(-1, L.shape[2])
+
+
+def _square_root(S: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(S)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+
+
+def _unit(L: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:
+    """The size of every row or column; that of nothing is a little."""
+    sizes = np.sqrt((L**2).sum(axis=axis))
+    return np.maximum(sizes, max(1e-9 * float(sizes.max()), 1e-150))
+
+
+def weight_of(form: np.ndarray, y: np.ndarray, W: np.ndarray, X: np.ndarray) -> float | None:
+    """λ > 0 with form + λ (qᵀ W⁻¹ q − yᵀ X y) ≻ 0 by the largest margin, in floats; None if none.
+
+    `form` is one in (v, q), y = `y` v. Its margin is that of what is left of it when q is
+    eliminated, in units in which the form in v alone is I: concave in λ.
+    """
+    v, w = y.shape[1], np.linalg.cholesky(W)
+    try:
+        T = np.linalg.inv(np.linalg.cholesky(form[:v, :v]))
+    except np.linalg.LinAlgError:
+        return None
+    seen = y @ T.T
+    pull = T @ form[:v, v:] @ w
+    own, turn = np.linalg.eigh(w.T @ form[v:, v:] @ w)
+    X, pull = seen.T @ X @ seen, pull @ turn
+    most = 1.0 / max(float(np.linalg.eigvalsh(X)[-1]), 1e-300)
+    least = max(-float(own[0]), 1e-12 * most, 0.0)
+    if not least < most:
+        return None
+
+    def margin(log: float) -> float:
+        weight = np.exp(log)
+        left = np.eye(v) - weight * X - (pull / (weight + own)) @ pull.T
+        return float(np.linalg.eigvalsh(left)[0])
+
+    best, found = _highest(margin, np.log(least) + 1e-9, np.log(most))
+    return float(np.exp(best)) if found > 0.0 else None
+
+
+def _highest(value: Any, low: float, high: float) -> tuple[float, float]:
+    """Where a function with one maximum is highest, by golden section."""
+    part = 0.5 * (np.sqrt(5.0) - 1.0)
+    a, b = high - part * (high - low), low + part * (high - low)
+    at_a, at_b = value(a), value(b)
+    for _ in range(40):
+        if at_a < at_b:
+            low, a, at_a = a, b, at_b
+            b = low + part * (high - low)
+            at_b = value(b)
+        else:
+            high, b, at_b = b, a, at_a
+            a = high - part * (high - low)
+            at_a = value(a)
+    return (a, at_a) if at_a > at_b else (b, at_b)
