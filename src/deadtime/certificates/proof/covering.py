@@ -34,7 +34,6 @@ from deadtime.certificates.proof.transitions import Transition
 
 DEEPEST = 20  # bisections of a cell
 MOST_CELLS = 1500  # of one inequality
-ELLIPSOID = -1  # the direction of what an ellipsoid leaves to R
 
 
 def enclosures_of(family: Family | Box) -> Enclosures | BoxEnclosures:
@@ -118,9 +117,7 @@ class Covering:
         enclosure = self.enclosure(cell)
         points, rest = _corners(enclosure, form.concave)
         sway = self._sway(enclosure, form.E.nrows())
-        if sway is not None:
-            rest[ELLIPSOID] = sway.rest
-        elif enclosure.sway is not None:
+        if enclosure.sway is not None and sway is None:
             return -1
         sizes, held = dict.fromkeys(rest, 0.0), True
         for E in points:
@@ -128,7 +125,8 @@ class Covering:
             asked = (form, Delta) if sway is None else swaying(form, Delta, sway)
             definite = None if asked is None else congruent(_value(*asked))
             if asked is None or definite is None:
-                return _widest(enclosure) if len(points) > 1 else -1
+                cut = enclosure.slopes and (len(points) > 1 or sway is not None)
+                return _widest(enclosure) if cut else -1
             least, Wt = definite
             bounds = _changes(*asked, Wt, rest)
             if not sum(bounds.values()) * (1.0 + 1e-12) < least:
@@ -136,10 +134,7 @@ class Covering:
                 sizes = {k: max(sizes[k], bound) for k, bound in bounds.items()}
         if held:
             return None
-        worst = max(sizes, key=lambda k: sizes[k])
-        if worst == ELLIPSOID:  # cells do not cut it, but where they are small so is R
-            return _widest(enclosure) if enclosure.slopes else -1
-        return worst
+        return max(sizes, key=lambda k: sizes[k])
 
     def _sway(self, enclosure: Enclosure, n: int) -> Sway | None:
         """What the ellipsoid does, if there is one and W and X are proved; once per enclosure."""

@@ -6,15 +6,15 @@ ball; over both it is enclosed by way of the entries θ of A and B,
     L_i = Σ_θ (∂E/∂θ) (axes_i)_θ,    ∂E/∂θ = Σ_k (pieces after) L(𝒜_k τ_k, ∂𝒜_k/∂θ τ_k) (before),
 
 with every entry in its range Â ± (Σ_i axes_i²)^½. So δE = Σ z_i middle(L_i) + R, and entry by entry
-|R| ≤ (Σ_i radius(L_i)²)^½, by Cauchy and Schwarz.
+|R| ≤ r = (Σ_i radius(L_i)²)^½, by Cauchy and Schwarz. For every η, y and ε > 0, with these middles,
 
-A quadratic form asks for δE only as q = δE y. With C = Σ_i vec L_i vec L_iᵀ, n k square, and any
-W (n, n) and X (k, k) with W ⊗ X ⪰ C,
+    (ηᵀ δE y)² ≤ (1 + ε) Σ_i (ηᵀ L_i y)² + (1 + 1/ε) n k Σ_ab η_a² r_ab² y_b² = (η ⊗ y)ᵀ C (η ⊗ y),
+    C = (1 + ε) Σ_i vec L_i vec L_iᵀ + (1 + 1/ε) n k diag r².
 
-    (ηᵀ δE y)² ≤ Σ_i (ηᵀ L_i y)² = (η ⊗ y)ᵀ C (η ⊗ y) ≤ (ηᵀ W η) (yᵀ X y),
-
-so yᵀ X y − qᵀ W⁻¹ q ≥ 0: one quadratic inequality, however many axes there are. For least squares
-on measured states C is a Kronecker product and nothing is lost.
+With any W (n, n) and X (k, k) such that W ⊗ X ⪰ C this is at most (ηᵀ W η) (yᵀ X y): q = δE y, which
+is all that a quadratic form asks of δE, obeys yᵀ X y − qᵀ W⁻¹ q ≥ 0. That is one quadratic
+inequality, however many axes there are. For least squares on measured states Σ_i vec L_i vec L_iᵀ
+is about a Kronecker product, and little is lost.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from deadtime.certificates.proof.definite import congruent
 
 ROUNDS = 60  # of fitting W and X in turn
 FLOOR = 1e-9  # of W and X, in units in which their diagonals are about 1
-ROOM = 1e-6  # by what part W ⊗ X is above C
+ROOM = 0.02  # by what part W ⊗ X is above C, so that a verifier may find others
 
 
 def entries_of(axes: np.ndarray, modes: tuple[int, ...]) -> list[tuple[int, int, int]]:
@@ -79,48 +79,34 @@ class Sway:
     Attributes
     ----------
     W : (n, n), X : (k, k)
-        (ηᵀ δ y)² ≤ (ηᵀ W η) (yᵀ X y) of all δ = Σ z_i middle(L_i), for sure.
-    rest : (n, k) balls
-        What is left of δE, around 0.
+        (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for every plant of it, for sure.
     """
 
-    W: np.ndarray
-    X: np.ndarray
-    rest: Any
+    W: Float[np.ndarray, "n n"]
+    X: Float[np.ndarray, "k k"]
 
     @classmethod
     def of(cls, columns: Any, n: int) -> Sway | None:
         """From L_i in columns (n k, d); None if no W and X were proved."""
-        middle = balls.middle(columns)
-        rest = _lengths(columns, n)
-        W, X = kronecker(middle.reshape(n, -1, middle.shape[1]))
-        C = balls.exact(middle)
-        if congruent(_product(W, X) - C * C.transpose()) is not None:
-            return cls(W, X, rest)
-        return None
+        from flint import arb
+
+        middle, radius = balls.split(columns)
+        rest = radius_of(radius.T) * np.sqrt(len(middle)) * (1.0 + 1e-12)
+        sizes = [balls.norm_above(np.abs(each)) for each in (middle, rest)]
+        part = float(np.clip(sizes[1] / max(sizes[0], 1e-300), 1e-9, 1.0))
+        L = np.concatenate((np.sqrt(1.0 + part) * middle, np.sqrt(1.0 + 1.0 / part) * np.diag(rest)), 1)
+        W, X = kronecker(L.reshape(n, -1, L.shape[1]))
+        C, D = balls.exact(middle), balls.exact(np.diag(rest))
+        C, D = C * C.transpose() * (1 + arb(part)), D * D * (1 + 1 / arb(part))
+        return cls(W, X) if congruent(_product(W, X) - C - D) is not None else None
 
 
 def _product(W: np.ndarray, X: np.ndarray) -> Any:
     """W ⊗ X in balls."""
     from flint import arb, arb_mat
 
-    return arb_mat(
-        [
-            [arb(float(w)) * arb(float(x)) for w in line for x in row]
-            for line in W
-            for row in X
-        ]
-    )
-
-
-def _lengths(columns: Any, n: int) -> Any:
-    """(Σ_i radius(L_i)²)^½ of every entry, as balls around 0."""
-    from flint import arb, arb_mat
-
-    sizes = [
-        sum((entry.rad() * entry.rad() for entry in row), arb(0)).sqrt() for row in columns.tolist()
-    ]
-    return arb_mat(n, len(sizes) // n, [balls.symmetric(size) for size in sizes])
+    rows = [[arb(w) * arb(x) for w in a for x in b] for a in W.tolist() for b in X.tolist()]
+    return arb_mat(rows)
 
 
 def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
