@@ -283,7 +283,9 @@ def traced(C, inverse, n, k, left):
     """Σ of the blocks of C (n k square) by the entries of an inverse, of its left or right part."""
     if left:
         blocks = [[part(C, a * k, a * k + k, b * k, b * k + k) for b in range(n)] for a in range(n)]
-        return sum((blocks[a][b] * inverse[a, b] for a in range(n) for b in range(n)), arb_mat(k, k))
+        return sum(
+            (blocks[a][b] * inverse[a, b] for a in range(n) for b in range(n)), arb_mat(k, k)
+        )
     total = lambda a, b: sum(  # noqa: E731
         (C[a * k + p, b * k + q] * inverse[p, q] for p in range(k) for q in range(k)), arb(0)
     )
@@ -301,21 +303,26 @@ def covered(C, n, k, S, rounds):
     ]
     columns = [max(x, max(columns) * arb(2) ** -30) for x in columns]
     D = [1 / (a * p) for a in rows for p in columns]
-    scaled = [[x * a * b for x, b in zip(r, D, strict=True)] for r, a in zip(C.tolist(), D, strict=True)]
+    scaled = [
+        [x * a * b for x, b in zip(r, D, strict=True)] for r, a in zip(C.tolist(), D, strict=True)
+    ]
     little, one = arb(2) ** -30, eye(n * k)
     F = inverse_factor(arb_mat(scaled).mid() + one * little).inv().mid()  # F Fᵀ = C, about
     S, W = one if S is None else S + one * arb(2) ** -4, eye(n)
     for _ in range(rounds):
         G = (F * S * F.transpose()).mid()
-        X = (traced(G, W.inv(), n, k, True) * arb(fmpq(1, n)) + eye(k) * little).mid()
-        W = (traced(G, X.inv(), n, k, False) * arb(fmpq(1, k)) + eye(n) * little).mid()
+        X = (traced(G, W.inv(), n, k, True) + eye(k) * little).mid()
+        W = (traced(G, X.inv(), n, k, False) + eye(n) * little).mid()
+        W = W * (n / sum((W[a, a] for a in range(n)), arb(0))).mid()
         M = (F.transpose() * kronecker(W.inv(), X.inv()) * F).mid()
         root = root_of((S + one * arb(2) ** -10).mid())
         S = (root * M * root).mid()
         S = (S * (n * k / sum((S[i, i] for i in range(n * k)), arb(0)))).mid()
         S = ((S + S.transpose()) * arb(0.5)).mid()
     W = W * size_of(M) * (1 + arb(2) ** -20)
-    scale = lambda Q, u: arb_mat([[x * a * b for x, b in zip(r, u, strict=True)] for r, a in zip(Q.tolist(), u, strict=True)])  # noqa: E731, E501
+    scale = lambda Q, u: arb_mat(
+        [[x * a * b for x, b in zip(r, u, strict=True)] for r, a in zip(Q.tolist(), u, strict=True)]
+    )  # noqa: E731, E501
     W, X = scale(W, rows).mid(), scale(X, columns).mid()
     W, X = ((Q + Q.transpose()) * arb(0.5) for Q in (W, X))
     need(positive(kronecker(W, X) - C)[1] < 1, "the ellipsoid was not enclosed")
@@ -594,10 +601,15 @@ class Loop:
                 column = {b: n + self.reads.index((N, b)) for b, N in places} if self.acts else {}
                 chain.append((mode, duration, column))
             moved = self.swayed(chain)
+        if not moved:
+            return None, None
         J = arb_mat([*zip(*(D.entries() for D in moved.values()), strict=True)])
         axes = [[arb(axis[mode][a][b]) for axis in c.axes] for mode, a, b in moved]
         L = J * arb_mat(axes)
-        C, rest = L.mid() * L.mid().transpose(), [sum((x.rad() ** 2 for x in r), arb(0)) for r in L.tolist()]
+        C, rest = (
+            L.mid() * L.mid().transpose(),
+            [sum((x.rad() ** 2 for x in r), arb(0)) for r in L.tolist()],
+        )
         sizes = sum((C[a, a] for a in range(n * k)), arb(0)), sum(rest, arb(0)) * n * k
         share = (sizes[1] / sizes[0]).sqrt().mid() + arb(2) ** -30
         C = C * (1 + share)

@@ -34,4 +34,5 @@ class Sways:
         assert self.enclosures is not None
         places = f if isinstance(f, tuple) else (f,) * len(self.family.moving(order))
         cell = Cell(order, (u, u), tuple((place, place) for place in places), np.eye(1))
-        return Sway.of(self.enclosures.of(cell).sway, self.family.A.shape[2])
+        columns = self.enclosures.of(cell).sway
+        return None if columns is None else Sway.of(columns, self.family.A.shape[2])

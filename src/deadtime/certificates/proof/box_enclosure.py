@@ -77,6 +77,8 @@ class BoxEnclosures:
         n, radius = family.A.shape[2], radius_of(axes)
         u, *f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
         entries = entries_of(axes, (cell.order.mode, cell.order.after))
+        if not entries:
+            return None
         found = []
         for c in range(family.B.shape[3]):
             pieces = family.pieces(cell.order, c, self.clock, u, f)

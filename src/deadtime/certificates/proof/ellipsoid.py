@@ -51,7 +51,7 @@ def unit_matrices(
     return result
 
 
-def radius_of(axes: np.ndarray) -> Float[np.ndarray, "mode n nm"]:
+def radius_of(axes: np.ndarray) -> Float[np.ndarray, "*entries"]:
     """How far every entry may be off, rounded up."""
     largest = np.abs(axes).max(axis=0)
     unit = np.where(largest > 0.0, largest, 1.0)
@@ -94,7 +94,9 @@ class Sway:
         rest = radius_of(radius.T) * np.sqrt(len(middle)) * (1.0 + 1e-12)
         sizes = [balls.norm_above(np.abs(each)) for each in (middle, rest)]
         part = float(np.clip(sizes[1] / max(sizes[0], 1e-300), 1e-9, 1.0))
-        L = np.concatenate((np.sqrt(1.0 + part) * middle, np.sqrt(1.0 + 1.0 / part) * np.diag(rest)), 1)
+        L = np.concatenate(
+            (np.sqrt(1.0 + part) * middle, np.sqrt(1.0 + 1.0 / part) * np.diag(rest)), 1
+        )
         W, X = kronecker(L.reshape(n, -1, L.shape[1]))
         C, D = balls.exact(middle), balls.exact(np.diag(rest))
         C, D = C * C.transpose() * (1 + arb(part)), D * D * (1 + 1 / arb(part))
@@ -125,18 +127,22 @@ def kronecker(L: Float[np.ndarray, "n k d"]) -> tuple[np.ndarray, np.ndarray]:
     W, X, root = np.eye(n), np.eye(k), np.eye(len(sizes))
     for _ in range(ROUNDS):
         seen = L @ root
-        size = float((seen**2).sum()) / (n * k)
-        X = np.tensordot(seen, np.linalg.solve(W, seen.reshape(n, -1)).reshape(seen.shape), ((0, 2), (0, 2)))
-        X = X / n + FLOOR * size * np.eye(k)
-        seen = seen.transpose(1, 0, 2)
-        W = np.tensordot(seen, np.linalg.solve(X, seen.reshape(k, -1)).reshape(seen.shape), ((0, 2), (0, 2)))
-        W = W / k + FLOOR * np.eye(n)
+        X = _other(seen, W)
+        W = _other(seen.transpose(1, 0, 2), X)
         inside = _whitened(L, W, X) @ root
         root = _square_root(inside.T @ inside)
         root = root / max(float(np.linalg.norm(root)), 1e-300) * np.sqrt(len(sizes))
     W = W * np.linalg.norm(_whitened(L, W, X), 2) ** 2 * (1.0 + ROOM)
     W, X = W * rows * rows[:, None], X * columns * columns[:, None]
     return 0.5 * (W + W.T), 0.5 * (X + X.T)
+
+
+def _other(seen: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """The second factor of W ⊗ X by the first one, of a mean eigenvalue of 1."""
+    count, size, _ = seen.shape
+    first = np.linalg.solve(factor, seen.reshape(count, -1)).reshape(seen.shape)
+    found = np.tensordot(seen, first, ((0, 2), (0, 2)))
+    return found * (size / max(float(np.trace(found)), 1e-300)) + FLOOR * np.eye(size)
 
 
 def _whitened(L: np.ndarray, W: np.ndarray, X: np.ndarray) -> np.ndarray:

@@ -147,15 +147,15 @@ class Enclosures:
         n, radius = self.family.A.shape[2], radius_of(axes)
         X, moves = [], []
         entries = entries_of(axes, tuple(part.mode for part in order))
+        if not entries:
+            return None
         for part in order:
             tau = self._duration(part, u, f)
             (room,) = self.family.laid_out(radius[part.mode][None], part.lags)
             X.append(swelled(self._generator(part, np.ones(1), None), room) * tau)
             own = [place for place in entries if place[0] == part.mode]
             units = self.family.laid_out(unit_matrices(own, radius.shape[1:]), part.lags)
-            moves.append(
-                {place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)}
-            )
+            moves.append({place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)})
         by_entry = by_entries(X, moves, n)
         return along_axes({place: by_entry[place] for place in entries}, axes)
 

@@ -100,11 +100,14 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
     words = signals_in_words(setting)
-    plants = (
-        "any plant in the polytope of the given ones (constant within each period)"
-        if len(setting.A) > 1
-        else "the plant"
-    )
+    plants = "the plant"
+    if setting.axes is not None:
+        plants = (
+            f"any plant in the ellipsoid about the given one, of {len(setting.axes)} half axes "
+            "in the entries of A and B (constant within each period)"
+        )
+    elif len(setting.A) > 1:
+        plants = "any plant in the polytope of the given ones (constant within each period)"
     alike = ""
     if isinstance(setting.delays, np.ndarray) and not is_box(setting):
         alike = ", and parts of a period beyond one that differ by less count as the least of them"
