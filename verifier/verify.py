@@ -23,6 +23,12 @@ concave, for G ⪰ 0: (2) holds on the cell if it does for all E_c + R. In balls
 is ≻ 0 if T F Tᵀ is within ε < 1 of I, T from its centre: R counts in units in which F is I. A cell
 that fails is halved (R falls with the square of its size), unless its centre fails too.
 
+**An ellipsoid** of plants adds δ = Σ z_i M_i + R' to E, |z| ≤ 1, by the mean value theorem over the
+cell and all of the ellipsoid, |R'| ≤ r entry by entry. By Cauchy and Schwarz (ηᵀ δ y)² is at most
+(η ⊗ y)ᵀ C (η ⊗ y), C = (1 + ε) Σ vec M_i vec M_iᵀ + (1 + 1/ε) n k diag r², so at most ηᵀWη yᵀXy if
+W ⊗ X ⪰ C (checked). Then p = δᵀη has pᵀX⁻¹p ≤ ηᵀWη, and (2) holds for all of it if, for some μ,
+    [F(E) − μ W, −N; −Nᵀ, μ X⁻¹ − G₁₁] ≻ 0.
+
 **A period** is cut at t_1 ≤ t_2 … into pieces, E = … e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
 X = [A, B; 0, 0] with each column of B at the input read. As X commutes with its exponential,
     ∂E/∂p = Σ_k ∂t_k/∂p (the pieces after t_k) (X_k − X_{k+1}) (the pieces before it).
@@ -279,6 +285,12 @@ def kronecker(A, B):
     return arb_mat([[x * y for x in a for y in b] for a in A.tolist() for b in B.tolist()])
 
 
+def in_units(Q, units):
+    """Q with the entry (a, b) times both their units."""
+    lines = zip(Q.tolist(), units, strict=True)
+    return arb_mat([[x * a * b for x, b in zip(row, units, strict=True)] for row, a in lines])
+
+
 def traced(C, inverse, n, k, left):
     """Σ of the blocks of C (n k square) by the entries of an inverse, of its left or right part."""
     if left:
@@ -302,12 +314,9 @@ def covered(C, n, k, S, rounds):
         for p in range(k)
     ]
     columns = [max(x, max(columns) * arb(2) ** -30) for x in columns]
-    D = [1 / (a * p) for a in rows for p in columns]
-    scaled = [
-        [x * a * b for x, b in zip(r, D, strict=True)] for r, a in zip(C.tolist(), D, strict=True)
-    ]
     little, one = arb(2) ** -30, eye(n * k)
-    F = inverse_factor(arb_mat(scaled).mid() + one * little).inv().mid()  # F Fᵀ = C, about
+    scaled = in_units(C, [1 / (a * p) for a in rows for p in columns])
+    F = inverse_factor(scaled.mid() + one * little).inv().mid()  # F Fᵀ is about that
     S, W = one if S is None else S + one * arb(2) ** -4, eye(n)
     for _ in range(rounds):
         G = (F * S * F.transpose()).mid()
@@ -320,10 +329,7 @@ def covered(C, n, k, S, rounds):
         S = (S * (n * k / sum((S[i, i] for i in range(n * k)), arb(0)))).mid()
         S = ((S + S.transpose()) * arb(0.5)).mid()
     W = W * size_of(M) * (1 + arb(2) ** -20)
-    scale = lambda Q, u: arb_mat(
-        [[x * a * b for x, b in zip(r, u, strict=True)] for r, a in zip(Q.tolist(), u, strict=True)]
-    )  # noqa: E731, E501
-    W, X = scale(W, rows).mid(), scale(X, columns).mid()
+    W, X = in_units(W, rows).mid(), in_units(X, columns).mid()
     W, X = ((Q + Q.transpose()) * arb(0.5) for Q in (W, X))
     need(positive(kronecker(W, X) - C)[1] < 1, "the ellipsoid was not enclosed")
     return W, X, S

@@ -43,7 +43,7 @@ def by_the_package(path):
 
 def test_the_verifier_is_one_short_file_that_imports_python_and_flint_alone():
     text = VERIFY.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 920
+    assert len(text.splitlines()) <= 950
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

@@ -100,9 +100,10 @@ def certify(
         N₀ + T/τ_a switches, at most one per period.
     delays : (low, high), optional
         A range of the plant's true delay, in seconds, within which it is constant; by default the
-        plant's delay, or delays, and of an uncertain plant their intervals. The law's table stays what it is. low and high may be all that
-        `SwitchedSystem` takes as delays: then every input's delay in every mode is any value
-        between its own two, whatever the others are. Each range lies in one period.
+        plant's delay, or delays, and of an uncertain plant their intervals. The law's table stays
+        what it is. low and high may be all that `SwitchedSystem` takes as delays: then every
+        input's delay in every mode is any value between its own two, whatever the others are. Each
+        range lies in one period.
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.

@@ -1,4 +1,4 @@
-"""The plants that a certificate is asked about: one, a polytope or an ellipsoid, and their delays."""
+"""The plants that a certificate is asked about: one, a polytope or an ellipsoid; and delays."""
 
 from __future__ import annotations
 

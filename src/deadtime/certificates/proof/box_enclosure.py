@@ -16,6 +16,13 @@ import numpy as np
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, Clock, Interval, Piece, U
+from deadtime.certificates.proof.ellipsoid import (
+    along_axes,
+    entries_of,
+    radius_of,
+    swelled,
+    unit_matrices,
+)
 from deadtime.certificates.proof.enclosure import (
     Cell,
     Enclosure,
@@ -24,13 +31,6 @@ from deadtime.certificates.proof.enclosure import (
     frechet,
     hull_of,
     product_of,
-)
-from deadtime.certificates.proof.ellipsoid import (
-    along_axes,
-    entries_of,
-    radius_of,
-    swelled,
-    unit_matrices,
 )
 
 

@@ -10,8 +10,8 @@ As a function of E the form is concave where the block ww_xx of E is ⪯ 0, so i
 the t is at a corner; there R changes it by at most |2 (R L Wᵀ)ᵀ (wv + ww Δ)_x Wᵀ + …| in units
 W in which it is about I. Where ww_xx is not ⪯ 0 the D_k count as part of R.
 
-Of an ellipsoid of plants E has q = δE y beside: what `ellipsoid` proves of it, yᵀ X y − qᵀ W⁻¹ q ≥ 0,
-is subtracted λ times (the S-procedure), and the form in (v, q) has to be ≻ 0. The least value over z
+An ellipsoid of plants adds q = δE y: what `ellipsoid` proves of it, yᵀ X y − qᵀ W⁻¹ q ≥ 0, is
+subtracted λ times (the S-procedure), and the form in (v, q) has to be ≻ 0. The least value over z
 of a form that is concave in E is concave in E, so corners in the t still decide.
 """
 
@@ -150,7 +150,7 @@ def swaying(form: Form, Delta: Any, sway: Sway) -> tuple[Form, Any] | None:
 
     Where vᵀ(form) v > 0 for all q with yᵀ X y − qᵀ W⁻¹ q ≥ 0, it is for every plant.
     """
-    from flint import arb, arb_mat
+    from flint import arb
 
     n, v, w = form.E.nrows(), form.vv.nrows(), form.ww.nrows()
     unit = balls.exact(np.eye(w, n))

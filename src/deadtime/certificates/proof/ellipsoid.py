@@ -11,8 +11,8 @@ with every entry in its range Â ± (Σ_i axes_i²)^½. So δE = Σ z_i middle(L
     (ηᵀ δE y)² ≤ (1 + ε) Σ_i (ηᵀ L_i y)² + (1 + 1/ε) n k Σ_ab η_a² r_ab² y_b² = (η ⊗ y)ᵀ C (η ⊗ y),
     C = (1 + ε) Σ_i vec L_i vec L_iᵀ + (1 + 1/ε) n k diag r².
 
-With any W (n, n) and X (k, k) such that W ⊗ X ⪰ C this is at most (ηᵀ W η) (yᵀ X y): q = δE y, which
-is all that a quadratic form asks of δE, obeys yᵀ X y − qᵀ W⁻¹ q ≥ 0. That is one quadratic
+With any W (n, n) and X (k, k) such that W ⊗ X ⪰ C this is at most (ηᵀ W η) (yᵀ X y): q = δE y,
+which is all that a quadratic form asks of δE, obeys yᵀ X y − qᵀ W⁻¹ q ≥ 0. That is one quadratic
 inequality, however many axes there are. For least squares on measured states Σ_i vec L_i vec L_iᵀ
 is about a Kronecker product, and little is lost.
 """
