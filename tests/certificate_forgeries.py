@@ -132,7 +132,7 @@ FALSE = [
     ("stretches-range", put("plant.delays", [0.1, 0.3])),
     *(("ellipsoid", entries("plant.axes", lambda L, s=s: s * L)) for s in (8.0, 30.0, 1e6)),
     ("ellipsoid", entries("plant.axes", lambda L: L + 0.3)),  # another covariance
-    ("ellipsoid", nested("plant.A", lambda A: 0.7 * A)),
+    ("ellipsoid", nested("plant.A", lambda A: -A)),
     ("ellipsoid-range", entries("plant.axes", lambda L: 30.0 * L)),
     ("ellipsoid-ranges", entries("plant.axes", lambda L: 30.0 * L)),
     ("stretches-ellipsoid", entries("plant.axes", lambda L: 8.0 * L)),

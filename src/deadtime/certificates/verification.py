@@ -228,10 +228,8 @@ def verify(
         if value is not None and not np.iterable(value):
             positive(name, value)
     step = None if step is None else positive("step", step)
-    for name, value, kind in (
-        ("plant", plant, (SwitchedSystem, UncertainPlant)),
-        ("law", law, Law),
-    ):
+    middle = plant.plant if isinstance(plant, UncertainPlant) else plant
+    for name, value, kind in (("plant", middle, SwitchedSystem), ("law", law, Law)):
         if value is not None:
             instance(name, value, kind)
     chatter = None if chatter is None else count("chatter", chatter)

@@ -217,11 +217,10 @@ def verify(
 
     matches = None
     if problem is None:
-        if law is not None or uncertain:
-            name, what = ("law", "a law of") if law is not None else ("uncertain", "")
-            raise ArgumentError(
-                f"--{name} must come with --problem: which plant is it{f' {what}' * bool(what)}?"
-            )
+        if law is not None:
+            raise ArgumentError("--law must come with --problem: which plant is it a law of?")
+        if uncertain:
+            raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
         times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
         least, most = (one_or_all(one) for one in times)
         result = check(
@@ -351,19 +350,6 @@ def _save(judged: list[Judged], out: Path) -> list[Path]:
     return saved
 
 
-def _plants(problem: Problem, uncertain: bool) -> list[str]:
-    """Which plants an answer is about, where the file leaves some open."""
-    if problem.uncertain is None:
-        return []
-    if uncertain:
-        return [
-            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in theirs."
-        ]
-    return [
-        "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
-    ]
-
-
 def _print_judged(
     problem: Problem,
     judged: list[Judged],
@@ -380,6 +366,7 @@ def _print_judged(
         certificate_rows,
         certificate_sentences,
         left_out,
+        plants_in_words,
     )
 
     console, (step, lag, lost) = Terminal(), sampled
@@ -392,7 +379,7 @@ def _print_judged(
         f"sampling period {step:g} s{late}.",
         markup=False,
     )
-    for sentence in (*_plants(problem, uncertain), *left_out(problem)):
+    for sentence in (*plants_in_words(problem, uncertain), *left_out(problem)):
         console.print(sentence, markup=False)
     console.print()
     print_table(HEADINGS, certificate_rows(judged))

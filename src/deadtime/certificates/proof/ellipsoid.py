@@ -91,13 +91,18 @@ class Sway:
         from flint import arb
 
         middle, radius = balls.split(columns)
+        if not (np.isfinite(middle).all() and np.isfinite(radius).all()):
+            return None  # the ellipsoid is too wide to be enclosed
         rest = radius_of(radius.T) * np.sqrt(len(middle)) * (1.0 + 1e-12)
         sizes = [balls.norm_above(np.abs(each)) for each in (middle, rest)]
         part = float(np.clip(sizes[1] / max(sizes[0], 1e-300), 1e-9, 1.0))
         L = np.concatenate(
             (np.sqrt(1.0 + part) * middle, np.sqrt(1.0 + 1.0 / part) * np.diag(rest)), 1
         )
-        W, X = kronecker(L.reshape(n, -1, L.shape[1]))
+        try:
+            W, X = kronecker(L.reshape(n, -1, L.shape[1]))
+        except np.linalg.LinAlgError:
+            return None
         C, D = balls.exact(middle), balls.exact(np.diag(rest))
         C, D = C * C.transpose() * (1 + arb(part)), D * D * (1 + 1 / arb(part))
         return cls(W, X) if congruent(_product(W, X) - C - D) is not None else None
@@ -168,8 +173,9 @@ def weight_of(form: np.ndarray, y: np.ndarray, W: np.ndarray, X: np.ndarray) -> 
     `form` is one in (v, q), y = `y` v. Its margin is that of what is left of it when q is
     eliminated, in units in which the form in v alone is I: concave in λ.
     """
-    v, w = y.shape[1], np.linalg.cholesky(W)
+    v = y.shape[1]
     try:
+        w = np.linalg.cholesky(W)
         T = np.linalg.inv(np.linalg.cholesky(form[:v, :v]))
     except np.linalg.LinAlgError:
         return None

@@ -172,6 +172,19 @@ def uncertain_plant(problem: Problem) -> UncertainPlant:
     return problem.uncertain
 
 
+def plants_in_words(problem: Problem, uncertain: bool) -> list[str]:
+    """Which plants an answer is about, where the file leaves some open."""
+    if problem.uncertain is None:
+        return []
+    if uncertain:
+        return [
+            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in theirs."
+        ]
+    return [
+        "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
+    ]
+
+
 def _judge(
     problem: Problem,
     name: str,
