@@ -897,6 +897,7 @@ def summary(c):
     D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
+    plant += f" in an ellipsoid of {len(c.axes)} axes" * (len(c.axes) > 0)
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
     kept = f", {c.q} remembered" * (c.q > 0)
     rows = f"rows by {c.context}" + f" of {c.lag} periods ago" * (c.lag > 0)

@@ -186,7 +186,8 @@ def verify(
     path : path
         The JSON file that `Certificate.save` wrote.
     plant : SwitchedSystem or UncertainPlant, optional
-        The plant; of a polytope, one of its corners.
+        The plant; of a polytope, one of its corners, of an ellipsoid its middle. An uncertain one
+        asks for its ellipsoid of 95 % and the intervals of its delays.
     law : Law, optional
         The law whose table it is.
     step : float, optional
