@@ -15,13 +15,13 @@ others the filter carries them (`noisy_even`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
@@ -30,8 +30,10 @@ from deadtime.identification.noisy_even import (
     acting_evenly,
     evaluate_evenly,
     moved_evenly,
+    of_free,
     tables_of,
 )
+from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
@@ -55,7 +57,8 @@ class NoisyLog(Frozen):
     """The likelihood of a recording with measurement noise.
 
     Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
-    diagonal, and those of the sensors' standard deviations.
+    diagonal, and those of the sensors' standard deviations. With an `embedding` the states are those
+    that outputs alone have, and some of the vector is known.
     """
 
     recording: Recording
@@ -65,6 +68,7 @@ class NoisyLog(Frozen):
     bounds: tuple[float, float]
     unit: Float[np.ndarray, " size"]
     nodes: Float[np.ndarray, " node"]
+    embedding: Embedding | None = None
     _acting: dict[tuple[int, bytes], Acting] = field(default_factory=dict, repr=False)
 
     @property
@@ -73,9 +77,29 @@ class NoisyLog(Frozen):
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         i, j = self.places
         at = self.layout.size + np.append(np.flatnonzero(i == j), i.size + np.arange(len(self.C)))
-        size = 0.5 * np.log(self.P0[0, 0] / _VAGUE)
+        size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)
+        size = np.append(size, 0.5 * np.log(np.diagonal(self.C @ self.P0 @ self.C.T) / _VAGUE))
         low[at], high[at] = size - np.log(1e6), size + np.log(1e6)
+        if self.embedding is not None:
+            places, values = self.embedding.known(self.layout)
+            low[places], high[places] = values, values
         return low, high
+
+    @cached_property
+    def free(self) -> Int[np.ndarray, " free"]:
+        """The places of the vector that are unknown."""
+        free = np.arange(self.size)
+        if self.embedding is not None:
+            free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
+        return read_only(free)
+
+    def initial(self, starts: list[np.ndarray]) -> list[Bool[np.ndarray, "sample p"]]:
+        """The measurements of every part that are left out: see `Embedding.initial`."""
+        parts = self.recording.parts
+        if self.embedding is None:
+            return [np.zeros(part.output.shape, bool) for part in parts]
+        given = zip(parts, starts, strict=True)
+        return [self.embedding.initial(part.output, start) for part, start in given]
 
     def starts(self, low: float, high: float) -> list[Bool[np.ndarray, " sample"]]:
         """The samples before which nothing is known, for delays between two; of every part."""
@@ -91,6 +115,8 @@ class NoisyLog(Frozen):
     @cached_property
     def P0(self) -> Float[np.ndarray, "n n"]:
         """Of a state of which nothing is known."""
+        if self.embedding is not None:
+            return read_only(_VAGUE * np.diag(self.embedding.size**2))
         known = np.vstack([part.output for part in self.recording.parts])
         size = float(np.nanmean(known**2) / np.mean((self.C**2).sum(axis=1)))
         return read_only(_VAGUE * size * np.eye(self.layout.n))
@@ -129,8 +155,20 @@ class NoisyLog(Frozen):
         self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
+        errors = []
+        given = zip(self.filters(vector, starts), self.initial(starts), strict=True)
+        for one, initial in given:
+            e, s = np.empty(one[0].shape), np.empty(one[0].shape)
+            innovations(*map(np.ascontiguousarray, one), e, s)
+            errors.append((np.where(initial, 0.0, e), np.where(initial, 1.0, s)))
+        return np.vstack([e for e, _ in errors]), np.vstack([s for _, s in errors])
+
+    def filters(
+        self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
+    ) -> Iterator[tuple[np.ndarray, ...]]:
+        """What `filter_kernel.innovations` takes of every part, from y to P0."""
         A, B, delays = self.layout.split(vector[: self.layout.size])
-        noise, errors = self.noise(vector), []
+        noise = self.noise(vector)
         Phi_at, W_at = plain_transitions(A, self.nodes)
         forced, zero, P0 = W_at @ B[:, None], np.zeros(self.layout.n), self.P0
         for number, start in enumerate(starts):
@@ -145,11 +183,7 @@ class NoisyLog(Frozen):
                     own = np.flatnonzero(part.mode[k] == i)
                     moved[k[own] + 1] = np.tensordot(held[own], forced[i], axes=([1, 2], [0, 2]))
             kind, Phi, Q = self._kinds(part, k, A, Phi_at, noise.W)
-            e, s = np.empty(part.output.shape), np.empty(part.output.shape)
-            given = part.output, start, kind, Phi, moved, Q, self.C, noise.deviation**2, zero, P0
-            innovations(*map(np.ascontiguousarray, given), e, s)
-            errors.append((e, s))
-        return np.vstack([e for e, _ in errors]), np.vstack([s for _, s in errors])
+            yield part.output, start, kind, Phi, moved, Q, self.C, noise.deviation**2, zero, P0
 
     def _held(self, number: int, start: np.ndarray, delays: np.ndarray) -> np.ndarray:
         """`Acting.held` of a part; those of the last few delays are kept."""
@@ -183,21 +217,25 @@ class NoisyLog(Frozen):
 
     def value(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> float:
         """The log likelihood."""
-        return self._value(*self.innovations(vector, starts))
+        return self._value(*self.innovations(vector, starts), self.measured(starts))
 
-    def _value(self, e: np.ndarray, s: np.ndarray) -> float:
-        measured = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
+    def measured(self, starts: list[np.ndarray]) -> int:
+        """How many measurements the likelihood is of."""
+        every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
+        return every - sum(int(one.sum()) for one in self.initial(starts))
+
+    def _value(self, e: np.ndarray, s: np.ndarray, measured: int) -> float:
         return float(-0.5 * ((np.log(s) + e * e / s).sum() + measured * np.log(2.0 * np.pi)))
 
     def evaluate(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> Evaluation:
         """The log likelihood, its score and information."""
         with np.errstate(all="ignore"):
             e, s = self.innovations(vector, starts)
-            value = self._value(e, s)
+            value = self._value(e, s, self.measured(starts))
             if not np.isfinite(value) or s.min() <= 0.0:
                 return Evaluation(-np.inf, np.zeros(vector.size), np.eye(vector.size))
-            by_e, by_s = np.empty((2, vector.size, e.size))
-            for a in range(vector.size):
+            by_e, by_s = np.zeros((2, vector.size, e.size))
+            for a in self.free.tolist():
                 step = np.zeros(vector.size)
                 step[a] = _SMALL * self.unit[a]
                 up = self.innovations(vector + step, starts)
@@ -214,12 +252,12 @@ class NoisyLog(Frozen):
         starts = self.starts(low, high)
         if not self.recording.even:
             return lambda _: lambda vector: self.evaluate(vector, starts)
-        parts = self.recording.parts
+        parts, left_out = self.recording.parts, self.initial(starts)
 
         def within(cells: np.ndarray) -> Evaluate:
             own = self.layout.spread(cells)
             acting = [acting_evenly(part, own) for part in parts]
-            return lambda vector: self._evaluate_evenly(vector, starts, own, acting)
+            return lambda vector: self._evaluate_evenly(vector, starts, left_out, own, acting)
 
         return within
 
@@ -227,6 +265,7 @@ class NoisyLog(Frozen):
         self,
         vector: Float[np.ndarray, " size"],
         starts: list[np.ndarray],
+        left_out: list[np.ndarray],
         cells: np.ndarray,
         acting: list[np.ndarray],
     ) -> Evaluation:
@@ -235,7 +274,11 @@ class NoisyLog(Frozen):
         deviation, given = self.noise(vector).deviation, (self.recording.step, len(self.C))
         with np.errstate(all="ignore"):
             tables = tables_of(self.layout, theta, self.root(vector), cells, *given)
+            tables = of_free(tables, self.free)
             if not all(np.isfinite(table).all() for table in tables):
                 return Evaluation(-np.inf, np.zeros(vector.size), np.eye(vector.size))
             R = deviation**2
-            return evaluate_evenly(parts, starts, acting, tables, self.C, R, self.P0)
+            own = evaluate_evenly(parts, starts, left_out, acting, tables, self.C, R, self.P0)
+        score, F = np.zeros(vector.size), np.zeros((vector.size, vector.size))
+        score[self.free], F[np.ix_(self.free, self.free)] = own.score, own.information
+        return Evaluation(own.value, score, F)

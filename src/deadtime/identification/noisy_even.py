@@ -101,23 +101,42 @@ def tables_of(
     return Tables(P[:, :, :n].copy(), P[:, :, n:].copy(), Q, moved, own, wide, of_Q)
 
 
+def of_free(tables: Tables, free: Int[np.ndarray, " free"]) -> Tables:
+    """The tables of the unknowns `free` alone, numbered as they are in it; sensors are all free."""
+    kept, wide = np.isin(tables.own, free), np.isin(tables.wide, free)
+    if kept.all() and wide.all():
+        return tables
+    own = np.array([one[keep] for one, keep in zip(tables.own, kept, strict=True)])
+    moved = np.array([one[keep] for one, keep in zip(tables.moved, kept, strict=True)])
+    return tables._replace(
+        moved=moved,
+        own=np.searchsorted(free, own),
+        wide=np.searchsorted(free, tables.wide[wide]),
+        of_Q=tables.of_Q[:, wide],
+    )
+
+
 def evaluate_evenly(
     parts: tuple[Part, ...],
     starts: list[Bool[np.ndarray, " sample"]],
+    left_out: list[Bool[np.ndarray, "sample p"]],
     acting: list[Float[np.ndarray, "sample r"]],
     tables: Tables,
     C: Float[np.ndarray, "p n"],
     R: Float[np.ndarray, " p"],
     P0: Float[np.ndarray, "n n"],
 ) -> Evaluation:
-    """The log likelihood, its score and information, over all unknowns."""
+    """The log likelihood, its score and information, over all unknowns of the tables.
+
+    left_out : measurements that tell where the state begins, and count for nothing else
+    """
     n, q, p = len(P0), tables.wide.size, len(C)
     size = int(tables.wide[-1]) + 1
     of_R = np.zeros((q, p))
     of_R[q - p :] = np.diag(2.0 * R)
     value, score, F = 0.0, np.zeros(size), np.zeros((size, size))
     fixed = tuple(map(np.ascontiguousarray, (*tables[:3], C, R, *tables[3:], of_R, P0)))
-    for part, start, z in zip(parts, starts, acting, strict=True):
+    for part, start, out_of_it, z in zip(parts, starts, left_out, acting, strict=True):
         kind = np.concatenate((part.mode[:1], part.mode[:-1]))
         now = np.zeros(n), np.zeros((n, n)), np.zeros((size, n)), np.zeros((q, n, n))
         for first in range(0, start.size, _BLOCK):
@@ -125,12 +144,14 @@ def evaluate_evenly(
             count = start[at].size
             out = tuple(np.empty((count, p, *more)) for more in ((), (), (size,), (q,)))
             tangents(part.output[at], start[at], kind[at], z[at], *fixed, now, out)
+            for one, nothing in zip(out, (0.0, 1.0, 0.0, 0.0), strict=True):
+                one[out_of_it[at]] = nothing
             e, s = out[0].ravel(), out[1].ravel()
             if not (s.min() > 0.0 and np.isfinite(s).all() and np.isfinite(e).all()):
                 return Evaluation(-np.inf, score, np.eye(size))
             by_e = out[2].reshape(-1, size) / np.sqrt(s)[:, None]
             by_s = out[3].reshape(-1, q) / s[:, None]
-            known = np.count_nonzero(np.isfinite(part.output[at]))
+            known = np.count_nonzero(np.isfinite(part.output[at]) & ~out_of_it[at])
             value -= 0.5 * (float((np.log(s) + e * e / s).sum()) + known * np.log(2.0 * np.pi))
             score -= by_e.T @ (e / np.sqrt(s))
             score[tables.wide] += by_s.T @ (0.5 * (e * e / s - 1.0))

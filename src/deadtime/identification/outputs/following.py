@@ -1,0 +1,57 @@
+"""How a plant that was found from outputs alone follows a log: its states, and what it foretells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.identification.noise import stretches
+from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.outputs.smoother import Model, filtered, smoothed
+from deadtime.identification.recording import Part
+
+_MOST = 10_000  # samples of a long log whose states are looked at
+
+
+class Following(NamedTuple):
+    """States of every sample of a part: given all of it, all before, and the first one alone."""
+
+    states: Float[np.ndarray, "sample n"]
+    ahead: Float[np.ndarray, "sample n"]
+    free: Float[np.ndarray, "sample n"]
+
+
+def following(
+    log: NoisyLog,
+    vector: Float[np.ndarray, " size"],
+    part: Part,
+    window: tuple[float, float],
+) -> Following:
+    """States of a part by the likeliest plant; NaN where they are not known yet."""
+    own = replace(log, recording=log.recording._replace(parts=(part,)), _acting={})
+    starts = own.starts(*window)
+    output, start, kind, Phi, moved, Q, C, R, _, P0 = next(own.filters(vector, starts))
+    found = filtered(output, start, kind, moved, model := Model(Phi, Q, C, R, P0))
+    states = smoothed(found, start, kind, model)
+    known = np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n
+    ahead = np.where(known[:, None] & ~start[:, None], found.state, np.nan)
+    free = np.full(states.shape, np.nan)
+    for k in np.flatnonzero(~start).tolist():
+        before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]
+        free[k] = Phi[kind[k]] @ before + moved[k]
+    return Following(states, ahead, free)
+
+
+def largest_of(
+    log: NoisyLog, vector: Float[np.ndarray, " size"], window: tuple[float, float]
+) -> Float[np.ndarray, " n"]:
+    """The largest |x| of every state; of a long log in stretches from all over it."""
+    lag = int(np.ceil(window[1] / log.recording.step)) + 1
+    parts = stretches(log.recording, _MOST, lag).parts
+    every = [following(log, vector, part, window) for part in parts]
+    lost = [~np.isfinite(one.ahead) for one in every]
+    size = [np.where(gone, 0.0, one.states) for one, gone in zip(every, lost, strict=True)]
+    return np.abs(np.vstack(size)).max(axis=0)

@@ -1,0 +1,151 @@
+"""`identify` from outputs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import instance
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.cells import cells_of
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.logged_modes import fit_switching
+from deadtime.identification.maximum import maximise
+from deadtime.identification.noise import estimated_of, stretches
+from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.outputs.embedding import Embedding
+from deadtime.identification.outputs.request import order_of, state_names
+from deadtime.identification.outputs.start import Guess, Scanned, guess_of, scanned
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Recording
+from deadtime.identification.scoring import Maximum
+from deadtime.identification.start import Start
+from deadtime.identification.uneven import nodes_for, on_a_grid
+from deadtime.numerics.kernels import expect_many_calls
+from deadtime.switching import SemiMarkov
+
+_FEW = 4_000  # samples that tell where to begin
+_ROUNDS = 3  # of scans, each about the likeliest plant so far
+_CHANCE = 1e-3  # that inputs seem to act on all states though they do not
+
+
+class FromOutputs(NamedTuple):
+    """What `Identification.of` takes."""
+
+    estimate: Estimate
+    recording: Recording
+    model: SemiMarkov | None
+    why: str
+    C: Float[np.ndarray, "p n"]
+    states: tuple[str, ...]
+
+
+def identify_outputs(
+    recording: Recording,
+    order: int | Sequence[int],
+    zeros: bool | None,
+    per_mode: bool,
+    bounds: tuple[float, float],
+    within: bool,
+) -> FromOutputs:
+    """The likeliest plant with so many states of each output."""
+    given = order_of(order, recording.outputs)
+    _require_moving(recording)
+    layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode)
+    found = estimate_from_outputs(recording, layout, given, zeros, bounds, within)
+    instance("log", found.log, NoisyLog)
+    shape = found.log.embedding  # pyright: ignore[reportAttributeAccessIssue]
+    names = state_names(recording.outputs, given, shape.zeros)
+    return FromOutputs(found, recording, *fit_switching(recording), shape.C, names)
+
+
+def _require_moving(recording: Recording) -> None:
+    """Refuse outputs that never move."""
+    every = np.vstack([part.output for part in recording.parts])
+    for name, column in zip(recording.outputs, every.T, strict=True):
+        known = column[np.isfinite(column)]
+        if not known.size or np.ptp(known) == 0.0:
+            raise ArgumentError(
+                f"{name} must move, got {known[0] if known.size else 'nothing'} throughout: leave "
+                "it out by outputs=[…]."
+            )
+
+
+def estimate_from_outputs(
+    recording: Recording,
+    layout: Layout,
+    order: tuple[int, ...],
+    zeros: bool | None,
+    bounds: tuple[float, float],
+    within: bool,
+) -> Estimate:
+    """The likeliest plant with the states of `order`; zeros None: where the log asks for them."""
+    from scipy.stats import chi2
+
+    expect_many_calls()
+    grid = recording
+    if not recording.even:
+        parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
+        grid = recording._replace(parts=parts, even=True)
+    lag = int(np.ceil(bounds[1] / recording.step)) + 1
+    guess = guess_of(grid, layout, order, bounds, within)
+    shape = Embedding(order, zeros is True, guess.size)
+    noises = layout.n * (layout.n + 1) // 2 + len(order)
+    unit = np.concatenate((_units(layout, guess), np.ones(noises)))
+    nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
+    log = NoisyLog(recording, layout, shape.C, within, bounds, unit, nodes, shape)
+    some = replace(log, recording=stretches(grid, _FEW, lag), _acting={})
+    begins = [log.join(guess.theta, noise) for noise in guess.noise]
+    best, scan = _begun(some, begins)
+    if zeros is None and shape.upper.size:
+        wider = replace(some, embedding=replace(shape, zeros=True), _acting={})
+        other = _begun(wider, [best.theta])
+        rise = 2.0 * (other[0].found.value - best.found.value)
+        if rise > float(chi2.isf(_CHANCE, wider.free.size - some.free.size)):
+            log, (best, scan) = replace(log, embedding=wider.embedding, _acting={}), other
+    top, window = maximise(log, best.theta)
+    start = Start(top.theta[: layout.size], scan.cells, scan.first, scan.curves)
+    return estimated_of(log, top, window, start)
+
+
+def _units(layout: Layout, guess: Guess) -> np.ndarray:
+    """How large a change of each unknown is small, for differences."""
+    size = guess.size
+    A = np.tile(size[:, None] / size, (layout.modes, 1, 1))
+    B = np.tile(size[:, None], (layout.modes, 1, layout.m))
+    return 0.1 * layout.join(A, B, np.full((layout.modes, layout.m), 0.1))
+
+
+def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
+    """The likeliest plant that scans of all delays lead to, and the last scan."""
+    layout, shape = log.layout, log.embedding
+    assert shape is not None
+    rows = np.arange(layout.n) if shape.zeros else shape.last
+    best, scan = None, None
+    for begin in begins:
+        scan = scanned(log, begin, rows)
+        found = _from(log, begin, scan)
+        if best is None or found.found.value > best.found.value:
+            best = found
+    assert best is not None
+    for _ in range(_ROUNDS):
+        scan = scanned(log, best.theta, rows)
+        if (scan.cells == cells_of(best.theta[layout.at_delays], log.recording.step)).all():
+            break
+        found = _from(log, best.theta, scan)
+        if found.found.value < best.found.value + 0.1:
+            break
+        best = found
+    assert scan is not None
+    return best, scan
+
+
+def _from(log: NoisyLog, vector: np.ndarray, scan: Scanned) -> Maximum:
+    """The maximum that a scan leads to, over the whole range of delays."""
+    theta = vector.copy()
+    theta[: log.layout.size] = scan.theta
+    return maximise(log, theta, window=log.bounds)[0]
