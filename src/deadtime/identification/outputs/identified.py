@@ -30,6 +30,7 @@ from deadtime.switching import SemiMarkov
 
 _FEW = 4_000  # samples that tell where to begin
 _ROUNDS = 3  # of scans, each about the likeliest plant so far
+_BETTER = 0.1  # of log likelihood: cells that are worth going to
 _CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
 
@@ -103,12 +104,12 @@ def estimate_from_outputs(
     best, scan = _begun(some, begins)
     if zeros is None and shape.upper.size:
         wider = replace(some, embedding=replace(shape, zeros=True), _acting={})
-        other = _begun(wider, [best.theta])
+        other = _begun(wider, [*begins, best.theta])
         rise = 2.0 * (other[0].found.value - best.found.value)
         if rise > float(chi2.isf(_CHANCE, wider.free.size - some.free.size)):
             log, (best, scan) = replace(log, embedding=wider.embedding, _acting={}), other
     top, window = maximise(log, best.theta)
-    start = Start(top.theta[: layout.size], scan.cells, scan.first, scan.curves)
+    start = Start(top.theta[: layout.size], cells_of(top.theta[layout.at_delays], recording.step), scan.first, scan.curves)
     return estimated_of(log, top, window, start)
 
 
@@ -122,22 +123,20 @@ def _units(layout: Layout, guess: Guess) -> np.ndarray:
 
 def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
     """The likeliest plant that scans of all delays lead to, and the last scan."""
-    layout, shape = log.layout, log.embedding
-    assert shape is not None
-    rows = np.arange(layout.n) if shape.zeros else shape.last
+    place = log.layout.at_delays
     best, scan = None, None
     for begin in begins:
-        scan = scanned(log, begin, rows)
+        scan = scanned(log, begin)
         found = _from(log, begin, scan)
         if best is None or found.found.value > best.found.value:
             best = found
     assert best is not None
     for _ in range(_ROUNDS):
-        scan = scanned(log, best.theta, rows)
-        if (scan.cells == cells_of(best.theta[layout.at_delays], log.recording.step)).all():
+        scan = scanned(log, best.theta)
+        if np.abs(scan.theta[place] - best.theta[place]).max() < log.recording.step:
             break
         found = _from(log, best.theta, scan)
-        if found.found.value < best.found.value + 0.1:
+        if found.found.value < best.found.value + _BETTER:
             break
         best = found
     assert scan is not None

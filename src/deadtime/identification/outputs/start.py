@@ -1,19 +1,17 @@
 """Where to begin from outputs alone: derivatives by a smoother, then a scan of all delays.
 
 With A, W and V as they are, errors of the filter are linear in what inputs add, and a delay of N
-periods takes the column of u_{k−N}; one between N − 1 and N both columns. So every cell of a delay
-is a linear regression, of B alone, over the whole log.
+periods takes the column of u_{k−N}; one between N − 1 and N nearly a mean of two columns. So every
+delay is a linear regression, of B alone, over the whole log.
 """
 
 from __future__ import annotations
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.outputs.derivatives import Derivatives, derivatives_of
 from deadtime.identification.outputs.embedding import Embedding
@@ -23,7 +21,8 @@ from deadtime.identification.recording import Recording
 from deadtime.identification.start import cell_range, start_of
 from deadtime.identification.transition import transitions_of
 
-_ALL = 2000  # combinations of cells that are all tried
+_PARTS = 4  # of a period: delays that are tried
+_SWEEPS = 4  # over all delays, each in turn
 
 
 class Guess(NamedTuple):
@@ -68,32 +67,29 @@ def _noises(found: Derivatives, shape: Embedding, step: float) -> tuple[Noise, .
 
 
 class Scanned(NamedTuple):
-    """The likeliest cells, what each delay's others would be like, and the plant there."""
+    """The likeliest plant, and how likely each cell of a delay is beside it, from `first` on."""
 
-    cells: Int[np.ndarray, " delay"]
+    theta: Float[np.ndarray, " size"]
     first: int
     curves: Float[np.ndarray, "delay cell"]
-    theta: Float[np.ndarray, " size"]
 
 
-def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"], rows: np.ndarray) -> Scanned:
-    """All cells of all delays of an even log, A and noise as they are in `vector`.
-
-    rows : the states that inputs act on
-    """
-    layout, h = log.layout, log.recording.step
+def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
+    """All delays of an even log, A and noise as they are in `vector`."""
+    layout, h, shape = log.layout, log.recording.step, log.embedding
+    assert shape is not None
+    rows = np.arange(layout.n) if shape.zeros else shape.last
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
-    scan = _Scan(_gram(log, vector, rows, lags), layout, rows.size, lags)
-    own = cells_of(vector[layout.at_delays], h)
-    cells, curves = scan.best(np.clip(own, first, last) - first)
-    theta = vector[: layout.size].copy()
-    A, _, _ = layout.split(theta)
-    B, D = scan.plant(cells)
-    full = np.zeros((layout.modes, layout.n, layout.m))
-    full[:, rows] = B
-    delays = layout.spread(h * (cells + first) - h * D)
-    return Scanned(cells + first, first, curves, layout.join(A, full, np.clip(delays, *log.bounds)))
+    scan = _Scan(_gram(log, vector, rows, lags), layout, rows.size, lags.size)
+    own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
+    places, curves = scan.best(np.clip(own, 0, scan.options - 1))
+    B = np.zeros((layout.modes, layout.n, layout.m))
+    B[:, rows] = scan.weights(tuple(places.tolist()))[0]
+    D = np.clip(h * (first - 1 + places / _PARTS), *log.bounds)
+    theta = layout.join(layout.split(vector)[0], B, layout.spread(D))
+    inside = [curves[:, a : a + scan.options - _PARTS : _PARTS] for a in range(_PARTS + 1)]
+    return Scanned(theta, first, np.max(inside, axis=0))
 
 
 def _gram(
@@ -119,74 +115,65 @@ def _gram(
 
 
 class _Scan:
-    """Regressions of errors on what two neighbouring lags of every input add."""
+    """Regressions of errors on what every input adds, at so many delays of each.
 
-    def __init__(self, gram: np.ndarray, layout: Layout, rows: int, lags: np.ndarray) -> None:
-        self.layout, self.count = layout, lags.size - 1
-        self.place = 1 + np.arange(layout.modes * rows * lags.size * layout.m).reshape(
-            layout.modes, rows, lags.size, layout.m
+    Between two whole numbers of periods what it adds is taken to lie on a line.
+    """
+
+    def __init__(self, gram: np.ndarray, layout: Layout, rows: int, lags: int) -> None:
+        self.layout, self.rows = layout, rows
+        self.options = (lags - 1) * _PARTS + 1
+        self.place = 1 + np.arange(layout.modes * rows * lags * layout.m).reshape(
+            layout.modes, rows, lags, layout.m
         )
-        unit = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-        self.gram, self.unit = gram / unit / unit[:, None], unit
+        self.gram = gram
 
-    def columns(self, cells: tuple[int | None, ...]) -> np.ndarray:
-        """(modes, rows, m, 2): where the newer and the older sample of each input lie."""
+    def _columns(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Of each mode, row and input that acts, two columns and what they weigh."""
         of = self.layout.spread(np.arange(self.layout.delays))
-        chosen = [
-            self.place[i, :, cells[of[i, j]] + later, j]
-            for i in range(self.layout.modes)
-            for j in range(self.layout.m)
-            if cells[of[i, j]] is not None
-            for later in (0, 1)
-        ]
-        return np.array(chosen)
+        at, weight = [], []
+        for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
+            if (place := places[of[i, j]]) is not None:
+                lag, part = divmod(place, _PARTS)
+                later = min(lag + 1, self.place.shape[2] - 1)
+                at.append((self.place[i, row, lag, j], self.place[i, row, later, j]))
+                weight.append((1.0 - part / _PARTS, part / _PARTS))
+        return np.array(at, int).reshape(-1, 2), np.array(weight).reshape(-1, 2)
 
-    def weights(self, cells: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
-        """What the columns weigh, and how much of the errors' squares is left, of 1."""
-        at = self.columns(cells).ravel()
-        if at.size == 0:
-            return np.zeros(0), 1.0
-        G, b = self.gram[np.ix_(at, at)], self.gram[at, 0]
-        w = np.linalg.lstsq(G, b, rcond=1e-10)[0]
-        return w * self.unit[0] / self.unit[at], max(1.0 - float(b @ w), 1e-15)
+    def weights(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
+        """B (modes, rows, m), and the squares of errors that it explains."""
+        at, share = self._columns(places)
+        if not len(at):
+            return np.zeros(0), 0.0
+        G = np.einsum("ia,jb,iajb->ij", share, share, self.gram[at[:, :, None, None], at])
+        b = np.einsum("ia,ia->i", share, self.gram[at, 0])
+        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G), 1e-300))
+        w = unit * np.linalg.lstsq(G * unit * unit[:, None], b * unit, rcond=1e-10)[0]
+        shape = self.layout.modes, self.rows, -1
+        return w.reshape(shape) if None not in places else w, float(b @ w)
 
-    def likelihood(self, cells: tuple[int | None, ...]) -> float:
-        """Of errors in units of their deviation: half of what is left, below 0."""
-        return -0.5 * self.unit[0] ** 2 * self.weights(cells)[1]
+    def likelihood(self, places: tuple[int | None, ...]) -> float:
+        """Of errors in units of their deviation, but for a constant."""
+        return 0.5 * self.weights(places)[1]
 
     def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The likeliest cells, and each delay's curve beside them."""
-        options, delays = range(self.count), self.layout.delays
-        if self.count**delays <= _ALL:
-            best = max(itertools.product(options, repeat=delays), key=self.likelihood)
-        else:
-            begins = (None,) * delays, tuple(own.tolist())
-            best = max((self._ascended(begin) for begin in begins), key=self.likelihood)
+        """The likeliest delays, and each one's curve beside them."""
+        delays, options = self.layout.delays, range(self.options)
+        begins = (None,) * delays, tuple(own.tolist())
+        best = max((self._ascended(begin) for begin in begins), key=self.likelihood)
         curves = [
             [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
             for d in range(delays)
         ]
         return np.array(best), np.array(curves)
 
-    def _ascended(self, cells: tuple[int | None, ...]) -> tuple[int, ...]:
-        """Cells of which none alone is better elsewhere."""
-        for _ in range(4):
-            before = cells
-            for d in range(len(cells)):
-                tried = [(*cells[:d], c, *cells[d + 1 :]) for c in range(self.count)]
-                cells = max(tried, key=self.likelihood)
-            if cells == before:
+    def _ascended(self, places: tuple[int | None, ...]) -> tuple[int, ...]:
+        """Delays of which none alone is better elsewhere."""
+        for _ in range(_SWEEPS):
+            before = places
+            for d in range(len(places)):
+                tried = [(*places[:d], c, *places[d + 1 :]) for c in range(self.options)]
+                places = max(tried, key=self.likelihood)
+            if places == before:
                 break
-        return cells  # pyright: ignore[reportReturnType]
-
-    def plant(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """B (modes, rows, m), and of each delay the part of a period that it is shorter by."""
-        layout = self.layout
-        w = self.weights(tuple(cells.tolist()))[0].reshape(layout.modes, layout.m, 2, -1)
-        new, whole = w[:, :, 0], w.sum(axis=2)
-        share, size = (new * whole).sum(axis=2), (whole**2).sum(axis=2)
-        part = np.zeros((2, layout.delays))
-        of = layout.spread(np.arange(layout.delays))
-        np.add.at(part[0], of, share)
-        np.add.at(part[1], of, size)
-        return whole.transpose(0, 2, 1), np.clip(part[0] / np.maximum(part[1], 1e-300), 0.02, 0.98)
+        return places  # pyright: ignore[reportReturnType]
