@@ -42,6 +42,7 @@ from deadtime.identification.uneven import Acting, acting_in, fed
 from deadtime.numerics.covariance import noise_covariances
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
+_STRIDE = 1.5  # of a noise's logarithm
 _SMALL = 1e-3  # of a standard error, a step of differences
 
 
@@ -75,8 +76,7 @@ class NoisyLog(Frozen):
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """What bounds unknowns, delays aside: noise is within 1e-12 … 1e6 of what is measured."""
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-        i, j = self.places
-        at = self.layout.size + np.append(np.flatnonzero(i == j), i.size + np.arange(len(self.C)))
+        at = self.logarithms
         size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)
         size = np.append(size, 0.5 * np.log(np.diagonal(self.C @ self.P0 @ self.C.T) / _VAGUE))
         low[at], high[at] = size - np.log(1e6), size + np.log(1e6)
@@ -84,6 +84,20 @@ class NoisyLog(Frozen):
             places, values = self.embedding.known(self.layout)
             low[places], high[places] = values, values
         return low, high
+
+    @property
+    def stride(self) -> Float[np.ndarray, " size"]:
+        """The longest step of each unknown: a noise that is next to nothing has no curvature."""
+        stride = np.full(self.size, np.inf)
+        stride[self.logarithms] = _STRIDE
+        return stride
+
+    @property
+    def logarithms(self) -> Int[np.ndarray, " log"]:
+        """Where logarithms lie: of the diagonal of L, and of the sensors' deviations."""
+        i, j = self.places
+        at = np.append(np.flatnonzero(i == j), i.size + np.arange(len(self.C)))
+        return self.layout.size + at
 
     @cached_property
     def free(self) -> Int[np.ndarray, " free"]:

@@ -74,7 +74,7 @@ class Embedding(Frozen):
     def initial(
         self, output: Float[np.ndarray, "sample p"], start: Bool[np.ndarray, " sample"]
     ) -> Bool[np.ndarray, "sample p"]:
-        """The measurements that only tell where the state begins: n_j of output j after each start.
+        """The measurements that only tell where the state begins: until output j has n_j of them.
 
         They are left out of the likelihood, which is that of all others given these: how vague the
         state is at a start then does not matter, nor does it depend on the states' coordinates.
@@ -82,4 +82,5 @@ class Embedding(Frozen):
         measured = np.isfinite(output)
         before = np.cumsum(measured, axis=0) - measured
         latest = np.maximum.accumulate(np.where(start, np.arange(start.size), 0))
-        return measured & (before - before[latest] < np.array(self.order))
+        few = (before - before[latest] < np.array(self.order)).any(axis=1)
+        return measured & few[:, None]

@@ -17,7 +17,10 @@ _MOST = 10_000  # samples of a long log whose states are looked at
 
 
 class Following(NamedTuple):
-    """States of every sample of a part: given all of it, all before, and the first one alone."""
+    """States of every sample of a part: given all of it, all before, and the first one alone.
+
+    NaN where they are not known yet.
+    """
 
     states: Float[np.ndarray, "sample n"]
     ahead: Float[np.ndarray, "sample n"]
@@ -30,19 +33,19 @@ def following(
     part: Part,
     window: tuple[float, float],
 ) -> Following:
-    """States of a part by the likeliest plant; NaN where they are not known yet."""
+    """States of a part by the likeliest plant."""
     own = replace(log, recording=log.recording._replace(parts=(part,)), _acting={})
     starts = own.starts(*window)
     output, start, kind, Phi, moved, Q, C, R, _, P0 = next(own.filters(vector, starts))
     found = filtered(output, start, kind, moved, model := Model(Phi, Q, C, R, P0))
     states = smoothed(found, start, kind, model)
-    known = np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n
-    ahead = np.where(known[:, None] & ~start[:, None], found.state, np.nan)
+    known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)
+    ahead = np.where(known[:, None], found.state, np.nan)
     free = np.full(states.shape, np.nan)
     for k in np.flatnonzero(~start).tolist():
         before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]
         free[k] = Phi[kind[k]] @ before + moved[k]
-    return Following(states, ahead, free)
+    return Following(np.where(known[:, None], states, np.nan), ahead, free)
 
 
 def largest_of(
@@ -51,7 +54,5 @@ def largest_of(
     """The largest |x| of every state; of a long log in stretches from all over it."""
     lag = int(np.ceil(window[1] / log.recording.step)) + 1
     parts = stretches(log.recording, _MOST, lag).parts
-    every = [following(log, vector, part, window) for part in parts]
-    lost = [~np.isfinite(one.ahead) for one in every]
-    size = [np.where(gone, 0.0, one.states) for one, gone in zip(every, lost, strict=True)]
-    return np.abs(np.vstack(size)).max(axis=0)
+    states = np.vstack([following(log, vector, part, window).states for part in parts])
+    return np.nanmax(np.abs(states), axis=0)

@@ -31,6 +31,7 @@ from deadtime.switching import SemiMarkov
 _FEW = 4_000  # samples that tell where to begin
 _ROUNDS = 3  # of scans, each about the likeliest plant so far
 _BETTER = 0.1  # of log likelihood: cells that are worth going to
+_NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
 _CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
 
@@ -123,7 +124,6 @@ def _units(layout: Layout, guess: Guess) -> np.ndarray:
 
 def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
     """The likeliest plant that scans of all delays lead to, and the last scan."""
-    place = log.layout.at_delays
     best, scan = None, None
     for begin in begins:
         scan = scanned(log, begin)
@@ -133,14 +133,29 @@ def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
     assert best is not None
     for _ in range(_ROUNDS):
         scan = scanned(log, best.theta)
-        if np.abs(scan.theta[place] - best.theta[place]).max() < log.recording.step:
+        tried = [maximise(log, theta, window=log.bounds)[0] for theta in _others(log, best, scan)]
+        top = max(tried, key=lambda one: one.found.value, default=best)
+        if top.found.value < best.found.value + _BETTER:
             break
-        found = _from(log, best.theta, scan)
-        if found.found.value < best.found.value + _BETTER:
-            break
-        best = found
+        best = top
     assert scan is not None
     return best, scan
+
+
+def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
+    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so."""
+    place, h = log.layout.at_delays, log.recording.step
+    found = []
+    if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
+        found.append(np.concatenate((scan.theta, best.theta[log.layout.size :])))
+    for row, curve in enumerate(scan.curves):
+        D = (scan.first + np.arange(curve.size) - 0.5) * h
+        near = (curve > curve.max() - _NEARLY) & (np.abs(D - best.theta[place][row]) > 1.5 * h)
+        if near.any():
+            theta = best.theta.copy()
+            theta[place.start + row] = D[near][curve[near].argmax()]
+            found.append(theta)
+    return found
 
 
 def _from(log: NoisyLog, vector: np.ndarray, scan: Scanned) -> Maximum:
