@@ -86,15 +86,22 @@ def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
         middle, span = np.nanmean(x), max(float(np.nanmax(x) - np.nanmin(x)), 1e-300)
         far = np.where(np.abs(free[:, i] - middle) < _FAR * span, free[:, i], np.nan)
         measured = fit._of_outputs is None or bool(fit.C[:, i].any())
-        look = {"linestyle": "", "marker": "."} if measured else {"linewidth": 2.5}
-        label = "log" if measured else "smoothed, not logged"
-        own.plot(part.time, x, color="#999999", markersize=3.0, label=label, **look)
+        if measured:
+            own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
+        else:
+            own.plot(part.time, x, color="#999999", linewidth=2.5, label="smoothed, not logged")
         own.plot(part.time, ahead[:, i], color=COLOURS[0], linewidth=0.9, label="a sample ahead")
         own.plot(part.time, far, color=COLOURS[1], linestyle="--", label="free run")
         own.set_ylabel(plain(fit.states[i]))
-    lines = {one.get_label(): one for own in axes for one in own.get_lines()}
-    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
-    axes[0].legend(lines.values(), lines.keys(), ncols=len(lines), **place)
+    lines = {str(one.get_label()): one for own in axes for one in own.get_lines()}
+    axes[0].legend(
+        list(lines.values()),
+        list(lines),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=len(lines),
+        borderaxespad=0.0,
+    )
 
 
 def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

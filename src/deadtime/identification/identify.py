@@ -65,8 +65,8 @@ def identify(
     ----------
     log : path, DataFrame, or list of them
         CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C or
-        order), u1, u2, … and the mode. An input holds from its row's t to the next one's. A measurement
-        that is missing is left empty. The rows need not be evenly spaced.
+        order), u1, u2, … and the mode. An input holds from its row's t to the next one's. A
+        measurement that is missing is left empty. The rows need not be evenly spaced.
     modes : str, None, int or sequence of int
         The column of the mode, numbers or texts; None: the plant has one. Of modes that were not
         logged their number; of several, such as ``range(1, 4)``, the one of least BIC is taken.

@@ -58,8 +58,8 @@ class NoisyLog(Frozen):
     """The likelihood of a recording with measurement noise.
 
     Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
-    diagonal, and those of the sensors' standard deviations. With an `embedding` the states are those
-    that outputs alone have, and some of the vector is known.
+    diagonal, and those of the sensors' standard deviations. With an `embedding` the states are
+    those that outputs alone have, and some of the vector is known.
     """
 
     recording: Recording

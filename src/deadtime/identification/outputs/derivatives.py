@@ -88,9 +88,7 @@ def _one_start(count: int) -> tuple[np.ndarray, np.ndarray]:
     return start, np.zeros(count, np.int64)
 
 
-def _likelihood(
-    series: list[np.ndarray], count: int, q: float, size: float
-) -> tuple[float, float]:
+def _likelihood(series: list[np.ndarray], count: int, q: float, size: float) -> tuple[float, float]:
     """Log likelihood with the sensor's variance at its likeliest, and that, in size²."""
     model, total, squares, logs = _model(count, q), 0, 0.0, 0.0
     for y in series:

@@ -59,7 +59,9 @@ class Embedding(Frozen):
         A[self.upper, self.upper + 1] = 1.0
         return A
 
-    def known(self, layout: Layout) -> tuple[Int[np.ndarray, " known"], Float[np.ndarray, " known"]]:
+    def known(
+        self, layout: Layout
+    ) -> tuple[Int[np.ndarray, " known"], Float[np.ndarray, " known"]]:
         """Which unknowns of a layout with W's triangle are none, and what they are."""
         n, upper = layout.n, self.upper
         at_A = layout.of_A[:, upper].reshape(-1)
@@ -82,5 +84,5 @@ class Embedding(Frozen):
         measured = np.isfinite(output)
         before = np.cumsum(measured, axis=0) - measured
         latest = np.maximum.accumulate(np.where(start, np.arange(start.size), 0))
-        few = (before - before[latest] < np.array(self.order)).any(axis=1)
-        return measured & few[:, None]
+        few = np.any(before - before[latest] < np.array(self.order), axis=1, keepdims=True)
+        return measured & few

@@ -1,4 +1,4 @@
-"""How a plant that was found from outputs alone follows a log: its states, and what it foretells."""
+"""How a plant from outputs alone follows a log: its states, and what it foretells."""
 
 from __future__ import annotations
 

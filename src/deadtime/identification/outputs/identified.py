@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import instance
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
 from deadtime.identification.estimate import Estimate
@@ -58,9 +57,7 @@ def identify_outputs(
     given = order_of(order, recording.outputs)
     _require_moving(recording)
     layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode)
-    found = estimate_from_outputs(recording, layout, given, zeros, bounds, within)
-    instance("log", found.log, NoisyLog)
-    shape = found.log.embedding  # pyright: ignore[reportAttributeAccessIssue]
+    found, shape = estimate_from_outputs(recording, layout, given, zeros, bounds, within)
     names = state_names(recording.outputs, given, shape.zeros)
     return FromOutputs(found, recording, *fit_switching(recording), shape.C, names)
 
@@ -84,7 +81,7 @@ def estimate_from_outputs(
     zeros: bool | None,
     bounds: tuple[float, float],
     within: bool,
-) -> Estimate:
+) -> tuple[Estimate, Embedding]:
     """The likeliest plant with the states of `order`; zeros None: where the log asks for them."""
     from scipy.stats import chi2
 
@@ -108,10 +105,12 @@ def estimate_from_outputs(
         other = _begun(wider, [*begins, best.theta])
         rise = 2.0 * (other[0].found.value - best.found.value)
         if rise > float(chi2.isf(_CHANCE, wider.free.size - some.free.size)):
-            log, (best, scan) = replace(log, embedding=wider.embedding, _acting={}), other
+            shape, (best, scan) = replace(shape, zeros=True), other
+            log = replace(log, embedding=shape, _acting={})
     top, window = maximise(log, best.theta)
-    start = Start(top.theta[: layout.size], cells_of(top.theta[layout.at_delays], recording.step), scan.first, scan.curves)
-    return estimated_of(log, top, window, start)
+    cells = cells_of(top.theta[layout.at_delays], recording.step)
+    start = Start(top.theta[: layout.size], cells, scan.first, scan.curves)
+    return estimated_of(log, top, window, start), shape
 
 
 def _units(layout: Layout, guess: Guess) -> np.ndarray:

@@ -22,7 +22,7 @@ def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
     ((2, 2), (2, 1))
     """
     several = isinstance(order, Iterable) and not isinstance(order, str)
-    given = list(order) if several else [order] * len(outputs)
+    given: list[Any] = list(order) if several else [order] * len(outputs)
     whole = [isinstance(one, int | np.integer) and not isinstance(one, bool) for one in given]
     if not given or not all(whole) or min(given) < 1 or sum(given) > _MOST:
         raise ArgumentError(

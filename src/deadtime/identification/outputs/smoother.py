@@ -78,14 +78,14 @@ def smoothed(
     model: Model,
 ) -> Float[np.ndarray, "sample n"]:
     """The states given all of the log."""
-    states = np.empty(found.state.shape)
-    r = np.zeros(states.shape[1])
-    for k in range(len(states) - 1, -1, -1):
+    count, n = found.state.shape
+    states, r = np.empty((count, n)), np.zeros(n)
+    for k in range(count - 1, -1, -1):
         for j in range(len(model.C) - 1, -1, -1):
             c = model.C[j]
             r = r + c * (found.error[k, j] / found.variance[k, j] - found.gain[k, j] @ r)
         states[k] = found.state[k] + found.covariance[k] @ r
-        r = np.zeros(r.size) if start[k] else model.Phi[kind[k]].T @ r
+        r = np.zeros(n) if start[k] else model.Phi[kind[k]].T @ r
     return states
 
 
@@ -103,17 +103,16 @@ def responses(
     """
     (kinds, n, rows), columns = push.shape, inputs.shape[1]
     result = np.empty((len(inputs), len(model.C), kinds * rows * columns))
-    X = np.zeros((n, kinds, rows, columns))
+    shape = n, kinds, rows, columns
+    flat = np.zeros((n, kinds * rows * columns))
     for k, (i, new) in enumerate(zip(kind.tolist(), start.tolist(), strict=True)):
         if new:
-            X = np.zeros(X.shape)
+            flat = np.zeros(flat.shape)
         else:
-            X = (model.Phi[i] @ X.reshape(n, -1)).reshape(X.shape)
-            X[:, i] += push[i][:, :, None] * inputs[k]
-        flat = X.reshape(n, -1)
+            flat = model.Phi[i] @ flat
+            flat.reshape(shape)[:, i] += push[i][:, :, None] * inputs[k]
         for j in range(len(model.C)):
             seen = model.C[j] @ flat
             result[k, j] = seen / np.sqrt(found.variance[k, j])
             flat = flat - np.outer(found.gain[k, j], seen)
-        X = flat.reshape(X.shape)
     return result
