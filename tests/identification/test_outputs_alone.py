@@ -14,6 +14,7 @@ from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
+from deadtime.identification.scoring import Evaluation, climb
 from deadtime.identification.uneven import nodes_for
 from deadtime.problems import load_problem
 from synthetic_logs import Plant
@@ -90,6 +91,7 @@ def dense(part, begins, plant, C, sensor, P0):
     return y.ravel(), cov + np.diag(np.tile(sensor**2, count))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("order", [(2, 1), (1, 2)])
 @pytest.mark.parametrize("jitter", [0.0, 0.3], ids=["even", "uneven"])
 def test_the_likelihood_is_that_of_all_outputs_given_those_that_begin(order, jitter):
@@ -196,8 +198,8 @@ def test_the_file_has_an_observer_and_its_loop_is_proved(tmp_path):
         0.212,
         1e-3 * np.eye(2),
     )
-    table = logged(two, [[1.0, 0.0]], 900, 4, 2)
-    fit = dt.identify(table, delay=(0.0, 0.5), order=2, switches="samples")
+    table = logged(two, [[1.0, 0.0]], 600, 4, 2)
+    fit = dt.identify(table, delay=(0.0, 0.5), order=2, zeros=False, switches="samples")
     fit.save(tmp_path / "motor.toml")
     problem = load_problem(tmp_path / "motor.toml")
     law = problem.law("averaged")
@@ -210,6 +212,19 @@ def test_the_file_has_an_observer_and_its_loop_is_proved(tmp_path):
     assert len(fit.uncertain.corners()) == 12
     assert "decay in every mode" in fit.verdict(dt.delay_margin(fit.plant, law, H), law)
     assert len(fit.plot().axes) == 5
+
+
+def test_a_noise_that_begins_as_nothing_is_found():
+    def likelihood(log_of_noise):
+        """Of 50 measurements of variance 1, noise of a sensor 0.1, at its largest where v = 0.9."""
+        v = float(np.exp(2.0 * log_of_noise[0]))
+        s = v + 0.1
+        score, F = 50.0 * v * (1.0 / s - 1.0) / s, 100.0 * (v / s) ** 2
+        return Evaluation(-25.0 * (np.log(s) + 1.0 / s), np.array([score]), np.array([[F]]))
+
+    bounds = np.array([-15.0]), np.array([-16.0]), np.array([14.0])
+    assert climb(likelihood, *bounds, stride=1.5).theta[0] == pytest.approx(0.5 * np.log(0.9))
+    assert climb(likelihood, *bounds).theta[0] < -5.0
 
 
 TABLE = logged(MOTOR, [[1.0, 0.0]], 60)
@@ -243,9 +258,10 @@ def test_an_output_that_never_moves_is_refused():
 
 
 def test_the_command_line_takes_the_order_and_the_outputs(tmp_path, capsys):
-    table = logged(MOTOR, [[1.0, 0.0]], 400).rename(columns={"y1": "position"})
+    table = logged(MOTOR, [[1.0, 0.0]], 300).rename(columns={"y1": "position"})
     table.to_csv(tmp_path / "log.csv", index=False)
     given = ["--order", "2", "--outputs", "position", "--one-mode", "--delay", "0", "1"]
+    given += ["--no-zeros"]
     out = ["--out", str(tmp_path / "p.toml"), "--report", str(tmp_path / "p.html")]
     with pytest.raises(SystemExit) as stopped:
         main(["identify", str(tmp_path / "log.csv"), *given, *out])
