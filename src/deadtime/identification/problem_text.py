@@ -102,7 +102,7 @@ def _noise(fit: Identification) -> list[str]:
 
 def _alone(fit: Identification) -> bool:
     """Whether there are fewer outputs than states, so that the file's laws need an observer."""
-    return fit._of_outputs is not None and len(fit.C) < fit.plant.states
+    return len(fit.C) < fit.plant.states
 
 
 def _observer(fit: Identification) -> list[str]:
