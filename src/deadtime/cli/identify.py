@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         "deadtime identify log.csv --out problem.toml",
         "deadtime identify log.csv --one-mode --delay 0 0.5",
         "deadtime identify log.csv --modes 1..3 --switches samples    # modes not logged",
+        "deadtime identify log.csv --order 2 --outputs position    # speed is not logged",
         "deadtime identify monday.csv tuesday.csv --modes gear --beside problem.toml",
     ),
 )
@@ -37,6 +38,9 @@ def identify(
     switches: Literal["anywhere", "samples"] = "anywhere",
     states: list[str] | None = None,
     inputs: list[str] | None = None,
+    outputs: list[str] | None = None,
+    order: list[int] | None = None,
+    zeros: Annotated[bool | None, Parameter(negative="--no-zeros")] = None,
     beside: Path | None = None,
     law: str | None = None,
     out: File = None,
@@ -68,6 +72,14 @@ def identify(
         may be given several times. A name that has a comma of its own is taken whole.
     inputs
         Columns of the inputs, likewise, where they are not u1, u2, …
+    outputs
+        With order: columns of the outputs, where they are not y1, y2, …
+    order
+        How many states each output has, where not all states are logged: 2 of a position, whose
+        speed is not.
+    zeros
+        With order: whether inputs act on all states of an output, not the last derivative alone;
+        by default where the log asks for it.
     beside
         A problem file with a law: its delay margin is put beside the delay's interval.
     law
@@ -95,6 +107,9 @@ def identify(
         switches=switches,
         states=_columns(states, logs[0]),
         inputs=_columns(inputs, logs[0]),
+        outputs=_columns(outputs, logs[0]),
+        order=None if order is None else order[0] if len(order) == 1 else order,
+        zeros=zeros,
     )
     said = [*fit.sentences, *_verdict(fit, beside, law)]
     written = [path for path in (out, figure, report) if path is not None]

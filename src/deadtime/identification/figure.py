@@ -8,6 +8,7 @@ import numpy as np
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.delay_intervals import profile
+from deadtime.identification.outputs.following import following
 from deadtime.identification.recording import Part
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast
 from deadtime.identification.sentences import delay_names
@@ -87,16 +88,39 @@ def draw_likelihood(axes: Axes, fit: Identification) -> None:
 
 def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
     """States as logged, as foretold a sample before, and as foretold from the first row on."""
-    ahead, free = forecast(part, fit.plant, fit._found.log.nodes, fit.C)
+    logged, ahead, free = _curves(fit, part)
     for i, own in enumerate(axes):
-        x = part.output @ np.linalg.pinv(fit.C).T[:, i]
+        x = logged[:, i]
         middle, span = np.nanmean(x), max(float(np.nanmax(x) - np.nanmin(x)), 1e-300)
         far = np.where(np.abs(free[:, i] - middle) < _FAR * span, free[:, i], np.nan)
-        own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
+        measured = fit._of_outputs is None or bool(fit.C[:, i].any())
+        if measured:
+            own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
+        else:
+            own.plot(part.time, x, color="#999999", linewidth=2.5, label="smoothed, not logged")
         own.plot(part.time, ahead[:, i], color=COLOURS[0], linewidth=0.9, label="a sample ahead")
         own.plot(part.time, far, color=COLOURS[1], linestyle="--", label="free run")
         own.set_ylabel(plain(fit.states[i]))
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
+    lines = {str(one.get_label()): one for own in axes for one in own.get_lines()}
+    axes[0].legend(
+        list(lines.values()),
+        list(lines),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=len(lines),
+        borderaxespad=0.0,
+    )
+
+
+def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States as logged, a sample ahead, and run freely; smoothed where they were not logged."""
+    if (log := fit._of_outputs) is None:
+        logged = part.output @ np.linalg.pinv(fit.C).T
+        return logged, *forecast(part, fit.plant, fit._found.log.nodes, fit.C)
+    found = following(log, fit._found.best.theta, part, fit._found.window)
+    measured = fit.C.any(axis=0)
+    logged = np.where(measured, part.output @ fit.C, found.states)
+    return logged, found.ahead, found.free
 
 
 def draw_residuals(axes: Axes, fit: Identification) -> None:
@@ -105,7 +129,7 @@ def draw_residuals(axes: Axes, fit: Identification) -> None:
     lags = np.arange(1, LAGS + 1)
     for i in range(r.shape[1]):
         shift = 0.15 * (i - 0.5 * (r.shape[1] - 1))
-        name = plain(fit.states[i]) if r.shape[1] == len(fit.states) else f"output {i}"
+        name = plain(fit._recording.outputs[i])
         axes.vlines(lags + shift, 0.0, r[:, i], color=COLOURS[i % len(COLOURS)], label=name)
     for side in (-1.0, 1.0):
         axes.plot(lags, side * 1.96 / np.sqrt(np.maximum(count, 1)), color="#666666", linestyle=":")

@@ -75,18 +75,22 @@ class Filtered(NamedTuple):
 def filtered(
     parts: tuple[Part, ...],
     starts: list[Bool[np.ndarray, " sample"]],
+    left_out: list[Bool[np.ndarray, "sample p"]],
     periods_of: PeriodsOf,
     sensors: Sensors,
     places: Places,
 ) -> Iterator[Filtered]:
-    """The filter over logs, block by block; what it knows begins anew at `starts`."""
+    """The filter over logs, block by block; what it knows begins anew at `starts`.
+
+    left_out : measurements that tell where the state begins, and count for nothing else
+    """
     (p, n), q = sensors.C.shape, places.wide.size
     of_R = np.zeros((q, p))
     of_R[max(q - p, 0) :] = np.diag(2.0 * sensors.R)[: min(p, q)]
     noise = tuple(map(np.ascontiguousarray, (sensors.C, sensors.R, of_R, places.wide, sensors.P0)))
     numbers = n * n * (2 + 2 * n * n + places.noisy.shape[1]) + p * (places.size + q)
     block = min(_BLOCK, max(1, _NUMBERS // numbers))
-    for part, start in zip(parts, starts, strict=True):
+    for part, start, initial in zip(parts, starts, left_out, strict=True):
         now = np.zeros(n), np.zeros((n, n)), np.zeros((places.size, n)), np.zeros((q, n, n))
         for first in range(0, start.size, block):
             rows = np.arange(first, min(first + block, start.size))
@@ -95,6 +99,8 @@ def filtered(
             shapes = (), (), (places.size,), (q,)
             out = tuple(np.empty((rows.size, p, *shape)) for shape in shapes)
             tangents(y, fresh, *periods, places.own, places.noisy, *noise, now, out)
+            for one, nothing in zip((y, *out), (np.nan, 0.0, 1.0, 0.0, 0.0), strict=True):
+                one[initial[rows]] = nothing
             yield Filtered(y, *out)
 
 

@@ -17,6 +17,8 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.identified import Hidden
 from deadtime.identification.noise import intensity_errors
+from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.sentences import sentences_of, verdict_of
@@ -156,9 +158,17 @@ class Identification(Frozen):
     @property
     def largest_states(self) -> Float[np.ndarray, " n"]:
         """The largest |x| of every state in the log."""
+        if (log := self._of_outputs) is not None:
+            return largest_of(log, self._found.best.theta, self._found.window)
         back = np.linalg.pinv(self._C).T
         every = np.vstack([part.output @ back for part in self._recording.parts])
         return np.nanmax(np.abs(every), axis=0)
+
+    @property
+    def _of_outputs(self) -> NoisyLog | None:
+        """The likelihood, where states were found from outputs alone."""
+        log = self._found.log
+        return log if isinstance(log, NoisyLog) and log.embedding is not None else None
 
     @property
     def uncertain(self) -> UncertainPlant:
@@ -173,11 +183,23 @@ class Identification(Frozen):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What `interval` knows by name: entries A[i][a,b], B[i][a,j] of mode i, delays, noise."""
-        n, p = self.plant.states, self.noise.size
+        """What `interval` knows by name: entries A[i][a,b], B[i][a,j] of mode i, delays, noise.
+
+        From outputs alone those entries that the choice of states fixes are left out.
+        """
+        return tuple(self._places)
+
+    @property
+    def _places(self) -> dict[str, int]:
+        """Where each unknown lies: in the layout, then W's diagonals, then the sensors."""
+        log, n, p = self._found.log, self.plant.states, self.noise.size
         more = [f"disturbance[{i}][{a},{a}]" for i in range(self.plant.modes) for a in range(n)]
         more += [f"noise[{j}]" for j in range(p)] if self.noise.any() else []
-        return (*self._found.log.layout.names(), *more)
+        places = {name: a for a, name in enumerate([*log.layout.names(), *more])}
+        if (of_outputs := self._of_outputs) is None:
+            return places
+        free = {*of_outputs.free.tolist(), *range(log.layout.size, len(places))}
+        return {name: a for name, a in places.items() if a in free}
 
     def estimate(self, name: str) -> float:
         """The likeliest value of one unknown, by its name; see `interval`."""
@@ -188,11 +210,11 @@ class Identification(Frozen):
         return float(np.concatenate((diagonal.ravel(), self.noise))[place - layout.size])
 
     def _place(self, name: str) -> int:
-        """Where in `names` a name is."""
-        names = self.names
-        if name not in names:
-            raise ArgumentError(f"name must be one of {', '.join(names)}, got {brief(name)}.")
-        return names.index(name)
+        """Where an unknown lies."""
+        places = self._places
+        if name not in places:
+            raise ArgumentError(f"name must be one of {', '.join(places)}, got {brief(name)}.")
+        return places[name]
 
     def interval(self, name: str) -> tuple[float, float]:
         """The ends of the 95 % interval of one unknown.

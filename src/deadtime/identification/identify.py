@@ -21,6 +21,8 @@ from deadtime.identification.intervals import spread_of
 from deadtime.identification.logged_modes import fit_switching
 from deadtime.identification.maximum import ExactLog, maximise
 from deadtime.identification.noise import continuous, estimate_with_noise
+from deadtime.identification.outputs.identified import identify_outputs
+from deadtime.identification.outputs.request import require_logged
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording, read_recording
@@ -52,6 +54,9 @@ def identify(
     switches: str = "anywhere",
     states: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    order: int | Sequence[int] | None = None,
+    zeros: bool | None = None,
 ) -> Identification:
     """The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
 
@@ -62,9 +67,9 @@ def identify(
     Parameters
     ----------
     log : path, DataFrame, or list of them
-        CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C),
-        u1, u2, … and the mode. An input holds from its row's t to the next one's. A measurement
-        that is missing is left empty. The rows need not be evenly spaced.
+        CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C or
+        order), u1, u2, … and the mode. An input holds from its row's t to the next one's. A
+        measurement that is missing is left empty. The rows need not be evenly spaced.
     modes : str, None, int or sequence of int
         The column of the mode, numbers or texts; None: the plant has one. Of modes that were not
         logged their number; of several, such as ``range(1, 4)``, the one of least BIC is taken.
@@ -79,8 +84,14 @@ def identify(
     switches : "anywhere" or "samples"
         Whether the mode changes at any time, so that of a period in which it does nothing is known,
         or only at samples.
-    states, inputs : sequence of str, optional
-        The columns, where they have other names.
+    states, inputs, outputs : sequence of str, optional
+        The columns, where they have other names; outputs with C or order.
+    order : int or sequence of int, optional
+        How many states each output has, where there are fewer outputs than states: 2 of a position.
+        Then the states are outputs and their derivatives: docs/theory/outputs.md.
+    zeros : bool, optional
+        Of `order`: whether inputs act on all states of an output, and not on the last derivative
+        alone, so that the others are no derivatives. By default, where the log asks for it.
 
     Returns
     -------
@@ -90,7 +101,8 @@ def identify(
     ------
     ArgumentError
         If the log is malformed (its line is named), too short, or does not tell an unknown; if
-        modes that were not logged are too many for it, or it is uneven, noisy or of outputs.
+        modes that were not logged are too many for it, or it is uneven, noisy or of outputs; if
+        outputs do not have so many states.
 
     References
     ----------
@@ -118,23 +130,29 @@ def identify(
     low, high = _range(delay)
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None
+    letter = "x" if C is None and order is None and outputs is None else "y"
     recording = read_recording(
         log,
         column,
-        states,
+        states if outputs is None else outputs,
         inputs,
-        "x" if C is None else "y",
+        letter,
         lambda parts, columns, *names: require_same_units(parts, columns, high, *names),
     )
     require_seconds(recording, high)
+    bounds = max(low, _SHORTEST * recording.step), high
+    within = switches == "anywhere"
+    if order is not None:
+        require_logged(C, noise, numbers is not None)
+        fit = identify_outputs(recording, order, zeros, per_mode, bounds, within)
+        return Identification.of(*fit)
+    _require_order_for(zeros, outputs, C)
     sensors = _sensors(C, recording)
     direct = _as_states(recording, sensors)
     count = sensors.shape[1]
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
     _require_states(direct, named)
-    bounds = max(low, _SHORTEST * recording.step), high
     layout = Layout(len(recording.modes), sensors.shape[1], len(recording.inputs), per_mode)
-    within = switches == "anywhere"
     said: tuple[str, ...] = ()
     if numbers is not None:
         require_exact_and_even(recording.even, C, noise)
@@ -166,6 +184,17 @@ def _range(delay: object) -> tuple[float, float]:
     return low, high
 
 
+def _require_order_for(zeros: object, outputs: object, C: object) -> None:
+    """Refuse what only outputs alone have."""
+    if zeros is not None:
+        raise ArgumentError("zeros is of outputs alone: give order, too, or leave zeros out.")
+    if outputs is not None and C is None:
+        raise ArgumentError(
+            "outputs needs order, how many states each has, or C, what they are of the states; "
+            "columns that are the states are states=[…]."
+        )
+
+
 def _sensors(C: ArrayLike | None, recording: Recording) -> Float[np.ndarray, "p n"]:
     """C, the identity where states are logged."""
     count = len(recording.outputs)
@@ -179,8 +208,8 @@ def _sensors(C: ArrayLike | None, recording: Recording) -> Float[np.ndarray, "p 
     if rank < n:
         raise ArgumentError(
             f"C must have rank n = {n}, got {rank}: from fewer outputs than states the "
-            "matrices are known only up to a change of states. Log all states, or "
-            "identify a model in states that are logged, such as outputs and their derivatives."
+            "matrices are known only up to a change of states. Log all states, or leave C out and "
+            "say how many states each output has: order=2 takes it and its derivative."
         )
     return given
 

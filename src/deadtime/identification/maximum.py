@@ -94,17 +94,19 @@ def maximise(
     """
     place = log.layout.at_delays
     h, asked = log.recording.step, window
+    stride = log.stride if isinstance(log, NoisyLog) else np.inf
     while True:
         low, high = asked or window_of(log, theta[place])
         evaluate_in, ends = log.evaluate_in(low, high), log.limits
         if log.recording.even:
             cells = cells_of(theta[place], h)
-            best, _ = climb_cells(evaluate_in, theta, place, cells, h, (low, high), ends, fixed)
+            reach = (low, high), ends, fixed, stride
+            best, _ = climb_cells(evaluate_in, theta, place, cells, h, *reach)
         else:
             ends[0][place], ends[1][place] = low, high
             if fixed is not None:
                 ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
-            best = climb(evaluate_in(np.zeros(0)), theta, *ends)
+            best = climb(evaluate_in(np.zeros(0)), theta, *ends, stride=stride)
         D, free = best.theta[place], np.ones(log.layout.delays, bool)
         if fixed is not None:
             free = ~fixed[place]

@@ -9,18 +9,21 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import spread_of
+from deadtime.identification.intervals import Spread, spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
+from deadtime.identification.scoring import Maximum
+from deadtime.identification.start import Start
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.plant import SwitchedSystem
 
 _ENOUGH = 10_000  # samples that tell which of two beginnings is the better one
 _STRETCHES = 10
+_UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
 
 
@@ -96,23 +99,31 @@ def estimate_with_noise(
     tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
     best, window = maximise(log, theta)
-    names = layout.names()
-    observations = sum(int(np.isfinite(part.output).sum()) for part in recording.parts)
-    spare = max(observations - best.theta.size, 1)
-    F = best.found.information
-    known, every = F * (spare / observations), np.full(best.theta.size, float(spare))
-    spread = spread_of(F, names, known, every)
-    intervals, several = delay_intervals(log, best, window, spread, exact.start)
+    return estimated_of(log, best, window, exact.start, exact.spare)
+
+
+def estimated_of(
+    log: NoisyLog,
+    best: Maximum,
+    window: tuple[float, float],
+    start: Start,
+    spare: Int[np.ndarray, " mode"] | None = None,
+) -> Estimate:
+    """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
+    recording, layout, starts = log.recording, log.layout, log.starts(*window)
+    beyond = max(log.measured(starts) - log.free.size, 1)
+    spread = _spread(log, best, beyond, log.measured(starts))
+    intervals, several = delay_intervals(log, best, window, spread, start)
     A, B, delays = layout.split(best.theta[: layout.size])
     noise = log.noise(best.theta)
-    starts = log.starts(*window)
     e, s = log.innovations(best.theta, starts)
-    fresh = np.concatenate(starts)
-    known = np.vstack([np.isfinite(part.output) for part in recording.parts]) & ~fresh[:, None]
+    fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
+    known = np.vstack([np.isfinite(part.output) for part in recording.parts]) & ~fresh
     white = np.split(
         np.where(known, e / np.sqrt(s), np.nan),
         np.cumsum([part.time.size for part in recording.parts])[:-1],
     )
+    spent = None if log.embedding is None else 2 * layout.n * len(log.C)
     return Estimate(
         log,
         best,
@@ -121,14 +132,32 @@ def estimate_with_noise(
         spread,
         intervals,
         several,
-        exact.start,
+        start,
         np.tile(noise.W, (layout.modes, 1, 1)),
         noise.deviation,
-        exact.spare,
-        judge_residuals(white, recording, float(delays.max())),
+        np.full(layout.modes, beyond) if spare is None else spare,
+        judge_residuals(white, recording, float(delays.max()), spent),
         tuple(white),
-        ends_over_peaks(log, best, spread, exact.start),
+        ends_over_peaks(log, best, spread, start) if log.embedding is None else None,
     )
+
+
+def _spread(log: NoisyLog, best: Maximum, beyond: int, observations: int) -> Spread:
+    """Of all unknowns: what is known has no variance, noise that the log does not tell any."""
+    F, names, size = best.found.information, log.layout.names(), log.layout.size
+    free = log.free
+    seen = free[(free < size) | (np.diagonal(F)[free] > _UNTOLD)]
+    own = F[np.ix_(seen, seen)]
+    named = [names[a] for a in seen if a < size]
+    of = spread_of(own, named, own * (beyond / observations), np.full(seen.size, float(beyond)))
+    covariance = np.zeros(F.shape)
+    untold = np.setdiff1d(free, seen)
+    covariance[untold, untold] = 1.0 / _UNTOLD
+    covariance[np.ix_(seen, seen)] = of.covariance
+    reach, inflation = np.full(len(F), of.reach[0]), np.ones(len(F))
+    inflation[seen] = of.inflation
+    spare = np.full(len(F), of.spare[0])
+    return Spread(covariance, reach, inflation, spare)
 
 
 def stretches(recording: Recording, most: int, lag: int) -> Recording:

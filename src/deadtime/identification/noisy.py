@@ -20,19 +20,21 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cells_of
 from deadtime.identification.filtering import Filtered, Places, Sensors, evaluated, filtered
+from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
-from deadtime.identification.periods import even_periods, uneven_periods
-from deadtime.identification.recording import Recording
+from deadtime.identification.periods import Periods, PeriodsOf, even_periods, uneven_periods
+from deadtime.identification.recording import Part, Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
+_STRIDE = 1.5  # of a noise's logarithm
 
 
 class Noise(NamedTuple):
@@ -47,7 +49,8 @@ class NoisyLog(Frozen):
     """The likelihood of a recording with measurement noise.
 
     Its vector is that of the `Layout`, the lower triangle of L, W = L Lᵀ, the logarithms of its
-    diagonal, and those of the sensors' standard deviations.
+    diagonal, and those of the sensors' standard deviations. With an `embedding` the states are
+    those that outputs alone have, and some of the vector is known.
     """
 
     recording: Recording
@@ -56,16 +59,55 @@ class NoisyLog(Frozen):
     within: bool
     bounds: tuple[float, float]
     nodes: Float[np.ndarray, " node"]
+    embedding: Embedding | None = None
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """What bounds unknowns, delays aside: noise is within 1e-12 … 1e6 of what is measured."""
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-        i, j = self.places
-        at = self.layout.size + np.append(np.flatnonzero(i == j), i.size + np.arange(len(self.C)))
-        size = 0.5 * np.log(self.P0[0, 0] / _VAGUE)
+        at = self.logarithms
+        size = 0.5 * np.log(np.diagonal(self.P0) / _VAGUE)
+        size = np.append(size, 0.5 * np.log(np.diagonal(self.C @ self.P0 @ self.C.T) / _VAGUE))
         low[at], high[at] = size - np.log(1e6), size + np.log(1e6)
+        if self.embedding is not None:
+            places, values = self.embedding.known(self.layout)
+            low[places], high[places] = values, values
         return low, high
+
+    @property
+    def stride(self) -> Float[np.ndarray, " size"]:
+        """The longest step of each unknown: a noise that is next to nothing has no curvature."""
+        stride = np.full(self.size, np.inf)
+        stride[self.logarithms] = _STRIDE
+        return stride
+
+    @property
+    def logarithms(self) -> Int[np.ndarray, " log"]:
+        """Where logarithms lie: of the diagonal of L, and of the sensors' deviations."""
+        i, j = self.places
+        at = np.append(np.flatnonzero(i == j), i.size + np.arange(len(self.C)))
+        return self.layout.size + at
+
+    @cached_property
+    def free(self) -> Int[np.ndarray, " free"]:
+        """The places of the vector that are unknown."""
+        free = np.arange(self.size)
+        if self.embedding is not None:
+            free = np.setdiff1d(free, self.embedding.known(self.layout)[0])
+        return read_only(free)
+
+    def initial(self, starts: list[np.ndarray]) -> list[Bool[np.ndarray, "sample p"]]:
+        """The measurements of every part that are left out: see `Embedding.initial`."""
+        parts = self.recording.parts
+        if self.embedding is None:
+            return [np.zeros(part.output.shape, bool) for part in parts]
+        given = zip(parts, starts, strict=True)
+        return [self.embedding.initial(part.output, start) for part, start in given]
+
+    def measured(self, starts: list[np.ndarray]) -> int:
+        """How many measurements the likelihood is of."""
+        every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
+        return every - sum(int(one.sum()) for one in self.initial(starts))
 
     def cells(self, theta: np.ndarray) -> np.ndarray:
         """The cells that delays lie in."""
@@ -85,6 +127,8 @@ class NoisyLog(Frozen):
     @cached_property
     def P0(self) -> Float[np.ndarray, "n n"]:
         """Of a state of which nothing is known."""
+        if self.embedding is not None:
+            return read_only(_VAGUE * np.diag(self.embedding.size**2))
         known = np.vstack([part.output for part in self.recording.parts])
         size = float(np.nanmean(known**2) / np.mean((self.C**2).sum(axis=1)))
         return read_only(_VAGUE * size * np.eye(self.layout.n))
@@ -141,7 +185,10 @@ class NoisyLog(Frozen):
         """The log likelihood, its score and information; of an even log in cells of delays."""
         places = Places.of(self.layout, len(self.C))
         with np.errstate(all="ignore"):
-            return evaluated(self._filtered(vector, starts, cells, places), places)
+            found = evaluated(self._filtered(vector, starts, cells, places), places)
+        known = np.setdiff1d(np.arange(self.size), self.free)
+        found.score[known] = found.information[known] = found.information[:, known] = 0.0
+        return found
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
         """The likelihood for delays between two, seconds; of an even log in cells of theirs."""
@@ -156,12 +203,20 @@ class NoisyLog(Frozen):
         places: Places,
     ) -> Iterator[Filtered]:
         """The filter over all parts."""
-        layout, record = self.layout, self.recording
-        theta, L = vector[: layout.size], self.root(vector)
-        if record.even:
-            own = self.cells(theta) if cells is None else cells
-            periods_of = even_periods(layout, theta, L, layout.spread(own), record.step)
-        else:
-            periods_of = uneven_periods(layout, theta, L, self.nodes)
         sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
-        return filtered(record.parts, starts, periods_of, sensors, places)
+        left_out, periods_of = self.initial(starts), self._periods_of(vector, cells)
+        return filtered(self.recording.parts, starts, left_out, periods_of, sensors, places)
+
+    def periods(
+        self, vector: Float[np.ndarray, " size"], part: Part, start: Bool[np.ndarray, " sample"]
+    ) -> Periods:
+        """What leads to each sample of a part but those that begin anew."""
+        return self._periods_of(vector, None)(part, np.arange(start.size), start)
+
+    def _periods_of(self, vector: np.ndarray, cells: np.ndarray | None) -> PeriodsOf:
+        """What leads to samples; of an even log in cells of delays, by default their own."""
+        layout, theta, L = self.layout, vector[: self.layout.size], self.root(vector)
+        if not self.recording.even:
+            return uneven_periods(layout, theta, L, self.nodes)
+        own = self.cells(theta) if cells is None else cells
+        return even_periods(layout, theta, L, layout.spread(own), self.recording.step)

@@ -6,6 +6,7 @@ import numpy as np
 
 from deadtime.identification.intervals import LEVEL
 from deadtime.identification.maximum import Likelihood
+from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.start import Start
 
 
@@ -31,13 +32,17 @@ def over_other_peaks(
 def plausible_fall(log: Likelihood, cells: int, inflation: float) -> float:
     """How far below the likeliest cell's log likelihood a plausible one's is at most.
 
-    A cell's two weights per state are free in each mode that has the delay. Of as many cells as
-    there are each may be the likeliest by chance, so that the level is Bonferroni's.
+    A cell's two weights per state are free in each mode that has the delay; from outputs alone one
+    per state that inputs act on. Of as many cells as there are each may be the likeliest by chance,
+    so that the level is Bonferroni's.
     """
     from scipy.stats import chi2
 
     layout = log.layout
-    free = 2 * layout.n * (1 if layout.per_mode else layout.modes)
+    weights = 2 * layout.n
+    if isinstance(log, NoisyLog) and log.embedding is not None:
+        weights = layout.n if log.embedding.zeros else len(log.C)
+    free = weights * (1 if layout.per_mode else layout.modes)
     return 0.5 * inflation * float(chi2.isf((1.0 - LEVEL) / cells, free))
 
 

@@ -38,6 +38,7 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
         "[gains]    # of least ∫|x|² + |u|²: change them to yours",
         f"lqr = {{Q = {_lists(np.eye(n))}, R = {_lists(np.eye(m))}}}",
         "",
+        *_observer(fit),
         *_switching(fit),
         "[run]",
         f"x0 = {_lists(np.round(fit.largest_states, 12))}    # the largest in the log",
@@ -80,7 +81,10 @@ def _switching(fit: Identification) -> list[str]:
     lines += [f"transition = {_lists(fit.model.transition)}", ""]
     lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
     lines += _disturbance("disturbance", fit)
-    if fit.noise.any():
+    if _alone(fit):
+        size = np.round(fit.largest_states**2, 12)
+        lines += [f"noise = {_lists(fit.noise)}", f"covariance = {_lists(size)}"]
+    elif fit.noise.any():
         lines += [f"noise = {_lists(fit.noise)}" if _of_states(fit) else _LEFT_OUT]
     return [*lines, "", "[signal]", 'kind = "model"', ""]
 
@@ -89,11 +93,31 @@ def _noise(fit: Identification) -> list[str]:
     """The noise of the log acts in the file's runs, too."""
     lines = ["", "[[imperfection]]", 'kind = "white-disturbance"']
     lines += _disturbance("intensity", fit)
-    if fit.noise.any() and _of_states(fit):
+    if fit.noise.any() and (_of_states(fit) or _alone(fit)):
         lines += ["", "[[imperfection]]", 'kind = "noise"', f"std = {_lists(fit.noise)}"]
     elif fit.noise.any():
         lines += ["", _LEFT_OUT]
     return lines
+
+
+def _alone(fit: Identification) -> bool:
+    """Whether there are fewer outputs than states, so that the file's laws need an observer."""
+    return len(fit.C) < fit.plant.states
+
+
+def _observer(fit: Identification) -> list[str]:
+    """Kalman's filter, of the noise that was found, where outputs alone are measured."""
+    if not _alone(fit):
+        return []
+    return [
+        "[observer]    # laws get its estimate of the states",
+        'kind = "kalman"',
+        f"C = {_lists(fit.C)}",
+        f"outputs = {_texts(fit._recording.outputs)}",
+        *_disturbance("process", fit),
+        f"measurement = {_lists(np.diag(fit.noise**2))}",
+        "",
+    ]
 
 
 def _of_states(fit: Identification) -> bool:

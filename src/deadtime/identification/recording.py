@@ -110,7 +110,7 @@ def read_recording(
         raise ArgumentError("log must be a path, a table or a list of them, got an empty list.")
     tables = [_table(log, number) for number, log in enumerate(given)]
     column = _mode_column(tables, modes)
-    names = _columns(tables[0], letter, states, "states")
+    names = _columns(tables[0], letter, states, "states" if letter == "x" else "outputs")
     acting = _columns(tables[0], "u", inputs, "inputs")
     for table in tables:
         if len(table.frame) < 3:

@@ -88,11 +88,15 @@ def residuals_of(
 
 
 def judge_residuals(
-    white: list[Float[np.ndarray, "sample n"]], recording: Recording, longest: float
+    white: list[Float[np.ndarray, "sample n"]],
+    recording: Recording,
+    longest: float,
+    spent: int | None = None,
 ) -> ResidualTests:
     """Tests of whitened residuals, by Ljung and Box, and by the largest correlation with inputs.
 
-    Of the lags of the first kind, one is spent on the matrices that were fitted.
+    Of the correlations of the first kind n² of one lag are spent on the matrices that were fitted,
+    or as many as are told.
     """
     from scipy.stats import chi2, norm
 
@@ -104,7 +108,7 @@ def judge_residuals(
         pairs_at += count > 0
         size = float(r.flat[np.abs(r).argmax()])
         worst = (lag, size) if abs(size) > abs(worst[1]) else worst
-    spare = n * n * max(pairs_at - 1, 1)
+    spare = max(n * n * pairs_at - (n * n if spent is None else spent), n * n)
     r, count = with_inputs(white, recording, longest)
     z, lags = np.abs(r).max(axis=1) * np.sqrt(count)[:, None], len(count)
     place = np.unravel_index(int(np.argmax(z)), (lags, m))

@@ -45,8 +45,11 @@ def climb(
     high: Float[np.ndarray, " size"],
     steps: int = _STEPS,
     gain: float = _GAIN,
+    stride: Float[np.ndarray, " size"] | float = np.inf,
 ) -> Maximum:
     """The local maximum within bounds that a start leads to; `gain` is worth a step.
+
+    stride : how far an unknown may go at a time that does next to nothing where it is
 
     Examples
     --------
@@ -61,7 +64,7 @@ def climb(
         return Maximum(theta, now, np.zeros(theta.size, bool))
     for _ in range(steps):
         held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
-        trial, rise = _step(theta, now, held | (low == high), damping, low, high)
+        trial, rise = _step(theta, now, held | (low == high), damping, low, high, stride)
         if rise < gain:
             break
         after = evaluate(trial)
@@ -81,12 +84,14 @@ def _step(
     damping: float,
     low: np.ndarray,
     high: np.ndarray,
+    stride: np.ndarray | float,
 ) -> tuple[np.ndarray, float]:
     """The next vector, and the rise that the quadratic promises."""
     free = np.flatnonzero(~held)
     if free.size == 0:
         return theta, 0.0
     F = now.information[np.ix_(free, free)]
+    F = F + np.diag((np.abs(now.score) / stride)[free])
     unit = np.sqrt(np.maximum(np.diagonal(F), 1e-300))
     scaled = F / unit[:, None] / unit + damping * np.eye(free.size)
     step = np.linalg.lstsq(scaled, now.score[free] / unit, rcond=1e-14)[0] / unit
@@ -104,6 +109,7 @@ def climb_cells(
     bounds: tuple[float, float],
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
+    stride: np.ndarray | float = np.inf,
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.
 
@@ -118,7 +124,7 @@ def climb_cells(
         high[delays] = np.minimum(cells * step, bounds[1])
         start = np.clip(start, low, high)
         low[still], high[still] = start[still], start[still]
-        return climb(evaluate_in(cells), start, low, high)
+        return climb(evaluate_in(cells), start, low, high, stride=stride)
 
     best, tried = highest(cells, theta), {tuple(cells)}
     while True:

@@ -8,12 +8,14 @@ import numpy as np
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.recording import Recording
 from deadtime.identification.untold import counts_whole, reasons
 
 _EDGE = 1e-6  # of the range searched
 _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
 _WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
+_DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
 
 
@@ -26,6 +28,7 @@ def sentences_of(found: Estimate, recording: Recording, why: str) -> tuple[str, 
             f"Mode {name!r} is declared and never visited: nothing is known of it, and the plant "
             "has no such mode."
         )
+    said += _states(found, recording)
     if recording.logged and not _uses_switches(found):
         said.append("The mode is taken to change at samples only.")
     return (*said, *([why] if why else []))
@@ -126,6 +129,27 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
         )
         said.append(
             f"What is left still has {name} of {tests.input_delay:.4g} s before in it: {cause}"
+        )
+    return said
+
+
+def _states(found: Estimate, recording: Recording) -> list[str]:
+    """What states are, where there are more of them than outputs."""
+    shape = found.log.embedding if isinstance(found.log, NoisyLog) else None
+    if shape is None:
+        return []
+    each = zip(recording.outputs, shape.order, strict=True)
+    named = [f"{name}{_DERIVATIVES[min(count, 3)].format(count - 1)}" for name, count in each]
+    said = [f"The states are {' and '.join(named)}."]
+    if shape.zeros and shape.upper.size:
+        said = [
+            f"The states are {' and '.join(named)}, less what inputs add to these: they act on all "
+            "of them."
+        ]
+    if found.plant.modes > 1:
+        said.append(
+            "They are taken to be the same in all modes, and not to jump at a switch, as position "
+            "and speed do not."
         )
     return said
 

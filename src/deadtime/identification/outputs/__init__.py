@@ -1,0 +1,1 @@
+"""Plants from outputs alone: positions are logged, speeds are not."""

@@ -1,0 +1,59 @@
+"""How a plant from outputs alone follows a log: its states, and what it foretells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.identification.noise import stretches
+from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.outputs.smoother import Model, filtered, smoothed
+from deadtime.identification.recording import Part
+
+_MOST = 10_000  # samples of a long log whose states are looked at
+
+
+class Following(NamedTuple):
+    """States of every sample of a part: given all of it, all before, and the first one alone.
+
+    NaN where they are not known yet.
+    """
+
+    states: Float[np.ndarray, "sample n"]
+    ahead: Float[np.ndarray, "sample n"]
+    free: Float[np.ndarray, "sample n"]
+
+
+def following(
+    log: NoisyLog,
+    vector: Float[np.ndarray, " size"],
+    part: Part,
+    window: tuple[float, float],
+) -> Following:
+    """States of a part by the likeliest plant."""
+    own = replace(log, recording=log.recording._replace(parts=(part,)))
+    starts = own.starts(*window)
+    (start,), periods = starts, own.periods(vector, part, starts[0])
+    model = Model.of(own, vector, periods)
+    found = filtered(part.output, start, periods.kind, periods.added, model)
+    states = smoothed(found, start, periods.kind, model)
+    known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)
+    ahead = np.where(known[:, None], found.state, np.nan)
+    free = np.full(states.shape, np.nan)
+    for k in np.flatnonzero(~start).tolist():
+        before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]
+        free[k] = periods.Phi[periods.kind[k]] @ before + periods.added[k]
+    return Following(np.where(known[:, None], states, np.nan), ahead, free)
+
+
+def largest_of(
+    log: NoisyLog, vector: Float[np.ndarray, " size"], window: tuple[float, float]
+) -> Float[np.ndarray, " n"]:
+    """The largest |x| of every state; of a long log in stretches from all over it."""
+    lag = int(np.ceil(window[1] / log.recording.step)) + 1
+    parts = stretches(log.recording, _MOST, lag).parts
+    states = np.vstack([following(log, vector, part, window).states for part in parts])
+    return np.nanmax(np.abs(states), axis=0)
