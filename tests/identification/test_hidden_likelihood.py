@@ -9,8 +9,9 @@ from scipy.stats import multivariate_normal
 
 from deadtime.identification.cells import cells_of
 from deadtime.identification.hidden.information import _lifted, information_of
+from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import Periods
+from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.uneven import nodes_for
@@ -28,9 +29,11 @@ def likelihood(plant, count, last, per_mode=False, seed=0):
     part = Part(t, y, u, np.zeros(count, np.int64))
     record = Recording((part,), H, True, ("x",) * n, ("u",) * m, ("0", "1"), False)
     layout, S = Layout(modes, n, m, per_mode), [plant.covariance(i, H) for i in range(modes)]
-    periods = Periods.of((part,), 1, last, None)
+    periods = EvenPeriods.of((part,), 1, last, None)
     nodes = nodes_for((part,), plant.A)
-    log = HiddenLog(record, layout, (1e-8, last * H), nodes, periods, np.array(S), CHAIN)
+    log = HiddenLog(
+        record, layout, (1e-8, last * H), nodes, periods, np.array(S), Jumps(CHAIN, H, rates=False)
+    )
     theta = layout.join(plant.A, plant.B, plant.D)
     return log, theta, cells_of(theta[layout.at_delays], H)
 
@@ -77,9 +80,10 @@ def test_the_information_is_what_second_differences_of_the_likelihood_say():
     found = information_of(log, theta, cells)
 
     def value(z):
-        odds = log.chain * np.array([[1.0, np.exp(z[7])], [np.exp(z[8]), 1.0]])
+        odds = log.jumps.matrix * np.array([[1.0, np.exp(z[7])], [np.exp(z[8]), 1.0]])
+        odds /= odds.sum(axis=1, keepdims=True)
         S = log.S * (1.0 + z[5:7])[:, None, None]
-        moved = replace(log, S=S, chain=odds / odds.sum(axis=1, keepdims=True))
+        moved = replace(log, S=S, jumps=Jumps(odds, H, rates=False))
         return moved.posterior(z[:5], cells).value
 
     z = np.concatenate((theta, np.zeros(4)))

@@ -26,7 +26,7 @@ from deadtime.identification.recording import Recording, read_recording
 from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.start import start_of
-from deadtime.identification.uneven import nodes_for, on_a_grid
+from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -220,11 +220,7 @@ def _exact(
     """The estimate if states are measured without noise."""
     from deadtime.identification.estimate import Estimate
 
-    grid = recording
-    if not recording.even:
-        parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
-        grid = recording._replace(parts=parts, even=True)
-    start = start_of(grid, layout, bounds, within)
+    start = start_of(gridded(recording), layout, bounds, within)
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part
+from deadtime.identification.recording import Part, Recording
 from deadtime.identification.regression import Term
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 
@@ -95,21 +95,34 @@ def uneven_terms(
 ) -> list[Term]:
     """The regressions of unevenly sampled logs, over the periods `good` of every part."""
     A, B, delays = layout.split(theta)
-    rows: list[list[np.ndarray]] = [[] for _ in range(layout.modes)]
-    for part, k in zip(parts, good, strict=True):
-        length = part.time[k + 1] - part.time[k]
-        acts = acting_in(part, k, delays, nodes)
-        x = interpolation(nodes, length)[:, :, None] * part.output[k][:, None]
-        z = [part.output[k + 1], *(one.reshape(k.size, -1) for one in (x, acts.held, acts.moved))]
-        z = np.hstack(z) / np.sqrt(length / step)[:, None]
-        for i in range(layout.modes):
-            rows[i].append(z[part.mode[k] == i])
-    return [_term(np.vstack(rows[i]), layout, i, A[i], B[i], nodes) for i in range(layout.modes)]
+    terms = []
+    for i in range(layout.modes):
+        each = [(part, k[part.mode[k] == i]) for part, k in zip(parts, good, strict=True)]
+        z = np.vstack([node_rows(part, k, delays[i], nodes, step) for part, k in each])
+        terms.append(node_term(z, layout, i, A[i], B[i], nodes))
+    return terms
 
 
-def _term(
+def node_rows(
+    part: Part,
+    k: np.ndarray,
+    delays: Float[np.ndarray, " m"],
+    nodes: Float[np.ndarray, " node"],
+    step: float,
+) -> Float[np.ndarray, "period z"]:
+    """z = (x_{k+1}, r_k) / √(τ_k/h) of periods k, all of one mode: r_k by the weights of nodes."""
+    length = part.time[k + 1] - part.time[k]
+    one = part._replace(mode=np.zeros(part.time.size, np.int64))
+    acts = acting_in(one, k, delays[None], nodes)
+    x = interpolation(nodes, length)[:, :, None] * part.output[k][:, None]
+    z = [part.output[k + 1], *(one.reshape(k.size, -1) for one in (x, acts.held, acts.moved))]
+    return np.hstack(z) / np.sqrt(length / step)[:, None]
+
+
+def node_term(
     root: np.ndarray, layout: Layout, mode: int, A: np.ndarray, B: np.ndarray, nodes: np.ndarray
 ) -> Term:
+    """The regression of a mode on rows of `node_rows`."""
     n, m, count = layout.n, layout.m, nodes.size
     over = transitions_of(A, nodes)
     P = np.zeros((n, count, n + 2 * m))
@@ -149,3 +162,11 @@ def on_a_grid(part: Part, step: float) -> Part:
     before = np.searchsorted(part.time, time * (1.0 + 1e-15), side="right") - 1
     columns = [np.interp(time, part.time, column) for column in part.output.T]
     return Part(time, np.column_stack(columns), part.input[before], part.mode[before])
+
+
+def gridded(recording: Recording) -> Recording:
+    """A recording as if it were sampled evenly; itself where it is."""
+    if recording.even:
+        return recording
+    parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
+    return recording._replace(parts=parts, even=True)

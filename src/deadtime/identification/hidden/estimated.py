@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.choice import Fitted
 from deadtime.identification.hidden.found import HiddenModes
@@ -29,11 +28,13 @@ class Decoded(NamedTuple):
     """A likelihood and unknowns whose modes are in the order of the path, and that path.
 
     log.recording : with the path as its modes; theta, cells : unknowns, and cells of the delays
+    grid : the likelihood on a grid
     """
 
     log: HiddenLog
     theta: Float[np.ndarray, " size"]
     cells: Int[np.ndarray, " delay"]
+    grid: HiddenLog
 
 
 def decoded(fit: Fitted, recording: Recording) -> Decoded:
@@ -45,8 +46,7 @@ def decoded(fit: Fitted, recording: Recording) -> Decoded:
         If it leaves a mode out.
     """
     log, theta, layout = fit.ascent.log, fit.ascent.theta, fit.layout
-    cells = cells_of(theta[layout.at_delays], recording.step)
-    paths = log.periods.path(log.densities(theta, cells), log.chain)
+    paths = log.path(theta, log.cells(theta))
     seen, first = np.unique(np.concatenate(paths), return_index=True)
     if seen.size < layout.modes:
         raise ArgumentError(
@@ -62,14 +62,14 @@ def decoded(fit: Fitted, recording: Recording) -> Decoded:
     record = recording._replace(parts=parts, modes=names)
     A, B, D = layout.split(theta)
     theta = layout.join(A[order], B[order], D[order])
-    chain = log.chain[np.ix_(order, order)]
-    log = replace(log, recording=record, S=log.S[order], chain=chain)
-    return Decoded(log, theta, cells_of(theta[layout.at_delays], recording.step))
+    log = replace(log, recording=record, S=log.S[order], jumps=log.jumps.ordered(order))
+    grid = replace(fit.grid, S=fit.grid.S[order], jumps=fit.grid.jumps.ordered(order))
+    return Decoded(log, theta, log.cells(theta), grid)
 
 
 def estimated(found: Decoded) -> tuple[Estimate, Information]:
     """The estimate, and what not knowing the modes takes from the information."""
-    log, theta, cells = found
+    log, theta, cells, grid = found
     layout, record = log.layout, log.recording
     posterior = log.posterior(theta, cells)
     best = Maximum(theta, log.evaluate(theta, cells), np.zeros(theta.size, bool))
@@ -79,14 +79,12 @@ def estimated(found: Decoded) -> tuple[Estimate, Information]:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    whole = log.over(*log.bounds)  # other peaks may lie far from the delays found
+    whole = grid.over(*log.bounds)  # other peaks may lie far from the delays found
     weight = whole.posterior(theta, cells).weight
     _, curves = scanned(whole.periods, weight, layout.spread(cells), layout)
     start = Start(theta, cells, whole.periods.first, curves)
     A, B, delays = layout.split(theta)
-    h = record.step
-    window = max(log.bounds[0], (log.periods.first - 1) * h), log.periods.last * h
-    window = window[0], min(log.bounds[1], window[1])
+    window = log.window
     intervals, several = delay_intervals(log, best, window, spread, start)
     plant = SwitchedSystem(A, B, delays)
     covariances = log.S * (counts / spare)[:, None, None]
@@ -114,14 +112,14 @@ def estimated(found: Decoded) -> tuple[Estimate, Information]:
 
 def hidden_modes(fit: Fitted, fits: list[Fitted], found: Decoded, told: Information) -> HiddenModes:
     """What there is to say of the modes; `fits` are those of all numbers tried."""
-    log, theta, cells = found
+    log, theta, cells, _ = found
     posterior, parts = log.posterior(theta, cells), log.recording.parts
     errors = [np.diagonal(np.linalg.inv(F)) for F in (told.left, told.known)]
     return HiddenModes(
         np.concatenate([part.time for part in parts]),
         np.concatenate([part.mode for part in parts]),
         np.vstack(posterior.node),
-        log.chain,
+        log.jumps.chain,
         np.array([one.layout.modes for one in fits]),
         np.array([one.bic for one in fits]),
         fit.ascent.values,

@@ -11,7 +11,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.choice import Fitted, fitted, periods_of, refined
+from deadtime.identification.hidden.choice import Fitted, fitted, refined, search_of
 from deadtime.identification.hidden.estimated import decoded, estimated, hidden_modes
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.logged_modes import fit_switching
@@ -47,11 +47,11 @@ def identify_hidden(
 ) -> Hidden:
     """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC."""
     expect_many_calls()
-    periods = periods_of(recording, layout, bounds, within)
+    search = search_of(recording, layout, bounds, within)
     fits, refused = [], None
     for number in numbers:
         try:
-            fits.append(fitted(recording, periods, replace(layout, modes=number), bounds))
+            fits.append(fitted(search, replace(layout, modes=number)))
         except ArgumentError as error:
             if not fits:
                 raise
@@ -61,7 +61,7 @@ def identify_hidden(
     if len(numbers) == 1 and numbers[0] > 1:  # do fewer explain the log as well?
         fewer = replace(layout, modes=numbers[0] - 1)
         with suppress(ArgumentError):
-            fits.insert(0, fitted(recording, periods, fewer, bounds))
+            fits.insert(0, fitted(search, fewer))
     best = min(asked, key=lambda one: one.bic)
     said = _numbers(best, fits, numbers, refused)
     if best.layout.modes == 1:

@@ -43,8 +43,7 @@ class _Noise:
         self.log, n = log, log.layout.n
         self.i, self.j = np.tril_indices(n)
         self.L = np.linalg.cholesky(log.S)
-        stays = np.eye(log.layout.modes, dtype=bool)
-        self.jumps = np.argwhere((log.chain > _NEVER) & ~stays)
+        self.jumps = log.jumps.likelier(_NEVER)
 
     @property
     def size(self) -> int:
@@ -58,12 +57,11 @@ class _Noise:
         shift = eta[:cut].reshape(len(self.L), -1)
         M[:, self.i, self.j] += shift
         M[:, self.j, self.i] += np.where(self.i == self.j, 0.0, shift)
-        odds = np.ones(self.log.chain.shape)
+        odds = np.ones(self.log.jumps.matrix.shape)
         for (i, j), change in zip(self.jumps, eta[cut:], strict=True):
             odds[i, j] = np.exp(change)
-        chain = self.log.chain * odds
-        chain /= chain.sum(axis=1, keepdims=True)
-        return replace(self.log, S=self.L @ M @ self.L.transpose(0, 2, 1), chain=chain)
+        S = self.L @ M @ self.L.transpose(0, 2, 1)
+        return replace(self.log, S=S, jumps=self.log.jumps.scaled(odds))
 
     def score(self, theta: np.ndarray, eta: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """The score in θ and in these."""
@@ -77,7 +75,7 @@ class _Noise:
             slope = 0.5 * (back @ (e @ e.T) @ back - total * back)
             twice = np.where(self.i == self.j, 1.0, 2.0)
             parts.append(twice * slope[self.i, self.j])
-        leave = found.pairs - found.pairs.sum(axis=1, keepdims=True) * log.chain
+        leave = log.jumps.slope(found.counts)
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 

@@ -42,8 +42,3 @@ def require_exact_and_even(even: bool, C: Any, noise: bool | None) -> None:
             f"{name} must be left out where modes are not logged: they are told from states that "
             "are measured without noise. Log the mode, or the states themselves."
         )
-    if not even:
-        raise ArgumentError(
-            "log must be evenly sampled where modes are not logged, got uneven rows: the chance of "
-            "a switch is one per period. Log the mode, or sample evenly."
-        )

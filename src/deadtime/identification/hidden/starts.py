@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.periods import Periods
+from deadtime.identification.hidden.jumps import Jumps
+from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.regressions import Regressions, regressed, rooted
 from deadtime.identification.parameters import Layout
 
@@ -31,7 +32,7 @@ class Stretches(NamedTuple):
     rows: Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Stretches | None:
+def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> Stretches | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -50,7 +51,9 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Stret
     return Stretches(np.array(places)[chosen, None] + np.arange(length))
 
 
-def first_cells(periods: Periods, stretches: Stretches, layout: Layout) -> Int[np.ndarray, " m"]:
+def first_cells(
+    periods: EvenPeriods, stretches: Stretches, layout: Layout
+) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
     options = np.arange(periods.first, periods.last + 1)
     cells: list[int | None] = [None] * layout.m
@@ -65,7 +68,7 @@ def first_cells(periods: Periods, stretches: Stretches, layout: Layout) -> Int[n
 
 
 def _together(
-    periods: Periods, stretches: Stretches, cells: list[int | None], layout: Layout
+    periods: EvenPeriods, stretches: Stretches, cells: list[int | None], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
     z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
@@ -88,7 +91,7 @@ def _own(z: Float[np.ndarray, "stretch period z"], n: int) -> tuple[np.ndarray, 
 
 
 def drawn_start(
-    periods: Periods,
+    periods: EvenPeriods,
     stretches: Stretches,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
@@ -117,5 +120,5 @@ def drawn_start(
     chain = np.full((modes, modes), (1.0 - _STAY) / max(modes - 1, 1))
     np.fill_diagonal(chain, _STAY if modes > 1 else 1.0)
     count = np.full(modes, periods.count / modes)
-    every = np.tile(_WIDE * shared, (modes, 1, 1))
-    return Regressions(np.array(P), every, chain, np.tile(cells, (modes, 1)), count)
+    every, jumps = np.tile(_WIDE * shared, (modes, 1, 1)), Jumps(chain, 1.0, rates=False)
+    return Regressions(np.array(P), every, jumps, np.tile(cells, (modes, 1)), count)
