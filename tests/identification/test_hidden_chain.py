@@ -21,7 +21,7 @@ def chain_of(modes, within, spread):
 
 def of_one_kind(stay, move, chain, first):
     """The same for kernels: every period has one chain."""
-    return stay, move, chain[None], np.zeros(len(stay), np.int64), first
+    return stay, move[..., None], chain[None], np.zeros(len(stay), np.int64), first
 
 
 def every_path(stay, move, chain, first):

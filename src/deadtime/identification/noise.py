@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import delay_intervals, spread_of
@@ -61,7 +61,8 @@ def estimate_with_noise(
     unit = np.sqrt(np.diagonal(exact.spread.covariance))
     unit = np.concatenate((unit, np.ones(n * (n + 1) // 2 + len(C))))
     log = NoisyLog(recording, layout, C, within, bounds, unit, exact.log.nodes)
-    starts = [log.join(exact.best.theta, noise) for noise in _first_noises(exact, C, recording)]
+    W = exact.disturbance.mean(axis=0)
+    starts = [log.join(exact.best.theta, noise) for noise in first_noises(W, C, recording.step)]
     lag = int(np.ceil(exact.window[1] / recording.step)) + 1
     some = replace(log, recording=stretches(recording, _ENOUGH, lag), _acting={})
     tried = [maximise(some, start, window=exact.window) for start in starts]
@@ -76,14 +77,7 @@ def estimate_with_noise(
     intervals, several = delay_intervals(log, best, window, spread, exact.start)
     A, B, delays = layout.split(best.theta[: layout.size])
     noise = log.noise(best.theta)
-    starts = log.starts(*window)
-    e, s = log.innovations(best.theta, starts)
-    fresh = np.concatenate(starts)
-    known = np.vstack([np.isfinite(part.output) for part in recording.parts]) & ~fresh[:, None]
-    white = np.split(
-        np.where(known, e / np.sqrt(s), np.nan),
-        np.cumsum([part.time.size for part in recording.parts])[:-1],
-    )
+    white = noisy_residuals(log, best.theta, log.starts(*window))
     return Estimate(
         log,
         best,
@@ -99,6 +93,17 @@ def estimate_with_noise(
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
     )
+
+
+def noisy_residuals(
+    log: NoisyLog, theta: Float[np.ndarray, " size"], starts: list[Bool[np.ndarray, " sample"]]
+) -> list[Float[np.ndarray, "sample p"]]:
+    """The innovations of every part, each over its deviation; NaN where there are none."""
+    e, s = log.innovations(theta, starts)
+    fresh, parts = np.concatenate(starts), log.recording.parts
+    known = np.vstack([np.isfinite(part.output) for part in parts]) & ~fresh[:, None]
+    white = np.where(known, e / np.sqrt(s), np.nan)
+    return np.split(white, np.cumsum([part.time.size for part in parts])[:-1])
 
 
 def stretches(recording: Recording, most: int, lag: int) -> Recording:
@@ -117,10 +122,11 @@ def stretches(recording: Recording, most: int, lag: int) -> Recording:
     return recording._replace(parts=tuple(parts))
 
 
-def _first_noises(exact: Estimate, C: np.ndarray, recording: Recording) -> list[Noise]:
-    """Two guesses: what a period adds is mostly the plant's, or mostly the sensors'."""
-    W = exact.disturbance.mean(axis=0)
+def first_noises(
+    W: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"], step: float
+) -> list[Noise]:
+    """Two guesses: what a period adds, of W, is mostly the plant's, or mostly the sensors'."""
     floor = max(_FLOOR * float(np.trace(W)), np.finfo(float).tiny)
     W = W + floor * np.eye(len(W))
-    added = np.sqrt(np.diagonal(C @ W @ C.T) * recording.step)
+    added = np.sqrt(np.diagonal(C @ W @ C.T) * step)
     return [Noise(0.7 * W, 0.4 * added), Noise(0.1 * W, 0.7 * added)]

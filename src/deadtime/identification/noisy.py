@@ -21,7 +21,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
@@ -33,7 +33,7 @@ from deadtime.identification.noisy_even import (
     tables_of,
 )
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
+from deadtime.identification.recording import Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.transition import interpolation, plain_transitions
 from deadtime.identification.uneven import Acting, acting_in, fed
@@ -48,6 +48,18 @@ class Noise(NamedTuple):
 
     W: Float[np.ndarray, "n n"]
     deviation: Float[np.ndarray, " p"]
+
+
+class Stretch(NamedTuple):
+    """What a part's periods do: of every sample which kind leads to it, and what inputs add in it.
+
+    kind : (T,); moved : (T, n); Phi, Q : (kinds, n, n), how a state moves, and the noise
+    """
+
+    kind: Int[np.ndarray, " sample"]
+    Phi: Float[np.ndarray, "kind n n"]
+    moved: Float[np.ndarray, "sample n"]
+    Q: Float[np.ndarray, "kind n n"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,25 +143,58 @@ class NoisyLog(Frozen):
         """Errors and variances of all measurements, (samples, p) each."""
         A, B, delays = self.layout.split(vector[: self.layout.size])
         noise, errors = self.noise(vector), []
-        Phi_at, W_at = plain_transitions(A, self.nodes)
-        forced, zero, P0 = W_at @ B[:, None], np.zeros(self.layout.n), self.P0
+        zero, P0 = np.zeros(self.layout.n), self.P0
         for number, start in enumerate(starts):
             part = self.recording.parts[number]
-            k = np.flatnonzero(~start) - 1
-            if self.recording.even:
-                moved = moved_evenly(part, A, B, delays, self.recording.step)
-            else:
-                moved = np.zeros((part.time.size, self.layout.n))
-                held = self._held(number, start, delays)
-                for i in range(self.layout.modes):
-                    own = np.flatnonzero(part.mode[k] == i)
-                    moved[k[own] + 1] = np.tensordot(held[own], forced[i], axes=([1, 2], [0, 2]))
-            kind, Phi, Q = self._kinds(part, k, A, Phi_at, noise.W)
+            over = self.stretch(number, start, A, B, delays, noise.W)
             e, s = np.empty(part.output.shape), np.empty(part.output.shape)
-            given = part.output, start, kind, Phi, moved, Q, self.C, noise.deviation**2, zero, P0
+            given = (
+                part.output,
+                start,
+                over.kind,
+                over.Phi,
+                over.moved,
+                over.Q,
+                self.C,
+                noise.deviation**2,
+                zero,
+                P0,
+            )
             innovations(*map(np.ascontiguousarray, given), e, s)
             errors.append((e, s))
         return np.vstack([e for e, _ in errors]), np.vstack([s for _, s in errors])
+
+    def stretch(
+        self,
+        number: int,
+        start: Bool[np.ndarray, " sample"],
+        A: Float[np.ndarray, "mode n n"],
+        B: Float[np.ndarray, "mode n m"],
+        delays: Float[np.ndarray, "mode m"],
+        W: Float[np.ndarray, "n n"],
+        cells: Int[np.ndarray, "mode m"] | None = None,
+    ) -> Stretch:
+        """What the periods of a part do under a plant; of even rows with delays in given cells."""
+        part, step = self.recording.parts[number], self.recording.step
+        kind, k = np.zeros(part.time.size, np.int64), np.flatnonzero(~start) - 1
+        if self.recording.even:
+            kind[1:], once = part.mode[:-1], np.full(len(A), step)
+            moved = moved_evenly(part, A, B, delays, step, cells)
+            Phi = plain_transitions(A, once[:1])[0][:, 0]
+            return Stretch(kind, Phi, moved, noise_covariances(A, W, once))
+        moved, held = np.zeros((part.time.size, len(A[0]))), self._held(number, start, delays)
+        Phi_at, W_at = plain_transitions(A, self.nodes)
+        mode, forced = part.mode[k], W_at @ B[:, None]
+        for i in range(len(A)):
+            own = np.flatnonzero(mode == i)
+            moved[k[own] + 1] = np.tensordot(held[own], forced[i], axes=([1, 2], [0, 2]))
+        Q_at = np.array(
+            [noise_covariances(np.repeat(a[None], self.nodes.size, 0), W, self.nodes) for a in A]
+        )
+        kind[k + 1] = np.arange(k.size)
+        weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
+        Phi, Q = (np.einsum("kq,kqab->kab", weight, at[mode]) for at in (Phi_at, Q_at))
+        return Stretch(kind, Phi, moved, Q)
 
     def _held(self, number: int, start: np.ndarray, delays: np.ndarray) -> np.ndarray:
         """`Acting.held` of a part; those of the last few delays are kept."""
@@ -161,25 +206,6 @@ class NoisyLog(Frozen):
             acts = acting_in(part, np.flatnonzero(~start) - 1, delays, self.nodes)
             self._acting[key] = Acting(*map(read_only, acts))
         return self._acting[key].held
-
-    def _kinds(
-        self, part: Part, k: np.ndarray, A: np.ndarray, Phi_at: np.ndarray, W: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The filter's rows: of every sample its kind, and the kinds' Φ and Q."""
-        kind = np.zeros(part.time.size, np.int64)
-        if self.recording.even:
-            kind[1:] = part.mode[:-1]
-            step = np.full(len(A), self.recording.step)
-            weight = interpolation(self.nodes, step[:1])[0]
-            return kind, np.tensordot(weight, Phi_at, (0, 1)), noise_covariances(A, W, step)
-        Q_at = np.array(
-            [noise_covariances(np.repeat(a[None], self.nodes.size, 0), W, self.nodes) for a in A]
-        )
-        kind[k + 1] = np.arange(k.size)
-        weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
-        mode = part.mode[k]
-        Phi = np.einsum("kq,kqab->kab", weight, Phi_at[mode])
-        return kind, Phi, np.einsum("kq,kqab->kab", weight, Q_at[mode])
 
     def value(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> float:
         """The log likelihood."""

@@ -56,9 +56,11 @@ def moved_evenly(
     B: Float[np.ndarray, "mode n m"],
     delays: Float[np.ndarray, "mode m"],
     step: float,
+    cells: Int[np.ndarray, "mode m"] | None = None,
 ) -> Float[np.ndarray, "sample n"]:
     """What inputs add in the period that leads to each sample."""
-    cells = cells_of(delays.ravel(), step).reshape(delays.shape)
+    if cells is None:
+        cells = cells_of(delays.ravel(), step).reshape(delays.shape)
     z, n = acting_evenly(part, cells), A.shape[1]
     moved = np.zeros((part.time.size, n))
     kind = part.mode[:-1]

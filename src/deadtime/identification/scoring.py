@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 _GAIN = 1e-10  # of log likelihood that is still worth a step
 _STEPS = 200
+_CLOSE = 0.1  # of a period: so near a cell's end a climb of coarse steps may be on its way beyond
 
 
 class Evaluation(NamedTuple):
@@ -44,8 +45,9 @@ def climb(
     low: Float[np.ndarray, " size"],
     high: Float[np.ndarray, " size"],
     steps: int = _STEPS,
+    gain: float = _GAIN,
 ) -> Maximum:
-    """The local maximum within bounds that a start leads to.
+    """The local maximum within bounds that a start leads to; `gain` is worth a step.
 
     Examples
     --------
@@ -60,8 +62,8 @@ def climb(
         return Maximum(theta, now, np.zeros(theta.size, bool))
     for _ in range(steps):
         held = ((theta <= low) & (now.score < 0.0)) | ((theta >= high) & (now.score > 0.0))
-        trial, gain = _step(theta, now, held | (low == high), damping, low, high)
-        if gain < _GAIN:
+        trial, rise = _step(theta, now, held | (low == high), damping, low, high)
+        if rise < gain:
             break
         after = evaluate(trial)
         if np.isfinite(after.value) and after.value > now.value:
@@ -103,6 +105,7 @@ def climb_cells(
     bounds: tuple[float, float],
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
+    gain: float = _GAIN,
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.
 
@@ -117,19 +120,21 @@ def climb_cells(
         high[delays] = np.minimum(cells * step, bounds[1])
         start = np.clip(start, low, high)
         low[still], high[still] = start[still], start[still]
-        return climb(evaluate_in(cells), start, low, high)
+        return climb(evaluate_in(cells), start, low, high, gain=gain)
 
     best, tried = highest(cells, theta), {tuple(cells)}
     while True:
         options = []
-        for j in np.flatnonzero(best.bound[delays] & ~still[delays]):
+        whole = best.theta[delays] / step
+        close = (gain > _GAIN) & (np.abs(whole - np.round(whole)) < _CLOSE)
+        for j in np.flatnonzero((best.bound[delays] | close) & ~still[delays]):
             D, beyond = best.theta[delays][j], cells.copy()
             beyond[j] += 1 if (cells[j] - 0.5) * step < D else -1
             reach = (beyond[j] - 1) * step < bounds[1] and beyond[j] * step > bounds[0]
             if reach and tuple(beyond) not in tried:
                 tried.add(tuple(beyond))
                 options.append((highest(beyond, best.theta), beyond))
-        better = [o for o in options if o[0].found.value > best.found.value + _GAIN]
+        better = [o for o in options if o[0].found.value > best.found.value + gain]
         if not better:
             return best, cells
         best, cells = max(better, key=lambda option: option[0].found.value)

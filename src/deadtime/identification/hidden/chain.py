@@ -2,7 +2,7 @@
 
 Sample k has the mode σ_k, and the period from it to the next one the density
 
-    b_k(i, j) = exp stay[k, i] if i = j else exp move[k, i],
+    b_k(i, j) = exp stay[k, i] if i = j else exp move[k, i, j],
     p(σ) = first(σ_0) Π P_k(σ_k, σ_{k+1}),
 
 P_k the row kind[k] of `chain`: of uneven samples every period has its own.
@@ -22,10 +22,11 @@ from deadtime.numerics.kernels import kernel
 def smooth(stay, move, chain, kind, first, same, node, pairs):
     """Forward and back: the log likelihood; and in place what each mode's probability was.
 
-    stay, move : (periods, modes), log densities; chain : (kinds, modes, modes), first : (modes,),
-    logs of probabilities; kind : (periods,). same : (periods, modes), of a period that begins and
-    ends in a mode; node : (periods + 1, modes), of each sample; pairs : (kinds, modes, modes), how
-    many jumps are expected in periods of each kind.
+    stay : (periods, modes), move : (periods, modes, modes), or (periods, modes, 1) where the mode
+    that a period ends in does not matter, log densities; chain : (kinds, modes, modes), first :
+    (modes,), logs of probabilities; kind : (periods,). same : (periods, modes), of a period that
+    begins and ends in a mode; node : (periods + 1, modes), of each sample; pairs : (kinds, modes,
+    modes), how many jumps are expected in periods of each kind.
     """
     ahead = np.empty(node.shape)
     value = forward(stay, move, chain, kind, first, ahead)
@@ -40,6 +41,7 @@ def forward(stay, move, chain, kind, first, ahead):
     Of each sample less the largest one, so that no digits are lost to the length of the log.
     """
     periods, modes = stay.shape
+    last = move.shape[2] - 1
     term = np.empty(modes)
     value, minus_infinity = 0.0, -np.inf
     for i in range(modes):
@@ -50,7 +52,7 @@ def forward(stay, move, chain, kind, first, ahead):
             top = minus_infinity
             for i in range(modes):
                 term[i] = ahead[k, i] + chain[kind[k], i, j]
-                term[i] += stay[k, i] if i == j else move[k, i]
+                term[i] += stay[k, i] if i == j else move[k, i, min(j, last)]
                 top = max(top, term[i])
             total = 0.0
             for i in range(modes):
@@ -70,6 +72,7 @@ def forward(stay, move, chain, kind, first, ahead):
 def backward(stay, move, chain, kind, ahead, same, node, pairs):
     """The probabilities of `smooth`, in place, from those `ahead`."""
     periods, modes = stay.shape
+    last = move.shape[2] - 1
     back, older, own = np.zeros(modes), np.zeros(modes), np.empty((modes, modes))
     minus_infinity = -np.inf
     total = 0.0
@@ -87,7 +90,11 @@ def backward(stay, move, chain, kind, ahead, same, node, pairs):
         for i in range(modes):
             most, after = minus_infinity, 0.0
             for j in range(modes):
-                own[i, j] = chain[kind[k], i, j] + (stay[k, i] if i == j else move[k, i]) + back[j]
+                own[i, j] = (
+                    chain[kind[k], i, j]
+                    + (stay[k, i] if i == j else move[k, i, min(j, last)])
+                    + back[j]
+                )
                 most = max(most, own[i, j])
             for j in range(modes):
                 after += math.exp(own[i, j] - most)
@@ -116,6 +123,7 @@ def likeliest(stay, move, chain, kind, first, path):
     Of paths that are alike the one that stays.
     """
     periods, modes = stay.shape
+    last = move.shape[2] - 1
     best, after = np.empty(modes), np.empty(modes)
     came = np.zeros((periods, modes), np.int64)
     for i in range(modes):
@@ -126,17 +134,17 @@ def likeliest(stay, move, chain, kind, first, path):
             came[k, j] = j
             for i in range(modes):
                 if i != j:
-                    value = best[i] + chain[kind[k], i, j] + move[k, i]
+                    value = best[i] + chain[kind[k], i, j] + move[k, i, min(j, last)]
                     if value > after[j]:
                         after[j] = value
                         came[k, j] = i
         for j in range(modes):
             best[j] = after[j]
-    last = 0
+    end = 0
     for i in range(modes):
-        if best[i] > best[last]:
-            last = i
-    path[periods] = last
+        if best[i] > best[end]:
+            end = i
+    path[periods] = end
     for k in range(periods - 1, -1, -1):
         path[k] = came[k, path[k + 1]]
-    return best[last]
+    return best[end]

@@ -23,6 +23,7 @@ from jaxtyping import Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 
+_STAY = 0.95  # a first guess of the chain's diagonal
 _FLOOR = 1e-300  # of a probability, whose logarithm is taken
 
 
@@ -51,6 +52,13 @@ class Jumps(Frozen):
     def of(cls, P: Float[np.ndarray, "mode mode"], step: float, rates: bool) -> Jumps:
         """Those of which a period makes about P."""
         return cls(_rates(P / step), step, rates) if rates else cls(P, step, rates)
+
+    @classmethod
+    def lasting(cls, modes: int, step: float, rates: bool) -> Jumps:
+        """A first guess, of modes that last."""
+        P = np.full((modes, modes), (1.0 - _STAY) / max(modes - 1, 1))
+        np.fill_diagonal(P, _STAY if modes > 1 else 1.0)
+        return cls.of(P, step, rates)
 
     @property
     def modes(self) -> int:

@@ -19,6 +19,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cell_of, cells_of
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.hidden.pooled import PooledRegression
 from deadtime.identification.hidden.regressions import rooted, rows_of_modes
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
@@ -57,7 +58,8 @@ class HiddenLog(Frozen):
         first, last = cell_of(low, h, up=True), cell_of(high, h)
         if (first, last) == (old.first, old.last):
             return self
-        return replace(self, periods=EvenPeriods.of(old.parts, first, last, old.pooled))
+        pooled = old.pooled if isinstance(old.pooled, PooledRegression) else None
+        return replace(self, periods=EvenPeriods.of(old.parts, first, last, pooled))
 
     @property
     def window(self) -> tuple[float, float]:

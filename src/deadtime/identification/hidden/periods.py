@@ -89,10 +89,10 @@ class Periods(Frozen):
         for part, k in zip(self.parts, self.usable, strict=True):
             stay = np.zeros((part.time.size - 1, modes))
             stay[k] = density[start : start + k.size]
-            move = stay
+            move = stay[..., None]
             if self.within:
-                move = np.zeros(stay.shape)
-                move[k] = self._mixed[start : start + k.size, None]
+                move = np.zeros((*stay.shape, 1))
+                move[k] = self._mixed[start : start + k.size, None, None]
             laid.append((stay, move))
             start += k.size
         return laid

@@ -30,7 +30,10 @@ class PooledRegression(NamedTuple):
 
 
 class PooledPlant(NamedTuple):
-    """Of uneven rows a plant of one mode: A, B, delays (m,), and S of a period of `step`."""
+    """Of uneven rows a plant of one mode: A, B, delays (m,).
+
+    S : what a period of `step` adds
+    """
 
     A: Float[np.ndarray, "n n"]
     B: Float[np.ndarray, "n m"]

@@ -23,7 +23,6 @@ _PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from
 _FAR = 25.0  # of a squared deviation per state: farther off is no more likely to be drawn
 _WIDE = 4.0  # times the covariance of a stretch: its regression rests on few periods
 _LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
-_STAY = 0.95  # a first guess of the chain's diagonal
 
 
 class Stretches(NamedTuple):
@@ -117,8 +116,6 @@ def drawn_start(
         P.append(np.linalg.lstsq(own[:, n:], own[:, :n], rcond=1e-13)[0].T)
         e = (z[pure, :, :n] - z[pure, :, n:] @ P[-1].T) @ white.T
         off = np.minimum(off, (e**2).mean(axis=(1, 2)))
-    chain = np.full((modes, modes), (1.0 - _STAY) / max(modes - 1, 1))
-    np.fill_diagonal(chain, _STAY if modes > 1 else 1.0)
     count = np.full(modes, periods.count / modes)
-    every, jumps = np.tile(_WIDE * shared, (modes, 1, 1)), Jumps(chain, 1.0, rates=False)
+    every, jumps = np.tile(_WIDE * shared, (modes, 1, 1)), Jumps.lasting(modes, 1.0, rates=False)
     return Regressions(np.array(P), every, jumps, np.tile(cells, (modes, 1)), count)
