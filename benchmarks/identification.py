@@ -1,7 +1,7 @@
 """From a log to a law: coverage, bias, efficiency and time of `dt.identify`.
 
     python benchmarks/identification.py coverage --draws 200
-    python benchmarks/identification.py speed
+    python benchmarks/identification.py speed --sizes 10000 100000 --case "uneven, long, noisy"
 
 Logs are made here, by SciPy's exponentials, with no code of the package. Coverage: the share of
 95 % intervals that hold the truth, of the delays and of all entries of A and B; the standard error
@@ -10,6 +10,7 @@ bias beside that of the peak of `scipy.signal.correlate`, of the input with the 
 """
 
 import argparse
+import itertools
 import resource
 import time
 
@@ -17,6 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 from scipy.signal import correlate
+from uneven_logs import uneven_states
 
 import deadtime as dt
 
@@ -24,8 +26,10 @@ H = 0.05
 LEAD, LEAST = 24, 16  # samples before the first that is used, and of every mode after it
 SLOW, FAST = [[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]
 THIRD = [[0.0, 1.0], [-1.0, -1.5]]
+GROWS = [[0.0, 1.0], [0.5, -0.5]]  # at 0.5 1/s
 PUSH = [[0.0], [1.0]]
 BOTH = [[0.2, 1.0], [1.0, -0.5]]
+HOLDS = [[-0.8, -0.7], [-0.2, 0.1]]
 # name: A, B, delays, process noise s (s √h a sample), sensors' deviation, feedback
 CASES = {
     "one mode": ([SLOW], [PUSH], [0.312], 0.03, 0.0, None),
@@ -36,13 +40,22 @@ CASES = {
     "noisy sensors": ([SLOW], [PUSH], [0.312], 0.03, 0.02, None),
     "noisy, two modes": ([SLOW, FAST], [PUSH] * 2, [0.312], 0.03, 0.02, None),
     "noisy, closed loop": ([[[0.5]]], [[[1.0]]], [0.23], 0.03, 0.02, [[-1.2]]),
+    "noisy, three modes, two inputs": (
+        *([SLOW, FAST, THIRD], [BOTH] * 3, [0.312, 0.174], 0.03, 0.02, None),
+    ),
+    "three modes, two inputs, closed loop": (
+        *([SLOW, FAST, GROWS], [BOTH] * 3, [0.312, 0.174], 0.03, 0.0, HOLDS),
+    ),
+    "noisy, three modes, two inputs, closed loop": (
+        *([SLOW, FAST, GROWS], [BOTH] * 3, [0.312, 0.174], 0.03, 0.02, HOLDS),
+    ),
+    "uneven": ([SLOW, FAST], [BOTH] * 2, [0.312, 0.174], 0.03, 0.0, None),
+    "uneven, noisy": ([SLOW, FAST], [BOTH] * 2, [0.312, 0.174], 0.03, 0.02, None),
 }
 
 
-SIZES = (
-    *((10_000, "long"), (10_000, "long, noisy")),
-    *((1_000_000, "long"), (1_000_000, "long, noisy")),
-)
+LONG = ("long", "long, noisy", "uneven, long", "uneven, long, noisy")
+SIZES = (10_000, 100_000, 1_000_000)
 
 
 def sampled(A, B, D):
@@ -67,6 +80,11 @@ def made(case, count, rng):
     A, B = np.array(A), np.array(B)
     modes, n, m = B.shape
     mode = visiting(modes, count, rng)
+    if case.startswith("uneven"):
+        t = H * (np.arange(count) + rng.integers(-300, 301, count) / 1000.0)
+        u = rng.standard_normal((count, m))
+        y = uneven_states(A, B, D, s, t, u, mode, rng) + sensor * rng.standard_normal((count, n))
+        return tabled(t, mode, y, u)
     parts = [sampled(a, b, D) for a, b in zip(A, B, strict=True)]
     Q = [np.linalg.cholesky(_noise(a, s)) for a in A]
     x, u = np.zeros((count, n)), rng.standard_normal((count, m))
@@ -83,7 +101,12 @@ def made(case, count, rng):
             late, soon = k - N[j], k - N[j] + 1
             x[k + 1] += old[:, j] * (u[late, j] if late >= 0 else 0.0)
             x[k + 1] += new[:, j] * (u[soon, j] if soon >= 0 else 0.0)
-    columns = {"t": H * np.arange(count), "mode": mode}
+    return tabled(H * np.arange(count), mode, y, u)
+
+
+def tabled(t, mode, y, u):
+    """A log as a table."""
+    columns = {"t": t, "mode": mode}
     columns |= {f"x{i}": one for i, one in enumerate(y.T)}
     return pd.DataFrame(columns | {f"u{j}": one for j, one in enumerate(u.T)})
 
@@ -125,34 +148,33 @@ def coverage(draws, first, count, cases):
             noise = sensor > 0.0
             fit = dt.identify(log, delay=(0.0, 1.0), noise=noise, switches="samples")
             ends = fit.delay_interval[0]
-            inside_D += [low < true < high for (low, high), true in zip(ends, D, strict=True)]
+            inside_D.append([low < true < high for (low, high), true in zip(ends, D, strict=True)])
             for name, whole in (("A", np.array(A)), ("B", np.array(B))):
                 for (i, a, b), true in np.ndenumerate(whole):
                     low, high = fit.interval(f"{name}[{i}][{a},{b}]")
                     inside_AB.append(low < true < high)
             error.append(fit.delays[0] - D)
             claimed.append(np.diff(ends)[:, 0] / 3.93)
-            peak.append(correlated(log) - D[0])
+            peak.append(np.nan if case.startswith("uneven") else correlated(log) - D[0])
+        held = f"{np.sum(inside_D, axis=0)} of {draws} | {sum(inside_AB)} of {len(inside_AB)}"
         ratio = np.std(error, axis=0) / np.sqrt(np.mean(np.square(claimed), axis=0))
         figures = (1e3 * np.std(error, axis=0), 1e3 * np.mean(claimed, axis=0), ratio)
         said = [np.array2string(one, precision=3) for one in figures]
         bias = np.array2string(1e3 * np.mean(error, axis=0), precision=3)
         print(
-            f"{case} | {100 * np.mean(inside_D):.1f} % | {100 * np.mean(inside_AB):.1f} % | "
-            f"{' | '.join(said)} | {bias} | {1e3 * np.mean(peak):.1f}",
+            f"{case} | {held} | {' | '.join(said)} | {bias} | {1e3 * np.mean(peak):.1f}",
             flush=True,
         )
 
 
-def speed():
+def speed(sizes, cases):
     """Seconds of a processor, and memory, of long logs: three states and two modes."""
     A = np.array(
         [[[0, 1, 0], [0, 0, 1], [-1, -3, -2]], [[0, 1, 0], [0, 0, 1], [-2, -3, -1.5]]], float
     )
     B = np.tile([[0.0], [0.0], [1.0]], (2, 1, 1))
-    CASES["long"] = A, B, [0.312], 0.03, 0.0, None
-    CASES["long, noisy"] = A, B, [0.312], 0.03, 0.02, None
-    for count, case in SIZES:
+    for count, case in itertools.product(sizes, cases):
+        CASES[case] = A, B, [0.312], 0.03, 0.02 if "noisy" in case else 0.0, None
         log = made(case, count, np.random.default_rng(1))
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for turn in ("first", "again"):
@@ -174,12 +196,13 @@ def main():
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--samples", type=int, default=400)
-    parser.add_argument("--case", nargs="*", default=list(CASES), choices=list(CASES))
+    parser.add_argument("--case", nargs="*", choices=[*CASES, *LONG])
+    parser.add_argument("--sizes", nargs="*", type=int, default=SIZES)
     given = parser.parse_args()
     if given.what == "speed":
-        speed()
+        speed(given.sizes, given.case or LONG)
     else:
-        coverage(given.draws, given.first, given.samples, given.case)
+        coverage(given.draws, given.first, given.samples, given.case or list(CASES))
 
 
 if __name__ == "__main__":

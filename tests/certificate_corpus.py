@@ -53,6 +53,17 @@ def corners(*factors):
     return [dt.SwitchedSystem(a * MILD.A, b * MILD.B, MILD.delay) for a, b in factors]
 
 
+def around(plant, part, delay=0.0):
+    """A plant whose entries are known to a part of their sizes, some of them together."""
+    entries = np.concatenate((plant.A.ravel(), plant.B.ravel()))
+    rng = np.random.default_rng(5)
+    root = np.diag(np.abs(entries) + 0.2) + 0.2 * rng.standard_normal((entries.size,) * 2)
+    covariance = np.zeros((entries.size + plant.inputs,) * 2)
+    covariance[: entries.size, : entries.size] = part**2 * root @ root.T
+    covariance[entries.size :, entries.size :] = delay**2 * np.eye(plant.inputs)
+    return dt.UncertainPlant(plant, covariance)
+
+
 def of_pair(alpha):
     far = THREE.apart(alpha)
     plant = dt.SwitchedSystem(far.A[:2], far.B[:2], far.delay)
@@ -75,6 +86,13 @@ def several(delays, law=dt.AveragedPredictor, factor=1.0):
     plant = dt.SwitchedSystem(BOTH, INPUTS, delays)
     gains = np.linalg.solve(INPUTS, np.diag((-1.0, -1.5)) - BOTH)
     return plant, law(plant, factor * gains)
+
+
+def one_of_several(part):
+    """One mode of them, of which each entry and delay is known to a part."""
+    plant, law = several([0.34, 0.17])
+    alone = dt.SwitchedSystem(plant.A[:1], plant.B[:1], plant.delays[:1])
+    return around(alone, part, 0.001), dt.AveragedPredictor(alone, law.gains[:1])
 
 
 def slow(delays):
@@ -169,6 +187,15 @@ CASES: dict[str, Case] = {
         *(0.3, 0.1, {"decay_rate": 0.1}),
     ),
     "polytope-mode": (lambda: (corners((1, 1), (1.05, 1)), DELAYED), 0.2, 0.1, {}),
+    "ellipsoid": (lambda: (around(MILD, 0.01), DELAYED), 0.2, 0.1, {}),
+    "ellipsoid-range": (
+        lambda: (around(MILD, 0.005, 0.001), DELAYED),
+        *(0.2, 0.1, {"decay_rate": 0.1}),
+    ),
+    "ellipsoid-ranges": (
+        lambda: one_of_several(0.003),
+        *(0.3, 0.1, {"decay_rate": 0.0}),
+    ),
     "tolerant": (lambda: designed(PAIR), 0.3, 0.1, {"clock_tolerance": 0.05}),
     "delays-inputs": (lambda: several([0.34, 0.17]), 0.3, 0.1, {}),
     "delays-short": (lambda: several([0.04, 0.07]), 0.2, 0.1, {}),
@@ -269,6 +296,7 @@ STRETCHES = {
     "stretches-off-grid": ("averaged-dwell", (0, 2)),
     "stretches-range": ("range", (0, 1, 2)),
     "stretches-polytope": ("polytope-mode", (0, 1)),
+    "stretches-ellipsoid": ("ellipsoid", (0, 1)),
     "stretches-delays": ("delays-both", (1, 2)),
     "stretches-ranges": ("ranges-modes", (0, 1, 2)),
     "stretches-ways": ("ways-ring", (1, 2, 6)),

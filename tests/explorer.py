@@ -4,9 +4,20 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 COMMAND = [str(Path(sys.executable).with_name("deadtime")), "app", "--no-browser"]
+SHOTS = Path(__file__).parents[1] / "screenshots"
+SIZES = {
+    "laptop": {"viewport": {"width": 1366, "height": 900}},
+    "phone": {
+        "viewport": {"width": 390, "height": 844},
+        "is_mobile": True,
+        "has_touch": True,
+        "user_agent": "Mozilla/5.0 (Linux; Android 15) Mobile Chrome",
+    },
+}
 
 
 class Explorer:
@@ -44,3 +55,21 @@ def open_page(page, url):
 
 def cost(page, law):
     return float(page.locator(f"tr[data-law='{law}']").get_attribute("data-cost"))
+
+
+def until(done, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not (found := done()):
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.002)
+    return found
+
+
+def message(page):
+    return page.get_by_role("alert").inner_text()
+
+
+def choose(page, label, option):
+    """An option of a field."""
+    page.get_by_role("combobox", name=label, exact=True).click()
+    page.get_by_role("menuitem", name=option, exact=True).click()

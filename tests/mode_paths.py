@@ -7,6 +7,7 @@ a period, SciPy's normal densities, probabilities of paths from rates or from su
 import itertools
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
@@ -30,21 +31,48 @@ def ahead(plant, step, mode, x, inputs, k, start=0.0, stop=None):
     return x
 
 
-def covariance(plant, step, mode, W, std):
-    """Of x_{k+1} about what a mode makes of x_k as measured."""
+def covariance(plant, step, i, j, W, std):
+    """Of x_{k+1} about what mode i makes of x_k as measured, where the period ends in j.
+
+    One W is taken to act as in i all along; of one per mode each acts in its own.
+    """
     R = np.diag(np.broadcast_to(std, plant.states) ** 2)
     moved = sum(expm(A * step) @ R @ expm(A * step).T for A in plant.A) / plant.modes
-    return plants.gramian_by_quadrature(plant.A[mode], W, step) + R + moved
+    if W.ndim == 2 or i == j:
+        own = W if W.ndim == 2 else W[i]
+        return plants.gramian_by_quadrature(plant.A[i], own, step) + R + moved
+    return switched(plant, step, i, j, W) + R + moved
+
+
+def switched(plant, step, i, j, W):
+    """The mean of Cov x after a period with a change from i to j at an instant spread evenly.
+
+    By differential equations: `still` is Cov x if no change was yet, `gone` is E[Cov x 1{in j}],
+    to which still dt/h is added in every dt, and t/h of the noise of j.
+    """
+    n = plant.states
+    A, B = plant.A[i], plant.A[j]
+
+    def rate(t, flat):
+        still, gone = flat.reshape(2, n, n)
+        held = A @ still + still @ A.T + W[i]
+        own = B @ gone + gone @ B.T + t / step * W[j] + still / step
+        return np.concatenate((held.ravel(), own.ravel()))
+
+    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
+    return solve_ivp(rate, (0.0, step), np.zeros(2 * n * n), **options).y[n * n :, -1].reshape(n, n)
 
 
 def densities(plant, step, states, inputs, W, std, within):
     """log p of every period for every pair of modes, (periods, modes, modes)."""
     modes, periods = plant.modes, len(states) - 1
     result = np.empty((periods, modes, modes))
+    pairs = [(i, j if within else i) for i, j in np.ndindex(modes, modes)]
+    noise = {pair: covariance(plant, step, *pair, W, std) for pair in set(pairs)}
     for k in range(periods):
         means = [ahead(plant, step, i, states[k], inputs, k) for i in range(modes)]
         for i, j in np.ndindex(modes, modes):
-            d, S = means[j] - means[i], covariance(plant, step, i, W, std)
+            d, S = means[j] - means[i], noise[i, j if within else i]
             mean = means[i] + 0.5 * d if within else means[i]
             if within:
                 S = S + np.outer(d, d) / 12.0

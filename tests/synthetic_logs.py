@@ -9,12 +9,16 @@ from scipy.linalg import expm
 
 
 class Plant:
-    """dx/dt = A_i x + Σ_j b_ij u_j(t − D_ij) + noise of intensity W."""
+    """dx/dt = A_i x + Σ_j b_ij u_j(t − D_ij) + noise of intensity W, one or one of every mode.
 
-    def __init__(self, A, B, D, W=None):
+    Or a period adds R ξ instead, ξ standard normal, R `added` (n, r).
+    """
+
+    def __init__(self, A, B, D, W=None, added=None):
         self.A, self.B = np.array(A, float), np.array(B, float)
         self.D = np.broadcast_to(np.asarray(D, float), (len(self.A), self.B.shape[2]))
         self.W, self.kept = np.zeros(self.A[0].shape) if W is None else W, {}
+        self.added = None if added is None else np.array(added)
 
     def piece(self, mode, length):
         """Φ and Γ of a stretch."""
@@ -38,7 +42,8 @@ class Plant:
     def _covariance(self, mode, length):
         s = np.linspace(0.0, length, 201)
         E = expm(self.A[mode] * s[:, None, None])
-        return simpson(E @ self.W @ E.transpose(0, 2, 1), x=s, axis=0)
+        W = np.broadcast_to(self.W, self.A.shape)[mode]
+        return simpson(E @ W @ E.transpose(0, 2, 1), x=s, axis=0)
 
     def period(self, t, u, mode, k):
         """Φ and what the inputs add from t[k] to t[k + 1]."""
@@ -67,7 +72,9 @@ class Plant:
             if k + 1 < t.size:
                 Phi, added = self.period(t, u, mode, k)
                 x[k + 1] = Phi @ x[k] + added
-                if self.W.any():
+                if self.added is not None:
+                    x[k + 1] += self.added @ rng.standard_normal(self.added.shape[1])
+                elif self.W.any():
                     Q = self.covariance(mode[k], round(t[k + 1] - t[k], 13))
                     x[k + 1] += np.linalg.cholesky(Q) @ rng.standard_normal(n)
         return y, u

@@ -23,6 +23,12 @@ concave, for G ⪰ 0: (2) holds on the cell if it does for all E_c + R. In balls
 is ≻ 0 if T F Tᵀ is within ε < 1 of I, T from its centre: R counts in units in which F is I. A cell
 that fails is halved (R falls with the square of its size), unless its centre fails too.
 
+**An ellipsoid** of plants adds δ = Σ z_i M_i + R' to E, |z| ≤ 1, by the mean value theorem over the
+cell and all of the ellipsoid, |R'| ≤ r entry by entry. By Cauchy and Schwarz (ηᵀ δ y)² is at most
+(η ⊗ y)ᵀ C (η ⊗ y), C = (1 + ε) Σ vec M_i vec M_iᵀ + (1 + 1/ε) n k diag r², so at most ηᵀWη yᵀXy if
+W ⊗ X ⪰ C (checked). Then p = δᵀη has pᵀX⁻¹p ≤ ηᵀWη, and (2) holds for all of it if, for some μ,
+    [F(E) − μ W, −N; −Nᵀ, μ X⁻¹ − G₁₁] ≻ 0.
+
 **A period** is cut at t_1 ≤ t_2 … into pieces, E = … e^{X_2 (t_2 − t_1)} e^{X_1 t_1},
 X = [A, B; 0, 0] with each column of B at the input read. As X commutes with its exponential,
     ∂E/∂p = Σ_k ∂t_k/∂p (the pieces after t_k) (X_k − X_{k+1}) (the pieces before it).
@@ -124,10 +130,12 @@ def certificate(content):
     form, _, rate, plant, law, signals, rho, lyapunov, _ = take(content, "the file", keys)
     need(form == "deadtime certificate 2", "the format is not 'deadtime certificate 2'")
     c = SimpleNamespace(rho=real(rho, "rho"), rate=real(0 if rate is None else rate, "decay_rate"))
-    A, B, c.delays = take(plant, "plant", "A B delays")
+    A, B, c.delays, *axes = take(plant, "plant", "A B delays" + " axes" * ("axes" in plant))
     c.vertices, c.modes, c.n, c.m = len(A), len(A[0]), len(A[0][0]), len(B[0][0][0])
     c.A = nested(A, "A", c.vertices, c.modes, c.n, c.n)
     c.B = nested(B, "B", c.vertices, c.modes, c.n, c.m)
+    c.axes = array(axes[0], "axes", None, c.modes, c.n, c.n + c.m) if axes else []
+    need(not axes or (c.axes and c.vertices == 1), "axes are none, or those of several vertices")
     each = type(c.delays[0]) is list  # delays of every mode and input; else low and high of one
     c.box = each and type(c.delays[0][0]) is list  # low and high of every mode and input
     D = nested(c.delays, "delays", *(2,) * (c.box or not each), *(c.modes, c.m) * each)
@@ -258,6 +266,90 @@ def positive(H):
     return T, norm(T * H * T.transpose() - eye(H.nrows()))
 
 
+def size_of(M):
+    """About the largest eigenvalue of a product of two matrices ⪰ 0, not below it."""
+    for _ in range(9):
+        M = (M * M).mid()
+    return sum((M[i, i] for i in range(M.nrows())), arb(0)).root(512).mid()
+
+
+def root_of(S):
+    """About the square root of S ≻ 0, by Denman and Beavers."""
+    Y, Z = S, eye(S.nrows())
+    for _ in range(12):
+        Y, Z = ((Y + Z.inv()) * arb(0.5)).mid(), ((Z + Y.inv()) * arb(0.5)).mid()
+    return Y
+
+
+def kronecker(A, B):
+    return arb_mat([[x * y for x in a for y in b] for a in A.tolist() for b in B.tolist()])
+
+
+def in_units(Q, units):
+    """Q with the entry (a, b) times both their units."""
+    lines = zip(Q.tolist(), units, strict=True)
+    return arb_mat([[x * a * b for x, b in zip(row, units, strict=True)] for row, a in lines])
+
+
+def traced(C, inverse, n, k, left):
+    """Σ of the blocks of C (n k square) by the entries of an inverse, of its left or right part."""
+    if left:
+        blocks = [[part(C, a * k, a * k + k, b * k, b * k + k) for b in range(n)] for a in range(n)]
+        return sum(
+            (blocks[a][b] * inverse[a, b] for a in range(n) for b in range(n)), arb_mat(k, k)
+        )
+    total = lambda a, b: sum(  # noqa: E731
+        (C[a * k + p, b * k + q] * inverse[p, q] for p in range(k) for q in range(k)), arb(0)
+    )
+    return arb_mat([[total(a, b) for b in range(n)] for a in range(n)])
+
+
+def covered(C, n, k, S, rounds):
+    """W, X with W ⊗ X ⪰ C ⪰ 0 about as small as can be (proved), and S to go on from."""
+    units = [C[i, i].sqrt() for i in range(n * k)]
+    rows = [sum((x * x for x in units[a * k : a * k + k]), arb(0)).sqrt().mid() for a in range(n)]
+    rows = [max(x, max(rows) * arb(2) ** -30) for x in rows]
+    columns = [
+        sum(((units[a * k + p] / rows[a]) ** 2 for a in range(n)), arb(0)).sqrt().mid()
+        for p in range(k)
+    ]
+    columns = [max(x, max(columns) * arb(2) ** -30) for x in columns]
+    little, one = arb(2) ** -30, eye(n * k)
+    scaled = in_units(C, [1 / (a * p) for a in rows for p in columns])
+    F = inverse_factor(scaled.mid() + one * little).inv().mid()  # F Fᵀ is about that
+    S, W = one if S is None else S + one * arb(2) ** -4, eye(n)
+    for _ in range(rounds):
+        G = (F * S * F.transpose()).mid()
+        X = (traced(G, W.inv(), n, k, True) + eye(k) * little).mid()
+        W = (traced(G, X.inv(), n, k, False) + eye(n) * little).mid()
+        W = W * (n / sum((W[a, a] for a in range(n)), arb(0))).mid()
+        M = (F.transpose() * kronecker(W.inv(), X.inv()) * F).mid()
+        root = root_of((S + one * arb(2) ** -10).mid())
+        S = (root * M * root).mid()
+        S = (S * (n * k / sum((S[i, i] for i in range(n * k)), arb(0)))).mid()
+        S = ((S + S.transpose()) * arb(0.5)).mid()
+    W = W * size_of(M) * (1 + arb(2) ** -20)
+    W, X = in_units(W, rows).mid(), in_units(X, columns).mid()
+    W, X = ((Q + Q.transpose()) * arb(0.5) for Q in (W, X))
+    need(positive(kronecker(W, X) - C)[1] < 1, "the ellipsoid was not enclosed")
+    return W, X, S
+
+
+def weight(F, N, G, W, X):
+    """About the μ by which F − μ W − N (μ X⁻¹ − G)⁻¹ Nᵀ is most positive; anything will do."""
+    inverse, Xi, least = F.inv().mid(), X.inv().mid(), size_of((X * G).mid())
+
+    def lack(log):
+        mu = least * (1 + log.exp())
+        return size_of((inverse * (W * mu + N * (Xi * mu - G).inv() * N.transpose())).mid())
+
+    low, high, ratio = arb(-25), arb(25), arb(0.618)
+    for _ in range(30):
+        a, b = (high - ratio * (high - low)).mid(), (low + ratio * (high - low)).mid()
+        low, high = (low, b) if lack(a) < lack(b) else (a, high)
+    return (least * (1 + low.exp())).mid()
+
+
 class Loop:
     """The loop of a certificate: its ages, rows, Lyapunov function and periods."""
 
@@ -284,7 +376,7 @@ class Loop:
         self.table, self.V = lru_cache(room)(self.new_table), lru_cache(room)(self.new_V)
         self.full, self.after = lru_cache(room)(self.new_full), lru_cache(room)(self.new_after)
         self.enclosure, self.X = lru_cache(CELLS)(self.new_enclosure), lru_cache(self.generator)
-        self.X_of = lru_cache(self.generator_of)
+        self.X_of, self.known = lru_cache(self.generator_of), {}
 
     def clock(self, each):
         """0, each φ below h, and h, and how the range moves them; lags by mode, part and input."""
@@ -434,18 +526,22 @@ class Loop:
             rows.append([*map(ball, a), *(ball(b[j]) * (lags[j] == N) for N, j in self.reads)])
         return arb_mat(rows + [[0] * self.k] * (self.k - self.n))
 
-    def period(self, i, j, q, p, slopes):
-        """E, and if asked for its derivatives by u, by the place f in the range, by λ_1, …."""
-        (u, f, *weights), k, zero = p, self.k, arb_mat(self.k, self.k)
+    def pieces(self, i, j, q, p):
+        """The pieces' modes, parts and durations, and how u and f move the instant before each."""
+        u, f = p[:2]
         marks, rise = [low + f * r for low, r in self.marks], [r for _, r in self.marks]
         long = [b - a for a, b in itertools.pairwise(marks)]
-        # The pieces' modes, parts and durations, and how u and f move the instant before each.
         modes, parts = [i] * (q + 1) + [j] * (len(long) - q), sorted([*range(len(long)), q])
         durations = [*long[:q], u * long[q], (1 - u) * long[q], *long[q + 1 :]]
         moved = [(0, r) for r in rise[:-1]]
         moved.insert(q + 1, (long[q], rise[q] + u * (rise[q + 1] - rise[q])))
+        return [*zip(modes, parts, durations, strict=True)], moved
+
+    def period(self, i, j, q, p, slopes):
+        """E, and if asked for its derivatives by u, by the place f in the range, by λ_1, …."""
+        (_, _, *weights), k, zero = p, self.k, arb_mat(self.k, self.k)
         E, D, before = eye(k), [zero] * (2 + len(weights)), zero
-        for mode, at, duration, by in zip(modes, parts, durations, moved, strict=True):
+        for (mode, at, duration), by in zip(*self.pieces(i, j, q, p), strict=True):
             first, *others = [self.X(v, mode, at) for v in range(self.c.vertices)]
             steps = [X - first for X in others]
             X = sum((w * dX for w, dX in zip(weights, steps, strict=True)), first)
@@ -465,6 +561,69 @@ class Loop:
         for a, b in zip(c.A[vertex][mode], c.B[vertex][mode], strict=True):
             rows.append([*map(ball, a), *(ball(b[read[1]]) * (read == r) for r in self.reads)])
         return arb_mat(rows + [[0] * self.k] * (self.k - self.n))
+
+    def swayed(self, chain):
+        """(n k, axes): by how much each axis of the ellipsoid moves E, of a chain of pieces (mode,
+        duration, and where each input is read), at all of its points."""
+        c, n, k, E, moved = self.c, self.n, self.k, eye(self.k), {}
+        for mode, duration, at in chain:
+            places = {**{b: b for b in range(n)}, **{n + j: col for j, col in at.items()}}
+            X = arb_mat(k, k)
+            for a, (b, col) in itertools.product(range(n), places.items()):
+                off = sum((arb(axis[mode][a][b]) ** 2 for axis in c.axes), arb(0)).sqrt().upper()
+                value = c.A[0][mode][a][b] if b < n else c.B[0][mode][a][b - n]
+                X[a, col] = ball(value) + arb(0, 1) * off
+            P = exponential(X * duration)
+            moved = {place: P * D for place, D in moved.items()}
+            for a, (b, col) in itertools.product(range(n), places.items()):
+                if any(axis[mode][a][b] for axis in c.axes):
+                    Y = arb_mat(k, k)
+                    Y[a, col] = arb(1)
+                    doubled = exponential(block([[X, Y], [arb_mat(k, k), X]]) * duration)
+                    D = part(doubled, 0, k, k, 2 * k) * E
+                    place = mode, a, b
+                    moved[place] = moved[place] + D if place in moved else D
+            E = P * E
+        return {place: part(D, 0, n, 0, k) for place, D in moved.items()}
+
+    def sway(self, i, j, q, p):
+        """W, X with (ηᵀ δE y)² ≤ (ηᵀ W η) (yᵀ X y) for all of the ellipsoid."""
+        c, n, k, m = self.c, self.n, self.k, self.c.m
+        if self.boxed:
+            u, f, g, moved = p[0], p[1 : m + 1], p[m + 1 : 2 * m + 1], {}
+            for at in range(m):
+                chain, now = [], arb(0)
+                for mode, lag, end, _ in self.arrivals(i, j, q, at, u, f[at], g[at]):
+                    column = n + self.reads.index((lag, at))
+                    chain, now = [*chain, (mode, end - now, {at: column})], end
+                for place, D in self.swayed(chain).items():
+                    if at:  # the columns of x are the same for all inputs
+                        D = block([[arb_mat(n, n), part(D, 0, n, n, k)]])
+                    moved[place] = moved[place] + D if place in moved else D
+        else:
+            chain = []
+            for mode, at, duration in self.pieces(i, j, q, p)[0]:
+                places = enumerate(self.lags[mode][at])
+                column = {b: n + self.reads.index((N, b)) for b, N in places} if self.acts else {}
+                chain.append((mode, duration, column))
+            moved = self.swayed(chain)
+        if not moved:
+            return None, None
+        J = arb_mat([*zip(*(D.entries() for D in moved.values()), strict=True)])
+        axes = [[arb(axis[mode][a][b]) for axis in c.axes] for mode, a, b in moved]
+        L = J * arb_mat(axes)
+        C, rest = (
+            L.mid() * L.mid().transpose(),
+            [sum((x.rad() ** 2 for x in r), arb(0)) for r in L.tolist()],
+        )
+        sizes = sum((C[a, a] for a in range(n * k)), arb(0)), sum(rest, arb(0)) * n * k
+        share = (sizes[1] / sizes[0]).sqrt().mid() + arb(2) ** -30
+        C = C * (1 + share)
+        for a, x in enumerate(rest):
+            C[a, a] += x * n * k * (1 + 1 / share)
+        before = self.known.get((i, j))
+        W, X, self.known[i, j] = covered(C, n, k, before, 50 if before is None else 20)
+        return W, X
 
     def arrivals(self, i, j, q, at, u, f, g):
         """What input `at` goes through: (mode, lag), its end, how u, f and g move that, f and g the
@@ -539,13 +698,14 @@ class Loop:
         D = period(i, j, q, box, True)[1:] if any(widths) else []
         spread = ((S - S.mid()) * arb(w) for S, w in zip(D, widths, strict=False))
         spread = sum(spread, arb_mat(self.n, self.k))
+        sway = self.sway(i, j, q, box) if self.c.axes else (None, None)
         found = [(E.mid(), E - E.mid())]
         for corner in corners:
             moves = (S.mid() * arb(x - y) for S, x, y in zip(D, corner, middle, strict=False))
             X = sum(moves, E)
             found.append((X.mid(), X - X.mid() + spread))
         moves = iter([float(norm(S) * w) for S, w in zip(D, widths, strict=False)])
-        return found, [sum(next(moves, 0.0) for _ in vs[0]) for vs in simplices]
+        return found, [sum(next(moves, 0.0) for _ in vs[0]) for vs in simplices], sway
 
     def new_full(self, mode, start, end):
         """The product of the periods without a switch; by halves, so that the balls grow less."""
@@ -643,7 +803,7 @@ def stretches(loop):
     knots, c, highest = loop.c.knots, loop.c, max(loop.last)
     need(knots[-1] <= highest, f"the last knot is past the last age, {highest}")
     need(len(loop.modes) == 1 or knots[0] <= min(loop.q0), "the first knot is past a switch")
-    fixed = not loop.ranged and c.vertices == 1 and not c.lost
+    fixed = not loop.ranged and c.vertices == 1 and not c.lost and not c.axes
     need(fixed or len(knots) > highest, "not every age is a knot, though something varies")
     need(c.lag <= knots[0], "the first knot is before the lag of the mode")
     for i in loop.modes:
@@ -686,20 +846,25 @@ def prove(loop, name, V, W, row, modes, age=0, periods=1, before=None, after=Non
     TW = T * block([[Y], [inverse * Z]]).transpose()
     G, target = TW.transpose() * TW * (1 / (1 - error)), inverse * g
 
-    def holds(E, R):
-        EI = block([[E, eye(n)]])
-        N = EI * G
-        change = R * part(N, 0, n, 0, k).transpose()
-        F = target - N * EI.transpose() - change - change.transpose()
-        return positive(F - R * part(G, 0, k, 0, k) * R.transpose())[1] < 1
+    def holds(E, R, W, X):
+        EI, G1 = block([[E, eye(n)]]), part(G, 0, k, 0, k)
+        N = part(EI * G, 0, n, 0, k)
+        change = R * N.transpose()
+        F = target - EI * G * EI.transpose() - change - change.transpose() - R * G1 * R.transpose()
+        if W is None or positive(F)[1] >= 1:
+            return positive(F)[1] < 1
+        mu, N = weight(F.mid(), N.mid(), G1.mid(), W.mid(), X.mid()), (N + R * G1) * arb(-1)
+        H = block([[F - W * mu, N], [N.transpose(), X.inv() * mu - G1]])
+        return positive(H)[1] < 1
 
     cells = [(cell, 0) for cell in loop.roots(*modes, age)]
     while cells:
         need(time.monotonic() < loop.deadline, "there was no time for it; --limit gives more")
         cell, depth = cells.pop()
-        (centre, *corners), moves = loop.enclosure(*modes, *cell)
-        if not all(holds(*at) for at in corners):
-            lost = depth == DEEPEST or not any(moves) or not holds(*centre)
+        (centre, *corners), moves, sway = loop.enclosure(*modes, *cell)
+        if not all(holds(*at, *sway) for at in corners):
+            deep = depth == (DEEPEST if sway[0] is None else 20)  # small cells have a smaller W ⊗ X
+            lost = deep or not any(moves) or (sway[0] is None and not holds(*centre, *sway))
             need(not lost, f"{name}: V does not decrease")
             cells += [(half, depth + 1) for half in halves(*cell, moves.index(max(moves)))]
 
@@ -732,6 +897,7 @@ def summary(c):
     D = f"D = {D} s" if low == high else f"every constant D of {low!r} to {high!r} s"
     first = f"A = {c.A[0][0][0][:3]}…, B = {c.B[0][0][0][:3]}…, F = {c.F[0][0][:3]}…"
     plant = f"{c.modes} modes" + (f", {c.vertices} vertices" if c.vertices > 1 else "")
+    plant += f" in an ellipsoid of {len(c.axes)} axes" * (len(c.axes) > 0)
     rate = f"decays at {c.rate!r} 1/s" if c.rate else "goes to zero"
     kept = f", {c.q} remembered" * (c.q > 0)
     rows = f"rows by {c.context}" + f" of {c.lag} periods ago" * (c.lag > 0)

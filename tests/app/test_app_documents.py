@@ -128,6 +128,9 @@ def test_what_was_found_for_another_problem_is_dropped(own):
             self.future = Future()
             return self.future
 
+        def stop(self, future):
+            future.cancel()
+
     page = Page(own, late := Late())
     page.actions.worst.clicks += 1
     assert page.actions.worst.loading

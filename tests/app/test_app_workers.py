@@ -28,6 +28,26 @@ def test_a_process_that_dies_is_replaced(workers):
     assert workers.submit(5.0, math.sqrt, 9.0).result() == 3.0
 
 
+@pytest.mark.long
+def test_a_job_that_nobody_waits_for_is_stopped_and_the_next_one_runs(workers):
+    began = time.monotonic()
+    running, waiting = (
+        workers.submit(60.0, time.sleep, 50.0),
+        workers.submit(60.0, time.sleep, 50.0),
+    )
+    while not running.running():
+        time.sleep(0.01)
+    workers.stop(waiting)
+    workers.stop(running)
+    assert waiting.cancelled()
+    with pytest.raises(dt.ArgumentError, match="was stopped"):
+        running.result()
+    assert workers.submit(30.0, math.sqrt, 4.0).result() == 2.0
+    assert time.monotonic() - began < 40.0
+    workers.stop(running)  # over already: nothing happens
+    assert workers.submit(30.0, math.sqrt, 9.0).result() == 3.0
+
+
 def test_errors_of_jobs_come_back(workers):
     with pytest.raises(dt.ArgumentError, match=r"ValueError: (math|expected)"):
         workers.submit(5.0, math.sqrt, -1.0).result()

@@ -7,28 +7,13 @@ import statistics
 import time
 import tomllib
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import deadtime as dt
 from deadtime.problems.file import load_problem
-from explorer import cost, open_page
-
-SHOTS = Path(__file__).parents[2] / "screenshots"
-
-
-def until(done, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not (found := done()):
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.002)
-    return found
-
-
-def message(page):
-    return page.get_by_role("alert").inner_text()
+from explorer import SHOTS, SIZES, cost, message, open_page, until
 
 
 def drawn(page):
@@ -232,17 +217,6 @@ def test_twenty_sessions_at_once_stay_responsive(browser, explorer):
     # Twenty pages drawn without a graphics card, on the cores that serve them: drawing waits.
     assert statistics.median(waits) < 3.0
     assert together < 60.0
-
-
-SIZES = {
-    "laptop": {"viewport": {"width": 1366, "height": 900}},
-    "phone": {
-        "viewport": {"width": 390, "height": 844},
-        "is_mobile": True,
-        "has_touch": True,
-        "user_agent": "Mozilla/5.0 (Linux; Android 15) Mobile Chrome",
-    },
-}
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -43,7 +43,7 @@ def by_the_package(path):
 
 def test_the_verifier_is_one_short_file_that_imports_python_and_flint_alone():
     text = VERIFY.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 770
+    assert len(text.splitlines()) <= 950
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -57,7 +57,8 @@ def test_the_verifier_is_one_short_file_that_imports_python_and_flint_alone():
 BOXES = [f for f in FILES if f.stem in ("ranges-inputs", "ranges-one", "ranges-polytope")]
 # One of every kind of plant, law, signals and period.
 KINDS = (
-    *("alike", "average", "averaged-dwell", "delayed", "delays-both", "every-age", "expected"),
+    *("alike", "average", "averaged-dwell", "delayed", "delays-both", "ellipsoid", "every-age"),
+    "expected",
     *("free-rate-0", "generic-averaged", "late-delays", "late-mode", "maximum", "mean", "one-mode"),
     *("lost-observed", "lost-tracking", "polytope", "range", "ranges-modes", "rate", "short-delay"),
     *("stretches-generic", "stretches-late", "stretches-ways", "tolerant", "ways", "ways-late"),

@@ -36,6 +36,45 @@ def test_an_experiment_is_a_table_and_its_errors_stand_beside_those_of_a_prbs(tm
     assert record["written"] == [str(out)]
 
 
+NOISY = """
+[plant]
+A = [[[-1.0]]]
+B = [[[1.0]]]
+delay = 0.27
+[gains]
+K = [[[-0.5]]]
+[signal]
+kind = "constant"
+mode = 0
+[run]
+x0 = [1.0]
+horizon = 6
+step = 0.1
+[[imperfection]]
+kind = "white-disturbance"
+intensity = 1e-3
+[[imperfection]]
+kind = "noise"
+std = 0.02
+"""
+
+
+def test_the_noise_of_the_file_s_sensors_is_counted_unless_another_is_given(tmp_path, capsys):
+    problem = tmp_path / "noisy.toml"
+    problem.write_text(NOISY)
+    asked = [problem, "--input-limit", 1, "--out", tmp_path / "inputs.csv", "--json"]
+    records = [
+        json.loads(said([*asked, *more], capsys)[1])
+        for more in ([], ["--noise", 0.02], ["--noise", 0])
+    ]
+    errors = [one["errors"]["delay"] for one in records]
+    assert errors[0] == errors[1] > 1.5 * errors[2]
+    assert "deviations of 0.02." in records[0]["sentences"][-1]
+    assert "noise must be numbers" in said([*asked, "--noise", "much"], capsys)[2]
+    problem.write_text(NOISY + '[observer]\nkind = "luenberger"\nC = [[1.0]]\npoles = [-3.0]\n')
+    assert "noise must be given where the problem measures outputs" in said(asked, capsys)[2]
+
+
 def test_what_cannot_be_done_is_one_line(capsys):
     limit = ["--input-limit", 1, "--horizon", 30]
     assert "disturbance must be given" in said(["paper", *limit], capsys)[2]

@@ -53,6 +53,25 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
     assert (folder / "fit.svg").read_text(encoding="utf-8").count("<svg") == 1
 
 
+def test_columns_have_commas_between_them_or_in_them(folder, capsys):
+    log = pd.read_csv(folder / "log.csv")
+    log["y"] = np.roll(log["x"], 1)
+    log.rename(columns={"x": "speed", "u": "force, N"}).to_csv(folder / "named.csv", index=False)
+    asked = [folder / "named.csv", "--one-mode", "--delay", 0, 1, "--json"]
+    ends = []
+    for columns in (
+        ["--states", "speed, y", "--inputs", "force, N"],
+        ["--states", "speed", "--states", "y", "--inputs", "force, N"],
+    ):
+        code, out, _ = said([*asked, *columns], capsys)
+        assert code == 0
+        ends.append(json.loads(out)["A"])
+    assert ends[0] == ends[1]
+    assert np.shape(ends[0]) == (1, 2, 2)
+    _, _, error = said([*asked, "--states", "speed,current", "--inputs", "force, N"], capsys)
+    assert "must have the column 'current'" in error
+
+
 def test_what_cannot_be_done_is_one_line(folder, capsys):
     log = folder / "log.csv"
     assert said([log], capsys)[0] == 2

@@ -12,6 +12,7 @@ import plants
 from predictions import GENERIC, OWN, SEMI, STEP, K, past_of, served
 
 W = np.array([[0.3, 0.1, 0.0], [0.1, 0.5, -0.2], [0.0, -0.2, 0.4]])
+EACH = np.stack([W, 3.0 * np.diag([0.0, 1.0, 0.2]), 0.1 * W])  # of every mode
 P0 = np.diag([0.2, 0.0, 0.1])
 MARKOV = plants.markov(3)
 STRETCHES = ((0.034, 3), (0.1, 2), (0.1, 1))
@@ -39,6 +40,20 @@ def test_a_mode_that_is_held_spreads_what_noise_adds_and_the_state_lacked(plant)
     plants.close(found.covariance(W, P0), within + spread, 1e-12)
 
 
+def test_a_mode_that_is_held_has_its_own_noise():
+    found = served(dt.AveragedPredictor(OWN, K, [0.2, 0.3, 0.5]))[0].prediction
+    own = found.covariance_by_mode(EACH)
+    for mode, A in enumerate(OWN.A):
+        for j, tau in enumerate(OWN.delays[mode]):
+            plants.close(own[j, mode], added(A, EACH[mode], tau), 1e-9)
+    found = served(dt.MeanPredictor(GENERIC, plants.mean_gain(GENERIC)))[0].prediction
+    plants.close(found.covariance(EACH), found.covariance(EACH.mean(axis=0)), 1e-12)
+    found = served(dt.SingleModePredictor(GENERIC, K, 1))[0].prediction
+    plants.close(found.covariance(EACH)[0], added(GENERIC.A[1], EACH[1], 0.234), 1e-9)
+    with pytest.raises(dt.ArgumentError, match="disturbance must have shape"):
+        found.covariance(EACH[:2])
+
+
 def test_a_single_mode_without_noise_is_certain():
     found = served(dt.SingleModePredictor(GENERIC, K, 1))[0].prediction
     assert not found.covariance().any()
@@ -50,11 +65,13 @@ def test_a_dwell_is_spread_in_its_mode_and_then_in_each():
     rest = dwell - controller._age * STEP
     assert 0.0 < rest < 0.234
     mode = controller._mode
-    own = controller.prediction.covariance_by_mode(W, P0)
-    now = carried(GENERIC.A[mode], P0, rest) + added(GENERIC.A[mode], W, rest)
-    for i, A in enumerate(GENERIC.A):
-        after = carried(A, now, 0.234 - rest) + added(A, W, 0.234 - rest)
-        plants.close(own[0, i], after, 1e-9)
+    for given in (W, EACH):
+        each = np.broadcast_to(given, EACH.shape)
+        own = controller.prediction.covariance_by_mode(given, P0)
+        now = carried(GENERIC.A[mode], P0, rest) + added(GENERIC.A[mode], each[mode], rest)
+        for i, A in enumerate(GENERIC.A):
+            after = carried(A, now, 0.234 - rest) + added(A, each[i], 0.234 - rest)
+            plants.close(own[0, i], after, 1e-9)
 
 
 def test_a_fictitious_mean_mode_has_the_spread_of_that_mode_alone():
@@ -63,7 +80,8 @@ def test_a_fictitious_mean_mode_has_the_spread_of_that_mode_alone():
     plants.close(found.covariance(W)[0], added(A, W, 0.234), 1e-9)
 
 
-def test_rates_spread_as_the_second_moments_of_all_modes_together():
+@pytest.mark.parametrize("given", [W, EACH], ids=["one noise", "of every mode"])
+def test_rates_spread_as_the_second_moments_of_all_modes_together(given):
     """The raw moments E[x xᵀ 1{σ = i}], by another integrator."""
     controller, x = served(dt.ExpectedPredictor(GENERIC, K, MARKOV))
     mode, past, rates = 2, past_of(controller.law), MARKOV.generator
@@ -75,7 +93,7 @@ def test_rates_spread_as_the_second_moments_of_all_modes_together():
         for i, (A, B) in enumerate(zip(GENERIC.A, GENERIC.B, strict=True)):
             dX[i] += A @ X[i] + B @ u * p[i]
             moved = A @ S[i] + np.outer(B @ u, X[i])
-            dS[i] += moved + moved.T + W * p[i]
+            dS[i] += moved + moved.T + np.broadcast_to(given, EACH.shape)[i] * p[i]
         return np.concatenate((rates.T @ p, dX.ravel(), dS.ravel()))
 
     p, X, S = np.eye(3)[mode], np.zeros((3, 3)), np.zeros((3, 3, 3))
@@ -86,13 +104,14 @@ def test_rates_spread_as_the_second_moments_of_all_modes_together():
         flat = solve_ivp(rate, (0.0, length), flat, **options).y[:, -1]
     p, X, S = flat[:3], flat[3:12].reshape(3, 3), flat[12:].reshape(3, 3, 3)
     found, whole = controller.prediction, X.sum(axis=0)
-    plants.close(found.covariance(W, P0)[0], S.sum(axis=0) - np.outer(whole, whole), 1e-8)
+    plants.close(found.covariance(given, P0)[0], S.sum(axis=0) - np.outer(whole, whole), 1e-8)
     for i in range(3):
         own = S[i] / p[i] - np.outer(X[i], X[i]) / p[i] ** 2
-        plants.close(found.covariance_by_mode(W, P0)[0, i], own, 1e-8)
+        plants.close(found.covariance_by_mode(given, P0)[0, i], own, 1e-8)
 
 
-def test_sojourns_spread_as_all_paths_of_modes_do():
+@pytest.mark.parametrize("given", [W, EACH], ids=["one noise", "of every mode"])
+def test_sojourns_spread_as_all_paths_of_modes_do(given):
     controller, x = served(dt.ExpectedPredictor(GENERIC, K, SEMI), samples=7)
     mode, age, past = controller._mode, controller._age, past_of(controller.law, 7)
     hazard = SEMI.hazard(STEP, 20)
@@ -112,9 +131,10 @@ def test_sojourns_spread_as_all_paths_of_modes_do():
         for length, lag, place in pieces:
             A, B = GENERIC.A[modes[place]], GENERIC.B[modes[place]]
             Phi, Gamma = plants.held(A, B, length)
+            noise = np.broadcast_to(given, EACH.shape)[modes[place]]
             mean, C = (
                 Phi @ mean + Gamma @ past[lag - 1],
-                carried(A, C, length) + added(A, W, length),
+                carried(A, C, length) + added(A, noise, length),
             )
         ends.append((p, modes[-1], mean, C))
     found = controller.prediction
@@ -123,7 +143,7 @@ def test_sojourns_spread_as_all_paths_of_modes_do():
     means, C = np.array([end[2] for end in ends]), np.array([end[3] for end in ends])
     apart = means - weights @ means
     whole = np.tensordot(weights, C, 1) + (weights[:, None] * apart).T @ apart
-    plants.close(found.covariance(W, P0)[1], whole, 1e-8)
+    plants.close(found.covariance(given, P0)[1], whole, 1e-8)
     plants.close(found.states[1], weights @ means, 1e-12)
 
 

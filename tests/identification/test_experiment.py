@@ -8,9 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import deadtime as dt
-from deadtime.identification.excitation.information import Prospect
-from deadtime.identification.excitation.loop import chain_of
-from deadtime.identification.parameters import Layout
+from promises import prospect
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -24,16 +22,10 @@ MODE = (np.arange(T) // 5) % 3
 R = np.random.default_rng(5).choice([-1.0, 1.0], (T, 2))
 
 
-def prospect(criterion="delay", law=None, plant=TRUE, mode=MODE, first=FIRST):
-    given = dt.SwitchedSystem(plant.A, plant.B, plant.D)
-    per_mode = len(np.unique(plant.D, axis=0)) > 1
-    layout = Layout(given.modes, given.states, given.inputs, per_mode)
-    S = np.array([plant.covariance(i, H) for i in range(given.modes)])
-    cells = np.ceil(plant.D / H - 1e-9).astype(int)
+def promised(criterion="delay", law=None, plant=TRUE, mode=MODE, first=FIRST):
     used = np.arange(mode.size) >= first
     used[-1] = False
-    chain = chain_of(given, H, mode, S, cells, layout, law and law.digital(H))
-    return Prospect.of(chain, layout, used, criterion)
+    return prospect(plant, mode, used, H, criterion=criterion, law=law)
 
 
 def dense(theta, layout, start, covariance):
@@ -56,7 +48,7 @@ def dense(theta, layout, start, covariance):
 
 def test_the_information_is_that_of_the_dense_gaussian_of_the_whole_log():
     """F = ∂μᵀ Σ⁻¹ ∂μ + ½ tr(Σ⁻¹ ∂Σ Σ⁻¹ ∂Σ): three modes, two inputs, six delays, by differences."""
-    promise = prospect()
+    promise = promised()
     theta = promise.layout.join(TRUE.A, TRUE.B, TRUE.D)
     t, x, P = H * np.arange(T), np.zeros(2), np.zeros((2, 2))
     for k in range(FIRST):
@@ -71,7 +63,7 @@ def test_the_information_is_that_of_the_dense_gaussian_of_the_whole_log():
         by_cov.append(inverse @ (ends[0][1] - ends[1][1]) / 2e-5)
     means = np.array(by_mean)
     F = means @ inverse @ means.T + 0.5 * np.einsum("aij,bji->ab", by_cov, by_cov)
-    found = promise.information(promise.acting(R)[1])
+    found = promise.information(R)
     unit = np.sqrt(np.diagonal(F))
     assert np.abs((found - F) / unit / unit[:, None]).max() < 1e-6
 
@@ -107,8 +99,8 @@ def test_in_a_closed_loop_the_information_is_that_of_impulse_responses():
         second = np.outer(mean[k], mean[k]) + sum(np.outer(z[k], z[k]) for z in apart)
         F += by_P @ second @ by_P.T / S
     law: Any = dt.DelayedStateFeedback(dt.SwitchedSystem(plant.A, plant.B, 0.123), [[[K]]])
-    promise = prospect(law=law, plant=plant, mode=np.zeros(count, int), first=5)
-    found = promise.information(promise.acting(r)[1])
+    promise = promised(law=law, plant=plant, mode=np.zeros(count, int), first=5)
+    found = promise.information(r)
     np.testing.assert_allclose(found, F, rtol=1e-6)
     np.testing.assert_allclose(promise.chain.means(r)[:, 0], mean[:, 0], atol=1e-12)
 
@@ -118,7 +110,7 @@ def test_the_gradient_of_the_search_is_the_derivative(criterion):
     law: Any = dt.DelayedStateFeedback(
         dt.SwitchedSystem(TRUE.A, TRUE.B, TRUE.D), np.full((3, 2, 2), -0.1), allow_unstable=True
     )
-    promise = prospect(criterion, law)
+    promise = promised(criterion, law)
     promise = promise.within(0.2 + np.abs(promise.reach(0.5 * R)) / 2.0)
     way = np.random.default_rng(2).standard_normal(R.shape)
     ends = [promise.worth(R + s * way, 30.0).value for s in (1e-6, -1e-6)]

@@ -40,9 +40,9 @@ def hidden_log(plant, sensor, count=13, seed=0, even=True, within=False):
     record = Recording((part,), H, even, ("y",) * 3, ("u",) * m, ("0",), False)
     layout, nodes = Layout(modes, n, m, False), nodes_for((part,), plant.A)
     unit = np.ones(layout.size + 6)
-    noisy = NoisyLog(record, Layout(1, n, m, False), C, False, (1e-8, 0.3), unit, nodes)
+    noisy = NoisyLog(record, Layout(1, n, m, False), C, False, (1e-8, 0.3), nodes)
     chain = CHAIN if modes == 2 else np.eye(1)
-    log = HiddenNoisyLog(noisy, layout, Jumps.of(chain, H, not even), within)
+    log = HiddenNoisyLog(noisy, layout, unit, Jumps.of(chain, H, not even), within)
     theta = layout.join(plant.A, plant.B, plant.D)
     return log, log.whole.join(theta, Noise(plant.W, np.full(3, sensor)))
 

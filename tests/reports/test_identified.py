@@ -46,6 +46,8 @@ def test_the_command_writes_one_page_that_needs_nothing_else(log, fit, tmp_path,
     assert text.count("<img src=") == 4
     assert "The delay of u2 is 0.17" in text
     assert "<b>road</b>" not in text
+    named = text.rpartition("<code>")[2].partition("</code>")[0]
+    assert named == f"deadtime identify {tmp_path / 'log.csv'} --delay 0 0.6 --report {page}"
     for name in ("A[2][1,0]", "delay[1]"):
         low, high = fit.interval(name)
         assert re.search(
@@ -72,6 +74,19 @@ def test_figures_show_what_the_log_holds(fit):
     assert [label.get_text() for label in panels[2].get_yticklabels()] == [
         name.replace("$", r"\$") for name in fit.modes
     ]
+
+
+def test_bars_say_what_they_are_of_however_few_there_are():
+    rng = np.random.default_rng(1)
+    one = Plant([[[-1.0]]], [[[1.0]]], 0.312, 1e-3 * np.eye(1))
+    y, u = one.log(H * np.arange(200), rng.standard_normal((200, 1)), rng)
+    table = pd.DataFrame({"t": H * np.arange(200), "x": y[:, 0], "force": u[:, 0]})
+    fit = dt.identify(table, modes=None, delay=(0.0, 0.6), inputs=["force"])
+    figures = {name: figure for name, _, figure in figures_of(fit)}
+    for name, label in (("whiteness", "x"), ("inputs", "force")):
+        legend = figures[name].axes[0].get_legend()
+        assert legend is not None
+        assert [text.get_text() for text in legend.get_texts()] == [label]
 
 
 @pytest.mark.long

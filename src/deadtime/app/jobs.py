@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadtime.app.documents import Document, complaint, open_upload
-from deadtime.app.logs import FoundPlant, open_log
+from deadtime.app.logs import Asked, Columns, Tell, look_at, open_log, report_of
 from deadtime.app.outcome import run_draft
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.certificates import falsify
@@ -24,6 +24,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.problems import Problem
 from deadtime.problems.file.lenient import build_what_can
 from deadtime.problems.toml import SectionError
+from deadtime.reports.identified import Picture
 from deadtime.scenarios.sweeps.axes import AXES
 from deadtime.spectrum import growth_rate
 
@@ -54,11 +55,26 @@ def _seconds(document: Document) -> float:
     return time.process_time() - began
 
 
-def try_log(name: str, content: bytes) -> tuple[FoundPlant, float]:
-    """The plant of a log that came through a browser; seconds of a run of its problem."""
+def look_at_log(name: str, content: bytes) -> Columns:
+    """The columns of a log that came through a browser."""
     with tempfile.TemporaryDirectory() as folder:
-        found = open_log(name, content, Path(folder))
-    return found, _seconds(found.document)
+        return look_at(name, content, Path(folder))
+
+
+def try_log(
+    name: str, content: bytes, asked: Asked, tell: Tell = lambda _: None
+) -> tuple[Picture, bytes]:
+    """The plant of a log that came through a browser.
+
+    It is told, with seconds of a run of its problem, before what may take long: the likelihood
+    over the delays, which is returned with the report.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        found, fit = open_log(name, content, Path(folder), asked, tell)
+    tell("running the laws")
+    tell((found, _seconds(found.document)))
+    tell("drawing how likely every delay is")
+    return report_of(fit, found, asked.command(name))
 
 
 def worst_signal(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import panel as pn
@@ -17,10 +15,13 @@ from deadtime.app import logs
 from deadtime.app.actions import Actions
 from deadtime.app.controls import WIDE, Controls
 from deadtime.app.costs import CSS, table_of
-from deadtime.app.documents import MOST_BYTES, Document, open_named, to_toml, too_large
+from deadtime.app.documents import MOST_BYTES, Document, file_stem, open_named, to_toml, too_large
+from deadtime.app.door import Door
 from deadtime.app.drawing import switch_at
+from deadtime.app.errands import Errands
 from deadtime.app.figures import MOST_PANELS, Figures
-from deadtime.app.jobs import try_log, try_upload
+from deadtime.app.jobs import try_upload
+from deadtime.app.log_card import LogCard
 from deadtime.app.opening import Opening
 from deadtime.app.outcome import Outcome, run_draft
 from deadtime.app.settings import Drawn, Given, draft_of
@@ -30,7 +31,6 @@ from deadtime.problems import NAMED
 
 GROUPS = ("Plant", "Switching", "Run", "Imperfections")
 _TRIAL = 60.0  # seconds after which a trial of an uploaded problem is stopped
-_IDENTIFYING = 120.0  # seconds after which a log is given up
 _LONG = 200  # characters of a title that are shown
 _SLOW = 1.0  # seconds of a processor above which a page cannot follow every move
 
@@ -62,16 +62,14 @@ class Page:
         self.message = pmui.Alert(object="", severity="info", visible=False, margin=(4, 10))
         self.costs = pn.pane.HTML("", sizing_mode="stretch_width", stylesheets=[CSS])
         self.about = pn.pane.HTML("", sizing_mode="stretch_width", margin=(0, 10))
-        self.found = pn.pane.HTML(
-            "", sizing_mode="stretch_width", margin=(0, 10), visible=False, stylesheets=[logs.CSS]
-        )
+        self.log = LogCard(self, workers)
         self.panels = pmui.Column(sizing_mode="stretch_width", margin=0)
         self.groups = {name: pmui.Column(sizing_mode="stretch_width") for name in GROUPS}
         self.laws = pmui.Column(sizing_mode="stretch_width")
         self.actions = Actions(self)
         self.outcome: Outcome
         self._scheduled = self._closed = False
-        self._opened, self._pending = 0, set[Future[Any]]()
+        self._errands = Errands(workers)
         self._begin(Opening.of(document) if opening is None else opening)
 
     # -- opening ---------------------------------------------------------------------------
@@ -79,12 +77,12 @@ class Page:
     def open(self, document: Document) -> None:
         """Show another problem."""
         self._begin(Opening.of(document))
+        self.log.close()
 
     def _begin(self, opening: Opening) -> None:
         document, outcome = opening.document, opening.outcome
         controls = Controls(document, dict(opening.offer), opening.chosen, self.touch)
-        self._forget()
-        self.found.param.update(object="", visible=False)
+        self._errands.stop()
         self.document, self.offer, self.controls = document, opening.offer, controls
         self._shown = dict(document.draft)
         states = range(min(outcome.problem.plant.states, MOST_PANELS))
@@ -132,14 +130,16 @@ class Page:
         def on_tried(result: tuple[Document, float]) -> None:
             document, seconds = result
             called = f"{document.name}.toml"
-            if self._open_if_quick(document, seconds, called, "simulate"):
+            if self._is_quick(seconds, called, "simulate") and self.attempt(
+                lambda: self.open(document)
+            ):
                 self.say(f"Opened {document.name}.toml.")
 
         self.say("Trying the file …")
         self.elsewhere(_TRIAL, on_tried, self.refuse, try_upload, name, content)
 
-    def _open_if_quick(self, document: Document, seconds: float, called: str, command: str) -> bool:
-        """Open a document that was tried and took so long; whether it was opened.
+    def _is_quick(self, seconds: float, called: str, command: str) -> bool:
+        """Whether a document that took so long to run can be shown.
 
         Else what was called so is refused, and a command named that has time.
         """
@@ -148,24 +148,33 @@ class Page:
                 f"{called} takes {seconds:.1f} s of a processor to run, too "
                 f"slow for a page that follows every move: use `deadtime {command}`."
             )
-            return False
-        return self.attempt(lambda: self.open(document))
+        return seconds <= _SLOW
 
     def upload_log(self, name: str, content: bytes) -> None:
-        """Identify the plant of a log that came through the browser, and show its problem."""
+        """Show the card of a log that came through the browser."""
         if len(content) > logs.MOST_BYTES:
             self.refuse(str(logs.too_large(name, len(content))))
-            return
+        else:
+            self.log.take(name, content)
 
-        def on_found(result: tuple[logs.FoundPlant, float]) -> None:
-            found, seconds = result
-            called = f"The plant of {found.document.name}.csv"
-            if self._open_if_quick(found.document, seconds, called, "identify"):
-                self.found.param.update(object=logs.shown(found), visible=True)
-                self.say(f"The plant of {found.document.name}.csv, as a problem.")
+    def open_found(self, document: Document, seconds: float, called: str) -> bool:
+        """Show the problem of a log, whose card stays; whether it was shown."""
+        return self._is_quick(seconds, called, "identify") and self.attempt(
+            lambda: self._begin(Opening.of(document))
+        )
 
-        self.say("Identifying the plant of the log …")
-        self.elsewhere(_IDENTIFYING, on_found, self.refuse, try_log, name, content)
+    def take(self, name: str, size: int, content: bytes | None) -> None:
+        """Open what was chosen or dropped; what is too large came without its content."""
+        ending = name.lower().rpartition(".")[2]
+        if ending not in ("csv", "toml"):
+            self.refuse(
+                f"{file_stem(name)} is neither a problem (.toml) nor a log (.csv) by its name."
+            )
+        elif content is None:
+            large = logs.too_large if ending == "csv" else too_large
+            self.refuse(str(large(name, size)))
+        else:
+            (self.upload_log if ending == "csv" else self.upload)(name, content)
 
     def elsewhere(
         self,
@@ -179,39 +188,14 @@ class Page:
 
         Nothing comes of it once another problem was opened, or the session is over.
         """
-        browser, problem = pn.state.curdoc, self._opened
-
-        def on_finished(future: Future[Any]) -> None:
-            self._pending.discard(future)
-            if future.cancelled() or self._closed:
-                return
-            error = future.exception()
-            after = partial(done, future.result()) if error is None else partial(failed, str(error))
-
-            def unless_late() -> None:
-                if problem == self._opened:
-                    after()
-
-            if browser is None:
-                unless_late()
-            else:
-                browser.add_next_tick_callback(unless_late)
-
-        future = self.workers.submit(limit, job, *given)
-        self._pending.add(future)
-        future.add_done_callback(on_finished)
-
-    def _forget(self) -> None:
-        """Drop what is still to be done for the problem shown until now."""
-        self._opened += 1
-        for future in list(self._pending):
-            future.cancel()
+        self._errands.begin(limit, done, lambda error: failed(str(error)), job, *given)
 
     def close(self) -> None:
         """The session is over: let go of what it holds, whoever still holds the page."""
         self._closed = True
-        self._forget()
-        held = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "found")
+        self._errands.stop()
+        self.log.close()
+        held = ("panels", "groups", "laws", "controls", "figures", "outcome", "actions", "log")
         for name in held:
             vars(self).pop(name, None)
 
@@ -324,18 +308,13 @@ class Page:
             label="Problem", options=["", *NAMED], value="", helper_text="or a file:", **WIDE
         )
         choice.param.watch(lambda event: event.new and self.open_named(event.new), "value")
-        upload = pmui.FileInput(
-            label="Open a problem or a log", accept=".toml,.csv",
-            max_file_size=None, **WIDE,
-        )  # fmt: skip
+        phone = _on_a_phone()
 
-        def on_uploaded(event: Any) -> None:
-            if event.new is not None:
-                name = upload.filename or "problem.toml"
-                take = self.upload_log if name.lower().endswith(".csv") else self.upload
-                take(name, event.new)
+        def take(name: str, size: int, content: bytes | None) -> None:
+            page.sidebar_open = page.sidebar_open and not phone
+            self.take(name, size, content)
 
-        upload.param.watch(on_uploaded, "value", onlychanged=False)
+        door = Door(take, self.refuse, **WIDE)
         groups = pmui.Accordion(
             ("Laws", self.laws),
             *self.groups.items(),
@@ -343,23 +322,21 @@ class Page:
             sizing_mode="stretch_width", margin=(5, 5),
         )  # fmt: skip
         curves = self.about, self.panels, *self.actions.drawing()
-        left = pmui.Column(self.message, self.found, *curves)
+        left = pmui.Column(*curves)
         right = pmui.Column(self.costs, *self.actions.judging(), sizing_mode="stretch_width")
-        phone = _on_a_phone()
-        # There the drawer lies over the header, and so over the button that opened it.
+        body = pmui.Grid(
+            pmui.Grid(left, size={"xs": 12, "lg": 7}),
+            pmui.Grid(right, size={"xs": 12, "lg": 5}),
+            container=True, spacing=1, sizing_mode="stretch_width",
+        )  # fmt: skip
+        # On a phone the drawer lies over the header, and so over the button that opened it.
         closing = pmui.Button(label="Close", variant="outlined", visible=phone, **WIDE)
         page = pmui.Page(
             title="deadtime explorer",
-            sidebar=[closing, choice, upload, *self.actions.downloads(), groups],
+            sidebar=[closing, choice, door, *self.actions.downloads(), groups],
             sidebar_width=330,
             sidebar_open=not phone,
-            main=[
-                pmui.Grid(
-                    pmui.Grid(left, size={"xs": 12, "lg": 7}),
-                    pmui.Grid(right, size={"xs": 12, "lg": 5}),
-                    container=True, spacing=1, sizing_mode="stretch_width",
-                )
-            ],
+            main=[pmui.Column(self.message, self.log.view, body, sizing_mode="stretch_width")],
             theme_toggle=True,
         )  # fmt: skip
 

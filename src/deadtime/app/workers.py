@@ -9,16 +9,27 @@ from __future__ import annotations
 import multiprocessing
 import queue
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
+from weakref import WeakSet
 
 from deadtime.base.errors import ArgumentError, DeadtimeError
 
 Job = Callable[..., Any]
+Told = Callable[[Any], None]
 _MEMORY = 8 * 2**30  # bytes of addresses, of which libraries alone take two
+
+
+class TooLongError(ArgumentError):
+    """A job took longer than it may."""
+
+
+class StoppedError(ArgumentError):
+    """A job was stopped, since nobody waits for it any more."""
 
 
 class Workers:
@@ -35,6 +46,9 @@ class Workers:
         self._threads = ThreadPoolExecutor(count, "deadtime-worker")
         self._closed = threading.Event()
         self._all: set[_Worker] = set()
+        self._doing: dict[Future[Any], _Worker] = {}
+        self._stopped: WeakSet[Future[Any]] = WeakSet()
+        self._lock = threading.Lock()
         for _ in range(count):
             self._start()
 
@@ -43,7 +57,7 @@ class Workers:
         self._all.add(worker)
         self._idle.put(worker)
 
-    def submit(self, limit: float, job: Job, *given: Any) -> Future[Any]:
+    def submit(self, limit: float, job: Job, *given: Any, told: Told | None = None) -> Future[Any]:
         """Run a job when there is a process for it.
 
         Parameters
@@ -52,6 +66,9 @@ class Workers:
             Seconds that the job may take once it has begun.
         job : callable
             A function of a module, its arguments and its result plain data.
+        told : callable, optional
+            Called, in a thread, with all that the job tells before its end: the job is then given
+            ``tell=``, to be called with plain data.
 
         Returns
         -------
@@ -59,20 +76,54 @@ class Workers:
             Of its result; of an `ArgumentError` if it takes longer, its process dies, or it
             raises an error.
         """
-        return self._threads.submit(self._run, limit, job, given)
+        future: Future[Any] = Future()
+        self._threads.submit(self._run, future, limit, job, given, told)
+        return future
 
-    def _run(self, limit: float, job: Job, given: tuple) -> Any:
+    def stop(self, future: Future[Any]) -> None:
+        """End a job that nobody waits for any more, begun or not: others are waiting."""
+        with self._lock:
+            if future.cancel() or future.done():
+                return
+            self._stopped.add(future)
+            if future in self._doing:
+                self._doing[future].kill()
+
+    def _run(
+        self, future: Future[Any], limit: float, job: Job, given: tuple, told: Told | None
+    ) -> None:
+        if not future.set_running_or_notify_cancel():
+            return
         worker = self._idle.get()
         try:
-            return worker.do(job, given, limit)
-        finally:
-            if worker.alive and not self._closed.is_set():
-                self._idle.put(worker)
-            else:
-                worker.end()
-                self._all.discard(worker)
-                if not self._closed.is_set():
-                    self._start()
+            with self._lock:
+                if future in self._stopped:
+                    raise StoppedError("that was stopped.")
+                self._doing[future] = worker
+            result, error = worker.do(job, given, limit, told), None
+        except Exception as raised:
+            result, error = None, raised
+        with self._lock:  # from here on it is too late to stop it
+            self._doing.pop(future, None)
+            stopped = future in self._stopped
+            self._stopped.discard(future)
+        self._put_back(worker)
+        if stopped:
+            future.set_exception(StoppedError("that was stopped."))
+        elif error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(result)
+
+    def _put_back(self, worker: _Worker) -> None:
+        """Make a process idle again, or start another where it has ended."""
+        if worker.alive and not self._closed.is_set():
+            self._idle.put(worker)
+        else:
+            worker.end()
+            self._all.discard(worker)
+            if not self._closed.is_set():
+                self._start()
 
     def close(self) -> None:
         """End all processes; what was still to be done is not."""
@@ -98,28 +149,34 @@ class _Worker:
     def alive(self) -> bool:
         return self._process.is_alive()
 
-    def do(self, job: Job, given: tuple, limit: float) -> Any:
+    def do(self, job: Job, given: tuple, limit: float, told: Told | None) -> Any:
         """Run a job here; the process does not outlive one that takes too long."""
         try:
             if not self._ready:  # it may still be importing, which is not the job's fault
                 self._pipe.recv()
                 self._ready = True
-            self._pipe.send((job, given))
-            if not self._pipe.poll(limit):
-                self.end()
-                raise ArgumentError(
-                    f"that takes longer than {limit:g} s, and was stopped: make the problem "
-                    "smaller, or use the command line, which has no limit."
-                )
-            worked, result = self._pipe.recv()
+            self._pipe.send((job, given, told is not None))
+            end = time.monotonic() + limit
+            while True:
+                if not self._pipe.poll(max(end - time.monotonic(), 0.0)):
+                    self.end()
+                    raise TooLongError(
+                        f"that takes longer than {limit:g} s, and was stopped: make the problem "
+                        "smaller, or use the command line, which has no limit."
+                    )
+                kind, answer = self._pipe.recv()
+                if kind != "told":
+                    break
+                if told is not None:
+                    told(answer)
         except (EOFError, OSError):
             self.end()
             raise ArgumentError(
                 "that ended its process, perhaps for want of memory: make the problem smaller."
             ) from None
-        if not worked:
-            raise result
-        return result
+        if kind == "failed":
+            raise answer
+        return answer
 
     def kill(self) -> None:
         self._process.kill()
@@ -141,13 +198,14 @@ def _serve(pipe: Connection) -> None:
     try:
         pipe.send(True)
         while True:
-            job, given = pipe.recv()
+            job, given, tells = pipe.recv()
+            more = {"tell": lambda said: pipe.send(("told", said))} if tells else {}
             try:
-                answer = (True, job(*given))
+                answer = ("done", job(*given, **more))
             except DeadtimeError as error:
-                answer = (False, ArgumentError(str(error)))
+                answer = ("failed", ArgumentError(str(error)))
             except Exception as error:  # a fault of ours ends the job, not the process
-                answer = (False, ArgumentError(f"{type(error).__name__}: {error}"))
+                answer = ("failed", ArgumentError(f"{type(error).__name__}: {error}"))
             pipe.send(answer)
     except (EOFError, OSError, KeyboardInterrupt):
         pass

@@ -135,4 +135,6 @@ def _also(evidence: Evidence | StretchEvidence) -> str:
     elif evidence.setting.family.ranges:
         low, high = evidence.setting.delays
         delays = f" and every constant delay from {low:.6g} s to {high:.6g} s"
-    return delays + " and every plant in the polytope" * (len(evidence.setting.A) > 1)
+    many = len(evidence.setting.A) > 1, evidence.setting.axes is not None
+    kinds = " and every plant in the polytope", " and every plant in the ellipsoid"
+    return delays + "".join(kind for kind, there in zip(kinds, many, strict=True) if there)

@@ -27,8 +27,8 @@ from deadtime.certificates.clock import (
 from deadtime.certificates.dwell.frame import whole
 from deadtime.certificates.dwell.search import Level, Search
 from deadtime.certificates.dwell.stretch_search import StretchSearch
+from deadtime.certificates.plants import delays_of, extremes, plants_of
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence
-from deadtime.certificates.proof.box import Interval
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.reach import (
     out_of_reach,
@@ -42,8 +42,7 @@ from deadtime.certificates.unmoved import neutral, why_unmoved
 from deadtime.feedback import Feedback, Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
-from deadtime.plant import SwitchedSystem
-from deadtime.plant.switched_system import check_delays
+from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
 from deadtime.switching.constraint import PerMode as Times
 
@@ -57,7 +56,7 @@ SURPLUS = 1e-12  # of ρ: so that a rate asked for is not missed by rounding
 
 
 def certify(
-    plant: SwitchedSystem | Sequence[SwitchedSystem],
+    plant: SwitchedSystem | UncertainPlant | Sequence[SwitchedSystem],
     law: Law,
     dwell_time: Times,
     step: float = 0.01,
@@ -80,9 +79,10 @@ def certify(
 
     Parameters
     ----------
-    plant : SwitchedSystem, or a sequence of them
+    plant : SwitchedSystem, a sequence of them, or UncertainPlant
         The truth, which may differ from the law's model; a sequence gives the corners of a
-        polytope of plants (of the same delays).
+        polytope of plants (of the same delays). Of an uncertain plant all are meant whose A and B
+        lie in its ellipsoid of 95 %, with every delay in its interval of 95 %.
     law : Law
         A law that is a table with rows by nothing, by mode, or by mode and age; or an
         `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
@@ -100,9 +100,10 @@ def certify(
         N₀ + T/τ_a switches, at most one per period.
     delays : (low, high), optional
         A range of the plant's true delay, in seconds, within which it is constant; by default the
-        plant's delay, or delays. The law's table stays what it is. low and high may be all that
-        `SwitchedSystem` takes as delays: then every input's delay in every mode is any value
-        between its own two, whatever the others are. Each range lies in one period.
+        plant's delay, or delays, and of an uncertain plant their intervals. The law's table stays
+        what it is. low and high may be all that `SwitchedSystem` takes as delays: then every
+        input's delay in every mode is any value between its own two, whatever the others are. Each
+        range lies in one period.
     decay_rate : float, optional
         The rate to certify, 1/s; by default one close to the slowest mode's, or with
         `maximum_dwell` the best tried.
@@ -145,7 +146,7 @@ def certify(
     >>> certificate.stable, certificate.proven
     (True, True)
     """
-    plants = _plants(plant)
+    plants, axes, delays = plants_of(plant, delays)
     instance("law", law, Law)
     for corner in plants:
         require_match(corner, law)
@@ -172,7 +173,7 @@ def certify(
     setting = Setting(
         np.stack([corner.A for corner in plants]),
         np.stack([corner.B for corner in plants]),
-        _delays(delays, plants[0], step),
+        delays_of(delays, plants[0], step),
         table.state_gain,
         table.input_gain,
         table.context,
@@ -186,6 +187,7 @@ def certify(
         table.memory,
         following,
         lost_samples,
+        axes,
     )
     reason = too_many_told(setting) or too_large(setting.order)
     if reason:
@@ -203,7 +205,7 @@ def _decide(
     progress: Callable[[str], None],
 ) -> Certificate:
     """The modes alone, then Lyapunov functions, then a bad signal."""
-    corners = [SwitchedSystem(p.A, p.B, delay) for p in plants for delay in _ends(setting.delays)]
+    corners = extremes(plants, setting.axes, setting.delays, table)
     rates = [
         (constant_growth(with_memory(one, table), table, mode, aged_row(table, mode)), mode, one)
         for one in corners
@@ -264,13 +266,6 @@ def _searched(
         if searched[-1].stable is False:
             break
     return searched
-
-
-def _ends(delays: tuple[float, float] | np.ndarray) -> list[float] | list[np.ndarray]:
-    """Delays at which constant modes are looked at: all of them at the ends of their ranges."""
-    if isinstance(delays, tuple):
-        return sorted(set(delays))
-    return list(delays) if delays.ndim == 3 else [delays]
 
 
 def _evidence(
@@ -351,49 +346,3 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
             False, f"Not stable for every admissible signal{also}: {worst.message}", witness=worst
         )
     return Certificate(None, worst.message, witness=worst)
-
-
-def _plants(plant: SwitchedSystem | Sequence[SwitchedSystem]) -> list[SwitchedSystem]:
-    plants = [plant] if isinstance(plant, SwitchedSystem) else list(plant)
-    if not plants:
-        raise ArgumentError("plant must be a SwitchedSystem or a sequence of them, got none.")
-    for corner in plants:
-        instance("plant", corner, SwitchedSystem)
-        if not np.array_equal(corner.delays, plants[0].delays):
-            raise ArgumentError(
-                "plant must have the same delays at all corners of the polytope: give a range of "
-                "one delay as delays=(low, high)."
-            )
-    return plants
-
-
-def _delays(
-    delays: tuple[ArrayLike, ArrayLike] | None, plant: SwitchedSystem, step: float
-) -> tuple[float, float] | np.ndarray:
-    """What `Setting.delays` holds."""
-    if delays is None:
-        return (plant.delay, plant.delay) if plant.has_one_delay else plant.delays
-    if plant.has_one_delay and not any(np.iterable(end) for end in delays):
-        low, high = (positive("delays", value) for value in delays)
-        if low > high:
-            raise ArgumentError(f"delays must ascend, got ({low:g}, {high:g}).")
-        _require_one_period(low, high, step, "delays")
-        return low, high
-    shape = plant.delays.shape
-    ends = np.stack([check_delays(end, shape, "delays") for end in delays])
-    for i, j in np.ndindex(shape):
-        name, (low, high) = f"delays of input {j} in mode {i}", ends[:, i, j].tolist()
-        if low > high:
-            raise ArgumentError(f"{name} must ascend, got ({low:g}, {high:g}).")
-        _require_one_period(low, high, step, name)
-    return ends if np.any(ends[0] < ends[1]) else ends[0]
-
-
-def _require_one_period(low: float, high: float, step: float, name: str) -> None:
-    try:
-        Interval.of(low, high, step)
-    except ValueError:
-        raise ArgumentError(
-            f"{name} must lie within one period, between two multiples of step = {step:g} s, got "
-            f"({low:g}, {high:g}): certify the parts one by one, as delay_margin does."
-        ) from None

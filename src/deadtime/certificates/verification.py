@@ -26,11 +26,12 @@ from deadtime.certificates.proof.validate import why_malformed
 from deadtime.certificates.signals import of_setting
 from deadtime.feedback import Law
 from deadtime.feedback.recurrence import recurrence_of, with_lost_rows
-from deadtime.plant import SwitchedSystem
+from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
 
 SHOWN = 12  # digits of a digest
 FIRST = 4  # numbers of an array
+_ROUNDED = 1e-10  # of an ellipsoid's axes
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Verification:
 class Asked:
     """What a certificate is wanted for (immutable); None where nothing is asked."""
 
-    plant: SwitchedSystem | None = None
+    plant: SwitchedSystem | UncertainPlant | None = None
     law: Law | None = None
     step: float | None = None
     dwell_time: Times | None = None
@@ -81,14 +82,10 @@ class Asked:
         return self._loop(setting) or self._signals(setting)
 
     def _loop(self, setting: Setting) -> str:
-        plant, law, step = self.plant, self.law, self.step
-        if plant is not None:
-            known = zip(setting.A, setting.B, strict=True)
-            if not any(np.array_equal(A, plant.A) and np.array_equal(B, plant.B) for A, B in known):
-                return "the certificate is about a plant with other matrices."
-            other = _other_delay(setting.delays, plant)
-            if other:
-                return f"the certificate is about a plant with {other}."
+        law, step = self.law, self.step
+        other = _other_plant(setting, self.plant)
+        if other:
+            return f"the certificate is about {other}."
         if step is not None and step != setting.step:
             return (
                 f"the certificate is about a period of {setting.step!r} s, not {step!r} s: if the "
@@ -167,7 +164,7 @@ class Asked:
 
 def verify(
     path: str | Path,
-    plant: SwitchedSystem | None = None,
+    plant: SwitchedSystem | UncertainPlant | None = None,
     law: Law | None = None,
     *,
     step: float | None = None,
@@ -188,8 +185,9 @@ def verify(
     ----------
     path : path
         The JSON file that `Certificate.save` wrote.
-    plant : SwitchedSystem, optional
-        The plant; of a polytope, one of its corners.
+    plant : SwitchedSystem or UncertainPlant, optional
+        The plant; of a polytope, one of its corners, of an ellipsoid its middle. An uncertain one
+        asks for its ellipsoid of 95 % and the intervals of its delays.
     law : Law, optional
         The law whose table it is.
     step : float, optional
@@ -231,7 +229,8 @@ def verify(
         if value is not None and not np.iterable(value):
             positive(name, value)
     step = None if step is None else positive("step", step)
-    for name, value, kind in (("plant", plant, SwitchedSystem), ("law", law, Law)):
+    middle = plant.plant if isinstance(plant, UncertainPlant) else plant
+    for name, value, kind in (("plant", middle, SwitchedSystem), ("law", law, Law)):
         if value is not None:
             instance(name, value, kind)
     chatter = None if chatter is None else count("chatter", chatter)
@@ -287,11 +286,14 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
     """What a certificate is about, so that a reader can tell it from another one."""
     corners, modes, n, m = setting.B.shape
     polytope = f", a polytope of {corners} plants" if corners > 1 else ""
+    known = setting.A, setting.B, np.array(setting.delays)
+    if setting.axes is not None:
+        polytope, known = f", an ellipsoid of {len(setting.axes)} axes", (*known, setting.axes)
     rows, taps = setting.G.shape[:2]
     late = f" of {number_of(setting.mode_lag, 'period')} ago" if setting.mode_lag else ""
     kept = f", {number_of(setting.memory, 'number')} remembered" if setting.memory else ""
     return (
-        f"Plant {_digest(setting.A, setting.B, np.array(setting.delays))}: "
+        f"Plant {_digest(*known)}: "
         f"{number_of(modes, 'mode')}, {number_of(n, 'state')}, {number_of(m, 'input')}, "
         f"{_in_figures(setting.delays)}{polytope}; A[0] = {_first(setting.A[0, 0])}, "
         f"B[0] = {_first(setting.B[0, 0])}",
@@ -301,6 +303,38 @@ def in_first_numbers(setting: Setting, digest: str) -> tuple[str, ...]:
         f"Signals: {signals_in_words(setting)}; clock tolerance {setting.clock_tolerance!r}",
         f"File {digest[:SHOWN]}",
     )
+
+
+def _other_plant(setting: Setting, plant: SwitchedSystem | UncertainPlant | None) -> str:
+    """Which plants a certificate is about, if one that is asked about is not among them."""
+    if plant is None:
+        return ""
+    middle = plant.plant if isinstance(plant, UncertainPlant) else plant
+    known = zip(setting.A, setting.B, strict=True)
+    if not any(np.array_equal(A, middle.A) and np.array_equal(B, middle.B) for A, B in known):
+        return "a plant with other matrices"
+    asked = [middle]
+    if isinstance(plant, UncertainPlant):
+        if not _covers(setting.axes, plant.axes()):
+            return "no ellipsoid of plants" if setting.axes is None else "another ellipsoid"
+        ends = plant.delay_range()
+        asked += [SwitchedSystem(middle.A, middle.B, end) for end in ends or ()]
+    others = (_other_delay(setting.delays, one) for one in asked)
+    return next((f"a plant with {other}" for other in others if other), "")
+
+
+def _covers(axes: np.ndarray | None, asked: np.ndarray) -> bool:
+    """Whether an ellipsoid holds another one about the same plant, up to what `axes` adds."""
+    if axes is None or not len(asked):
+        return not len(asked)
+    have, want = axes.reshape(len(axes), -1), asked.reshape(len(asked), -1)
+    unit = np.abs(have).max(axis=0)
+    if want[:, unit == 0.0].any():
+        return False
+    have, want = have[:, unit > 0.0] / unit[unit > 0.0], want[:, unit > 0.0] / unit[unit > 0.0]
+    part = want @ np.linalg.pinv(have, rcond=_ROUNDED)
+    near = bool(np.abs(want - part @ have).max() <= _ROUNDED)
+    return near and bool(np.linalg.norm(part, 2) <= 1.0 + 0.5e-9)
 
 
 def _other_delay(delays: Delays, plant: SwitchedSystem) -> str:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         "deadtime certify problem.toml --law expected --mode-lag 3",
         "deadtime certify problem.toml --law expected --longest-mode-lag",
         "deadtime certify problem.toml --lost-samples 2",
+        "deadtime certify identified.toml --uncertain",
     ),
 )
 def certify(
@@ -44,6 +45,7 @@ def certify(
     delays: tuple[str, str] | None = None,
     mode_lag: int = 0,
     lost_samples: int = 0,
+    uncertain: bool = False,
     least_dwell_time: bool = False,
     mode: int | None = None,
     longest_mode_lag: bool = False,
@@ -80,6 +82,9 @@ def certify(
     lost_samples
         How many samples in a row may be lost, at most, whichever: what is proved then holds for
         every loss of them, as by the imperfection dropout.
+    uncertain
+        Prove it for all plants that the file's [uncertainty], as `deadtime identify` writes it,
+        leaves open: A and B in their ellipsoid of 95 %, each delay in its interval of 95 %.
     least_dwell_time
         Look for the least dwell time instead: the shortest proved, and the longest refuted. Several
         dwell times, of the problem or given, move in proportion.
@@ -100,12 +105,12 @@ def certify(
     chosen = _with_step(problem_of(problem), step)
     if least_dwell_time:
         one = dwell_time is not None and "," not in dwell_time and mode is None
-        given = any(option is not None for option in (decay_rate, delays, out))
+        given = uncertain or any(option is not None for option in (decay_rate, delays, out))
         if one or given or lost_samples != 0:
             raise ArgumentError(
                 "--least-dwell-time looks for the dwell time itself: leave out --dwell-time (but "
-                "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples "
-                "and --out."
+                "for one per mode, to keep in proportion), --decay-rate, --delays, --lost-samples, "
+                "--uncertain and --out."
             )
         signals = _kept(chosen, dwell_time, maximum_dwell, mode)
         return least_dwell_times(chosen, law, signals, json_output)
@@ -113,10 +118,10 @@ def certify(
         raise ArgumentError("--mode must come with --least-dwell-time: whose dwell time moves?")
     if longest_mode_lag:
         given = (decay_rate, delays, out)
-        if any(one is not None for one in given) or mode_lag != 0 or lost_samples != 0:
+        if any(one is not None for one in given) or mode_lag != 0 or lost_samples or uncertain:
             raise ArgumentError(
                 "--longest-mode-lag looks for the lag itself: leave out --mode-lag, "
-                "--lost-samples, --decay-rate, --delays and --out."
+                "--lost-samples, --decay-rate, --delays, --uncertain and --out."
             )
     asked, period = _signals_and_step(chosen, dwell_time, maximum_dwell)
     if longest_mode_lag:
@@ -136,6 +141,7 @@ def certify(
             delays=ranges,
             mode_lag=mode_lag,
             lost_samples=lost_samples,
+            uncertain=uncertain,
             trying=lambda what: advance(what, 0),
             **asked.options,
         )
@@ -144,9 +150,11 @@ def certify(
         record = about(chosen, period) | _recorded(asked) | {"delays": ranges}
         record |= {"mode_lag": mode_lag} if mode_lag else {}
         record |= {"lost_samples": lost_samples} if lost_samples else {}
+        record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
-        _print_judged(chosen, judged, asked, (period, mode_lag, lost_samples), law is not None)
+        sampled = period, mode_lag, lost_samples
+        _print_judged(chosen, judged, asked, sampled, law is not None, uncertain)
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
     return 0 if law is None or judged[0].stable else 1
@@ -170,6 +178,7 @@ def verify(
     step: float | None = None,
     mode_lag: int | None = None,
     lost_samples: int | None = None,
+    uncertain: bool = False,
     json_output: AsJson = False,
 ) -> int:
     """Prove a saved certificate again, from its file alone; exit code 1 if it proves nothing.
@@ -196,17 +205,22 @@ def verify(
         How many periods late the law must be told the mode; with a problem 0 by default.
     lost_samples
         How many samples in a row it must allow to be lost.
+    uncertain
+        It must be about all plants that the problem's [uncertainty] leaves open.
     json_output
         Print the result as JSON instead of text.
     """
     from deadtime.certificates import verify as check
     from deadtime.certificates.verification import laws_of
     from deadtime.problems.asked import one_or_all
+    from deadtime.reports.tables.certificates import uncertain_plant
 
     matches = None
     if problem is None:
         if law is not None:
             raise ArgumentError("--law must come with --problem: which plant is it a law of?")
+        if uncertain:
+            raise ArgumentError("--uncertain must come with --problem: whose [uncertainty]?")
         times = _times("dwell-time", dwell_time), _times("maximum-dwell", maximum_dwell)
         least, most = (one_or_all(one) for one in times)
         result = check(
@@ -224,7 +238,8 @@ def verify(
         dwell = asked.dwell.value
         only = None if law is None else laws[law]
         late = {"mode_lag": mode_lag or 0, "lost_samples": lost_samples}
-        result = check(certificate, chosen.plant, only, step=period, **late, **asked.options)
+        plant = uncertain_plant(chosen) if uncertain else chosen.plant
+        result = check(certificate, plant, only, step=period, **late, **asked.options)
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
@@ -341,6 +356,7 @@ def _print_judged(
     asked: Signals,
     sampled: tuple[float, int, int],
     in_full: bool,
+    uncertain: bool,
 ) -> None:
     from deadtime.base.wording import number_of
     from deadtime.cli.console import Terminal
@@ -350,6 +366,7 @@ def _print_judged(
         certificate_rows,
         certificate_sentences,
         left_out,
+        plants_in_words,
     )
 
     console, (step, lag, lost) = Terminal(), sampled
@@ -362,7 +379,7 @@ def _print_judged(
         f"sampling period {step:g} s{late}.",
         markup=False,
     )
-    for sentence in left_out(problem):
+    for sentence in (*plants_in_words(problem, uncertain), *left_out(problem)):
         console.print(sentence, markup=False)
     console.print()
     print_table(HEADINGS, certificate_rows(judged))

@@ -173,11 +173,11 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
             f"the problem {problem.name!r} has noise of its own."
         )
     eye = np.eye(problem.plant.states)
-    W, V = np.zeros_like(eye), np.zeros_like(eye)
+    W, V = np.zeros((problem.plant.modes, *eye.shape)), np.zeros_like(eye)
     for one in problem.imperfections:
         if isinstance(one, WhiteDisturbance):
             intensity = np.asarray(one.intensity, dtype=float)
-            W = W + (intensity if intensity.ndim == 2 else intensity * eye)
+            W = W + (intensity if intensity.ndim > 1 else intensity * eye)
         elif isinstance(one, Noise):
             V = V + np.asarray(one.std, dtype=float) ** 2 * eye
     if not (W.any() or V.any()):
@@ -185,6 +185,7 @@ def _noise(problem: Problem, probability: float | None) -> StationaryNoise:
             f"--noise needs an imperfection of the kind white-disturbance or noise, of which the "
             f"problem {problem.name!r} has none."
         )
+    W = W[0] if (W[0] == W).all() else W
     return StationaryNoise(W, V, 0.99 if probability is None else probability)
 
 

@@ -6,9 +6,11 @@ import atexit
 import contextlib
 import functools
 import os
+import shlex
 import sys
 import traceback
 from collections.abc import Sequence
+from contextvars import ContextVar
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -63,6 +65,14 @@ Folder = Annotated[Path, Parameter(alias="-o")]
 File = Annotated[Path | None, Parameter(alias="-o")]
 
 
+_asked: ContextVar[tuple[str, ...]] = ContextVar("asked", default=())
+
+
+def command_line() -> str:
+    """The command that runs, as a shell takes it; for pages that say what made them."""
+    return shlex.join(("deadtime", *_asked.get()))
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit; a command returns its code, every error becomes one line."""
     from deadtime.cli.console import Terminal
@@ -72,6 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     notices.compiling = _say_compiling
     tokens = as_command(sys.argv[1:] if arguments is None else list(arguments))
+    _asked.set(tuple(tokens))
     for stream in (sys.stdout, sys.stderr):
         # Where the encoding lacks • or ∞, a question mark is better than no result.
         if isinstance(stream, TextIOWrapper):

@@ -34,6 +34,7 @@ def experiment(
     horizon: float | None = None,
     step: float | None = None,
     disturbance: str | None = None,
+    noise: str | None = None,
     law: str | None = None,
     sojourn: float | None = None,
     criterion: Literal["delay", "all"] = "delay",
@@ -60,6 +61,9 @@ def experiment(
     disturbance
         Intensity of the process noise, x² per second, one number or one for each state; that of
         the file's white-disturbance by default.
+    noise
+        Standard deviation of the sensors, one number or one for each state; that of the file's
+        noise by default, 0 where it has none.
     law
         The law of the file to whose inputs those of the experiment are added; none by default.
     sojourn
@@ -88,6 +92,7 @@ def experiment(
         period,
         one_or_several("input-limit", input_limit),
         disturbance=_disturbance(chosen, disturbance),
+        noise=_noise(chosen, noise),
         signal=_signal(chosen, length, sojourn, seed),
         law=None if law is None else chosen.law(law),
         state_limit=None if state_limit is None else one_or_several("state-limit", state_limit),
@@ -120,6 +125,23 @@ def _disturbance(problem: Problem, given: str | None) -> ArrayLike:
         "disturbance must be given where the problem has no white-disturbance: the intensity of "
         "the process noise, x² per second, such as --disturbance 1e-3."
     )
+
+
+def _noise(problem: Problem, given: str | None) -> ArrayLike:
+    """The deviations of the sensors as given, or those of the file: their variances add up."""
+    import numpy as np
+
+    from deadtime.imperfections import Noise
+
+    if given is not None:
+        return one_or_several("noise", given)
+    stds = [np.asarray(one.std, float) for one in problem.imperfections if isinstance(one, Noise)]
+    if stds and problem.outputs:
+        raise ArgumentError(
+            "noise must be given where the problem measures outputs, as its own is of those: the "
+            "standard deviations of the sensors of the states, such as --noise 0.01, or 0."
+        )
+    return np.sqrt(sum(std**2 for std in stds))
 
 
 def _signal(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
-from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, lines
+from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, command_line, lines
 from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
 from deadtime.cli.problems import problem_of
 
@@ -64,9 +64,10 @@ def identify(
     switches
         Whether the mode changes at any time or at samples only.
     states
-        Columns of the states, where they are not x1, x2, …
+        Columns of the states, where they are not x1, x2, …, with commas between them; the option
+        may be given several times. A name that has a comma of its own is taken whole.
     inputs
-        Columns of the inputs, where they are not u1, u2, …
+        Columns of the inputs, likewise, where they are not u1, u2, …
     beside
         A problem file with a law: its delay margin is put beside the delay's interval.
     law
@@ -92,8 +93,8 @@ def identify(
         per_mode=per_mode,
         noise=noise,
         switches=switches,
-        states=states,
-        inputs=inputs,
+        states=_columns(states, logs[0]),
+        inputs=_columns(inputs, logs[0]),
     )
     said = [*fit.sentences, *_verdict(fit, beside, law)]
     written = [path for path in (out, figure, report) if path is not None]
@@ -103,7 +104,7 @@ def identify(
         save_figure(fit.plot(), figure)
     if report is not None:
         name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
-        write_identification(fit, report, said, name)
+        write_identification(fit, report, said, name, command_line())
     if json_output:
         print_json(_record(fit, said), written)
         return
@@ -121,6 +122,17 @@ def _modes(text: str) -> str | int | range:
         return text
     first, last = int(match[1]), match[2]
     return first if last is None else range(first, int(last) + 1)
+
+
+def _columns(given: list[str] | None, log: Path) -> list[str] | None:
+    """Names with commas between them, but for columns of the log that have commas in them."""
+    if given is None or not any("," in text for text in given):
+        return given
+    from deadtime.identification.recording import read_table
+
+    whole = {str(name).strip() for name in read_table(log, 0).columns}
+    parts = [[text] if text in whole else text.split(",") for text in given]
+    return [name.strip() for texts in parts for name in texts]
 
 
 def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list[str]:

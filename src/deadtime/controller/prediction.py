@@ -13,7 +13,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.controller.status import Status
 from deadtime.estimation import BeliefPredictor, OutputFeedback, OutputModeFilter
-from deadtime.estimation.filter_arguments import intensity
+from deadtime.estimation.filter_arguments import intensities, intensity
 from deadtime.feedback.known import Known
 from deadtime.feedback.prediction import PredictionTable
 
@@ -76,8 +76,8 @@ class Prediction(Frozen):
         Parameters
         ----------
         disturbance : array_like, optional
-            W of `imperfections.WhiteDisturbance(W)`: a number, (n,) or (n, n), x² per second. By
-            default 0, or what the filter of a `BeliefPredictor` counts with.
+            W of `imperfections.WhiteDisturbance(W)`: a number, (n,), (n, n) or (modes, n, n), x²
+            per second. By default 0, or what the filter of a `BeliefPredictor` counts with.
         estimate : array_like, optional
             The covariance of the state now about what the law takes it for: a number, (n,) or
             (n, n), x². By default 0 of a state that is measured, and what a Kalman filter says
@@ -110,7 +110,9 @@ class Prediction(Frozen):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Probability, mean and covariance by row that may apply, input and future."""
         source, n = self._source, self.states.shape[1]
-        W = source.disturbance if disturbance is None else intensity(disturbance, n)
+        W = source.disturbance
+        if disturbance is not None:
+            W = intensities(disturbance, source.law.plant.modes, n)
         known = source.uncertain(estimate)
         p, moved = _moments(source.table, known)
         C = source.law.spread(source.step, known, W)

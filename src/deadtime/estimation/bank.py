@@ -3,13 +3,14 @@ runs.
 
 A period begins in mode i and ends in j. With x̂_i, P_i the mean and covariance of x_{k−1} given i,
 
-    x̄_ij = M x̂_i + the inputs,    P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_i,
+    x̄_ij = M x̂_i + the inputs,    P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_ij,
 
-M = Φ_i and Δ = d = 0 where modes change at samples; where they change anywhere M is the mean of Φ_i
-and Φ_j, Δ their difference and d that of their predictions, and P̄_ij has the variance about the
-line of these as well. Each pair is corrected by y_k with C_j, the density of y_k weighs it, and
-what ends in the same mode is merged into one normal density. (docs/theory/mode-filter.md; signs and
-lags are those of `deadtime.feedback.belief`; the steps are `estimation/bank_kernel.py`.)
+Q_ij what noise adds, M = Φ_i and Δ = d = 0 where modes change at samples; where they change
+anywhere M is the mean of Φ_i and Φ_j, Δ their difference and d that of their predictions, and P̄_ij
+has the variance about the line of these as well. Each pair is corrected by y_k with C_j, the
+density of y_k weighs it, and what ends in the same mode is merged into one normal density.
+(docs/theory/mode-filter.md; signs and lags are those of `deadtime.feedback.belief`; the steps are
+`estimation/bank_kernel.py`.)
 """
 
 from __future__ import annotations

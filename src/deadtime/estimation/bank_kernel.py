@@ -129,14 +129,14 @@ def _move_state(chain, x, told, row, j, result, wide):
 
 @inner_kernel
 def _spread_out(chain, bank, i, j, apart, bent):
-    """P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_i and what the bend leaves, of P_i as of x̂_i."""
+    """P̄_ij = M P_i Mᵀ + (Δ P_i Δᵀ + d dᵀ)/12 + Q_ij and what the bend leaves, of P_i as of x̂_i."""
     Phi, P, middle, slope, half = chain.Phi, bank.P, bank.spare[0], bank.spare[1], bank.spare[2]
-    n, moved = apart.size, bank.ahead_P
+    n, moved, end = apart.size, bank.ahead_P, min(j, chain.noise.shape[1] - 1)
     for a in range(n):
         for b in range(n):
             slope[a, b] = Phi[j, a, b] - Phi[i, a, b] if chain.within else 0.0
             middle[a, b] = Phi[i, a, b] + 0.5 * slope[a, b]
-            moved[i, j, a, b] = chain.noise[i, a, b] + apart[a] * apart[b] / 12.0
+            moved[i, j, a, b] = chain.noise[i, end, a, b] + apart[a] * apart[b] / 12.0
         moved[i, j, a, a] += bent[a]
         if chain.within and i != j:
             moved[i, j, a, a] += CURVED * _form(chain.bend_x[i, j, a], P[i])

@@ -72,7 +72,8 @@ def _weigh(form, state, before, x, told, row, i):
             for a in range(n):
                 white[a] = x[a] - predicted[i, a]
             bend(form, i, j, before, told, row, bent)
-            size = root_of(form.noise[i], state.size, bent, root)
+            noise = form.noise[i, min(j, form.noise.shape[1] - 1)]
+            size = root_of(noise, state.size, bent, root)
             whiten(root, white)
             if j == i:
                 square, wide = 0.0, 1.0

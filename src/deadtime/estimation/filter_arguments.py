@@ -72,6 +72,18 @@ def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((np.abs(one - other) <= _ALIKE * np.maximum(np.abs(one), np.abs(other))).all())
 
 
+def intensities(value: ArrayLike, modes: int, n: int) -> Float[np.ndarray, "*mode n n"]:
+    """W, or where modes have their own, W of each."""
+    name, form = "disturbance", "one, (n,), (n, n) or (modes, n, n)"
+    given = as_floats(name, value, form)
+    if given.ndim < 3:
+        return intensity(given, n)
+    given = real_array(name, given, form, 3)
+    require_shape(name, given, (modes, n, n), "(modes, n, n)")
+    each = [intensity(W, n, f"{name}[{mode}]") for mode, W in enumerate(given)]
+    return each[0] if (given == given[0]).all() else read_only(np.stack(each))
+
+
 def intensity(value: ArrayLike, n: int, name: str = "disturbance") -> Float[np.ndarray, "n n"]:
     """W, or a covariance, as a matrix."""
     given = as_floats(name, value, "one, (n,) or (n, n)")

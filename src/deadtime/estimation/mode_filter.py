@@ -17,12 +17,12 @@ from deadtime.base.frozen import Frozen
 from deadtime.estimation.filter_arguments import (
     deviation,
     first_belief,
-    intensity,
+    intensities,
     require_distinct,
 )
 from deadtime.estimation.running_filter import RunningFilter
-from deadtime.feedback.belief import Belief, frozen
-from deadtime.numerics.covariance import noise_covariances, transition
+from deadtime.feedback.belief import Belief, frozen, held_noise
+from deadtime.numerics.covariance import noise_covariances, switched_covariances, transition
 from deadtime.plant import SampledPlant, SwitchedSystem
 from deadtime.switching import Markov, SemiMarkov
 from deadtime.switching.models.checked import require_model
@@ -48,7 +48,8 @@ class ModeFilter(Frozen):
         Sampling period h, in seconds.
     disturbance : array_like
         W of `imperfections.WhiteDisturbance(W)`, x² per second: a number for number·I, (n,) for a
-        diagonal, or (n, n). A noise of s √h per period and state is W = s².
+        diagonal, (n, n), or (modes, n, n) where modes have their own. A noise of s √h per period
+        and state is W = s².
     noise : array_like
         Standard deviation of `imperfections.Noise`, in units of x: a number or (n,).
     switches : "anywhere" or "samples"
@@ -98,7 +99,7 @@ class ModeFilter(Frozen):
     plant: SwitchedSystem
     model: Markov | SemiMarkov
     step: float
-    disturbance: Float[np.ndarray, "n n"]
+    disturbance: Float[np.ndarray, "*mode n n"]
     noise: Float[np.ndarray, " n"]
     switches: str
     forgetting: float
@@ -140,7 +141,7 @@ class ModeFilter(Frozen):
             plant=plant,
             model=model,
             step=step,
-            disturbance=intensity(disturbance, plant.states),
+            disturbance=intensities(disturbance, plant.modes, plant.states),
             noise=deviation(noise, plant.states),
             switches=switches,
             forgetting=forgetting,
@@ -183,15 +184,19 @@ class ModeFilter(Frozen):
         leave = P.sum(axis=1)
         return np.tile(leave[:, None], ages), P / np.where(leave > 0.0, leave, 1.0)[:, None]
 
-    def _covariance(self, Phi: np.ndarray) -> Float[np.ndarray, "mode n n"]:
-        """Of x_{k+1} − Φ_i x_k, both as they are measured.
+    def _covariance(self, Phi: np.ndarray) -> Float[np.ndarray, "mode end n n"]:
+        """Of x_{k+1} − Φ_i x_k, both as they are measured, by the mode at the end if it matters.
 
         Φ_i R Φ_iᵀ is the mean over the modes: else, where the noise hides x, the mode in which it
         grows least would be the likeliest.
         """
-        A, R = self.plant.A, np.diag(self.noise**2)
-        W = noise_covariances(A, self.disturbance, np.full(len(A), self.step))
-        return W + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
+        A, W, R = self.plant.A, self.disturbance, np.diag(self.noise**2)
+        Q = noise_covariances(A, W, np.full(len(A), self.step))[:, None]
+        if W.ndim == 3 and self.switches == "anywhere":
+            held, Q = Q[:, 0], switched_covariances(A, W, self.step)
+            each = np.arange(len(A))
+            Q[each, each] = held
+        return Q + R + (Phi @ R @ Phi.transpose(0, 2, 1)).mean(axis=0)
 
     def start(self, u0: ArrayLike | None = None) -> RunningFilter:
         """The filter, ready to be called once a period.
@@ -238,8 +243,9 @@ class ModeFilter(Frozen):
         ahead = form.Phi @ x + form.Gamma.sum(axis=1) @ u
         size = (np.abs(form.Phi) @ np.abs(x) + np.abs(form.Gamma).sum(axis=1) @ np.abs(u)).max(0)
         result, root = np.zeros((len(ahead), len(ahead))), np.empty((n, n))
+        noise = held_noise(form)
         for i, j in np.ndindex(result.shape):
-            root_of.function(form.noise[i], size, np.zeros(n), root)
+            root_of.function(noise[i], size, np.zeros(n), root)
             apart = ahead[j] - ahead[i]
             whiten.function(root, apart)
             result[i, j] = np.linalg.norm(apart)

@@ -47,7 +47,8 @@ class OutputModeFilter(Frozen):
     covariance : array_like
         Of the first state about `estimate`, x²: a number for number·I, (n,) or (n, n).
     disturbance : array_like
-        W of `imperfections.WhiteDisturbance(W)`: a number, (n,) or (n, n), x² per second.
+        W of `imperfections.WhiteDisturbance(W)`: a number, (n,), (n, n) or (modes, n, n), x² per
+        second.
     noise : array_like
         Standard deviation of `imperfections.Noise`, in units of y: a number or (p,).
     estimate : array_like, shape (n,), optional

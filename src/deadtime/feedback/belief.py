@@ -28,7 +28,8 @@ class Belief(NamedTuple):
     start : (modes, ages), π_0
     Phi : (modes, n, n), Gamma : (modes, lags, n, m), lag : (lags,): the model over a whole period
         in each mode, x_{k+1} = Φ_i x_k + Σ_l Γ_i,l u_{k−lag_l}
-    noise : (modes, n, n), the covariance of x_{k+1} about that
+    noise : (modes, ends, n, n), the covariance of x_{k+1} about that, by the mode in which the
+        period ends where it matters, else of one end
     hazard : (modes, ages), the probability that a mode of that age ends by the next sample
     jump : (modes, modes), the probabilities of the next mode, rows sum to 1
     forgetting : the part of π that is taken from all modes alike after every sample
@@ -42,7 +43,7 @@ class Belief(NamedTuple):
     Phi: Float[np.ndarray, "mode n n"]
     Gamma: Float[np.ndarray, "mode lag n m"]
     lag: Int[np.ndarray, " lag"]
-    noise: Float[np.ndarray, "mode n n"]
+    noise: Float[np.ndarray, "mode end n n"]
     hazard: Float[np.ndarray, "mode age"]
     jump: Float[np.ndarray, "mode mode"]
     forgetting: float
@@ -104,6 +105,11 @@ class Believing(ABC):
     """
 
     beliefs: list[np.ndarray]
+
+
+def held_noise(belief: Belief) -> Float[np.ndarray, "mode n n"]:
+    """The covariance of a period that is spent in one mode."""
+    return np.stack([by_end[min(i, len(by_end) - 1)] for i, by_end in enumerate(belief.noise)])
 
 
 def frozen(belief: Belief) -> Belief:

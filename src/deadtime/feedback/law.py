@@ -164,12 +164,12 @@ class TableLaw(Law):
         )
 
     def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
         """The covariance of x(t_k + D_j) in every row that may apply and every future.
 
-        W is the intensity of white noise that acts on dx/dt. Raises `ArgumentError` for a law
-        that has none.
+        W is the intensity of white noise that acts on dx/dt, or of each mode its own. Raises
+        `ArgumentError` for a law that has none.
         """
         raise ArgumentError(
             f"law must say how it is uncertain for a covariance: {type(self).__name__} "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.identification.intervals import profile
+from deadtime.identification.delay_intervals import profile
 from deadtime.identification.recording import Part
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast
 from deadtime.identification.sentences import delay_names
@@ -59,6 +59,8 @@ def draw_modes(axes: Axes, fit: Identification, part: Part) -> None:
 
 def draw_likelihood(axes: Axes, fit: Identification) -> None:
     """The profile over every delay, about its estimate."""
+    from scipy.interpolate import PchipInterpolator
+
     found, layout = fit._found, fit._found.log.layout
     places = np.arange(layout.size)[layout.at_delays].tolist()
     names = delay_names(fit._recording, found)
@@ -68,6 +70,12 @@ def draw_likelihood(axes: Axes, fit: Identification) -> None:
         points = _POINTS if fit.noise.any() else _MANY
         delays = np.clip(np.linspace(D - reach, D + reach, points), *found.window)
         falls = [profile(found.log, found.best, found.window, place, float(d)) for d in delays]
+        if points < _MANY and (np.diff(delays) > 0.0).all():
+            curve, delays = (
+                PchipInterpolator(delays, falls),
+                np.linspace(delays[0], delays[-1], _MANY),
+            )
+            falls = curve(delays)
         colour = COLOURS[row % len(COLOURS)]
         axes.plot(1e3 * (delays - D), falls, color=colour, label=plain(f"{name}: {D:.4g} s"))
         for end in found.intervals[row]:
@@ -103,5 +111,4 @@ def draw_residuals(axes: Axes, fit: Identification) -> None:
         axes.plot(lags, side * 1.96 / np.sqrt(np.maximum(count, 1)), color="#666666", linestyle=":")
     axes.set_xlabel("samples between residuals; dotted: 95 % by chance")
     axes.set_ylabel("correlation")
-    if r.shape[1] > 1:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0)

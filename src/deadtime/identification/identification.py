@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -15,6 +16,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.identified import Hidden
+from deadtime.identification.noise import intensity_errors
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.sentences import sentences_of, verdict_of
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
+
+
+_OWN = 0.5  # of an intensity: an error beyond which it may be none
 
 
 @runtime_checkable
@@ -219,17 +224,27 @@ class Identification(Frozen):
         )
         return float(found.best.theta[place] - half), float(found.best.theta[place] + half)
 
+    @cached_property
+    def _errors(self) -> Float[np.ndarray, "mode n"]:
+        """Standard errors of the diagonals of W."""
+        return intensity_errors(self.plant.A, self.disturbance, self.step, self._found.spare)
+
     def _noise_interval(self, place: int) -> tuple[float, float]:
-        """Of W's diagonal, then of the sensors' deviations: logarithms are nearly normal."""
+        """Of W's diagonal, then of the sensors' deviations.
+
+        Logarithms are nearly normal, but of an entry of W of the size of its own error.
+        """
         from scipy.stats import norm
 
         modes, n = self.disturbance.shape[:2]
         reach = float(norm.ppf(0.975))
         if not self.noise.any():
             i, a = divmod(place, n)
-            value = float(self.disturbance[i, a, a])
-            wide = np.exp(reach * np.sqrt(2.0 / self._found.spare[i]))
-            return value / float(wide), value * float(wide)
+            value, error = float(self.disturbance[i, a, a]), float(self._errors[i, a])
+            if error > _OWN * value:
+                return max(0.0, value - reach * error), value + reach * error
+            wide = float(np.exp(reach * error / value)) if value else 1.0
+            return value / wide, value * wide
         values, errors = _log_noise(self._found, modes)
         with np.errstate(over="ignore"):  # a noise that the log does not tell may be any
             wide = float(np.exp(reach * errors[place]))

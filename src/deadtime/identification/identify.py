@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, real_array
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.identification import Identification
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.logged_modes import fit_switching
 from deadtime.identification.maximum import ExactLog, maximise
 from deadtime.identification.noise import continuous, estimate_with_noise
@@ -27,6 +28,8 @@ from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.start import start_of
 from deadtime.identification.uneven import gridded, nodes_for
+from deadtime.identification.units import require_same_units, require_seconds
+from deadtime.identification.untold import reasons
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -116,8 +119,15 @@ def identify(
     low, high = _range(delay)
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None
-    recording = read_recording(log, column, states, inputs, "x" if C is None else "y")
-    _require_units(recording, high)
+    recording = read_recording(
+        log,
+        column,
+        states,
+        inputs,
+        "x" if C is None else "y",
+        lambda parts, columns, *names: require_same_units(parts, columns, high, *names),
+    )
+    require_seconds(recording, high)
     sensors = _sensors(C, recording)
     direct = _as_states(recording, sensors)
     count = sensors.shape[1]
@@ -156,16 +166,6 @@ def _range(delay: object) -> tuple[float, float]:
             f"delay must be a range 0 ≤ low < high, in seconds, got ({low:g}, {high:g})."
         )
     return low, high
-
-
-def _require_units(recording: Recording, high: float) -> None:
-    """Refuse a clock that seems to count something else than seconds."""
-    if recording.step > high:
-        raise ArgumentError(
-            f"log has a row every {recording.step:g} s, and delays of at most {high:g} s are "
-            "looked for, less than that: if its t counts milliseconds, divide it by 1,000; else "
-            "widen delay=(low, high), in seconds."
-        )
 
 
 def _sensors(C: ArrayLike | None, recording: Recording) -> Float[np.ndarray, "p n"]:
@@ -216,16 +216,17 @@ def _require_states(recording: Recording, names: Sequence[str]) -> None:
     spread = every.std(axis=0) if len(every) else np.zeros(len(names))
     still = [name for name, one in zip(names, spread, strict=True) if not one > 0.0]
     if still:
+        got = "the same in every row" if len(every) else "no row"
         raise ArgumentError(
-            f"{still[0]} must move, got the same in every row where all states are known: leave it "
-            "out by states=[…]."
+            f"{still[0]} must move, got {got} where all states are known: leave it out by "
+            "states=[…], --states, or log it."
         )
     values, vectors = np.linalg.eigh(np.corrcoef(every.T).reshape(len(names), -1))
     if values[0] < _SAME:
         part = [name for name, one in zip(names, vectors[:, 0], strict=True) if abs(one) > 0.1]
         raise ArgumentError(
             f"{', '.join(part)} must be states of their own, got such that one is a sum of the "
-            "others: leave it out by states=[…]."
+            "others: leave it out by states=[…], --states."
         )
 
 
@@ -245,7 +246,12 @@ def _exact(
     spare = np.maximum(counts - layout.n - layout.m - 1, 1)
     parts = [concentrated([term], layout.size)[0].information for term in terms]
     known = np.einsum("i,iab->ab", spare / counts, parts)
-    spread = spread_of(F.information, layout.names(), known, layout.of_each(spare))
+    try:
+        spread = spread_of(F.information, layout.names(), known, layout.of_each(spare))
+    except ArgumentError as error:
+        why = [reasons(recording, j, bounds[1] - bounds[0]) for j in range(layout.m)]
+        said = dict.fromkeys(sentence for sentences in why for sentence in sentences)
+        raise ArgumentError(" ".join((str(error), *said))) from None
     intervals, several = delay_intervals(log, best, window, spread, start)
     A, B, delays = layout.split(best.theta)
     plant = SwitchedSystem(A, B, delays)
@@ -265,5 +271,5 @@ def _exact(
         spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
-        ends_over_peaks(log, best, spread, start, several),
+        ends_over_peaks(log, best, spread, start),
     )

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
 from deadtime.numerics.covariance import noise_covariances
@@ -33,19 +35,48 @@ def continuous(
     >>> W.round(12)
     array([[[1.]]])
     """
-    n = A.shape[1]
     result = np.empty(S.shape)
     for i, one in enumerate(A):
-        images = []
-        for place in range(n * n):
-            unit = np.zeros((n, n))
-            unit.flat[place] = 1.0
-            unit = 0.5 * (unit + unit.T)
-            images.append(noise_covariances(one[None], unit, np.array([step]))[0].ravel())
-        W = np.linalg.lstsq(np.array(images).T, S[i].ravel(), rcond=None)[0].reshape(n, n)
+        W = np.linalg.lstsq(_images(one, step), S[i].ravel(), rcond=None)[0].reshape(one.shape)
         values, vectors = np.linalg.eigh(0.5 * (W + W.T))
-        result[i] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        W = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        result[i] = 0.5 * (W + W.T)  # to the last bit, as who reads it makes it
     return result
+
+
+def _images(A: Float[np.ndarray, "n n"], step: float) -> Float[np.ndarray, "nn nn"]:
+    """From W to S, line by line, of a W that is symmetric."""
+    n = len(A)
+    units = np.eye(n * n).reshape(n * n, n, n)
+    units = 0.5 * (units + units.transpose(0, 2, 1))
+    S = noise_covariances(np.repeat(A[None], n * n, axis=0), units, np.full(n * n, step))
+    return S.reshape(n * n, n * n).T
+
+
+def intensity_errors(
+    A: Float[np.ndarray, "mode n n"],
+    W: Float[np.ndarray, "mode n n"],
+    step: float,
+    spare: Int[np.ndarray, " mode"],
+) -> Float[np.ndarray, "mode n"]:
+    """The standard errors of the diagonals of W, from `spare` periods of every mode.
+
+    W_aa is linear in S, Σ G_bc S_bc, and S is Wishart's: its variance is 2 tr(G S G S) / spare. A
+    position has noise in S that its speed has brought there, and with it an error.
+
+    Examples
+    --------
+    >>> A, W = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([np.diag([0.0, 3.0])])
+    >>> (intensity_errors(A, W, 0.1, np.array([200])) * [1000.0, 1.0]).round(3)
+    array([[0.354, 0.3  ]])
+    """
+    modes, n, _ = A.shape
+    errors, S = np.empty((modes, n)), noise_covariances(A, W, np.full(modes, step))
+    for i, one in enumerate(A):
+        G = np.linalg.pinv(_images(one, step))[:: n + 1].reshape(n, n, n)
+        GS = 0.5 * (G + G.transpose(0, 2, 1)) @ S[i]
+        errors[i] = np.sqrt(2.0 * np.einsum("abc,acb->a", GS, GS) / spare[i])
+    return errors
 
 
 def estimate_with_noise(
@@ -57,14 +88,11 @@ def estimate_with_noise(
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     expect_many_calls()
-    layout, n = exact.log.layout, C.shape[1]
-    unit = np.sqrt(np.diagonal(exact.spread.covariance))
-    unit = np.concatenate((unit, np.ones(n * (n + 1) // 2 + len(C))))
-    log = NoisyLog(recording, layout, C, within, bounds, unit, exact.log.nodes)
-    W = exact.disturbance.mean(axis=0)
+    layout, W = exact.log.layout, exact.disturbance.mean(axis=0)
+    log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
     starts = [log.join(exact.best.theta, noise) for noise in first_noises(W, C, recording.step)]
     lag = int(np.ceil(exact.window[1] / recording.step)) + 1
-    some = replace(log, recording=stretches(recording, _ENOUGH, lag), _acting={})
+    some = replace(log, recording=stretches(recording, _ENOUGH, lag))
     tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
     best, window = maximise(log, theta)
@@ -92,6 +120,7 @@ def estimate_with_noise(
         exact.spare,
         judge_residuals(white, recording, float(delays.max())),
         tuple(white),
+        ends_over_peaks(log, best, spread, exact.start),
     )
 
 

@@ -9,38 +9,30 @@ foretell, and the variance s of that,
     log L = −½ Σ (log 2π s + e²/s),
     score = Σ (∂s (e²/s − 1)/2 − e ∂e)/s,    F = Σ (∂s²/2s² + ∂e²/s).
 
-Of unevenly sampled logs ∂e and ∂s are central differences, a filter each way for every unknown; of
-others the filter carries them (`noisy_even`).
+The filter carries ∂e and ∂s along with e and s (`filtering`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
-from deadtime.identification.filter_kernel import innovations
-from deadtime.identification.noisy_even import (
-    acting_evenly,
-    evaluate_evenly,
-    moved_evenly,
-    tables_of,
-)
+from deadtime.identification.cells import cells_of
+from deadtime.identification.filtering import Filtered, Places, Sensors, evaluated, filtered
 from deadtime.identification.parameters import Layout
+from deadtime.identification.periods import even_periods, uneven_periods
 from deadtime.identification.recording import Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
-from deadtime.identification.transition import interpolation, plain_transitions
-from deadtime.identification.uneven import Acting, acting_in, fed
-from deadtime.numerics.covariance import noise_covariances
+from deadtime.identification.uneven import fed
 
 _VAGUE = 1e4  # variances of the log that the state is not known by where it starts anew
-_SMALL = 1e-3  # of a standard error, a step of differences
 
 
 class Noise(NamedTuple):
@@ -48,18 +40,6 @@ class Noise(NamedTuple):
 
     W: Float[np.ndarray, "n n"]
     deviation: Float[np.ndarray, " p"]
-
-
-class Stretch(NamedTuple):
-    """What a part's periods do: of every sample which kind leads to it, and what inputs add in it.
-
-    kind : (T,); moved : (T, n); Phi, Q : (kinds, n, n), how a state moves, and the noise
-    """
-
-    kind: Int[np.ndarray, " sample"]
-    Phi: Float[np.ndarray, "kind n n"]
-    moved: Float[np.ndarray, "sample n"]
-    Q: Float[np.ndarray, "kind n n"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +55,7 @@ class NoisyLog(Frozen):
     C: Float[np.ndarray, "p n"]
     within: bool
     bounds: tuple[float, float]
-    unit: Float[np.ndarray, " size"]
     nodes: Float[np.ndarray, " node"]
-    _acting: dict[tuple[int, bytes], Acting] = field(default_factory=dict, repr=False)
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
@@ -88,6 +66,10 @@ class NoisyLog(Frozen):
         size = 0.5 * np.log(self.P0[0, 0] / _VAGUE)
         low[at], high[at] = size - np.log(1e6), size + np.log(1e6)
         return low, high
+
+    def cells(self, theta: np.ndarray) -> np.ndarray:
+        """The cells that delays lie in."""
+        return cells_of(theta[self.layout.at_delays], self.recording.step)
 
     def starts(self, low: float, high: float) -> list[Bool[np.ndarray, " sample"]]:
         """The samples before which nothing is known, for delays between two; of every part."""
@@ -141,127 +123,45 @@ class NoisyLog(Frozen):
         self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""
-        A, B, delays = self.layout.split(vector[: self.layout.size])
-        noise, errors = self.noise(vector), []
-        zero, P0 = np.zeros(self.layout.n), self.P0
-        for number, start in enumerate(starts):
-            part = self.recording.parts[number]
-            over = self.stretch(number, start, A, B, delays, noise.W)
-            e, s = np.empty(part.output.shape), np.empty(part.output.shape)
-            given = (
-                part.output,
-                start,
-                over.kind,
-                over.Phi,
-                over.moved,
-                over.Q,
-                self.C,
-                noise.deviation**2,
-                zero,
-                P0,
-            )
-            innovations(*map(np.ascontiguousarray, given), e, s)
-            errors.append((e, s))
-        return np.vstack([e for e, _ in errors]), np.vstack([s for _, s in errors])
-
-    def stretch(
-        self,
-        number: int,
-        start: Bool[np.ndarray, " sample"],
-        A: Float[np.ndarray, "mode n n"],
-        B: Float[np.ndarray, "mode n m"],
-        delays: Float[np.ndarray, "mode m"],
-        W: Float[np.ndarray, "n n"],
-        cells: Int[np.ndarray, "mode m"] | None = None,
-    ) -> Stretch:
-        """What the periods of a part do under a plant; of even rows with delays in given cells."""
-        part, step = self.recording.parts[number], self.recording.step
-        kind, k = np.zeros(part.time.size, np.int64), np.flatnonzero(~start) - 1
-        if self.recording.even:
-            kind[1:], once = part.mode[:-1], np.full(len(A), step)
-            moved = moved_evenly(part, A, B, delays, step, cells)
-            Phi = plain_transitions(A, once[:1])[0][:, 0]
-            return Stretch(kind, Phi, moved, noise_covariances(A, W, once))
-        moved, held = np.zeros((part.time.size, len(A[0]))), self._held(number, start, delays)
-        Phi_at, W_at = plain_transitions(A, self.nodes)
-        mode, forced = part.mode[k], W_at @ B[:, None]
-        for i in range(len(A)):
-            own = np.flatnonzero(mode == i)
-            moved[k[own] + 1] = np.tensordot(held[own], forced[i], axes=([1, 2], [0, 2]))
-        Q_at = np.array(
-            [noise_covariances(np.repeat(a[None], self.nodes.size, 0), W, self.nodes) for a in A]
-        )
-        kind[k + 1] = np.arange(k.size)
-        weight = interpolation(self.nodes, part.time[k + 1] - part.time[k])
-        Phi, Q = (np.einsum("kq,kqab->kab", weight, at[mode]) for at in (Phi_at, Q_at))
-        return Stretch(kind, Phi, moved, Q)
-
-    def _held(self, number: int, start: np.ndarray, delays: np.ndarray) -> np.ndarray:
-        """`Acting.held` of a part; those of the last few delays are kept."""
-        key = number, delays.tobytes() + start.tobytes()
-        if key not in self._acting:
-            if len(self._acting) > 3 * len(self.recording.parts):
-                self._acting.clear()
-            part = self.recording.parts[number]
-            acts = acting_in(part, np.flatnonzero(~start) - 1, delays, self.nodes)
-            self._acting[key] = Acting(*map(read_only, acts))
-        return self._acting[key].held
+        blocks = self._filtered(vector, starts, None, Places.none(self.layout.modes))
+        found = [(block.e, block.s) for block in blocks]
+        return np.vstack([e for e, _ in found]), np.vstack([s for _, s in found])
 
     def value(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> float:
         """The log likelihood."""
-        return self._value(*self.innovations(vector, starts))
+        places = Places.none(self.layout.modes)
+        return evaluated(self._filtered(vector, starts, None, places), places).value
 
-    def _value(self, e: np.ndarray, s: np.ndarray) -> float:
-        measured = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
-        return float(-0.5 * ((np.log(s) + e * e / s).sum() + measured * np.log(2.0 * np.pi)))
-
-    def evaluate(self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]) -> Evaluation:
-        """The log likelihood, its score and information."""
+    def evaluate(
+        self,
+        vector: Float[np.ndarray, " size"],
+        starts: list[np.ndarray],
+        cells: np.ndarray | None = None,
+    ) -> Evaluation:
+        """The log likelihood, its score and information; of an even log in cells of delays."""
+        places = Places.of(self.layout, len(self.C))
         with np.errstate(all="ignore"):
-            e, s = self.innovations(vector, starts)
-            value = self._value(e, s)
-            if not np.isfinite(value) or s.min() <= 0.0:
-                return Evaluation(-np.inf, np.zeros(vector.size), np.eye(vector.size))
-            by_e, by_s = np.empty((2, vector.size, e.size))
-            for a in range(vector.size):
-                step = np.zeros(vector.size)
-                step[a] = _SMALL * self.unit[a]
-                up = self.innovations(vector + step, starts)
-                down = self.innovations(vector - step, starts)
-                by_e[a] = (up[0] - down[0]).ravel() / (2.0 * step[a])
-                by_s[a] = (up[1] - down[1]).ravel() / (2.0 * step[a])
-        root, s, e = np.sqrt(s).ravel(), s.ravel(), e.ravel()
-        by_e, by_s = by_e / root, by_s / s
-        score = by_s @ (0.5 * (e * e / s - 1.0)) - by_e @ (e / root)
-        return Evaluation(value, score, by_e @ by_e.T + 0.5 * by_s @ by_s.T)
+            return evaluated(self._filtered(vector, starts, cells, places), places)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
         """The likelihood for delays between two, seconds; of an even log in cells of theirs."""
         starts = self.starts(low, high)
-        if not self.recording.even:
-            return lambda _: lambda vector: self.evaluate(vector, starts)
-        parts = self.recording.parts
+        return lambda cells: lambda vector: self.evaluate(vector, starts, cells)
 
-        def within(cells: np.ndarray) -> Evaluate:
-            own = self.layout.spread(cells)
-            acting = [acting_evenly(part, own) for part in parts]
-            return lambda vector: self._evaluate_evenly(vector, starts, own, acting)
-
-        return within
-
-    def _evaluate_evenly(
+    def _filtered(
         self,
         vector: Float[np.ndarray, " size"],
         starts: list[np.ndarray],
-        cells: np.ndarray,
-        acting: list[np.ndarray],
-    ) -> Evaluation:
-        """`evaluate` of an even log, with delays in given cells."""
-        parts, theta = self.recording.parts, vector[: self.layout.size]
-        deviation, given = self.noise(vector).deviation, (self.recording.step, len(self.C))
-        with np.errstate(all="ignore"):
-            tables = tables_of(self.layout, theta, self.root(vector), cells, *given)
-            if not all(np.isfinite(table).all() for table in tables):
-                return Evaluation(-np.inf, np.zeros(vector.size), np.eye(vector.size))
-            R = deviation**2
-            return evaluate_evenly(parts, starts, acting, tables, self.C, R, self.P0)
+        cells: np.ndarray | None,
+        places: Places,
+    ) -> Iterator[Filtered]:
+        """The filter over all parts."""
+        layout, record = self.layout, self.recording
+        theta, L = vector[: layout.size], self.root(vector)
+        if record.even:
+            own = self.cells(theta) if cells is None else cells
+            periods_of = even_periods(layout, theta, L, layout.spread(own), record.step)
+        else:
+            periods_of = uneven_periods(layout, theta, L, self.nodes)
+        sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
+        return filtered(record.parts, starts, periods_of, sensors, places)

@@ -79,7 +79,7 @@ def _switching(fit: Identification) -> list[str]:
     lines = ["[switching]", 'kind = "semi-markov"', f"sojourn = [{', '.join(sojourns)}]"]
     lines += [f"transition = {_lists(fit.model.transition)}", ""]
     lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
-    lines += [f"disturbance = {_disturbance(fit)}"]
+    lines += _disturbance("disturbance", fit)
     if fit.noise.any():
         lines += [f"noise = {_lists(fit.noise)}" if _of_states(fit) else _LEFT_OUT]
     return [*lines, "", "[signal]", 'kind = "model"', ""]
@@ -88,7 +88,7 @@ def _switching(fit: Identification) -> list[str]:
 def _noise(fit: Identification) -> list[str]:
     """The noise of the log acts in the file's runs, too."""
     lines = ["", "[[imperfection]]", 'kind = "white-disturbance"']
-    lines += [f"intensity = {_disturbance(fit)}"]
+    lines += _disturbance("intensity", fit)
     if fit.noise.any() and _of_states(fit):
         lines += ["", "[[imperfection]]", 'kind = "noise"', f"std = {_lists(fit.noise)}"]
     elif fit.noise.any():
@@ -101,11 +101,12 @@ def _of_states(fit: Identification) -> bool:
     return np.array_equal(fit.C, np.eye(fit.plant.states))
 
 
-def _disturbance(fit: Identification) -> str:
-    """W, and that it is a mean where modes have their own."""
+def _disturbance(key: str, fit: Identification) -> list[str]:
+    """W of every mode, or the one that all have."""
     W = fit.disturbance
-    said = "" if (W[0] == W).all() else "    # the mean of the modes'"
-    return _lists(W.mean(axis=0)) + said
+    if (W[0] == W).all():
+        return [f"{key} = {_lists(W[0])}"]
+    return [f"{key} = [    # of every mode", *(f"  {_lists(one)}," for one in W), "]"]
 
 
 def _sojourn(dist: Any) -> str:

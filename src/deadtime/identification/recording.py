@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
-_TIMES = ("t", "time")
+TIMES = ("t", "time")
 _NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
@@ -38,6 +38,7 @@ class Recording(NamedTuple):
     even : whether all samples lie on one grid, but for rounded times
     outputs, inputs, modes : their names
     logged : whether the mode was, or there is only one
+    absent : modes that a table declares, as categories, and never visits
     """
 
     parts: tuple[Part, ...]
@@ -47,11 +48,18 @@ class Recording(NamedTuple):
     inputs: tuple[str, ...]
     modes: tuple[str, ...]
     logged: bool
+    absent: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
         """How many there are in all logs."""
         return sum(part.time.size for part in self.parts)
+
+
+Check = Callable[
+    [tuple[Part, ...], tuple[Sequence[str], Sequence[str]], list[str], Callable[[int, int], str]],
+    None,
+]
 
 
 class _Table(NamedTuple):
@@ -72,6 +80,7 @@ def read_recording(
     states: Sequence[str] | None = None,
     inputs: Sequence[str] | None = None,
     letter: str = "x",
+    check: Check | None = None,
 ) -> Recording:
     """The recording of a log or a list of logs: paths of CSV files, or pandas tables.
 
@@ -86,6 +95,9 @@ def read_recording(
         number or not at all. A name may follow a colon: "x1: position (m)" is so called.
     letter : str
         "x", or "y" for outputs.
+    check : callable, optional
+        Called with the logs, the columns of outputs and of inputs, what logs are called, and what
+        names a row of one of them, before they are put together.
 
     Raises
     ------
@@ -100,13 +112,23 @@ def read_recording(
     column = _mode_column(tables, modes)
     names = _columns(tables[0], letter, states, "states")
     acting = _columns(tables[0], "u", inputs, "inputs")
+    for table in tables:
+        if len(table.frame) < 3:
+            raise ArgumentError(
+                f"{table.name} must have at least 3 rows, got {len(table.frame)}: log for longer."
+            )
     labels = _labels(tables, column)
     parts = tuple(_part(table, names, acting, column, labels) for table in tables)
     _require_moving(parts, acting)
+    if check is not None:
+        called = [table.name for table in tables]
+        check(parts, (names, acting), called, lambda i, k: tables[i].place(k))
     parts = _split_at_gaps(parts)
     step, even = _period(parts)
     called, moved = map(_names_of, (names, acting))
-    return Recording(parts, step, even, called, moved, tuple(labels), column is not None)
+    absent = _absent(tables, column, labels)
+    logged = column is not None
+    return Recording(parts, step, even, called, moved, tuple(labels), logged, absent)
 
 
 def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
@@ -175,17 +197,33 @@ def _columns(
     """The columns of states or inputs."""
     found = list(table.frame.columns)
     if given is None:
-        form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
-        places = {name: match[1] for name in found if (match := form.fullmatch(name))}
-        chosen = sorted(places, key=lambda name: int(places[name] or 0))
+        chosen = columns_of(found, letter)
+    elif isinstance(given, str):
+        raise ArgumentError(
+            f"{argument} must be a list of columns, such as {given.split(',')}, got the text "
+            f"{given!r}."
+        )
     else:
         chosen = [str(name) for name in given]
     if not chosen:
         raise ArgumentError(
             f"{table.name} must have columns {letter}1, {letter}2, …, got {brief(found)}: name "
-            f"them so, or say which they are by {argument}=[…]."
+            f"them so, or say which they are by {argument}=[…], --{argument}."
         )
     return tuple(chosen)
+
+
+def columns_of(columns: Sequence[str], letter: str) -> list[str]:
+    """Those that a letter and a number name, by their numbers.
+
+    Examples
+    --------
+    >>> columns_of(["t", "x2", "x1: speed (m/s)", "extra"], "x")
+    ['x1: speed (m/s)', 'x2']
+    """
+    form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
+    places = {name: match[1] for name in columns if (match := form.fullmatch(name))}
+    return sorted(places, key=lambda name: int(places[name] or 0))
 
 
 def _labels(tables: list[_Table], column: str | None) -> dict[str, int]:
@@ -213,6 +251,16 @@ def _labels(tables: list[_Table], column: str | None) -> dict[str, int]:
     return {str(i): place for place, i in enumerate(numbers)}
 
 
+def _absent(tables: list[_Table], column: str | None, labels: dict[str, int]) -> tuple[str, ...]:
+    """Modes that are categories of a column and not visited."""
+    import pandas as pd
+
+    kinds = [table.frame[column].dtype for table in tables if column is not None]
+    declared = [kind.categories for kind in kinds if isinstance(kind, pd.CategoricalDtype)]
+    names = [_label(name) for categories in declared for name in categories]
+    return tuple(dict.fromkeys(name for name in names if name not in labels))
+
+
 def _label(value: Any) -> str:
     """What a log calls a mode: whole numbers are the same however they are written."""
     if isinstance(value, float | np.floating) and float(value).is_integer():
@@ -230,11 +278,12 @@ def _part(
     labels: dict[str, int],
 ) -> Part:
     """One log as arrays."""
-    clock = next((name for name in _TIMES if name in table.frame.columns), None)
+    clock = next((name for name in TIMES if name in table.frame.columns), None)
     if clock is None:
         raise ArgumentError(
             f"{table.name} must have a column t of times in seconds, got "
-            f"{brief(list(table.frame.columns))}."
+            f"{brief(list(table.frame.columns))}: name it t, and divide it by 1,000 where it "
+            "counts milliseconds."
         )
     time = _numbers(table, clock)
     if np.isnan(time).any():
@@ -247,8 +296,6 @@ def _part(
             f"{time[late[0] + 1]:.9g} after {time[late[0]]:.9g}: sort the log and keep one row per "
             "instant."
         )
-    if time.size < 3:
-        raise ArgumentError(f"{table.name} must have at least 3 rows, got {time.size}.")
     output = np.column_stack([_numbers(table, name) for name in names])
     entered = np.column_stack([_numbers(table, name) for name in inputs])
     mode = np.zeros(time.size, np.int64)
@@ -264,7 +311,8 @@ def _numbers(table: _Table, column: str) -> Float[np.ndarray, " sample"]:
 
     if column not in table.frame.columns:
         raise ArgumentError(
-            f"{table.name} must have the column {column!r}, got {brief(list(table.frame.columns))}."
+            f"{table.name} must have the column {column!r}, got "
+            f"{brief(list(table.frame.columns))}: name columns as the log does."
         )
     raw = table.frame[column]
     values = pd.to_numeric(raw, errors="coerce")
@@ -288,7 +336,7 @@ def _require_moving(parts: tuple[Part, ...], inputs: tuple[str, ...]) -> None:
             raise ArgumentError(
                 f"{name} must change, got {'nothing' if values.size == 0 else values[0]} "
                 "throughout: an input that never moves tells nothing of its delay or its effect. "
-                "Move it, or leave it out by inputs=[…]."
+                "Move it, or leave it out by inputs=[…], --inputs."
             )
 
 

@@ -23,6 +23,7 @@ from deadtime.identification.scoring import Evaluation
 from deadtime.identification.transition import transitions_of
 
 _BLOCK = 4_000_000  # numbers of a log that are stacked at a time
+_APART = 1e-8  # of variances: information to which double precision does not lose another one
 
 
 class Term(NamedTuple):
@@ -52,7 +53,7 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
         if not np.isfinite(S).all():  # of a trial far out, whose exponential overflows
             nothing = Evaluation(-np.inf, score, np.eye(size))
             return nothing, np.full((len(terms), n, n), np.nan)
-        S = floored(S, y, count)
+        S = floored(S, P[:, :n], y, count)
         L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, e.T)
         moved = np.linalg.solve(L, by_P @ r.T).reshape(len(place), -1)
@@ -63,10 +64,24 @@ def concentrated(terms: list[Term], size: int) -> tuple[Evaluation, Float[np.nda
     return Evaluation(value, score, information), np.array(covariances)
 
 
-def floored(S: Float[np.ndarray, "n n"], y: np.ndarray, total: float) -> Float[np.ndarray, "n n"]:
-    """The covariance S of residuals of y, of weight `total`, never singular: of no noise, too."""
-    least = 1e-13 * np.diagonal(S) + 1e-24 * (y**2).sum(axis=0) / total
-    return S + np.diag(least + np.finfo(float).tiny)
+def floored(
+    S: Float[np.ndarray, "n n"], Phi: Float[np.ndarray, "n n"], y: np.ndarray, total: float
+) -> Float[np.ndarray, "n n"]:
+    """The covariance S of residuals of y, of weight `total`, never singular: of no noise, too.
+
+    A state without noise beside noisy ones, or noises that are multiples of each other, would tell
+    some combinations of unknowns so well that beside them others are lost to round-off. So each
+    state has 1e-4 of the deviation of its noise by itself, and of what Φ − I makes of the others',
+    once and again, as noise that acts on dx/dt spreads from state to state.
+    """
+    M = Phi - np.eye(len(S))
+    M /= max(1.0, float(np.abs(np.linalg.eigvals(M)).max()))
+    spread, moved = np.diag(np.diagonal(S)), S
+    for _ in range(len(S) - 1):
+        moved = M @ moved @ M.T
+        spread = spread + moved
+    least = 1e-24 * (y**2).sum(axis=0) / total + np.finfo(float).tiny
+    return S + _APART * spread + np.diag(least)
 
 
 def log_density(

@@ -27,13 +27,24 @@ if TYPE_CHECKING:
 
 def figures_of(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
     """(name, caption, figure), the likelihood first."""
+    yield likelihood_figure(fit)
+    yield from quick_figures(fit)
+
+
+def likelihood_figure(fit: Identification) -> tuple[str, str, Figure]:
+    """(name, caption, figure) of the likelihood over the delays.
+
+    Of noisy measurements each of its points takes a search over all else: it may well take longer
+    than the identification did.
+    """
     with _figure(1, 2.6) as (figure, (axes,)):
         draw_likelihood(axes, fit)
-    yield (
-        "likelihood",
-        "How likely every delay is, all else at its likeliest; dotted: the 95 % interval.",
-        figure,
-    )
+    caption = "How likely every delay is, all else at its likeliest; dotted: the 95 % interval."
+    return "likelihood", caption, figure
+
+
+def quick_figures(fit: Identification) -> Iterator[tuple[str, str, Figure]]:
+    """(name, caption, figure) of all others: predictions and modes, what is left."""
     part, n, several = shown(fit), fit.plant.states, fit.plant.modes > 1
     with _figure(n + several, 1.1, 2.0) as (figure, axes):
         draw_log(axes[:n], fit, part)
@@ -95,5 +106,4 @@ def _draw_inputs(axes: Axes, fit: Identification) -> None:
         axes.plot(time, side * reach / np.sqrt(np.maximum(count, 1.0)), color="#666666", ls=":")
     axes.set_xlabel("time since the input (s); dotted: 95 % by chance")
     axes.set_ylabel("correlation")
-    if len(fit.inputs) > 1:
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)

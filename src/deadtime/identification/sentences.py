@@ -9,6 +9,7 @@ import numpy as np
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.recording import Recording
+from deadtime.identification.untold import counts_whole, reasons
 
 _EDGE = 1e-6  # of the range searched
 _NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
@@ -20,6 +21,11 @@ def sentences_of(found: Estimate, recording: Recording, why: str) -> tuple[str, 
     """How well the log knows the delays, what the residuals say, and what was left out."""
     said = [*_delays(found, recording), *_noise(found), *_tests(found, recording)]
     said += _period(found, recording)
+    for name in recording.absent:
+        said.append(
+            f"Mode {name!r} is declared and never visited: nothing is known of it, and the plant "
+            "has no such mode."
+        )
     if recording.logged and not _uses_switches(found):
         said.append("The mode is taken to change at samples only.")
     return (*said, *([why] if why else []))
@@ -30,24 +36,43 @@ def _uses_switches(found: Estimate) -> bool:
 
 
 def _delays(found: Estimate, recording: Recording) -> list[str]:
-    low, high = found.log.bounds
+    low, high = _bounds(found, recording)
     names, said = delay_names(recording, found), []
     each = zip(names, _values(found), found.intervals, found.several, strict=True)
-    for name, D, (left, right), several in each:
-        said.append(f"{name} is {D:.4g} s, at 95 % within {left:.4g} … {right:.4g} s.")
+    for place, (name, D, (left, right), several) in enumerate(each):
+        left = low if left <= found.log.bounds[0] else left
+        digits = _digits(D, right - left)
+        ends = f"{left:.{digits}g} … {right:.{digits}g} s"
+        said.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
         margin = _EDGE * (high - low)
-        if low + margin > D or high - margin < D:
+        edge = low + margin > D or high - margin < D
+        if edge:
             said.append(
                 f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
                 "delay=(low, high), --delay LOW HIGH."
             )
         if several or right - left > _WIDE * (high - low):
             apart = ", and others that lie apart explain it nearly as well" if several else ""
-            said.append(
-                f"The log hardly tells {name[0].lower()}{name[1:]}{apart}: move the input more, or "
-                f"log for longer{_beyond(right, high, margin)}."
-            )
+            told = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
+            why = reasons(recording, place % len(recording.inputs), high - low)
+            advice = "" if why else ": move the input more, or log for longer"
+            said += [f"{told}{advice}{_beyond(right, high, margin)}.", *why]
+        elif edge and counts_whole(recording):
+            said += reasons(recording, place % len(recording.inputs), high - low)
     return said
+
+
+def _bounds(found: Estimate, recording: Recording) -> tuple[float, float]:
+    """The range searched as it was given: a delay of 0 stands for one too short to tell."""
+    low, high = found.log.bounds
+    return (low if low > _EDGE * recording.step * (1.0 + _EDGE) else 0.0), high
+
+
+def _digits(D: float, width: float) -> int:
+    """So many that an interval's ends differ in two of them."""
+    if not 0.0 < width < abs(D):
+        return 4
+    return min(max(4, 1 + int(np.ceil(np.log10(abs(D) / width)))), 12)
 
 
 def _beyond(right: float, high: float, margin: float) -> str:
@@ -90,10 +115,17 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
             "plant is not linear, or " + _last_cause(found)
         )
     if not tests.unrelated:
-        name = recording.inputs[tests.input]
+        name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
+        outside = not low - recording.step < tests.input_delay < high + recording.step
+        cause = (
+            f"a delay outside the range searched, {low:.4g} … {high:.4g} s: widen "
+            "delay=(low, high), --delay LOW HIGH; or a second path of that input."
+            if outside
+            else "a second path of that input, a delay that is not constant, or a state that is "
+            "missing."
+        )
         said.append(
-            f"What is left still has {name} of {tests.input_delay:.4g} s before in it: a second "
-            "path of that input, a delay that is not constant, or a state that is missing."
+            f"What is left still has {name} of {tests.input_delay:.4g} s before in it: {cause}"
         )
     return said
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
 from deadtime.identification.regression import Lags, lags_of
@@ -57,10 +58,11 @@ def cell_range(h: float, bounds: tuple[float, float], m: int) -> tuple[int, int]
     first = max(1, int(np.floor(bounds[0] / h * (1.0 + 1e-12) + 1e-9)) + (bounds[0] > 0.0))
     last = max(first, int(np.ceil(bounds[1] / h - 1e-9)))
     if m * (last - first + 2) > MOST_COLUMNS:
+        low = bounds[0] if first > 1 else 0.0
         raise ArgumentError(
-            f"delay = ({bounds[0]:g}, {bounds[1]:g}) is {last - first + 1:,} periods of {h:g} s, "
+            f"delay = ({low:g}, {bounds[1]:g}) s is {last - first + 1:,} periods of {h:g} s, "
             f"and at most {MOST_COLUMNS // m - 1:,} can be searched: narrow the range, or keep "
-            "every tenth row of the log with its input's mean."
+            "every tenth row of the log with its input's mean. It is in seconds."
         )
     return first, last
 
@@ -94,7 +96,7 @@ def require_enough(
     for i in np.flatnonzero(count < least):
         name = recording.modes[i]
         whole = max(float(np.ptp(part.time)) for part in recording.parts)
-        hint = ""
+        hint = " Log for longer." if layout.modes == 1 else " Log longer stays in it."
         if whole < 2.0 * window:
             hint = (
                 f" The log lasts {whole:g} s, and delays of up to {window:g} s are looked for: "
@@ -102,8 +104,9 @@ def require_enough(
             )
         what = "the log" if layout.modes == 1 else f"mode {name!r}"
         raise ArgumentError(
-            f"{what} has {count[i]} periods whose inputs and ends are known, at least {least} are "
-            f"needed for {layout.n} states and {layout.m} inputs: it is too short.{hint}"
+            f"{what} has {number_of(int(count[i]), 'period')} whose inputs and ends are known, at "
+            f"least {least} are needed for {number_of(layout.n, 'state')} and "
+            f"{number_of(layout.m, 'input')}: it is too short.{hint}"
         )
 
 

@@ -1,6 +1,6 @@
 """Kalman's filter over a log and its derivatives by all unknowns in one pass, for kernels.
 
-    x⁻ = Φ x + G z,    P⁻ = Φ P Φᵀ + Q,    g = P⁻ c,    s = cᵀ g + R,    e = y − cᵀ x⁻,
+    x⁻ = Φ x + a,      P⁻ = Φ P Φᵀ + Q,    g = P⁻ c,    s = cᵀ g + R,    e = y − cᵀ x⁻,
     x = x⁻ + g e/s,    P = P⁻ − g gᵀ/s,
 
 sensor by sensor, each line with its derivative. Few unknowns move P: those of A and of the noise.
@@ -15,29 +15,30 @@ from deadtime.numerics.kernels import kernel
 
 
 @kernel
-def tangents(y, start, kind, z, Phi, G, Q, C, R, moved, own, wide, of_Q, of_R, P0, now, out):
+def tangents(
+    y, start, mode, kind, Phi, by_Phi, Q, by_Q, added, by_added, own, noisy, C, R, of_R, wide, P0,
+    now, out,
+):  # fmt: skip
     """A stretch of the filter, the state before it in `now`, which is brought to its end.
 
-    y, start : as of `filter_kernel.innovations`; kind : (T,), the mode of the period that leads to
-    a sample; z : (T, r), the inputs that act in it. Phi, G, Q : of every mode. moved :
-    (modes, own, n, n + r), derivatives of [Φ, G] by the unknowns `own` (modes, own) of a mode.
-    wide : (q,), the unknowns that P depends on; of_Q : (modes, q, n, n) and of_R : (q, p),
-    derivatives by those. now : x (n,), P (n, n) and their derivatives (size, n), (q, n, n).
-    out : errors and variances (T, p), and their derivatives (T, p, size), (T, p, q).
+    y : (T, p), NaN where nothing was measured; start : (T,), whether nothing is known of the state
+    of a sample but P0, whatever was before. mode, …, by_added : of the periods that lead to
+    samples, see `Periods`. own, noisy, wide : see `Places`. C : (p, n), R : (p,), of_R : (q, p),
+    its derivatives. now : x (n,), P (n, n) and their derivatives (size, n), (q, n, n). out :
+    errors and variances (T, p), 0 and 1 where nothing was measured, and their derivatives
+    (T, p, size), (T, p, q). Sensors err independently, so one after the other is the same as all
+    at once, and nothing is inverted.
     """
     samples, sensors = y.shape
     x, P, by_x, by_P = now
     error, variance, by_e, by_s = out
-    place = np.full(by_x.shape[0], -1)
-    for c in range(wide.size):
-        place[wide[c]] = c
     for k in range(samples):
-        m = kind[k]
+        i, m = kind[k], mode[k]
         if start[k]:
             begin(x, P, by_x, by_P, P0)
         else:
-            carry_mean(x, by_x, Phi[m], G[m], z[k], moved[m], own[m])
-            carry_variance(P, by_P, Phi[m], Q[m], moved[m], own[m], place, of_Q[m])
+            carry_mean(x, by_x, Phi[i], by_Phi[i], added[k], by_added[k], own[m])
+            carry_variance(P, by_P, Phi[i], by_Phi[i], Q[i], by_Q[i], noisy[m])
         for s in range(sensors):
             error[k, s], variance[k, s] = 0.0, 1.0
             by_e[k, s, :] = 0.0
@@ -66,9 +67,9 @@ def begin(x, P, by_x, by_P, P0):
 
 
 @kernel
-def carry_mean(x, by_x, Phi, G, z, moved, own):
+def carry_mean(x, by_x, Phi, by_Phi, added, by_added, own):
     """x and its derivatives over a period."""
-    n, r = x.size, z.size
+    n = x.size
     before, spare = np.empty(n), np.empty(n)
     for i in range(n):
         before[i] = x[i]
@@ -81,23 +82,21 @@ def carry_mean(x, by_x, Phi, G, z, moved, own):
                 total += Phi[i, j] * spare[j]
             by_x[a, i] = total
     for i in range(n):
-        total = 0.0
+        total = added[i]
         for j in range(n):
             total += Phi[i, j] * before[j]
-        for j in range(r):
-            total += G[i, j] * z[j]
         x[i] = total
-        for c in range(own.size):
-            total = 0.0
-            for j in range(n):
-                total += moved[c, i, j] * before[j]
-            for j in range(r):
-                total += moved[c, i, n + j] * z[j]
+    for c in range(own.size):
+        for i in range(n):
+            total = by_added[c, i]
+            if c < n * n:  # A's
+                for j in range(n):
+                    total += by_Phi[c, i, j] * before[j]
             by_x[own[c], i] += total
 
 
 @kernel
-def carry_variance(P, by_P, Phi, Q, moved, own, place, of_Q):
+def carry_variance(P, by_P, Phi, by_Phi, Q, by_Q, noisy):
     """P and its derivatives over a period."""
     n = P.shape[0]
     across, spare = np.empty((n, n)), np.empty((n, n))
@@ -105,7 +104,7 @@ def carry_variance(P, by_P, Phi, Q, moved, own, place, of_Q):
         product(Phi, by_P[c], spare)
         for i in range(n):
             for j in range(i + 1):
-                total = of_Q[c, i, j]
+                total = 0.0
                 for d in range(n):
                     total += spare[i, d] * Phi[j, d]
                 by_P[c, i, j] = total
@@ -116,18 +115,16 @@ def carry_variance(P, by_P, Phi, Q, moved, own, place, of_Q):
             for d in range(n):
                 total += P[i, d] * Phi[j, d]
             across[i, j] = total
-    for c in range(own.size):
-        w = place[own[c]]
-        if w >= 0:
-            for i in range(n):
-                for j in range(n):
-                    total = 0.0
-                    for d in range(n):
-                        total += moved[c, i, d] * across[d, j]
-                    spare[i, j] = total
+    for c in range(noisy.size):
+        w = noisy[c]
+        if c < n * n:  # A's
+            product(by_Phi[c], across, spare)
             for i in range(n):
                 for j in range(n):
                     by_P[w, i, j] += spare[i, j] + spare[j, i]
+        for i in range(n):
+            for j in range(n):
+                by_P[w, i, j] += by_Q[c, i, j]
     for i in range(n):
         for j in range(i + 1):
             total = Q[i, j]

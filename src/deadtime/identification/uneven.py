@@ -21,6 +21,7 @@ from deadtime.identification.recording import Part, Recording
 from deadtime.identification.regression import Term
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 
+_BLOCK = 2_000_000  # numbers of a log that are stacked at a time
 _ROUND_OFF = 1e-9  # of a period: an arrival so close to a sample is at it
 
 
@@ -61,7 +62,9 @@ def acting_in(
     t, m = part.time, part.input.shape[1]
     held = np.zeros((k.size, nodes.size, m))
     moved = np.zeros(held.shape)
-    slack = _ROUND_OFF * float(np.median(np.diff(t)))
+    if k.size == 0:
+        return Acting(held, moved)
+    slack = _ROUND_OFF * float(np.median(t[k + 1] - t[k]))
     over = interpolation(nodes, t[k + 1] - t[k])
     for j in range(m):
         u, D = part.input[:, j], delays[part.mode[k], j]
@@ -95,12 +98,23 @@ def uneven_terms(
 ) -> list[Term]:
     """The regressions of unevenly sampled logs, over the periods `good` of every part."""
     A, B, delays = layout.split(theta)
-    terms = []
-    for i in range(layout.modes):
-        each = [(part, k[part.mode[k] == i]) for part, k in zip(parts, good, strict=True)]
-        z = np.vstack([node_rows(part, k, delays[i], nodes, step) for part, k in each])
-        terms.append(node_term(z, layout, i, A[i], B[i], nodes))
-    return terms
+    modes, size = range(layout.modes), layout.n + nodes.size * (layout.n + 2 * layout.m)
+    roots, counts, block = (
+        [np.zeros((0, size)) for _ in modes],
+        [0] * len(modes),
+        max(size, _BLOCK // size),
+    )
+    for part, every in zip(parts, good, strict=True):
+        for start in range(0, every.size, block):
+            k = every[start : start + block]
+            for i in modes:
+                own = k[part.mode[k] == i]
+                counts[i] += own.size
+                rows = node_rows(part, own, delays[i], nodes, step)
+                roots[i] = np.vstack((roots[i], rows))
+                if len(roots[i]) > size:
+                    roots[i] = np.asarray(np.linalg.qr(roots[i], mode="r"))
+    return [node_term(roots[i], counts[i], layout, i, A[i], B[i], nodes) for i in modes]
 
 
 def node_rows(
@@ -120,7 +134,13 @@ def node_rows(
 
 
 def node_term(
-    root: np.ndarray, layout: Layout, mode: int, A: np.ndarray, B: np.ndarray, nodes: np.ndarray
+    root: np.ndarray,
+    periods: int,
+    layout: Layout,
+    mode: int,
+    A: np.ndarray,
+    B: np.ndarray,
+    nodes: np.ndarray,
 ) -> Term:
     """The regression of a mode on rows of `node_rows`."""
     n, m, count = layout.n, layout.m, nodes.size
@@ -148,12 +168,8 @@ def node_term(
         for M, size in zip(np.split(by_P, [n, n + m], axis=-1), order, strict=True)
     ]
     own = (layout.of_A[mode].ravel(), layout.of_B[mode].ravel(), layout.of_delay[mode])
-    used = np.r_[: n + count * (n + 2 * m)]
-    small = root
-    if len(root) > used.size:
-        small = np.asarray(np.linalg.qr(root[:, used], mode="r"))
     parts = np.concatenate(flat, axis=-1), np.concatenate(moved, axis=-1)
-    return Term(small, len(root), *parts, np.concatenate(own))
+    return Term(root, periods, *parts, np.concatenate(own))
 
 
 def on_a_grid(part: Part, step: float) -> Part:

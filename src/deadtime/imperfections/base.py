@@ -52,6 +52,7 @@ class Limits(NamedTuple):
 
 
 Checked = TypeVar("Checked")
+Size = TypeVar("Size", int, Sizes)
 
 
 class Imperfection(Frozen, ABC):
@@ -152,7 +153,7 @@ class Disturbance(Imperfection):
 
     @property
     def goes_by_mode(self) -> bool:
-        """Whether w depends on the mode; `force_by_mode` then says how."""
+        """Whether w is a force that the mode decides; `force_by_mode` then says which."""
         return False
 
     def force_by_mode(self, sizes: Sizes) -> np.ndarray | None:
@@ -205,14 +206,14 @@ def require(one: Imperfection, sizes: Sizes) -> None:
             pass
 
 
-def once(check: Callable[[Any, int], Checked]) -> Callable[[Any, int], Checked]:
+def once(check: Callable[[Any, Size], Checked]) -> Callable[[Any, Size], Checked]:
     """Remember what a check of an imperfection's fields made of them, size by size.
 
     Many runs ask for it as often as they draw, and checking takes as long as drawing.
     """
 
     @functools.wraps(check)
-    def remembered(one: Any, size: int) -> Checked:
+    def remembered(one: Any, size: Size) -> Checked:
         found = vars(one).setdefault("_found", {})
         if size not in found:
             found[size] = check(one, size)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from deadtime.base.checks import as_floats, number, real_array, require_shape
@@ -26,7 +27,7 @@ from deadtime.plant.steps import snap
 
 @dataclass(frozen=True)
 class WhiteDisturbance(DrawnDisturbance):
-    """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s).
+    """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s), W that of the mode where each has its own.
 
     The states at the samples and at the arrivals of inputs have exactly the distribution of the
     stochastic differential equation. The roughness of a path within a stretch is left out: it would
@@ -35,14 +36,15 @@ class WhiteDisturbance(DrawnDisturbance):
     Parameters
     ----------
     intensity : array_like
-        W: a number for W = number·I, shape (n,) for a diagonal, or (n, n), positive semidefinite;
-        in units of x² per second.
+        W: a number for W = number·I, shape (n,) for a diagonal, (n, n), or (modes, n, n) for one
+        per mode, which acts from the instant of a switch on; positive semidefinite, in units of x²
+        per second.
     """
 
     intensity: ArrayLike
 
     def counts(self, sizes: Sizes) -> tuple[int, int]:
-        self._check(sizes.states)
+        self._check(sizes)
         return 0, sizes.states
 
     def draws_from(
@@ -58,21 +60,31 @@ class WhiteDisturbance(DrawnDisturbance):
     def spreads_in(
         self, sizes: Sizes, A: np.ndarray, mode: np.ndarray, tau: np.ndarray
     ) -> np.ndarray:
-        return lower_root(accumulate(A, self._check(sizes.states), rates(A), mode, tau)[1])
+        return lower_root(accumulate(A, self._check(sizes), rates(A), mode, tau)[1])
 
     @once
-    def _check(self, n: int) -> np.ndarray:
-        name = "WhiteDisturbance.intensity"
-        given = as_floats(name, self.intensity, "one, (n,) or (n, n)")
+    def _check(self, sizes: Sizes) -> Float[np.ndarray, "*mode n n"]:
+        name, n = "WhiteDisturbance.intensity", sizes.states
+        given = as_floats(name, self.intensity, "one, (n,), (n, n) or (modes, n, n)")
+        if given.ndim == 3:
+            form = "(modes, n, n)"
+            each = require_shape(name, real_array(name, given, form, 3), (sizes.modes, n, n), form)
+            for mode, W in enumerate(each):
+                _require_covariance(f"{name}[{mode}]", W)
+            return each
         if given.ndim < 2:
             given = np.diag(per_signal(name, given, n))
         W = require_shape(name, real_array(name, given, "(n, n)", 2), (n, n), "(n, n)")
-        size = np.abs(W).max()
-        if np.abs(W - W.T).max() > 1e-9 * size or np.linalg.eigvalsh(W)[0] < -1e-9 * size:
-            raise ArgumentError(
-                f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
-            )
+        _require_covariance(name, W)
         return W
+
+
+def _require_covariance(name: str, W: Float[np.ndarray, "n n"]) -> None:
+    size = np.abs(W).max()
+    if np.abs(W - W.T).max() > 1e-9 * size or np.linalg.eigvalsh(W)[0] < -1e-9 * size:
+        raise ArgumentError(
+            f"{name} must be symmetric and positive semidefinite, got {W.tolist()}."
+        )
 
 
 @dataclass(frozen=True)

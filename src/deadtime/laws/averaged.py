@@ -177,13 +177,13 @@ class AveragedPredictor(TableLaw):
         return AveragedPredictor(plant, gains, self.weights, self.dwell_time, allow_unstable=True)
 
     def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
         from deadtime.laws.spread.held import dwelling_spread, held_spread
 
         if self.dwell_time is None:
             return held_spread(self.plant, known, W)
-        return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W)
+        return dwelling_spread(self.plant, self.plant, self.dwell_time, step, known, W, W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
         plant, rest = self.plant, self.dwell_time

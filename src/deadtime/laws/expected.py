@@ -125,7 +125,7 @@ class ExpectedPredictor(TableLaw):
         return ExpectedPredictor(plant, gains, self.model, ages=self.ages, allow_unstable=True)
 
     def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
         sampled = self.sampled_plant(step)
         if isinstance(self.model, Markov):

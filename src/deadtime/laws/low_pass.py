@@ -131,7 +131,7 @@ class LowPassPredictor(TableLaw):
         return self.law.extend(plant, rows)  # it is what the wrapped law predicts that is filtered
 
     def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
         return self.law.spread(step, known, W)
 

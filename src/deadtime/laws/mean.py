@@ -136,13 +136,15 @@ class MeanPredictor(TableLaw):
         return MeanPredictor(plant, gain, None, self.dwell_time, mean, allow_unstable=True)
 
     def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
         from deadtime.laws.spread.held import dwelling_spread, held_spread
 
+        mean_W = W if W.ndim == 2 else W.mean(axis=0)
         if self.dwell_time is None:
-            return held_spread(self._mean_plant, known, W)
-        return dwelling_spread(self.plant, self._mean_plant, self.dwell_time, step, known, W)
+            return held_spread(self._mean_plant, known, mean_W)
+        plants = self.plant, self._mean_plant
+        return dwelling_spread(*plants, self.dwell_time, step, known, W, mean_W)
 
     def ideal(self, signal: SwitchingSignal, horizon: float) -> Forecast | Functional | Outlook:
         plant, mean, rest = self.plant, self._mean_plant, self.dwell_time

@@ -82,7 +82,7 @@ class SingleModePredictor(TableLaw):
         return SingleModePredictor(plant, gains, self.mode, allow_unstable=True)
 
     def spread(
-        self, step: float, known: Known, W: Float[np.ndarray, "n n"]
+        self, step: float, known: Known, W: Float[np.ndarray, "*mode n n"]
     ) -> Float[np.ndarray, "case input future n n"]:
         from deadtime.laws.spread.held import held_spread
 

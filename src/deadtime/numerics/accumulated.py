@@ -28,14 +28,15 @@ _LONGEST = 60  # doublings, beyond which nothing is finite
 
 def accumulate(
     J: Float[np.ndarray, "mode N N"],
-    W: Float[np.ndarray, "N N"] | None,
+    W: Float[np.ndarray, "*mode N N"] | None,
     rate: Float[np.ndarray, " mode"],
     mode: Int[np.ndarray, "count piece"],
     tau: Float[np.ndarray, "count piece"],
 ) -> tuple[Float[np.ndarray, "count N N"], Float[np.ndarray, "count N N"]]:
     """M and Q over stretches of some pieces each, tau seconds (0 for none) in a mode.
 
-    `rate` (1/s) is the size of J in units in which that is small; a W of None is no noise.
+    `rate` (1/s) is the size of J in units in which that is small; W is one for all modes or one of
+    each, and None is no noise.
 
     Examples
     --------

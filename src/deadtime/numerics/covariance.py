@@ -8,6 +8,7 @@ from jaxtyping import Float
 from deadtime.base.checks import read_only
 
 _ROUND_OFF = 1e-14  # of a variance
+_NODES, _PIECES = 8, 512  # of a rule that is exact to round-off over a time constant
 
 
 def noise_covariance(
@@ -29,13 +30,16 @@ def noise_covariance(
 
 
 def noise_covariances(
-    A: Float[np.ndarray, "count n n"], W: Float[np.ndarray, "n n"], tau: Float[np.ndarray, " count"]
+    A: Float[np.ndarray, "count n n"],
+    W: Float[np.ndarray, "*count n n"],
+    tau: Float[np.ndarray, " count"],
 ) -> Float[np.ndarray, "count n n"]:
-    """`noise_covariance` of many, not finite where e^{Aτ} is not."""
+    """`noise_covariance` of many, of one W or of one each; not finite where e^{Aτ} is not."""
     count, n = A.shape[:2]
-    size = float(np.abs(W).max())
-    if size == 0.0:
+    size = np.abs(W).max(axis=(-2, -1), keepdims=True)
+    if not size.any():
         return np.zeros(A.shape)
+    size = np.where(size > 0.0, size, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
         span = 2.0 * tau * np.abs(A).sum(axis=1).max(axis=1)
         finite = np.isfinite(span)
@@ -51,6 +55,42 @@ def noise_covariances(
             P = Phi[on]
             Q[on], Phi[on] = Q[on] + P @ Q[on] @ P.transpose(0, 2, 1), P @ P
         return 0.5 * size * (Q + Q.transpose(0, 2, 1))
+
+
+def switched_covariances(
+    A: Float[np.ndarray, "mode n n"], W: Float[np.ndarray, "mode n n"], tau: float
+) -> Float[np.ndarray, "mode mode n n"]:
+    """What noise of intensity W_σ adds in τ seconds that begin in mode i and end in mode j.
+
+        Q_ij = (1/τ) ∫₀^τ (e^{A_j s} Q_i(τ − s) e^{A_jᵀ s} + Q_j(s)) ds
+
+    is the mean over s, the time spent in j, which is spread evenly. By Gauss and Legendre's rule on
+    pieces of [0, τ] over which e^{As} changes by a factor of about e, of which there are at most
+    512: what decays faster than that has gone.
+
+    Examples
+    --------
+    >>> A, W = np.zeros((2, 1, 1)), np.array([[[1.0]], [[3.0]]])
+    >>> switched_covariances(A, W, 0.5)[..., 0, 0].round(9)
+    array([[0.5, 1. ],
+           [1. , 1.5]])
+    """
+    from deadtime.numerics.accumulated import rates
+
+    modes, n, _ = A.shape
+    pieces = int(np.clip(np.ceil(rates(A).max() * tau), 1, _PIECES))
+    nodes, share = np.polynomial.legendre.leggauss(_NODES)
+    s = (np.arange(pieces)[:, None] + 0.5 * (1.0 + nodes)).ravel() * (tau / pieces)
+    share = np.tile(0.5 * share / pieces, pieces)
+    many = np.repeat(A, s.size, axis=0), np.tile(s, modes)
+    Phi = transitions(*many).reshape(modes, s.size, n, n)
+    Q = noise_covariances(many[0], np.repeat(W, s.size, axis=0), many[1]).reshape(Phi.shape)
+    result = np.empty((modes, modes, n, n))
+    for i, j in np.ndindex(modes, modes):
+        # Nodes lie symmetrically: those of τ − s are those of s, read backwards.
+        moved = Phi[j] @ Q[i, ::-1] @ Phi[j].transpose(0, 2, 1) + Q[j]
+        result[i, j] = np.tensordot(share, 0.5 * (moved + moved.transpose(0, 2, 1)), 1)
+    return result
 
 
 def transition(A: Float[np.ndarray, "n n"], tau: float) -> Float[np.ndarray, "n n"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.plant.switched_system import SwitchedSystem
 
 _SHORTEST = 1e-3  # of the likeliest delay: no plant that is drawn has a shorter one
+_OUTWARD = 1.0 + 1e-9  # so that rounding leaves no plant out
 _SYMMETRIC = 1e-6  # of a correlation: what a file's digits may leave
 
 
@@ -82,33 +84,82 @@ class UncertainPlant(Frozen):
         z = rng.standard_normal((how_many, root.shape[1]))
         return tuple(self._at(shift) for shift in z @ root.T)
 
-    def corners(self, level: float = 0.95) -> tuple[SwitchedSystem, ...]:
-        """A polytope that holds A and B at a level, for `certify`: two corners per uncertain entry.
+    def axes(self, level: float = 0.95) -> Float[np.ndarray, "d mode n nm"]:
+        """Half axes of the ellipsoid that holds A and B at a level, [A B] of each.
 
-        A and B lie with this probability in {θ : (θ − θ̂)ᵀ Σ⁻¹ (θ − θ̂) ≤ r²}, Σ their covariance
-        whatever the delays are, r² the quantile of χ² with d degrees of freedom, d = rank Σ. With
-        Σ = L Lᵀ the corners θ̂ ± √d r L e_k span the least cross-polytope about it. It grows with
-        √d: of many entries it is far wider than their intervals, and what a law cannot be proved
-        for on it, it may yet do for each plant of `draw`. The delays are the likeliest ones:
-        `certify(plant.corners(), law, …, delays=…)` takes their intervals beside.
+        A and B lie with this probability in {[Â B̂] + Σ z_i axes_i : |z| ≤ 1} = {θ : (θ − θ̂)ᵀ Σ⁻¹
+        (θ − θ̂) ≤ r²}, Σ their covariance whatever the delays are, r² the quantile of χ² with
+        d = rank Σ degrees of freedom. `certify` proves a loop for all of it.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+
+        Examples
+        --------
+        >>> import deadtime as dt, numpy as np
+        >>> plant = dt.SwitchedSystem([[[-1.0]]], [[[2.0]]], delay=0.3)
+        >>> dt.UncertainPlant(plant, np.diag([0.1, 0.2, 0.01]) ** 2).axes().shape
+        (2, 1, 1, 2)
+        """
+        plant, n, m = self.plant, self.plant.states, self.plant.inputs
+        arms = self._arms(level)
+        of_A, of_B = np.split(arms * _OUTWARD, [plant.A.size], axis=1)
+        parts = of_A.reshape(-1, plant.modes, n, n), of_B.reshape(-1, plant.modes, n, m)
+        return np.concatenate(parts, axis=3)
+
+    def delay_range(self, level: float = 0.95) -> tuple[Any, Any] | None:
+        """The interval of each delay at a level, (low, high) as `certify` takes it; None if known.
+
+        Each by itself, whatever the others are and A and B; two numbers if all is one delay.
 
         Parameters
         ----------
         level : float
             Between 0 and 1.
         """
+        from scipy.stats import norm
+
+        plant, entries = self.plant, self.plant.A.size + self.plant.B.size
+        errors = np.sqrt(np.diagonal(self.covariance)[entries:])
+        if not errors.any():
+            return None
+        half = float(norm.ppf(0.5 + 0.5 * _level(level))) * errors * _OUTWARD
+        half = np.broadcast_to(half.reshape(-1, plant.inputs), plant.delays.shape)
+        low = np.maximum(plant.delays - half, _SHORTEST * plant.delays)
+        high = plant.delays + half
+        if plant.has_one_delay and len(errors) == 1:
+            return float(low[0, 0]), float(high[0, 0])
+        return low, high
+
+    def corners(self, level: float = 0.95) -> tuple[SwitchedSystem, ...]:
+        """A polytope that holds A and B at a level: two corners per uncertain entry.
+
+        The corners θ̂ ± √d r L e_k, Σ = L Lᵀ, span the least cross-polytope about the ellipsoid of
+        `axes`. It grows with √d: of many entries it is far wider than their intervals, and
+        `certify` proves far more of the ellipsoid itself. The delays are the likeliest ones.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+        """
+        arms = self._arms(level)
+        if not len(arms):
+            return (self.plant,)
+        arms = np.sqrt(len(arms)) * arms
+        rest = np.zeros(len(self.covariance) - arms.shape[1])
+        return tuple(self._at(np.concatenate((s * one, rest))) for one in arms for s in (1.0, -1.0))
+
+    def _arms(self, level: float) -> Float[np.ndarray, "d entries"]:
+        """r L e_k of all k."""
         from scipy.stats import chi2
 
-        if not 0.0 < number("level", level) < 1.0:
-            raise ArgumentError(f"level must be between 0 and 1, got {level:g}.")
-        entries = self.plant.A.size + self.plant.B.size
+        level, entries = _level(level), self.plant.A.size + self.plant.B.size
         root = _root(self.covariance[:entries, :entries])
         d = root.shape[1]
-        if not d:
-            return (self.plant,)
-        arm = float(np.sqrt(d * chi2.ppf(level, d))) * root.T
-        rest = np.zeros(len(self.covariance) - entries)
-        return tuple(self._at(np.concatenate((s * one, rest))) for one in arm for s in (1.0, -1.0))
+        return float(np.sqrt(chi2.ppf(level, d))) * root.T if d else root.T
 
     def _at(self, shift: np.ndarray) -> SwitchedSystem:
         """The plant that is so far from the likeliest one."""
@@ -123,6 +174,13 @@ class UncertainPlant(Frozen):
 
     def __repr__(self) -> str:
         return f"UncertainPlant({self.plant!r}, {len(self.covariance)} entries)"
+
+
+def _level(level: float) -> float:
+    """A probability."""
+    if not 0.0 < number("level", level) < 1.0:
+        raise ArgumentError(f"level must be between 0 and 1, got {level:g}.")
+    return level
 
 
 def _require_covariance(given: np.ndarray) -> None:

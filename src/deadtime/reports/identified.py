@@ -3,17 +3,40 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification import Identification
 from deadtime.identification.report_figures import figures_of
 from deadtime.reports.page import render
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 HEADINGS = ("", "estimate", "from", "to")
+
+
+class Picture(NamedTuple):
+    """A figure as a page holds it; image : its PNG as a data address."""
+
+    name: str
+    caption: str
+    image: str
+
+
+def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ...]:
+    """Figures as a page holds them, of (name, caption, figure)."""
+    found = []
+    for name, caption, figure in figures:
+        buffer = BytesIO()
+        figure.savefig(buffer, format="png")
+        data = b64encode(buffer.getvalue()).decode("ascii")
+        found.append(Picture(name, caption, f"data:image/png;base64,{data}"))
+    return tuple(found)
 
 
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
@@ -30,6 +53,7 @@ def write_identification(
     path: str | PathLike[str],
     sentences: Sequence[str] = (),
     title: str = "A plant from a log",
+    command: str = "",
 ) -> None:
     """Write the page on an identification.
 
@@ -42,32 +66,39 @@ def write_identification(
         What it opens with; those of the identification by default.
     title : str
         Its heading.
+    command : str
+        How to make it again, for its last line.
 
     Raises
     ------
     ArgumentError
         If the file cannot be written.
     """
-    figures = []
-    for name, caption, figure in figures_of(fit):
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png")
-        data = b64encode(buffer.getvalue()).decode("ascii")
-        image = f"data:image/png;base64,{data}"
-        figures.append({"name": name, "caption": caption, "image": image})
-    text = render(
-        "identified.html.j2",
-        title=title,
-        fit=fit,
-        sentences=sentences or fit.sentences,
-        first=figures[0],
-        figures=figures[1:],
-        headings=HEADINGS,
-        rows=interval_rows(fit),
-    )
+    text = identification_page(fit, pictures_of(figures_of(fit)), sentences, title, command)
     try:
         Path(path).write_text(text, encoding="utf-8")
     except OSError as error:
         raise ArgumentError(
             f"report {str(path)!r} cannot be written ({error.strerror}): choose another file."
         ) from None
+
+
+def identification_page(
+    fit: Identification,
+    pictures: Sequence[Picture],
+    sentences: Sequence[str],
+    title: str,
+    command: str,
+) -> str:
+    """The page as text; the first picture is the likelihood's."""
+    return render(
+        "identified.html.j2",
+        title=title,
+        fit=fit,
+        sentences=sentences or fit.sentences,
+        first=pictures[0],
+        figures=pictures[1:],
+        headings=HEADINGS,
+        rows=interval_rows(fit),
+        command=command,
+    )

@@ -121,16 +121,17 @@ def _bend(belief, mind, i, j):
 
 
 @inner_kernel
-def _root_of(belief, mind, i, first):
+def _root_of(belief, mind, i, j, first):
     """Cholesky's L of a pair's noise; its volume over that of the first pair."""
     none, one, n = same(0.0, _ONE), same(1.0, _ONE), belief.Phi.shape[1]
     noise, root, ratio = belief.noise, mind.root, one
+    end = min(j, noise.shape[1] - 1)
     for a in range(n):
         off = _times(same(ROUND_OFF, _ONE), load(mind.size, a * LANES, _ONE))
-        own = _add(same(noise[i, a, a], _ONE), load(mind.bent, a * LANES, _ONE))
+        own = _add(same(noise[i, end, a, a], _ONE), load(mind.bent, a * LANES, _ONE))
         own = times(off, off, own)
         for b in range(a + 1):
-            rest = own if a == b else same(noise[i, a, b], _ONE)
+            rest = own if a == b else same(noise[i, end, a, b], _ONE)
             for c in range(b):
                 left = load(root, (a * n + c) * LANES, _ONE)
                 rest = _less(rest, _times(left, load(root, (b * n + c) * LANES, _ONE)))
@@ -179,7 +180,7 @@ def weigh(belief, mind, i, j):
     """The exponent and the volume of p_ij: p is e^(−square/2) / volume, up to a factor."""
     none, n, modes = same(0.0, _ONE), belief.Phi.shape[1], belief.Phi.shape[0]
     _bend(belief, mind, i, j)
-    volume = _root_of(belief, mind, i, i == 0 and j == 0)
+    volume = _root_of(belief, mind, i, j, i == 0 and j == 0)
     for a in range(n):
         own = load(mind.predicted, (i * n + a) * LANES, _ONE)
         store(mind.white, a * LANES, _less(load(mind.x, a * LANES, _ONE), own))

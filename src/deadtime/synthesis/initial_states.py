@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, number, positive, read_only, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_matrix
 
 Kind = Literal["ball", "ellipsoid", "box", "normal"]
@@ -111,11 +112,12 @@ class InitialStates(Frozen):
             raise ArgumentError(f"probability must be above 0 and below 1, got {part:g}.")
         return InitialStates("normal", _semidefinite("covariance", covariance), part)
 
-    def require_size(self, states: int) -> None:
+    def require_plant(self, plant: SwitchedSystem) -> None:
         """Refuse a plant with another number of states."""
-        if self.size.ndim and len(self.size) != states:
+        if self.size.ndim and len(self.size) != plant.states:
             raise ArgumentError(
-                f"initial must be of n = {states} states, got a {self.kind} of {len(self.size)}."
+                f"initial must be of n = {plant.states} states, got a {self.kind} of "
+                f"{len(self.size)}."
             )
 
     @property

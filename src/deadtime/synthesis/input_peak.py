@@ -138,7 +138,7 @@ def check_initial(initial: Source | None, plant: SwitchedSystem) -> Source:
         raise ArgumentError(
             f"initial must be an InitialStates or a StationaryNoise, got {type(initial).__name__}."
         )
-    initial.require_size(plant.states)
+    initial.require_plant(plant)
     return initial
 
 
@@ -230,7 +230,7 @@ def input_covariance(
     plant: SwitchedSystem, feedback: Feedback, mode: int, noise: StationaryNoise
 ) -> Float[np.ndarray, "m m"] | None:
     """Var u under noise, at any instant of a mode that is held; None if the loop grows."""
-    W, V = noise.matrices(plant.states)
+    W, V = noise.matrices(plant.states, mode)
     rows, errors = input_rows(plant, feedback, mode), error_rows(plant, feedback, mode)
     if rows is None or errors is None:
         return None

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import as_floats, number, read_only, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
+from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import weight_matrix
 
 
@@ -42,9 +43,9 @@ class StationaryNoise(Frozen):
 
     Parameters
     ----------
-    process : array_like, shape (n, n), (n,) or ()
-        W, the intensity of white noise on dx/dt, in units of x² per second: a matrix, its diagonal,
-        or a number times the identity.
+    process : array_like, shape (modes, n, n), (n, n), (n,) or ()
+        W, the intensity of white noise on dx/dt, in units of x² per second: a matrix for every mode
+        or for all, its diagonal, or a number times the identity.
     measurement : array_like, shape (n, n), (n,) or ()
         V, the covariance of the error of every sample of x, likewise.
     probability : float
@@ -76,25 +77,33 @@ class StationaryNoise(Frozen):
         if not 0.0 < part < 1.0:
             raise ArgumentError(f"probability must be above 0 and below 1, got {part:g}.")
         parts = {
-            "process": _part("process", process),
+            "process": _process(process),
             "measurement": _part("measurement", measurement),
         }
         if not any(one.any() for one in parts.values()):
             raise ArgumentError("process and measurement must not both be 0: nothing would move.")
         vars(self).update(parts, probability=part)
 
-    def require_size(self, states: int) -> None:
-        """Refuse a plant with another number of states."""
+    def require_plant(self, plant: SwitchedSystem) -> None:
+        """Refuse a plant with another number of states, or of modes where each has its W."""
         for name in ("process", "measurement"):
             one = getattr(self, name)
-            if one.ndim and len(one) != states:
+            if one.ndim and one.shape[-1] != plant.states:
                 raise ArgumentError(
-                    f"{name} must be of n = {states} states, got a matrix of {len(one)}."
+                    f"{name} must be of n = {plant.states} states, got a matrix of {one.shape[-1]}."
                 )
+        if self.process.ndim == 3 and len(self.process) != plant.modes:
+            raise ArgumentError(
+                f"process must be one matrix or one for each of {plant.modes} modes, got "
+                f"{len(self.process)}."
+            )
 
-    def matrices(self, states: int) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-        """W and V of a plant with so many states."""
-        each = self.process, self.measurement
+    def matrices(
+        self, states: int, mode: int
+    ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+        """W of a mode and V of a plant with so many states."""
+        W = self.process[mode] if self.process.ndim == 3 else self.process
+        each = W, self.measurement
         W, V = (one if one.ndim else one * np.eye(states) for one in each)
         return W, V
 
@@ -115,6 +124,15 @@ def level_of(deviation: Float[np.ndarray, " m"], probability: float) -> Float[np
     from scipy.special import erfinv
 
     return deviation * (math.sqrt(2.0) * float(erfinv(probability)))
+
+
+def _process(value: ArrayLike) -> Float[np.ndarray, ...]:
+    """W as `_part` has it, or one matrix for every mode."""
+    if as_floats("process", value, "of shape (modes, n, n), (n, n), (n,) or ()").ndim != 3:
+        return _part("process", value)
+    given = real_array("process", value, "(modes, n, n)", 3)
+    each = [_part(f"process[{mode}]", W) for mode, W in enumerate(given)]
+    return read_only(np.stack(each))
 
 
 def _part(name: str, value: ArrayLike) -> Float[np.ndarray, ...]:

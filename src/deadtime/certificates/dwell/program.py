@@ -5,6 +5,9 @@
     [I; Δ]ᵀ (Π + S_{i,a} − Fᵀ S_{j,b} F/ρ²) [I; Δ] ⪰ t I   for sampled steps,
     −I ⪯ Π ⪯ I.
 
+Of an ellipsoid of plants the second is one in (v, q), w_x = Δ v + q, less λ (yᵀ X y − qᵀ W⁻¹ q),
+with a λ ≥ 0 for each sample (`proof.ellipsoid`).
+
 Where R leaves something of the rows, w_u = T_c r + δ with |δ| ≤ |rest ξ|: κ |rest Ξ|² is added
 on the right of the first, and κ |δ|² on the left of the second, which then holds for all (v, δ).
 Everything is in units in which w is as large as Δ makes it and v as large as its peak response.
@@ -22,6 +25,7 @@ import numpy as np
 from deadtime.certificates.dwell.centre import Model
 from deadtime.certificates.dwell.cones import STOPPED, maximise, squares
 from deadtime.certificates.dwell.response import Response
+from deadtime.certificates.proof.ellipsoid import Sway
 from deadtime.certificates.proof.transitions import Transition, interpolation
 from deadtime.numerics.lmi import pack, packing, unpack
 
@@ -30,10 +34,24 @@ LEAST_UNIT = 1e-6  # of v, as part of the largest
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A step at one point of its parameters: its place in the graph, and Δ (w, v)."""
+    """A step at one point of its parameters: its place in the graph, Δ (w, v), and the ellipsoid.
+
+    Attributes
+    ----------
+    sway : Sway or None
+        W and X there; None of plants that are known.
+    """
 
     transition: Transition
     delta: np.ndarray
+    sway: Sway | None = None
+
+    @property
+    def swayed(self) -> float:
+        """How much the ellipsoid may add to |w_x|, for a v of 1."""
+        if self.sway is None:
+            return 0.0
+        return float(np.sqrt(np.linalg.norm(self.sway.W, 2) * np.linalg.norm(self.sway.X, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +69,9 @@ class Units:
         deltas = np.stack([sample.delta for sample in samples])
         w = np.empty(deltas.shape[1])
         for part in (slice(0, n), slice(n, None)):
-            size = np.linalg.norm(deltas[:, part], axis=(1, 2)).max() if w[part].size else 0.0
-            w[part] = max(size, 1e-9)
+            sizes = np.linalg.norm(deltas[:, part], axis=(1, 2))
+            sizes = sizes + ([sample.swayed for sample in samples] if part.stop else 0.0)
+            w[part] = max(sizes.max() if w[part].size else 0.0, 1e-9)
         v = np.sqrt((np.abs(found.V * w) ** 2).sum(axis=2)).max(axis=0)
         v = np.maximum(v, max(LEAST_UNIT * v.max(), 1e-300))  # an input that no w drives has v = 0
         q = np.linalg.norm(found.Q * w * w[:, None], axis=(1, 2)).max()
@@ -103,29 +122,33 @@ def solve(
     s = len(model.centre.Psi)
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
     places = model.setting.transitions.places
-    unknowns = pi_size + places * len(knots) * s_size + 2
+    of_S = places * len(knots) * s_size
+    swayed = [k for k, sample in enumerate(samples) if sample.sway is not None]
+    unknowns = pi_size + of_S + len(swayed) + 2
     blocks, cones = _at_frequencies(units.of_signals(found), pi_size, unknowns)
     blocks = [csr_matrix(block) for block in blocks]
-    for sample in samples:  # each has the S of two nodes, of how many there may be
+    weights = {k: pi_size + of_S + at for at, k in enumerate(swayed)}
+    for k, sample in enumerate(samples):  # each has the S of two nodes, of how many there may be
         block = _at_step(model, sample, units, knots, rho, unknowns)
+        if sample.sway is not None:
+            _let_sway(block, sample.sway, units, weights[k])
         blocks.append(csr_matrix(pack(block)))
         cones.append(block.shape[1])
     bounds = np.zeros((unknowns, v + w, v + w))
     bounds[:pi_size] = squares(np.eye(v + w))
     bound = pack(bounds)
-    nonnegative = np.zeros((1, unknowns))
-    nonnegative[0, -2] = 1.0
+    nonnegative = np.eye(unknowns)[[*weights.values(), -2]]
     ends = csr_matrix(np.concatenate([nonnegative, bound, -bound]))
     A: Any = vstack([*blocks, ends], format="csc")
     rows, columns, _ = packing(v + w)
     eye = (rows == columns).astype(float)
     b = np.concatenate([np.zeros(A.shape[0] - 2 * len(eye)), eye, eye])
-    answer = maximise(-A, b, [*cones, 1, v + w, v + w], roughly=roughly)
+    answer = maximise(-A, b, [*cones, *[1] * len(nonnegative), v + w, v + w], roughly=roughly)
     if answer is None:
         return None
     x, status = answer
     Pi = unpack(x[:pi_size], v + w)
-    parts = x[pi_size:-2].reshape(places, len(knots), s_size)
+    parts = x[pi_size : pi_size + of_S].reshape(places, len(knots), s_size)
     S = np.array([[unpack(part, s) for part in mode] for mode in parts])
     return Solution(float(x[-1]), float(x[-2]), Pi, S.reshape(*parts.shape[:2], s, s), status)
 
@@ -156,17 +179,18 @@ def _at_step(
     v, w = len(units.v), len(units.w)
     s, n = len(model.centre.Psi), model.setting.states
     extra = w - n if len(model.rest) else 0
+    free = extra if sample.sway is None else extra + n
     pi_size, s_size = (v + w) * (v + w + 1) // 2, s * (s + 1) // 2
-    T = np.eye(v + w, v + extra)
+    T = np.eye(v + w, v + free)
     T[v:, :v] = sample.delta * units.v / units.w[:, None]
-    T[v:, v:] = np.eye(w)[:, n : n + extra]
-    M = np.zeros((unknowns, v + extra, v + extra))
+    T[v:, v:] = np.eye(w)[:, [*range(n, n + extra), *range(free - extra)]]
+    M = np.zeros((unknowns, v + free, v + free))
     M[:pi_size] = squares(T)
-    M[-2, v:, v:] = np.eye(extra)
+    M[-2, v : v + extra, v : v + extra] = np.eye(extra)
     M[-1, :v, :v] = -np.eye(v)
     if s:
         scale = np.concatenate((units.v, units.w))
-        here = np.eye(v, v + extra)[v - s :]
+        here = np.eye(v, v + free)[v - s :]
         there = model.centre.F * scale / units.v[v - s :, None] @ T / rho
         step = sample.transition
         place = model.setting.transitions.place
@@ -179,3 +203,13 @@ def _at_step(
                 at = pi_size + (node * len(knots) + knot) * s_size
                 M[at : at + s_size] += sign * float(weight) * products
     return M
+
+
+def _let_sway(M: np.ndarray, sway: Sway, units: Units, weight: int) -> None:
+    """λ (qᵀ W⁻¹ q − yᵀ X y) of a sample, λ the unknown `weight`; q is last in (v, q)."""
+    n, k = len(sway.W), len(sway.X)
+    seen = units.v[:k]
+    X = sway.X * seen * seen[:, None]
+    scale = float(np.trace(X))
+    M[weight, :k, :k] = -X / scale
+    M[weight, -n:, -n:] = np.linalg.inv(sway.W / units.w[:n] / units.w[:n, None]) / scale

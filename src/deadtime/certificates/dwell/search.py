@@ -12,10 +12,10 @@ from deadtime.certificates.dwell.extension import extend
 from deadtime.certificates.dwell.program import Sample, Solution, Units, solve
 from deadtime.certificates.dwell.response import Response, fine_frequencies, frequencies, response
 from deadtime.certificates.dwell.riccati import solve_riccati
+from deadtime.certificates.dwell.sways import Sways
 from deadtime.certificates.proof import Check, Evidence, check
-from deadtime.certificates.proof.box import Box
+from deadtime.certificates.proof.ellipsoid import Sway
 from deadtime.certificates.proof.evidence import Setting
-from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
 
 LEAST_MARGIN = 1e-9
@@ -70,6 +70,7 @@ class Search:
         knots = sorted({*(int(mark) for mark in marks), *told})
         self.knots = tuple(knots) if level.eigenvectors else (0,)
         self.looked_at: set[tuple[Transition, Any, float]] = set()
+        self.sways = Sways(setting.family)
         self.samples = self._samples()
         delay = setting.longest_delay
         self.angles = frequencies(FREQUENCIES, setting.past, setting.step, delay)
@@ -151,15 +152,15 @@ class Search:
 
     def _samples(self) -> list[Sample]:
         samples: list[Sample] = []
-        steps: dict[Any, np.ndarray] = {}
+        steps: dict[Any, list[tuple[np.ndarray, Sway | None]]] = {}
         kept = _ages_to_visit(self.setting)
         for transition in self.setting.transitions.all(self.knots):
             if kept is not None and transition.age not in kept:
                 continue
             key = transition.mode, transition.after, transition.instants
             if key not in steps:
-                steps[key] = sampled_rows(self.setting.family, transition)
-            samples += [Sample(transition, self.model.delta(E, transition.row)) for E in steps[key]]
+                steps[key] = self._points(transition)
+            samples += [self._sample(transition, *point) for point in steps[key]]
             if not transition.switches:
                 order = self.setting.family.orders(transition.mode, transition.after)[0]
                 self.looked_at.add((transition, order, 0.0))
@@ -173,21 +174,25 @@ class Search:
         if key in self.looked_at:
             return False
         self.looked_at.add(key)
-        for E in family.corners(order, np.array([inner])):
-            self.samples.append(Sample(failed, self.model.delta(E, failed.row)))
+        at = np.array([inner])
+        for point in zip(family.corners(order, at), self.sways.at(order, at), strict=True):
+            self.samples.append(self._sample(failed, *point))
         return True
 
+    def _sample(self, step: Transition, E: np.ndarray, sway: Sway | None) -> Sample:
+        return Sample(step, self.model.delta(E, step.row), sway)
 
-def sampled_rows(family: Family | Box, step: Transition) -> np.ndarray:
-    """The plant's rows E (samples, n, k) of a step at some instants of its switch."""
-    orders: list[Any] = list(family.orders(step.mode, step.after))
-    rows = []
-    instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
-    for order in orders:
-        shares = family.shares(order, step.instants)
-        if shares is not None:
-            rows.append(family.corners(order, shares[0] + (shares[1] - shares[0]) * instants))
-    return np.concatenate(rows)
+    def _points(self, step: Transition) -> list[tuple[np.ndarray, Sway | None]]:
+        """The plant's rows E, and the ellipsoid there, at some instants of a step's switch."""
+        family: Any = self.setting.family
+        orders, points = family.orders(step.mode, step.after), []
+        instants = np.array(INSTANTS if len(orders) == 1 else INSTANTS[::2])
+        for order in orders:
+            shares = family.shares(order, step.instants)
+            if shares is not None:
+                at = shares[0] + (shares[1] - shares[0]) * instants
+                points += zip(family.corners(order, at), self.sways.at(order, at), strict=True)
+        return points
 
 
 def _ages_to_visit(setting: Setting) -> set[int] | None:

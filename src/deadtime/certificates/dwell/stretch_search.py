@@ -73,6 +73,8 @@ class StretchSearch:
         graph = setting.transitions
         if graph.bucket is not None or (graph.modes == 1 and not graph.losses):
             return False
+        if setting.axes is not None:
+            return False
         if graph.lag > graph.first or (graph.lag and _unknown(setting)):
             return False  # at a node it would matter what was before
         d, most = setting.order, whole(setting)
@@ -195,4 +197,4 @@ class StretchSearch:
 
 def _unknown(setting: Setting) -> bool:
     """Whether the steps are not known: ranges of delays, a polytope of plants, lost samples."""
-    return setting.family.ranges or len(setting.A) > 1 or setting.lost_samples > 0
+    return setting.family.ranges or setting.family.vary or setting.lost_samples > 0

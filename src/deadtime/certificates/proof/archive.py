@@ -39,7 +39,7 @@ DEEPEST = 20
 _BRACKET = re.compile(r'"(?:[^"\\]++|\\.)*"?|[\[{\]}]', re.DOTALL)
 TOP = "format version decay_rate plant law signals rho lyapunov hints sha256"
 KEYS = {
-    "plant": "A B delays",
+    "plant": "A B delays axes",
     "law": "context ages step F G mode_lag memory lost_samples",
     "signals": "dwell_time maximum_dwell chatter clock_tolerance transitions",
 }
@@ -66,6 +66,7 @@ def save_evidence(evidence: Evidence | StretchEvidence, path: Path) -> Path:
             "A": setting.A.tolist(),
             "B": setting.B.tolist(),
             "delays": np.array(setting.delays).tolist(),
+            **({} if setting.axes is None else {"axes": _pack(setting.axes)}),
         },
         "law": {
             "context": setting.context,
@@ -207,6 +208,7 @@ def _evidence(content: dict[str, Any]) -> Evidence | StretchEvidence:
         _count(law, "memory"),
         _following(signals),
         _count(law, "lost_samples"),
+        _array(plant["axes"]) if "axes" in plant else None,
     )
     knots, rho = tuple(V["knots"]), _float(content["rho"])
     if V["kind"] == "stretches":

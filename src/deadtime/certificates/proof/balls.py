@@ -51,6 +51,14 @@ def symmetric(radius: Any) -> Any:
     return arb(0.0, float(np.nextafter(float(radius.abs_upper()), np.inf)))
 
 
+def symmetric_matrix(radii: np.ndarray) -> Any:
+    """[−r, r] entry by entry."""
+    from flint import arb, arb_mat
+
+    rows, columns = radii.shape
+    return arb_mat(rows, columns, [arb(0.0, r) for r in radii.ravel().tolist()])
+
+
 def middle(matrix: Any) -> np.ndarray:
     """Midpoints, rounded to floats."""
     values = [float(entry.mid()) for entry in matrix.entries()]

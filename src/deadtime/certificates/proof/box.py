@@ -121,11 +121,18 @@ class Box(Steps):
     intervals: tuple[tuple[Interval, ...], ...]
 
     @classmethod
-    def of(cls, A: np.ndarray, B: np.ndarray, delays: np.ndarray, step: float) -> Box:
+    def of(
+        cls,
+        A: np.ndarray,
+        B: np.ndarray,
+        delays: np.ndarray,
+        step: float,
+        axes: np.ndarray | None = None,
+    ) -> Box:
         """The box between the lower and the upper delays, (2, modes, m)."""
         pairs = delays.transpose(1, 2, 0).tolist()
         intervals = tuple(tuple(Interval.of(low, high, step) for low, high in row) for row in pairs)
-        return cls(A, B, step, intervals)
+        return cls(A, B, step, intervals, axes=axes)
 
     @property
     def ranges(self) -> bool:
@@ -236,10 +243,14 @@ class Box(Steps):
 
     def generator(self, mode: int, c: int, lag: int) -> Float[np.ndarray, "vertex k k"]:
         """[[A, b_c where input c is read], [0, 0]] of every corner, over x and its two reads."""
+        return self.laid_out(np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2), c, lag)
+
+    def laid_out(self, entries: np.ndarray, c: int, lag: int) -> Float[np.ndarray, "number k k"]:
+        """The same of each [A B] (number, n, n + m)."""
         n, own = self.A.shape[2], self.own_reads(c)
-        result = np.zeros((len(self.A), n + len(own), n + len(own)))
-        result[:, :n, :n] = self.A[:, mode]
-        result[:, :n, n + own.index(lag)] = self.B[:, mode, :, c]
+        result = np.zeros((len(entries), n + len(own), n + len(own)))
+        result[:, :n, :n] = entries[:, :, :n]
+        result[:, :n, n + own.index(lag)] = entries[:, :, n + c]
         return result
 
     def own_reads(self, c: int) -> list[int]:
@@ -298,8 +309,10 @@ def _phase(
     return low + f[direction - FIRST] * (high - low), {direction: high - low}
 
 
-def family_of(A: np.ndarray, B: np.ndarray, delays: Delays, step: float) -> Family | Box:
+def family_of(
+    A: np.ndarray, B: np.ndarray, delays: Delays, step: float, axes: np.ndarray | None = None
+) -> Family | Box:
     """The steps of a plant with known delays, with a range of its one, or with a range of each."""
     if isinstance(delays, np.ndarray) and delays.ndim == 3:
-        return Box.of(A, B, delays, step)
-    return Family.of(A, B, delays, step)
+        return Box.of(A, B, delays, step, axes)
+    return Family.of(A, B, delays, step, axes)

@@ -16,9 +16,17 @@ import numpy as np
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, Clock, Interval, Piece, U
+from deadtime.certificates.proof.ellipsoid import (
+    along_axes,
+    entries_of,
+    radius_of,
+    swelled,
+    unit_matrices,
+)
 from deadtime.certificates.proof.enclosure import (
     Cell,
     Enclosure,
+    by_entries,
     combine,
     frechet,
     hull_of,
@@ -60,7 +68,30 @@ class BoxEnclosures:
         together: list[tuple[int, Any]] = []
         for at, (k, _) in enumerate(parts[0].slopes):
             together.append((k, self._joined([part.slopes[at][1] for part in parts], n)))
-        return Enclosure(self._joined([part.centre for part in parts], n), together)
+        sway = None if family.axes is None else self._sway(cell, family.axes)
+        return Enclosure(self._joined([part.centre for part in parts], n), together, sway)
+
+    def _sway(self, cell: Cell, axes: np.ndarray) -> Any:
+        """L_i on the cell, everywhere in the ellipsoid; each input's columns by its own pieces."""
+        family = self.family
+        n, radius = family.A.shape[2], radius_of(axes)
+        u, *f = (balls.interval(*pair) for pair in (cell.u, *cell.f))
+        entries = entries_of(axes, (cell.order.mode, cell.order.after))
+        if not entries:
+            return None
+        found = []
+        for c in range(family.B.shape[3]):
+            pieces = family.pieces(cell.order, c, self.clock, u, f)
+            X, moves = [], []
+            for piece, tau in zip(pieces, self._durations(pieces), strict=True):
+                (room,) = family.laid_out(radius[piece.mode][None], c, piece.lag)
+                X.append(swelled(self._corners(piece, c)[0], room) * tau)
+                own = [place for place in entries if place[0] == piece.mode]
+                units = family.laid_out(unit_matrices(own, radius.shape[1:]), c, piece.lag)
+                moves.append({at: balls.exact(U) * tau for at, U in zip(own, units, strict=True)})
+            found.append(by_entries(X, moves, n))
+        joined = {at: self._joined([each[at] for each in found], n) for at in entries}
+        return along_axes(joined, axes)
 
     def _joined(self, parts: list[Any], n: int) -> Any:
         """Rows over (x, all reads) from those over x and the reads of each input."""

@@ -9,6 +9,10 @@ leave, of second order in the size of the cell.
 As a function of E the form is concave where the block ww_xx of E is ⪯ 0, so its least value over
 the t is at a corner; there R changes it by at most |2 (R L Wᵀ)ᵀ (wv + ww Δ)_x Wᵀ + …| in units
 W in which it is about I. Where ww_xx is not ⪯ 0 the D_k count as part of R.
+
+An ellipsoid of plants adds q = δE y: what `ellipsoid` proves of it, yᵀ X y − qᵀ W⁻¹ q ≥ 0, is
+subtracted λ times (the S-procedure), and the form in (v, q) has to be ≻ 0. The least value over z
+of a form that is concave in E is concave in E, so corners in the t still decide.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.box import POLYTOPE, Box
 from deadtime.certificates.proof.box_enclosure import BoxEnclosures
 from deadtime.certificates.proof.definite import congruent
+from deadtime.certificates.proof.ellipsoid import Sway, weight_of
 from deadtime.certificates.proof.enclosure import Cell, Enclosure, Enclosures, cells_of
 from deadtime.certificates.proof.family import Family
 from deadtime.certificates.proof.transitions import Transition
@@ -76,6 +81,7 @@ class Covering:
         self.family = family
         self.enclosures = enclosures_of(family)
         self.known: dict[Any, Enclosure] = {}
+        self.swayed: dict[int, Sway | None] = {}
 
     def holds(self, form: Form, step: Transition, lower: list[Any]) -> tuple[int, float | None]:
         """Check all cells of a step; `lower` are further rows of Δ.
@@ -110,23 +116,68 @@ class Covering:
 
         enclosure = self.enclosure(cell)
         points, rest = _corners(enclosure, form.concave)
+        sway = self._sway(enclosure, form.E.nrows())
+        if enclosure.sway is not None and sway is None:
+            return -1
         sizes, held = dict.fromkeys(rest, 0.0), True
         for E in points:
             Delta = arb_mat(((E - form.E) * form.L).tolist() + lower)
-            cross = Delta.transpose() * form.wv
-            definite = congruent(
-                form.vv + cross + cross.transpose() + Delta.transpose() * form.ww * Delta
-            )
-            if definite is None:
-                return _widest(enclosure) if len(points) > 1 else -1
+            asked = (form, Delta) if sway is None else swaying(form, Delta, sway)
+            definite = None if asked is None else congruent(_value(*asked))
+            if asked is None or definite is None:
+                cut = enclosure.slopes and (len(points) > 1 or sway is not None)
+                return _widest(enclosure) if cut else -1
             least, Wt = definite
-            bounds = _changes(form, Delta, Wt, rest)
+            bounds = _changes(*asked, Wt, rest)
             if not sum(bounds.values()) * (1.0 + 1e-12) < least:
                 held = False
                 sizes = {k: max(sizes[k], bound) for k, bound in bounds.items()}
         if held:
             return None
         return max(sizes, key=lambda k: sizes[k])
+
+    def _sway(self, enclosure: Enclosure, n: int) -> Sway | None:
+        """What the ellipsoid does, if there is one and W and X are proved; once per enclosure."""
+        if enclosure.sway is None:
+            return None
+        if id(enclosure) not in self.swayed:  # `known` keeps the enclosure
+            self.swayed[id(enclosure)] = Sway.of(enclosure.sway, n)
+        return self.swayed[id(enclosure)]
+
+
+def swaying(form: Form, Delta: Any, sway: Sway) -> tuple[Form, Any] | None:
+    """The form in (v, q), w_x = Δ v + q, less what is known of q; and Δ of (v, q).
+
+    Where vᵀ(form) v > 0 for all q with yᵀ X y − qᵀ W⁻¹ q ≥ 0, it is for every plant.
+    """
+    from flint import arb
+
+    n, v, w = form.E.nrows(), form.vv.nrows(), form.ww.nrows()
+    unit = balls.exact(np.eye(w, n))
+    Delta = balls.blocks([[Delta, unit]])
+    wv = balls.blocks([[form.wv, balls.zeros(w, n)]])
+    L = balls.blocks([[form.L, balls.zeros(form.L.nrows(), n)]])
+    empty = balls.zeros(v, n), balls.zeros(n, v)
+    bare = balls.blocks([[form.vv, empty[0]], [empty[1], balls.zeros(n, n)]])
+    wide = Form(bare, wv, form.ww, form.E, L, form.concave)
+    value = balls.middle(_value(wide, Delta))
+    weight = weight_of(0.5 * (value + value.T), balls.middle(form.L), sway.W, sway.X)
+    if weight is None:
+        return None
+    seen = form.L.transpose() * balls.exact(sway.X) * form.L
+    vv = balls.blocks(
+        [
+            [form.vv - seen * arb(weight), empty[0]],
+            [empty[1], balls.exact(sway.W).inv() * arb(weight)],
+        ]
+    )
+    return Form(vv, wv, form.ww, form.E, L, form.concave), Delta
+
+
+def _value(form: Form, Delta: Any) -> Any:
+    """The form at Δ."""
+    cross = Delta.transpose() * form.wv
+    return form.vv + cross + cross.transpose() + Delta.transpose() * form.ww * Delta
 
 
 def _changes(form: Form, Delta: Any, Wt: Any, rest: dict[int, Any]) -> dict[int, float]:

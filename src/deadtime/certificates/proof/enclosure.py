@@ -20,6 +20,13 @@ import numpy as np
 
 from deadtime.certificates.proof import balls
 from deadtime.certificates.proof.box import FIRST, POLYTOPE, Box, U
+from deadtime.certificates.proof.ellipsoid import (
+    along_axes,
+    entries_of,
+    radius_of,
+    swelled,
+    unit_matrices,
+)
 from deadtime.certificates.proof.family import Family, Lags, Segment
 
 SHARES = {"all": (1.0, 0.0), "before": (0.0, 1.0), "after": (1.0, -1.0)}  # a + b u
@@ -59,11 +66,13 @@ class Cell:
 class Enclosure:
     """E (n, k) at the centre of a cell, and (direction, D) with E over the cell within
 
-    E + Σ [−1, 1] D over all directions but `POLYTOPE`, plus the convex hull of the D of that.
+    E + Σ [−1, 1] D over all directions but `POLYTOPE`, plus the convex hull of the D of that, plus
+    Σ z_i L_i over |z| ≤ 1: the columns of `sway` (n k, axes), each row by row, if it is there.
     """
 
     centre: Any
     slopes: list[tuple[int, Any]]
+    sway: Any = None
 
 
 def cells_of(
@@ -130,7 +139,25 @@ class Enclosures:
             for corner in cell.corners if hull is not None else ():
                 inner = [self._frechet(part, u, f, weights, hull, corner) for part in cell.order]
                 slopes.append((POLYTOPE, balls.top(_sum(factors, inner), n)))
-        return Enclosure(balls.top(centre, n), slopes)
+        sway = None if family.axes is None else self._sway(cell.order, u, f, family.axes)
+        return Enclosure(balls.top(centre, n), slopes, sway)
+
+    def _sway(self, order: tuple[Segment, ...], u: Any, f: Any, axes: np.ndarray) -> Any:
+        """L_i, for all u and f, and everywhere in the ellipsoid."""
+        n, radius = self.family.A.shape[2], radius_of(axes)
+        X, moves = [], []
+        entries = entries_of(axes, tuple(part.mode for part in order))
+        if not entries:
+            return None
+        for part in order:
+            tau = self._duration(part, u, f)
+            (room,) = self.family.laid_out(radius[part.mode][None], part.lags)
+            X.append(swelled(self._generator(part, np.ones(1), None), room) * tau)
+            own = [place for place in entries if place[0] == part.mode]
+            units = self.family.laid_out(unit_matrices(own, radius.shape[1:]), part.lags)
+            moves.append({place: balls.exact(U) * tau for place, U in zip(own, units, strict=True)})
+        by_entry = by_entries(X, moves, n)
+        return along_axes({place: by_entry[place] for place in entries}, axes)
 
     def _duration(self, part: Segment, u: Any, f: Any) -> Any:
         a, b = SHARES[part.share]
@@ -228,6 +255,25 @@ def frechet(X: Any, Y: Any) -> Any:
     size = X.nrows()
     whole = balls.blocks([[X, Y], [balls.zeros(size, size), X]]).exp().tolist()
     return arb_mat([row[size:] for row in whole[:size]])
+
+
+def by_entries(
+    X: list[Any], moves: list[dict[tuple[int, int, int], Any]], n: int
+) -> dict[tuple[int, int, int], Any]:
+    """The first n rows of the derivative of … e^{X_2} e^{X_1} by each entry.
+
+    `moves` has, of every X_k, its derivative by the entries that it depends on.
+    """
+    factors, found = [one.exp() for one in X], {}
+    for k, of_piece in enumerate(moves):
+        before = product_of(factors[:k]) if k else None
+        after = balls.top(product_of(factors[k + 1 :]), n) if k + 1 < len(X) else None
+        for place, direction in of_piece.items():
+            term = frechet(X[k], direction)
+            term = balls.top(term, n) if after is None else after * term
+            term = term if before is None else term * before
+            found[place] = found[place] + term if place in found else term
+    return found
 
 
 def product_of(factors: list[Any]) -> Any:

@@ -79,6 +79,9 @@ class Setting(Frozen):
         How many samples in a row may be lost. Where it is 1 or more the table has the rows of lost
         samples, as many again, after those of measured ones.
 
+    axes : (d, modes, n, n + m), optional
+        With one vertex: the plants are [A B] + Σ z_i axes_i of all modes, |z| ≤ 1.
+
     Where the table is all zero no input travels: then m = 0, and B and the delay play no part.
     """
 
@@ -98,12 +101,14 @@ class Setting(Frozen):
     memory: int = 0
     following: Following | None = None
     lost_samples: int = 0
+    axes: Float[np.ndarray, "axis mode n nm"] | None = None
 
     @cached_property
     def family(self) -> Family | Box:
         """The steps of the plant."""
         delays = self.delays if self.inputs else (self.step, self.step)
-        return family_of(self.A, self.B[..., : self.inputs], delays, self.step)
+        axes = None if self.axes is None else self.axes[..., : self.states + self.inputs]
+        return family_of(self.A, self.B[..., : self.inputs], delays, self.step, axes)
 
     @cached_property
     def transitions(self) -> Transitions:

@@ -71,7 +71,14 @@ class Family(Steps):
     lags: tuple[tuple[Lags, ...], ...]
 
     @classmethod
-    def of(cls, A: np.ndarray, B: np.ndarray, delays: Delays, step: float) -> Family:
+    def of(
+        cls,
+        A: np.ndarray,
+        B: np.ndarray,
+        delays: Delays,
+        step: float,
+        axes: np.ndarray | None = None,
+    ) -> Family:
         """The family of delays, or of a range of one, whose ends must have one N."""
         start, stop, (modes, m) = (0.0, 0.0), (step, step), (B.shape[1], B.shape[3])
         if isinstance(delays, np.ndarray):
@@ -83,7 +90,8 @@ class Family(Steps):
                 for row in windows
             )
             count = max(window.count for row in windows for window in row)
-            return cls(A, B, step, count, (start, *((p, p) for p in phases), stop), lags)
+            marks = (start, *((p, p) for p in phases), stop)
+            return cls(A, B, step, count, marks, lags, axes=axes)
         low, high = (Window.of(delay, step) for delay in delays)
         phase, N = low.phase, high.count
         if low.count == N - 1 and low.phase == step:
@@ -91,9 +99,10 @@ class Family(Steps):
         elif low.count != N:
             raise ValueError("a range of delays must lie in one period")
         if phase == high.phase == step:
-            return cls(A, B, step, N, (start, stop), (((N,) * m,),) * modes)
+            return cls(A, B, step, N, (start, stop), (((N,) * m,),) * modes, axes=axes)
         both = ((N,) * m, (N - 1,) * m)
-        return cls(A, B, step, N, (start, (phase, high.phase), stop), (both,) * modes)
+        marks = (start, (phase, high.phase), stop)
+        return cls(A, B, step, N, marks, (both,) * modes, axes=axes)
 
     def _heard(self) -> set[tuple[int, int]]:
         return {(lag, j) for mode in self.lags for part in mode for j, lag in enumerate(part)}
@@ -184,11 +193,15 @@ class Family(Steps):
 
     def generator(self, mode: int, lags: Lags) -> Float[np.ndarray, "vertex k k"]:
         """𝒜 of every corner, in a mode that reads these inputs."""
+        return self.laid_out(np.concatenate((self.A[:, mode], self.B[:, mode]), axis=2), lags)
+
+    def laid_out(self, entries: np.ndarray, lags: Lags) -> Float[np.ndarray, "number k k"]:
+        """𝒜 of each [A B] (number, n, n + m) in a mode that reads these inputs."""
         n, size = self.A.shape[2], self.A.shape[2] + len(self.reads)
-        result = np.zeros((len(self.A), size, size))
-        result[:, :n, :n] = self.A[:, mode]
+        result = np.zeros((len(entries), size, size))
+        result[:, :n, :n] = entries[:, :, :n]
         for j, lag in enumerate(lags):
-            result[:, :n, n + self.reads.index((lag, j))] = self.B[:, mode, :, j]
+            result[:, :n, n + self.reads.index((lag, j))] = entries[:, :, n + j]
         return result
 
     def sample(

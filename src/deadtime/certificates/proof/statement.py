@@ -96,15 +96,22 @@ def delays_in_words(setting: Setting) -> str:
     return f" {low!r} s" if low == high else f" any constant value in [{low!r}, {high!r}] s"
 
 
+def _plants(setting: Setting) -> str:
+    """The plant, or all that it may be."""
+    if setting.axes is not None:
+        return (
+            f"any plant in the ellipsoid about the given one, of {len(setting.axes)} half axes in "
+            "the entries of A and B (constant within each period)"
+        )
+    if len(setting.A) > 1:
+        return "any plant in the polytope of the given ones (constant within each period)"
+    return "the plant"
+
+
 def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ...]:
     """Sentences: what holds, for which numbers, and how it was shown."""
     setting, rho = evidence.setting, evidence.rho
     words = signals_in_words(setting)
-    plants = (
-        "any plant in the polytope of the given ones (constant within each period)"
-        if len(setting.A) > 1
-        else "the plant"
-    )
     alike = ""
     if isinstance(setting.delays, np.ndarray) and not is_box(setting):
         alike = ", and parts of a period beyond one that differ by less count as the least of them"
@@ -143,8 +150,8 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     )
     return (
         f"{words[0].upper()}{words[1:]}, switching at any instant, and for every initial "
-        f"state{memory} and past input, the digital loop of {plants} with this table{pace}. "
-        f"{_not_covered(setting)}",
+        f"state{memory} and past input, the digital loop of {_plants(setting)} with this table"
+        f"{pace}. {_not_covered(setting)}",
         f"Period {setting.step!r} s; input delay{delays_in_words(setting)}. A ratio of a delay to "
         f"the period within 1e-9 of an integer counts as that integer{alike}, as in the loop that "
         "runs.",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -24,11 +24,19 @@ class Steps(Frozen, ABC):
         The corners of the polytope; one for a plant.
     step : float
         h.
+    axes : (d, modes, n, n + m), optional
+        Half axes of an ellipsoid of plants about the one given, [A B] + Σ z_i axes_i with |z| ≤ 1.
     """
 
     A: Float[np.ndarray, "vertex mode n n"]
     B: Float[np.ndarray, "vertex mode n m"]
     step: float
+    axes: Float[np.ndarray, "axis mode n nm"] | None = field(default=None, kw_only=True)
+
+    @property
+    def vary(self) -> bool:
+        """Whether the plant is not known: a polytope, or an ellipsoid."""
+        return len(self.A) > 1 or self.axes is not None
 
     @cached_property
     def reads(self) -> tuple[tuple[int, int], ...]:

@@ -84,6 +84,11 @@ def _plants_and_table(setting: Setting) -> str:
     if isinstance(setting.delays, np.ndarray):
         ends = (2,) if setting.delays.ndim == 3 else ()
         expected["delays"] = setting.delays, (*ends, modes, m)
+    axes = setting.axes
+    if axes is not None:
+        if corners > 1 or axes.ndim != 4 or not len(axes):
+            return "axes are those of several vertices, or none"
+        expected["axes"] = axes, (len(axes), modes, n, n + m)
     late = np.any(G[:, 1:, :, :q])
     return (
         _misshapen(expected)
@@ -216,7 +221,7 @@ def _stretches(evidence: StretchEvidence) -> str:
     for own in graph.clocks:
         if not own.ends and own.last not in knots:
             return f"knots must hold {own.last}, from where a mode may last"
-    varies = family.ranges or len(setting.A) > 1 or setting.lost_samples
+    varies = family.ranges or family.vary or setting.lost_samples
     if varies and knots != tuple(range(graph.last + 1)):
         return "knots must be all ages where the steps of a stretch are not known"
     if max(graph.switching, graph.places * len(knots)) > MOST_STRETCHES:

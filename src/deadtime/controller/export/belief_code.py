@@ -22,10 +22,11 @@ _BYTES, _COUNTERS = 8, 8
 def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
     """What goes into ROM, with a comment each."""
     form = belief.form
+    noise = form.noise if by_end(belief) else form.noise[:, 0]
     found = {
         "MODEL_X": (form.Phi, "the model over a period in each mode: what becomes of x"),
         "MODEL_U": (form.Gamma, "what becomes of inputs, by lag"),
-        "MODEL_NOISE": (form.noise, "covariance of what a prediction misses"),
+        "MODEL_NOISE": (noise, "covariance of what a prediction misses"),
         "HAZARD": (form.hazard, "probability that a mode of that age ends within a period"),
         "JUMP": (form.jump, "probabilities of the next mode"),
         "PRIOR": (form.start, "the belief before anything is seen"),
@@ -43,6 +44,11 @@ def arrays(belief: ModeBelief) -> dict[str, tuple[np.ndarray, str]]:
     found["FIRST_X"] = bank.estimate, "the first estimate"
     found["FIRST_P"] = bank.covariance, "the covariance of the first state about it"
     return found
+
+
+def by_end(belief: ModeBelief) -> bool:
+    """Whether the noise of a period depends on the mode in which it ends."""
+    return belief.form.noise.shape[1] > 1
 
 
 def values(belief: ModeBelief) -> dict[str, Any]:

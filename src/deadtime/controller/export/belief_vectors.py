@@ -17,6 +17,7 @@ from jaxtyping import Float
 from deadtime.controller.believing import OutputBelief
 from deadtime.controller.export.moving_calls import FAR, inputs_of, lasting_modes, slots
 from deadtime.controller.running import RunningLaw
+from deadtime.feedback.belief import held_noise
 
 _MOST_STAY = 400
 
@@ -29,7 +30,7 @@ class _Motion:
     def __init__(self, run: RunningLaw, rng: np.random.Generator, amplitude: float) -> None:
         assert run.believing is not None
         self.belief, self.rng, self.amplitude = run.believing, rng, amplitude
-        self.roots = [_root(Q) for Q in run.believing.form.noise]
+        self.roots = [_root(Q) for Q in held_noise(run.believing.form)]
         self.put()
 
     def put(self) -> None:

@@ -248,6 +248,7 @@ def _values(
         "unroll": 2 * form.state + 10 + (ram if beside else 0),
         "tables": tables,
         "belief": belief_values,
+        "by_end": belief is not None and belief_code.by_end(belief),
         "outputs": outputs,
         "observer": observer_values,
         "prediction": None if ahead is None else prediction_code.values(ahead),

@@ -11,16 +11,22 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import bound, count, instance, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
+from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.experiment import Experiment
 from deadtime.identification.excitation.given import (
     added_noise,
+    deviations_of,
+    intensity_of,
     modes_of_rows,
     require_words,
+    root_of,
     table_of,
     used_periods,
 )
 from deadtime.identification.excitation.information import SIGMAS, Prospect
 from deadtime.identification.excitation.loop import chain_of, require_bounded
+from deadtime.identification.excitation.noise_tables import NoiseTables
+from deadtime.identification.excitation.noisy_states import NoisyStates
 from deadtime.identification.excitation.search import (
     CLOCKS,
     best_sequence,
@@ -45,6 +51,7 @@ def design_experiment(
     input_limit: ArrayLike,
     *,
     disturbance: ArrayLike,
+    noise: ArrayLike = 0.0,
     signal: SwitchingSignal | None = None,
     law: Law | None = None,
     state_limit: ArrayLike | None = None,
@@ -57,8 +64,8 @@ def design_experiment(
     """The inputs within limits whose log tells the plant's delays best, of all that a search found.
 
     They maximise Fisher's information: the least product of the delays' variances that any unbiased
-    estimate from the log can have, with A, B and the noise unknown, too. It is exact for states
-    that are measured without noise: docs/theory/identification.md.
+    estimate from the log can have, with A, B and the noise unknown, too. It is exact, for states
+    that are measured with noise or without: docs/theory/identification.md.
 
     Parameters
     ----------
@@ -73,6 +80,9 @@ def design_experiment(
     disturbance : array_like
         W, the intensity of the process noise, x² per second: a number for number·I, (n,) for a
         diagonal, (n, n), or (modes, n, n) for one per mode, such as `fit.disturbance`.
+    noise : float or (n,) array_like
+        Standard deviation of every state's sensor, in its units, such as `fit.noise`; then W is one
+        for all modes, as `identify` will find it.
     signal : SwitchingSignal, optional
         The modes that the plant is put into; read at samples. Not needed for one mode.
     law : Law, optional
@@ -137,10 +147,18 @@ def design_experiment(
     layout = Layout(plant.modes, plant.states, plant.inputs, per_mode)
     cells = cells_of(plant.delays.ravel(), step).reshape(plant.delays.shape)
     used = used_periods(plant, mode, step, layout, switches == "anywhere")
-    S = added_noise(plant, disturbance, step)
-    chain = chain_of(plant, step, mode, S, cells, layout, table_of(law, plant, step, mode))
+    W = intensity_of(plant, disturbance)
+    deviation = deviations_of(plant, noise, W)
+    S = added_noise(plant, W, step, deviation)
+    table = table_of(law, plant, step, mode)
+    chain = chain_of(plant, step, mode, S, cells, layout, table, deviation**2)
     require_bounded(chain)
-    prospect = Prospect.of(chain, layout, used, criterion)
+    if deviation.any():
+        tables = NoiseTables.of(layout, plant.A, root_of(W[0], deviation, step), step)
+        measured = NoisyStates.of(chain, used, layout.size, tables)
+    else:
+        measured = ExactStates.of(chain, used, layout.size)
+    prospect = Prospect.of(chain, layout, measured, criterion)
     room = _room(prospect, limit, state_limit)
     prospect = prospect.within(room)
     seed, effort = count("seed", seed, 0), count("effort", effort, 0)

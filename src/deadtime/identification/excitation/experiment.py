@@ -84,6 +84,9 @@ class Experiment(Frozen):
         told = {name: read_only(one) for name, one in told.items()}
         largest = prospect.reach(r).max(axis=0)
         said = _sentences(plant, step, layout, told, clock, largest)
+        if chain.V.any():
+            noise = ", ".join(f"{v:.3g}" for v in np.sqrt(chain.V))
+            said += (f"Sensors are taken to be noisy, with deviations of {noise}.",)
         time = step * np.arange(len(r))
         closed = not chain.open
         return cls(plant, time, r.T, chain.mode, told, clock, errors, largest, closed, said, layout)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, instance
+from deadtime.base.checks import as_floats, bound, instance
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
 from deadtime.identification.maximum import REACH
@@ -20,6 +20,8 @@ from deadtime.switching.grid import modes_at
 
 if TYPE_CHECKING:
     from deadtime.feedback import Feedback, Law
+
+_FLOOR = 1e-9  # of all noise, that W has in every direction: its root has an inverse
 
 
 def require_words(criterion: str, switches: str) -> None:
@@ -67,10 +69,8 @@ def used_periods(
     return used
 
 
-def added_noise(
-    plant: SwitchedSystem, disturbance: ArrayLike, step: float
-) -> Float[np.ndarray, "mode n n"]:
-    """S of every mode: what noise adds in a period."""
+def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Float[np.ndarray, "mode n n"]:
+    """W of every mode."""
     n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
     given = as_floats("disturbance", disturbance, form)
     each = {0: lambda W: W * np.eye(n), 1: np.diag}.get(given.ndim, lambda W: W)(given)
@@ -83,17 +83,54 @@ def added_noise(
         raise ArgumentError(
             f"disturbance must be symmetric and positive semidefinite, got {given.tolist()}."
         )
+    return W
+
+
+def deviations_of(
+    plant: SwitchedSystem, noise: ArrayLike, W: Float[np.ndarray, "mode n n"]
+) -> Float[np.ndarray, " n"]:
+    """The standard deviations of the sensors of the states."""
+    deviation = bound("noise", noise, plant.states)
+    if not ((deviation >= 0.0) & np.isfinite(deviation)).all():
+        raise ArgumentError(
+            "noise must be the standard deviation of every state's sensor, finite and at least 0, "
+            f"got {deviation.tolist()}."
+        )
+    if deviation.any() and (np.abs(W - W[0]) > 1e-9 * np.abs(W).max()).any():
+        raise ArgumentError(
+            "disturbance must be the same for all modes where sensors are noisy, as identify finds "
+            "one for all, got one per mode: give their mean, disturbance=W.mean(axis=0)."
+        )
+    return deviation
+
+
+def added_noise(
+    plant: SwitchedSystem,
+    W: Float[np.ndarray, "mode n n"],
+    step: float,
+    deviation: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "mode n n"]:
+    """S of every mode: what noise adds in a period."""
     S = np.array(
         [noise_covariances(plant.A[i : i + 1], W[i], np.array([step]))[0] for i in range(len(W))]
     )
     try:
-        np.linalg.cholesky(S)
+        np.linalg.cholesky(S + np.diag(deviation**2))
     except np.linalg.LinAlgError:
         raise ArgumentError(
-            "disturbance must move every state within a period, in every mode: without noise a log "
-            "tells a delay exactly, whatever the inputs. Give a W that reaches all states."
+            "disturbance must move every state within a period, in every mode, or its sensor be "
+            "noisy: without noise a log tells a delay exactly, whatever the inputs. Give a W that "
+            "reaches all states, or their noise=."
         ) from None
     return S
+
+
+def root_of(
+    W: Float[np.ndarray, "n n"], deviation: Float[np.ndarray, " n"], step: float
+) -> Float[np.ndarray, "n n"]:
+    """L with W = L Lᵀ, of a W that has a little in every direction."""
+    floor = _FLOOR * (float(np.trace(W)) + float((deviation**2).sum()) / step)
+    return np.linalg.cholesky(W + floor * np.eye(len(W)))
 
 
 def table_of(

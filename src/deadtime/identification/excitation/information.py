@@ -1,25 +1,22 @@
 """How much a log will tell of a plant, before it is logged: Fisher's information of the inputs.
 
-States are measured, and S_σ, what noise adds in a period, is not tied to the unknowns θ: then
-
-    F = Σ_k E[(∂P z_k)ᵀ S⁻¹ (∂P z_k)],    x_{k+1} = P_σ(θ) z_k + w_k,
-
-exactly. E z zᵀ = z̄ z̄ᵀ + Cov z: the first part is what the inputs do, the second what noise does,
-whatever the inputs. The errors of unbiased estimates are no less than F⁻¹ (Cramér and Rao), which
-maximum likelihood reaches as logs grow.
+F is a constant and a quadratic form of the means z̄ of what acts in every period, which are linear
+in the inputs: `exact_states`, `noisy_states`. The errors of unbiased estimates are no less than F⁻¹
+(Cramér and Rao), which maximum likelihood reaches as logs grow.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
+from deadtime.identification.excitation.exact_states import ExactStates
 from deadtime.identification.excitation.loop import Chain
+from deadtime.identification.excitation.noisy_states import NoisyStates
 from deadtime.identification.parameters import Layout
 
 SIGMAS = 3.0  # standard deviations of the noise that limits leave room for
@@ -41,38 +38,35 @@ class Worth(NamedTuple):
 class Prospect(Frozen):
     """The information that inputs r promise.
 
-    used : the periods that an identification uses
+    measured : how states are, which says what a mean z̄ is worth
     room : (T, n + m), what |mean of x| and |mean of u| may reach; inf for no limit
     criterion : "delay", −log det of the delays' covariance, or "all", log det F
-    random, deviation : what noise alone does, see `Chain.noise`
+    deviation : of states and inputs, what noise alone does
     """
 
     chain: Chain
     layout: Layout
-    used: Bool[np.ndarray, " sample"]
-    room: Float[np.ndarray, "sample y"]
+    measured: ExactStates | NoisyStates
     criterion: str
-    random: Float[np.ndarray, "mode z z"] = field(repr=False)
+    room: Float[np.ndarray, "sample y"]
     deviation: Float[np.ndarray, "sample y"] = field(repr=False)
 
     @classmethod
     def of(
-        cls, chain: Chain, layout: Layout, used: Bool[np.ndarray, " sample"], criterion: str
+        cls, chain: Chain, layout: Layout, measured: ExactStates | NoisyStates, criterion: str
     ) -> Prospect:
         """That of a chain, without limits."""
-        room = np.full((used.size, layout.n + layout.m), np.inf)
-        return cls(chain, layout, used, room, criterion, *chain.noise(used))
+        room = np.full((chain.kind.size, layout.n + layout.m), np.inf)
+        return cls(chain, layout, measured, criterion, room, chain.deviations())
 
     def within(self, room: Float[np.ndarray, "sample y"]) -> Prospect:
         """The same with limits."""
         return replace(self, room=room)
 
-    @cached_property
-    def _white(self) -> list[Float[np.ndarray, "own n z"]]:
-        """by_P of every mode, in units of its noise."""
-        chain = self.chain
-        roots = np.linalg.cholesky(chain.S)
-        return [np.linalg.solve(L, one) for L, one in zip(roots, chain.by_P, strict=True)]
+    @property
+    def samples(self) -> int:
+        """How many rows there are."""
+        return self.chain.kind.size
 
     def reach(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, "sample y"]:
         """What every |state| and |input| stays below, at three standard deviations."""
@@ -91,29 +85,21 @@ class Prospect(Frozen):
         z = np.einsum("kzx,kx->kz", chain.Z[chain.kind], xi)
         return xi, z + np.einsum("kzm,km->kz", chain.Y[chain.kind], r)
 
-    def information(self, z: Float[np.ndarray, "sample z"]) -> Float[np.ndarray, "size size"]:
-        """F of inputs by their z̄."""
-        F = np.zeros((self.layout.size,) * 2)
-        for i, (white, place) in enumerate(zip(self._white, self.chain.place, strict=True)):
-            own = z[self.used & (self.chain.mode == i)]
-            moved = white @ (own.T @ own + self.random[i])
-            F[np.ix_(place, place)] += np.einsum("anz,bnz->ab", moved, white)
-        return F
+    def information(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, "size size"]:
+        """F of inputs."""
+        return self.measured.information(self.acting(r)[1])[0]
 
     def errors(self, r: Float[np.ndarray, "sample m"]) -> Float[np.ndarray, " size"]:
         """The standard error of every unknown; infinite where the inputs do not tell it."""
-        return errors_of(self.information(self.acting(r)[1]))
+        return errors_of(self.information(r))
 
     def worth(self, r: Float[np.ndarray, "sample m"], price: float = 0.0) -> Worth:
         """The criterion less `price` times the squares of what is beyond limits, relative."""
         chain, n = self.chain, self.layout.n
         xi, z = self.acting(r)
-        value, by_F = self._criterion(self.information(z))
-        of_z = np.zeros(z.shape)
-        for i, (white, place) in enumerate(zip(self._white, chain.place, strict=True)):
-            own = self.used & (chain.mode == i)
-            theta = np.einsum("ab,anz,bny->zy", by_F[np.ix_(place, place)], white, white)
-            of_z[own] = 2.0 * z[own] @ theta
+        F, back = self.measured.information(z)
+        value, by_F = self._criterion(F)
+        of_z = back(by_F)
         of_xi = np.einsum("kzx,kz->kx", chain.Z[chain.kind], of_z)
         by_r = np.einsum("kzm,kz->km", chain.Y[chain.kind], of_z)
         U = chain.U[chain.kind]

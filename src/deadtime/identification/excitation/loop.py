@@ -5,15 +5,17 @@ acts in period k, z_k = (x_k, u_{k−N}, u_{k−N+1}) with N of every input in t
 
     ξ_{k+1} = M_k ξ_k + E_k r_k + (w_k, 0),    z_k = Z_k ξ_k + Y_k r_k,    w_k ~ N(0, S_σ),
 
-so that means are linear in r and covariances do not depend on it.
+so that means are linear in r and covariances do not depend on it. A law is told y_k = x_k + v_k, so
+that v_k, the sensors' noise, enters by it as r_k does.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.feedback import Feedback
@@ -33,8 +35,9 @@ class Rows(NamedTuple):
 class Chain(NamedTuple):
     """The matrices of distinct periods, and of every sample which they are.
 
-    M, E, Z, Y as in the module, U that of `Rows`; S : (modes, n, n), by_P : of each mode the
-    derivatives of what a period does by its unknowns, (own, n, n + 2 m), place : whose they are
+    M, E, Z, Y as in the module, U that of `Rows`; S : (modes, n, n), V : variances of the sensors,
+    P : what a period makes of z, by_P : of each mode its derivatives by its unknowns,
+    (own, n, n + 2 m), place : whose they are
     """
 
     M: Float[np.ndarray, "kind xi xi"]
@@ -45,6 +48,8 @@ class Chain(NamedTuple):
     kind: Int[np.ndarray, " sample"]
     mode: Int[np.ndarray, " sample"]
     S: Float[np.ndarray, "mode n n"]
+    V: Float[np.ndarray, " n"]
+    P: Float[np.ndarray, "mode n z"]
     by_P: list[Float[np.ndarray, "own n z"]]
     place: list[Int[np.ndarray, " own"]]
     open: bool
@@ -73,28 +78,33 @@ class Chain(NamedTuple):
             after[k] = of_xi[k + 1] + M[self.kind[k + 1]] @ after[k + 1]
         return np.einsum("kxm,kx->km", self.E[self.kind], after), after
 
-    def noise(
-        self, used: Bool[np.ndarray, " sample"]
-    ) -> tuple[Float[np.ndarray, "mode z z"], Float[np.ndarray, "sample y"]]:
-        """What noise alone does, from rest: Σ Cov z over the used periods of every mode.
+    @property
+    def random(self) -> int:
+        """How many of ξ noise moves: the states alone where no law makes inputs of them."""
+        return self.n if self.open else self.M.shape[1]
 
-        And the standard deviations of states and inputs, (T, n + m). Without a law the inputs, and
-        all that is in flight, have none.
-        """
-        n, m = self.n, self.U.shape[1]
-        use = n if self.open else self.M.shape[1]
-        M, Z, U = self.M[:, :use, :use], self.Z[:, :, :use], self.U[:, :, :use]
-        total = np.zeros((len(self.S), *self.Z.shape[1:2] * 2))
-        variance = np.zeros((self.kind.size, n + m))
+    def covariances(self) -> Iterator[Float[np.ndarray, "xi xi"]]:
+        """Cov ξ of every sample, of what is random in it, from rest."""
+        n, use = self.n, self.random
+        M = self.M[:, :use, :use]
+        told = (self.E @ self.U[:, :, :n])[:, :use]
+        told = told * self.V @ told.swapaxes(1, 2)
         now = np.zeros((use, use))
         for k, kind in enumerate(self.kind.tolist()):
-            variance[k, :n] = np.diagonal(now)[:n]
-            variance[k, n:] = np.diagonal(U[kind] @ now @ U[kind].T)
-            if used[k]:
-                total[self.mode[k]] += Z[kind] @ now @ Z[kind].T
-            now = M[kind] @ now @ M[kind].T
+            yield now
+            now = M[kind] @ now @ M[kind].T + told[kind]
             now[:n, :n] += self.S[self.mode[k]]
-        return total, np.sqrt(np.maximum(variance, 0.0))
+
+    def deviations(self) -> Float[np.ndarray, "sample y"]:
+        """The standard deviations of states and inputs, (T, n + m), that noise makes from rest."""
+        n, use = self.n, self.random
+        U = self.U[:, :, :use]
+        told = np.einsum("cmn,n->cm", self.U[:, :, :n] ** 2, self.V)
+        variance = np.zeros((self.kind.size, n + U.shape[1]))
+        for k, (kind, now) in enumerate(zip(self.kind.tolist(), self.covariances(), strict=True)):
+            variance[k, :n] = np.diagonal(now)[:n]
+            variance[k, n:] = np.diagonal(U[kind] @ now @ U[kind].T) + told[kind]
+        return np.sqrt(np.maximum(variance, 0.0))
 
 
 def rows_along(
@@ -122,6 +132,7 @@ def chain_of(
     cells: Int[np.ndarray, "mode m"],
     layout: Layout,
     table: Feedback | None,
+    V: Float[np.ndarray, " n"] | None = None,
 ) -> Chain:
     """The chain of a plant along modes at samples; `cells` are N of every mode and input."""
     n, m = layout.n, layout.m
@@ -155,12 +166,14 @@ def chain_of(
     ]
     by_P = [one[1] for one in weights]
     U = rows.gains[pairs[1]]
-    return Chain(M, E, Z, Y, U, kind, mode, S, by_P, place, table is None)
+    V = np.zeros(n) if V is None else V
+    P = np.array([one[0] for one in weights])
+    return Chain(M, E, Z, Y, U, kind, mode, S, V, P, by_P, place, table is None)
 
 
 def require_bounded(chain: Chain) -> None:
     """Refuse a run that noise alone would carry far away."""
-    use = chain.n if chain.open else chain.M.shape[1]
+    use = chain.random
     M, over, growth = chain.M[:, :use, :use], np.eye(use), 0.0
     for kind in chain.kind.tolist():
         over = M[kind] @ over

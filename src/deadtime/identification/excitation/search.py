@@ -68,7 +68,7 @@ def best_sequence(
     First from sequences of all paces; then the best is kicked, a stretch of it turned about, and
     climbed from again, `kicks` times.
     """
-    count, m = prospect.used.size, limit.size
+    count, m = prospect.samples, limit.size
     rng = np.random.default_rng(seed)
     values = -(-count // hold)
     begin = [binary_sequence(count, limit, hold * clock)[::hold] for clock in CLOCKS]
@@ -103,7 +103,7 @@ def _climb(
     """The worth of the local maximum that a start leads to, made to keep its limits, and it."""
     from scipy.optimize import minimize
 
-    count, m = prospect.used.size, limit.size
+    count, m = prospect.samples, limit.size
     edges = np.arange(0, count, hold)
 
     def downhill(v: np.ndarray, price: float) -> tuple[float, np.ndarray]:

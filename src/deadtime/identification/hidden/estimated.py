@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.choice import Fitted
 from deadtime.identification.hidden.found import HiddenModes
@@ -18,7 +19,7 @@ from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.regressions import scanned
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.noise import continuous
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.hidden.likelihood import HiddenLog
 
+_FAINT = 1e-8  # of information: beside one that is so much larger, differences lose it
 _SMALL = 1e-3  # of a standard error, a step of differences
 _NEVER = 1e-6  # a jump of less probability is none that could be estimated
 _ROUND_OFF = 1e-12  # of the unknowns: a step so small is lost in them
@@ -109,6 +110,7 @@ def information_of(
     weight = log.posterior(theta, cells).weight
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(known), 1e-300))
     coarse = (_SMALL * unit).min() < _ROUND_OFF * np.abs(theta).max()
+    coarse |= np.linalg.eigvalsh(known * unit * unit[:, None])[0] < _FAINT
     if coarse or (weight * (1.0 - weight)).sum() < _CERTAIN:
         # of no noise differences tell nothing
         return Information(known, known, known, 1.0, np.ones(log.layout.modes))

@@ -86,7 +86,7 @@ class HiddenLog(Frozen):
             A, B, _ = layout.split(theta)
             none = np.zeros((0, layout.n + self.nodes.size * (layout.n + 2 * layout.m)))
             each = range(layout.modes)
-            return [node_term(none, layout, i, A[i], B[i], self.nodes) for i in each]
+            return [node_term(none, 0, layout, i, A[i], B[i], self.nodes) for i in each]
         low, high = int(cells.min()) - 1, int(cells.max())
         none = np.zeros((0, 2 * layout.n + (high - low + 1) * layout.m))
         lags = Lags([none] * layout.modes, np.zeros(layout.modes, np.int64), low, high)

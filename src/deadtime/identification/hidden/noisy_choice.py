@@ -76,11 +76,11 @@ def fitted_with_noise(
     known = np.diagonal(exact.evaluate(theta, exact.cells(theta)).information)
     unit = np.concatenate((1.0 / np.sqrt(np.maximum(known, 1e-300)), _units(W), np.ones(len(C))))
     one = replace(layout, modes=1, per_mode=False)
-    noisy = NoisyLog(recording, one, C, False, search.bounds, unit, exact.nodes)
+    noisy = NoisyLog(recording, one, C, False, search.bounds, exact.nodes)
     jumps = Jumps.lasting(layout.modes, recording.step, exact.jumps.rates)
-    log = HiddenNoisyLog(noisy, layout, jumps, exact.within)
+    log = HiddenNoisyLog(noisy, layout, unit, jumps, exact.within)
     few = stretches(recording, _ENOUGH, _lag(window, recording.step))
-    some = replace(noisy, recording=few, _acting={})
+    some = replace(noisy, recording=few)
     tried = []
     for noise in first_noises(W, C, recording.step):
         begun = replace(log, noisy=some, within=False, _kept={})

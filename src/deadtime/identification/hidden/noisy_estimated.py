@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.cells import cells_of
+from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.estimated import (
     Said,
@@ -24,7 +25,7 @@ from deadtime.identification.hidden.estimated import (
 from deadtime.identification.hidden.information import Information, left_of, lifted
 from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
-from deadtime.identification.intervals import delay_intervals, spread_of
+from deadtime.identification.intervals import spread_of
 from deadtime.identification.noise import noisy_residuals
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import judge_residuals
@@ -64,11 +65,10 @@ def decoded_with_noise(fit: NoisyFit) -> NoisyDecoded:
     order, record = ordered_by_path(paths, log.recording, layout)
     A, B, D = layout.split(vector[: layout.size])
     theta = np.concatenate((layout.join(A[order], B[order], D[order]), vector[layout.size :]))
-    unit = log.noisy.unit.copy()
+    unit = log.unit.copy()
     A, B, D = layout.split(unit[: layout.size])
     unit[: layout.size] = layout.join(A[order], B[order], D[order])
-    noisy = replace(log.noisy, unit=unit)
-    log = replace(log, noisy=noisy, jumps=log.jumps.ordered(order), _kept={})
+    log = replace(log, unit=unit, jumps=log.jumps.ordered(order), _kept={})
     return NoisyDecoded(fit, log, theta, order, record)
 
 

@@ -24,7 +24,8 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.hidden.filters_kernel import filter_modes
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.periods import Posterior, path_of, posterior_of
-from deadtime.identification.noisy import Noise, NoisyLog, Stretch
+from deadtime.identification.hidden.stretch import Stretch, stretch_of
+from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
@@ -38,11 +39,13 @@ Starts = list[Bool[np.ndarray, " sample"]]
 class HiddenNoisyLog(Frozen):
     """The likelihood in the vector of a `NoisyLog`, the chain held.
 
-    noisy : the same log with one mode; within : whether the mode may change within periods
+    noisy : the same log with one mode; unit : standard errors of the vector, about
+    within : whether the mode may change within periods
     """
 
     noisy: NoisyLog
     layout: Layout
+    unit: Float[np.ndarray, " size"]
     jumps: Jumps
     within: bool
     _kept: dict[tuple[int, bytes], Stretch] = field(default_factory=dict, repr=False)
@@ -65,12 +68,12 @@ class HiddenNoisyLog(Frozen):
     @property
     def whole(self) -> NoisyLog:
         """The layout of the vector; modes in it are those of the recording."""
-        return replace(self.noisy, layout=self.layout, _acting={})
+        return replace(self.noisy, layout=self.layout)
 
     @property
     def most(self) -> Float[np.ndarray, " size"]:
         """Steps of noise beyond which differences tell little; of plants there are none."""
-        most = self.noisy.unit.copy()
+        most = self.unit.copy()
         most[: self.layout.size] = np.inf
         return most
 
@@ -95,41 +98,35 @@ class HiddenNoisyLog(Frozen):
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
         """Of every part the densities of all periods, stay and change; and what samples add."""
         A, B, delays = self.layout.split(vector[: self.layout.size])
-        noise, laid, gained = self.noise(vector), [], []
+        L, R, laid, gained = self.whole.root(vector), self.noise(vector).deviation ** 2, [], []
         own = None if cells is None or not cells.size else self.layout.spread(cells)
         for number, start in enumerate(starts):
             each = []
             for i in range(self.layout.modes):
-                in_cells = None if own is None else own[i : i + 1]
-                one = (
-                    number,
-                    start,
-                    A[i : i + 1],
-                    B[i : i + 1],
-                    delays[i : i + 1],
-                    noise.W,
-                    in_cells,
-                )
-                each.append(self._once(*one))
-            Phi, moved, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
+                one = slice(i, i + 1)
+                theta, in_cells = self.noisy.layout.join(A[one], B[one], delays[one]), None
+                if own is not None:
+                    in_cells = own[one]
+                each.append(self._once(number, start, theta, L, in_cells))
+            Phi, added, Q = (np.array(one) for one in list(zip(*each, strict=True))[1:])
             part = self.recording.parts[number]
             stay = np.empty((part.time.size - 1, self.layout.modes))
             move = np.empty((*stay.shape, self.layout.modes))
             adds = np.empty(part.time.size)
-            given = (part.output, start, each[0].kind, Phi, moved, Q, self.noisy.C)
-            given = (*given, noise.deviation**2, self.noisy.P0, *self.jumps.over(part.time))
+            given = (part.output, start, each[0].kind, Phi, added, Q, self.noisy.C)
+            given = (*given, R, self.noisy.P0, *self.jumps.over(part.time))
             filter_modes(*map(np.ascontiguousarray, given), self.within, stay, move, adds)
             laid.append((stay, move))
             gained.append(adds)
         return laid, np.concatenate(gained)
 
     def _once(self, number: int, start: np.ndarray, *given: np.ndarray | None) -> Stretch:
-        """`NoisyLog.stretch` of one mode; the last are kept: differences ask for few anew."""
+        """`stretch_of` one mode; the last are kept: differences ask for few anew."""
         key = number, b"".join(one.tobytes() for one in (start, *given) if one is not None)
         if key not in self._kept:
             if len(self._kept) > 4 * self.layout.modes * len(self.recording.parts):
                 self._kept.clear()
-            self._kept[key] = self.noisy.stretch(number, start, *given)  # pyright: ignore[reportArgumentType]
+            self._kept[key] = stretch_of(self.noisy, number, start, *given)  # pyright: ignore[reportArgumentType]
         return self._kept[key]
 
     def posterior(
@@ -175,7 +172,7 @@ class HiddenNoisyLog(Frozen):
             slope = np.empty((size, now.size))
             for a in range(size):
                 step = np.zeros(size)
-                step[a] = _SMALL * self.noisy.unit[a]
+                step[a] = _SMALL * self.unit[a]
                 up, down = (self.filtered(vector + s * step, starts, cells)[1] for s in (1, -1))
                 slope[a] = (up - down) / (2.0 * step[a])
         if not np.isfinite(slope).all():

@@ -45,7 +45,7 @@ def regressed(
     unit = np.maximum(np.sqrt((r**2).sum(axis=0)), 1e-300)
     P = np.linalg.lstsq(r / unit, y, rcond=1e-13)[0].T / unit
     e = y - r @ P.T
-    return P, floored(e.T @ e / total, y, total)
+    return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
 
 
 def rows_of_modes(periods: EvenPeriods, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:

@@ -2,9 +2,9 @@
 
 Beside x goes c, the state of a mean plant that is sure, dc/ds = Ā c + B̄ u with Ā = Σ p_i A_i as
 the stretch begins. With y = x − c, z = (y, c, 1) and M_i = E[z zᵀ 1{σ = i}], of which the last
-corner is p_i, a held input u and white noise of intensity W make
+corner is p_i, a held input u and white noise of intensity W_i make
 
-    dM_i/ds = Z_i M_i + M_i Z_iᵀ + diag(W, 0, 0) p_i + Σ_j Λ_ji M_j,
+    dM_i/ds = Z_i M_i + M_i Z_iᵀ + diag(W_i, 0, 0) p_i + Σ_j Λ_ji M_j,
 
            [ A_i   A_i − Ā   (B_i − B̄) u ]
     Z_i =  [ 0     Ā         B̄ u         ],
@@ -34,7 +34,7 @@ def markov_spread(
     sampled: SampledPlant,
     generator: Float[np.ndarray, "mode mode"],
     known: Known,
-    W: Float[np.ndarray, "n n"],
+    W: Float[np.ndarray, "*mode n n"],
 ) -> Float[np.ndarray, "case input future n n"]:
     """By the mode now, a row each, and the mode at t + D; 0 where that has no probability."""
     plant = sampled.plant
@@ -98,7 +98,7 @@ class _Moments:
 
 def _integrated(Z, M, generator, W, length):
     """M after a stretch."""
-    n = len(W)
+    n = W.shape[-1]
     size = np.abs(Z[..., :n, :n]).sum(axis=3).max() + np.abs(np.diag(generator)).max()
     count = max(1, int(np.ceil(2.0 * size * length)))
     for _ in range(count):

@@ -28,7 +28,7 @@ def semi_markov_spread(
     transition: Float[np.ndarray, "mode mode"],
     ages: int,
     known: Known,
-    W: Float[np.ndarray, "n n"],
+    W: Float[np.ndarray, "*mode n n"],
 ) -> Float[np.ndarray, "case input future n n"]:
     """By the mode and age now, a row each, and the mode at t + D; 0 where it has no probability.
 

@@ -16,7 +16,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.problems.file.observer import KalmanObserver, ObserverSection
 from deadtime.problems.law_registry import Model
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrix, Section, Vector
+from deadtime.problems.toml.table import Matrices, Matrix, Section, Vector
 
 Observed = tuple[Callable[[SwitchedSystem], Observer], ObserverSection]
 
@@ -28,7 +28,8 @@ class ModeFilterSection(Section):
     """
 
     disturbance: Annotated[
-        float | Vector | Matrix | None, Shape("a number, (n,) or (n, n)", [1e-4, 1e-4])
+        float | Vector | Matrix | Matrices | None,
+        Shape("a number, (n,), (n, n), or (n, n) for each mode", [1e-4, 1e-4]),
     ] = Field(
         None,
         description="Intensity of white process noise, x² per second; as of white-disturbance. 0 "

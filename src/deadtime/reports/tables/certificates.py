@@ -25,6 +25,7 @@ from deadtime.switching.constraint import PerMode as Times, SwitchingConstraint
 if TYPE_CHECKING:
     from deadtime.certificates import Certificate, WorstCase
     from deadtime.margins.constant_modes import DelayMargin
+    from deadtime.plant import UncertainPlant
 
 HEADINGS = ("law", "stable", "decay, 1/s", "proved", "growth, 1/s", "delay margin, s")
 LEGEND = (
@@ -77,6 +78,7 @@ def judge(
     maximum_dwell: Times | None = None,
     transitions: ArrayLike | None = None,
     lost_samples: int = 0,
+    uncertain: bool = False,
 ) -> list[Judged]:
     """Certificate, worst signal and delay margin of each law of a problem.
 
@@ -103,6 +105,8 @@ def judge(
         As `certify` takes them.
     lost_samples : int
         How many samples in a row may be lost.
+    uncertain : bool
+        Whether to certify all plants that the problem's [uncertainty] leaves open.
 
     Raises
     ------
@@ -113,6 +117,7 @@ def judge(
     from deadtime.certificates import certify
     from deadtime.certificates.clock import losses_in_range
 
+    plant = problem.plant if not uncertain else uncertain_plant(problem)
     SwitchingConstraint.of(problem.plant.modes, dwell_time, maximum_dwell, transitions)
     step = positive("step", step)
     lost = losses_in_range(lost_samples, mode_lag) or None
@@ -130,7 +135,7 @@ def judge(
         law = problem.laws[name]
         try:
             found = certify(
-                problem.plant,
+                plant,
                 law,
                 dwell_time,
                 step,
@@ -155,6 +160,29 @@ def judge(
         next(answers)
         progress(f"certified: {name}")
     return list(answers)
+
+
+def uncertain_plant(problem: Problem) -> UncertainPlant:
+    """What the problem's [uncertainty] leaves open."""
+    if problem.uncertain is None:
+        raise ArgumentError(
+            f"the problem {problem.name!r} has no [uncertainty], as `deadtime identify` writes it: "
+            "without it only its one plant can be certified."
+        )
+    return problem.uncertain
+
+
+def plants_in_words(problem: Problem, uncertain: bool) -> list[str]:
+    """Which plants an answer is about, where the file leaves some open."""
+    if problem.uncertain is None:
+        return []
+    if uncertain:
+        return [
+            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in theirs."
+        ]
+    return [
+        "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
+    ]
 
 
 def _judge(

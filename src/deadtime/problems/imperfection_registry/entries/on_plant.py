@@ -10,7 +10,7 @@ from pydantic import Field
 from deadtime.imperfections import ColouredDisturbance, StepDisturbance, WhiteDisturbance
 from deadtime.problems.imperfection_registry.entry import Axis, ImperfectionSection, PerSignal
 from deadtime.problems.toml import Shape
-from deadtime.problems.toml.table import Matrix, Vector
+from deadtime.problems.toml.table import Matrices, Matrix, Vector
 
 
 def _without_default(schema: dict[str, Any]) -> None:
@@ -31,8 +31,12 @@ class WhiteDisturbanceSection(ImperfectionSection):
     )
 
     kind: Literal["white-disturbance"]
-    intensity: Annotated[float | Vector | Matrix, Shape("a number, (n,) or (n, n)", [0.1, 0.1])] = (
-        Field(description="W in units of x² per second: a number, a diagonal or an n × n matrix.")
+    intensity: Annotated[
+        float | Vector | Matrix | Matrices,
+        Shape("a number, (n,), (n, n), or (n, n) for each mode", [0.1, 0.1]),
+    ] = Field(
+        description="W in units of x² per second: a number, a diagonal, an n × n matrix, or one "
+        "for every mode."
     )
 
 

@@ -1,0 +1,211 @@
+"""Information of a log whose sensors are noisy: that of the innovations of Kalman's filter.
+
+Of y_k = x_k + v_k, v ~ N(0, V), the filter's innovations e_k are white, N(0, S_k), so that
+
+    F = Σ_k E[∂e_kᵀ S_k⁻¹ ∂e_k] + ½ tr(S_k⁻¹ ∂S_k S_k⁻¹ ∂S_k).
+
+With K its gain and η = ∂x̂, before a sample is measured,
+
+    ∂e_k = −η_k,    η_{k+1} = Φ (I − K_k) η_k + ∂P ẑ_k + Φ ∂K_k e_k,
+
+ẑ_k being z_k with x̂_k in the place of x_k. The mean of η is linear in that of z, hence in the
+inputs; all else does not depend on them, and is summed up once. Where an identification begins, and
+after each period that it leaves out, nothing is known of the state but its measurement: x̂ = y,
+P = V, η = 0. Noise is unknown, too: W, one for all modes, and V. No mean depends on them, so that
+their part is taken out for good (Schur's complement).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from deadtime.base.frozen import Frozen
+from deadtime.identification.excitation.exact_states import Pullback
+from deadtime.identification.excitation.loop import Chain
+from deadtime.identification.excitation.noise_tables import NoiseTables
+
+_UNSEEN = 1e-12  # of an eigenvalue of the noise's information, scaled to a diagonal of ones
+
+
+class Filtered(NamedTuple):
+    """A sample of the filter: its gain, the innovation's variance and derivatives of both.
+
+    At a beginning the gain is I, and there is no innovation: S = 0, S⁻¹ = 0.
+    """
+
+    K: Float[np.ndarray, "n n"]
+    S: Float[np.ndarray, "n n"]
+    inverse: Float[np.ndarray, "n n"]
+    by_K: Float[np.ndarray, "q n n"]
+    by_S: Float[np.ndarray, "q n n"]
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyStates(Frozen):
+    """F by means z̄ of what acts in every period.
+
+    white : S_k^{-1/2}, 0 where a sample only begins; carried : from η_k to η_{k+1}, before what is
+    added; by_P : ∂P of every mode; place : whose, of `size` unknowns; rows : the periods that
+    count, of every mode; constant : what of F inputs do not change
+    """
+
+    white: Float[np.ndarray, "sample n n"]
+    carried: Float[np.ndarray, "sample n n"]
+    by_P: list[Float[np.ndarray, "own n z"]]
+    place: list[Int[np.ndarray, " own"]]
+    rows: list[Int[np.ndarray, " row"]]
+    constant: Float[np.ndarray, "size size"]
+
+    @classmethod
+    def of(
+        cls, chain: Chain, used: Bool[np.ndarray, " sample"], size: int, tables: NoiseTables
+    ) -> NoisyStates:
+        """Those of a chain, over the periods that an identification uses.
+
+        tables : of the noise, whose unknowns stand behind the `size` others
+        """
+        count, n = used.size, chain.n
+        white, carried = np.zeros((2, count, n, n))
+        joint = _Joint.of(chain, size, tables)
+        F = np.zeros((joint.unknowns, joint.unknowns))
+        begins = np.append(True, ~used[:-1])
+        at = np.ix_(tables.wide, tables.wide)
+        filtered = _filter(chain, begins, tables)
+        for k, (now, one) in enumerate(zip(chain.covariances(), filtered, strict=True)):
+            if begins[k]:
+                joint = joint.begun(now, chain.V)
+            else:
+                white[k] = np.linalg.inv(np.linalg.cholesky(one.S))
+                F += np.einsum("aibj,ij->ab", joint.of_eta(), one.inverse)
+                moved = one.by_S @ one.inverse
+                F[at] += 0.5 * np.einsum("aij,bji->ab", moved, moved)
+            if used[k]:
+                carried[k] = chain.P[chain.mode[k], :, :n] @ (np.eye(n) - one.K)
+                joint = joint.after(k, one, carried[k])
+        rows = [np.flatnonzero(used & (chain.mode == i)) for i in range(len(chain.S))]
+        return cls(white, carried, chain.by_P, chain.place, rows, _without_noise(F, size))
+
+    def information(
+        self, z: Float[np.ndarray, "sample z"]
+    ) -> tuple[Float[np.ndarray, "size size"], Pullback]:
+        """F, and the map from a derivative by F to one by z̄."""
+        size = len(self.constant)
+        every = list(zip(self.by_P, self.place, self.rows, strict=True))
+        eta = np.zeros((len(z), size, self.white.shape[1]))
+        for by_P, place, own in every:
+            eta[own[:, None] + 1, place] = np.einsum("anz,kz->kan", by_P, z[own])
+        for k, M in enumerate(self.carried[:-1]):
+            eta[k + 1] += eta[k] @ M.T
+        seen = eta @ self.white.swapaxes(1, 2)
+        flat = seen.swapaxes(0, 1).reshape(size, -1)
+
+        def back(by_F: np.ndarray) -> np.ndarray:
+            of_eta, of_z = 2.0 * (by_F @ seen) @ self.white, np.zeros(z.shape)
+            for k in range(len(z) - 2, -1, -1):
+                of_eta[k] += of_eta[k + 1] @ self.carried[k]
+            for by_P, place, own in every:
+                of_z[own] = np.einsum("anz,kan->kz", by_P, of_eta[own[:, None] + 1, place])
+            return of_z
+
+        return flat @ flat.T + self.constant, back
+
+
+def _filter(
+    chain: Chain, begins: Bool[np.ndarray, " sample"], tables: NoiseTables
+) -> Iterator[Filtered]:
+    """Kalman's filter along a chain, with derivatives by the unknowns `tables.wide`."""
+    n, q = chain.n, tables.wide.size
+    V, by_V = np.diag(chain.V), np.zeros((q, n, n))
+    by_V[q - n + np.arange(n), np.arange(n), np.arange(n)] = 2.0 * chain.V
+    P, by_P, none = V, by_V, np.zeros((n, n))
+    place = np.full(int(tables.wide[-1]) + 1, -1)
+    place[tables.wide] = np.arange(q)
+    for k, i in enumerate(chain.mode.tolist()):
+        if begins[k]:
+            one = Filtered(np.eye(n), none, none, np.zeros((q, n, n)), np.zeros((q, n, n)))
+        else:
+            S, by_S = P + V, by_P + by_V
+            inverse = np.linalg.inv(S)
+            K = P @ inverse
+            one = Filtered(K, S, inverse, (by_P - K @ by_S) @ inverse, by_S)
+        yield one
+        keep, Phi = np.eye(n) - one.K, chain.P[i, :, :n]
+        P = keep @ P @ keep.T + one.K @ V @ one.K.T
+        by_P = Phi @ (keep @ by_P @ keep.T + one.K @ by_V @ one.K.T) @ Phi.T + tables.of_Q[i]
+        own = place[chain.place[i]]
+        turned = chain.by_P[i][own >= 0, :, :n] @ P @ Phi.T
+        by_P[own[own >= 0]] += turned + turned.swapaxes(1, 2)
+        P = Phi @ P @ Phi.T + tables.Q[i]
+
+
+class _Joint(NamedTuple):
+    """The covariance of (ξ̂, η) before a sample is measured; ξ̂ = (x̂, inputs in flight)."""
+
+    chain: Chain
+    tables: NoiseTables
+    by_P: Float[np.ndarray, "mode unknown n z"]
+    covariance: Float[np.ndarray, "all all"]
+    use: int
+
+    @classmethod
+    def of(cls, chain: Chain, size: int, tables: NoiseTables) -> _Joint:
+        """Of nothing yet."""
+        n, unknowns = chain.n, int(tables.wide[-1]) + 1
+        by_P = np.zeros((len(chain.S), unknowns, *chain.by_P[0].shape[1:]))
+        for i, (own, place) in enumerate(zip(chain.by_P, chain.place, strict=True)):
+            by_P[i, place] = own
+        whole = chain.random + unknowns * n
+        return cls(chain, tables, by_P, np.zeros((whole, whole)), chain.random)
+
+    @property
+    def unknowns(self) -> int:
+        """How many there are, those of the noise among them."""
+        return self.by_P.shape[1]
+
+    def of_eta(self) -> Float[np.ndarray, "unknown n unknown n"]:
+        """The covariance of η."""
+        part, n = self.covariance[self.use :, self.use :], self.chain.n
+        return part.reshape(self.unknowns, n, self.unknowns, n)
+
+    def begun(self, now: Float[np.ndarray, "xi xi"], V: Float[np.ndarray, " n"]) -> _Joint:
+        """x̂ = y, of a run whose ξ has the covariance `now`; η = 0."""
+        covariance = np.zeros(self.covariance.shape)
+        covariance[: self.use, : self.use] = now
+        at = np.arange(V.size)
+        covariance[at, at] += V
+        return self._replace(covariance=covariance)
+
+    def after(self, k: int, one: Filtered, carried: Float[np.ndarray, "n n"]) -> _Joint:
+        """That of the next sample."""
+        n, use, i, kind = self.chain.n, self.use, self.chain.mode[k], self.chain.kind[k]
+        Z, M = self.chain.Z[kind][:, :use], self.chain.M[kind][:use, :use]
+        P = self.chain.P[i]
+        told = self.chain.Z[kind][:, :n].copy()  # what e does to ẑ: the law is told y, not x̂
+        told[:n] = one.K
+        of_xi, of_eta = M[:, :n].copy(), self.by_P[i] @ told
+        of_xi[:n] = P @ told
+        of_eta[self.tables.wide] += P[:, :n] @ one.by_K
+        by_z = (self.by_P[i] @ Z).reshape(-1, use)
+
+        def over(rows: np.ndarray) -> np.ndarray:
+            eta = rows[use:].reshape(self.unknowns, n, -1)
+            moved = (carried @ eta).reshape(self.unknowns * n, -1) + by_z @ rows[:use]
+            return np.vstack((M @ rows[:use], moved))
+
+        by_e = np.vstack((of_xi, of_eta.reshape(-1, n)))
+        covariance = over(over(self.covariance).T) + by_e @ one.S @ by_e.T
+        return self._replace(covariance=covariance)
+
+
+def _without_noise(F: Float[np.ndarray, "all all"], size: int) -> Float[np.ndarray, "size size"]:
+    """The information that is left where noise is unknown, too."""
+    unit = np.sqrt(np.diagonal(F)[size:])
+    unit = np.divide(1.0, unit, out=np.zeros(unit.size), where=unit > 0.0)
+    noise = F[size:, size:] * unit[:, None] * unit
+    across = F[:size, size:] * unit
+    return F[:size, :size] - across @ np.linalg.pinv(noise, _UNSEEN, hermitian=True) @ across.T

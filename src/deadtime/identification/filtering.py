@@ -1,0 +1,117 @@
+"""The likelihood of a log with noisy sensors: one pass of Kalman's filter, of bounded memory.
+
+The filter carries its own derivatives by all unknowns, which are exact. Blocks of samples are
+summed up as they come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from deadtime.identification.parameters import Layout
+from deadtime.identification.periods import PeriodsOf
+from deadtime.identification.recording import Part
+from deadtime.identification.scoring import Evaluation
+from deadtime.identification.tangent_kernel import tangents
+
+_BLOCK = 4096  # samples whose derivatives are kept at a time, at most
+_NUMBERS = 2_000_000  # of them
+
+
+class Places(NamedTuple):
+    """Where unknowns lie: those of a plant, the lower triangle of L, and the sensors.
+
+    size : of them all
+    own : those of A, B and the delays of each mode
+    wide : those that variances depend on, A and all of the noise
+    noisy : where in `wide` A and L of each mode are
+    """
+
+    size: int
+    own: Int[np.ndarray, "mode own"]
+    wide: Int[np.ndarray, " q"]
+    noisy: Int[np.ndarray, "mode noisy"]
+
+    @classmethod
+    def of(cls, layout: Layout, sensors: int) -> Places:
+        """Those of a layout with so many sensors."""
+        modes, n = layout.modes, layout.n
+        of_L = np.arange(n * (n + 1) // 2)
+        each = (layout.of_A.reshape(modes, -1), layout.of_B.reshape(modes, -1), layout.of_delay)
+        size = layout.size + of_L.size + sensors
+        wide = np.concatenate((layout.of_A.ravel(), np.arange(layout.size, size)))
+        of_L = np.tile(layout.of_A.size + of_L, (modes, 1))
+        return cls(size, np.hstack(each), wide, np.hstack((each[0], of_L)))
+
+    @classmethod
+    def none(cls, modes: int) -> Places:
+        """No unknowns: the filter alone."""
+        nothing = np.zeros((modes, 0), np.int64)
+        return cls(0, nothing, nothing[0], nothing)
+
+
+class Sensors(NamedTuple):
+    """C (p, n), the variances R (p,) of the errors, and P0 (n, n) of a state that is not known."""
+
+    C: Float[np.ndarray, "p n"]
+    R: Float[np.ndarray, " p"]
+    P0: Float[np.ndarray, "n n"]
+
+
+class Filtered(NamedTuple):
+    """Of a block's measurements the errors and variances, with their derivatives."""
+
+    y: Float[np.ndarray, "T p"]
+    e: Float[np.ndarray, "T p"]
+    s: Float[np.ndarray, "T p"]
+    by_e: Float[np.ndarray, "T p size"]
+    by_s: Float[np.ndarray, "T p q"]
+
+
+def filtered(
+    parts: tuple[Part, ...],
+    starts: list[Bool[np.ndarray, " sample"]],
+    periods_of: PeriodsOf,
+    sensors: Sensors,
+    places: Places,
+) -> Iterator[Filtered]:
+    """The filter over logs, block by block; what it knows begins anew at `starts`."""
+    (p, n), q = sensors.C.shape, places.wide.size
+    of_R = np.zeros((q, p))
+    of_R[max(q - p, 0) :] = np.diag(2.0 * sensors.R)[: min(p, q)]
+    noise = tuple(map(np.ascontiguousarray, (sensors.C, sensors.R, of_R, places.wide, sensors.P0)))
+    numbers = n * n * (2 + 2 * n * n + places.noisy.shape[1]) + p * (places.size + q)
+    block = min(_BLOCK, max(1, _NUMBERS // numbers))
+    for part, start in zip(parts, starts, strict=True):
+        now = np.zeros(n), np.zeros((n, n)), np.zeros((places.size, n)), np.zeros((q, n, n))
+        for first in range(0, start.size, block):
+            rows = np.arange(first, min(first + block, start.size))
+            y, fresh = np.ascontiguousarray(part.output[rows]), start[rows]
+            periods = periods_of(part, rows, fresh)
+            shapes = (), (), (places.size,), (q,)
+            out = tuple(np.empty((rows.size, p, *shape)) for shape in shapes)
+            tangents(y, fresh, *periods, places.own, places.noisy, *noise, now, out)
+            yield Filtered(y, *out)
+
+
+def evaluated(blocks: Iterator[Filtered], places: Places) -> Evaluation:
+    """The log likelihood, its score and information, over all unknowns."""
+    size, wide = places.size, places.wide
+    value, score, F = 0.0, np.zeros(size), np.zeros((size, size))
+    for block in blocks:
+        e, s = block.e.ravel(), block.s.ravel()
+        if not (s.min() > 0.0 and np.isfinite(s).all() and np.isfinite(e).all()):
+            return Evaluation(-np.inf, score, np.eye(size))
+        by_e = block.by_e.reshape(s.size, -1) / np.sqrt(s)[:, None]
+        by_s = block.by_s.reshape(s.size, -1) / s[:, None]
+        known = np.count_nonzero(np.isfinite(block.y))
+        value -= 0.5 * (float((np.log(s) + e * e / s).sum()) + known * np.log(2.0 * np.pi))
+        score -= by_e.T @ (e / np.sqrt(s))
+        score[wide] += by_s.T @ (0.5 * (e * e / s - 1.0))
+        F += by_e.T @ by_e
+        F[np.ix_(wide, wide)] += 0.5 * by_s.T @ by_s
+    return Evaluation(value, score, F)

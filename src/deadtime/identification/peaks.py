@@ -1,0 +1,48 @@
+"""Whether a delay has other peaks that are plausible, from the likelihood of all its cells."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.identification.intervals import LEVEL
+from deadtime.identification.maximum import Likelihood
+from deadtime.identification.start import Start
+
+
+def over_other_peaks(
+    log: Likelihood, interval: np.ndarray, start: Start, row: int, inflation: float
+) -> np.ndarray:
+    """An interval and all beyond it up to the last cell that a fresh rise makes plausible."""
+    h, curve = log.recording.step, start.scanned[row]
+    fall = plausible_fall(log, curve.size, inflation)
+    ends = interval.copy()
+    first = max(int(np.ceil(interval[0] / h - 1e-9)) - start.first, 0)  # the cell of the end
+    last = max(int(np.ceil(interval[1] / h - 1e-9)) - start.first, 0)
+    top = int(curve.argmax())  # a neighbour is the same peak: cells of uneven rows are rough
+    first, last = first - (top == first - 1), last + (top == last + 1)
+    below, above = curve[: first + 1][::-1], curve[last:]
+    if (found := fresh_rise(below, curve.max() - fall)) is not None:
+        ends[0] = min(ends[0], (start.first + first - found - 1) * h)
+    if (found := fresh_rise(above, curve.max() - fall)) is not None:
+        ends[1] = max(ends[1], (start.first + last + found) * h)
+    return np.clip(ends, *log.bounds)
+
+
+def plausible_fall(log: Likelihood, cells: int, inflation: float) -> float:
+    """How far below the likeliest cell's log likelihood a plausible one's is at most.
+
+    A cell's two weights per state are free in each mode that has the delay. Of as many cells as
+    there are each may be the likeliest by chance, so that the level is Bonferroni's.
+    """
+    from scipy.stats import chi2
+
+    layout = log.layout
+    free = 2 * layout.n * (1 if layout.per_mode else layout.modes)
+    return 0.5 * inflation * float(chi2.isf((1.0 - LEVEL) / cells, free))
+
+
+def fresh_rise(outwards: np.ndarray, level: float) -> int | None:
+    """The last cell above a level that is likelier than one before it."""
+    least = np.minimum.accumulate(outwards)
+    found = np.flatnonzero((outwards > least) & (outwards >= level))
+    return int(found[-1]) if found.size else None

@@ -1,0 +1,171 @@
+"""Units that change from log to log, or within one: a column counted in thousandths.
+
+What a plant does in a period is linear in what acts, so that a regression of one stretch foretells
+another one if both count in the same units. A column whose size differs by a factor of about 1,000
+between stretches is looked at: if the one foretells the other only once the column is divided (or
+multiplied) by 1,000, it is refused by name. Stretches of different size in the same units foretell
+each other as they are; noise foretells nothing either way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.foretold import (
+    LEAST,
+    Scaled,
+    Stretch,
+    foretells,
+    lags_between,
+    only_scaled,
+)
+from deadtime.identification.recording import Part, Recording
+
+_THOUSAND = 1000.0
+_LIKELY = 0.7  # of a thousand, in decades to either side: sizes of stretches differ, too
+_SAME = 0.01  # of a ratio of sampling periods, that clocks may be off by
+_CLOCKS = ((1e3, "milliseconds", "1,000"), (1e6, "microseconds", "1,000,000"))
+_CLOCKS = (*_CLOCKS, (1e9, "nanoseconds", "1,000,000,000"))
+
+
+def require_seconds(recording: Recording, longest: float) -> None:
+    """Refuse a clock that seems to count something else than seconds."""
+    step = recording.step
+    if step <= longest:
+        return
+    fits = [(unit, text) for ratio, unit, text in _CLOCKS if step / ratio <= longest]
+    unit, text = fits[0] if fits else _CLOCKS[0][1:]
+    raise ArgumentError(
+        f"log has a row every {step:g} s, and delays of at most {longest:g} s are looked for, less "
+        f"than that: if its t counts {unit}, divide it by {text}; else widen delay=(low, high), "
+        "--delay LOW HIGH, in seconds."
+    )
+
+
+def require_same_units(
+    parts: Sequence[Part],
+    columns: tuple[Sequence[str], Sequence[str]],
+    longest: float,
+    places: Sequence[str],
+    row_of: Callable[[int, int], str],
+) -> None:
+    """Refuse logs of which a column, or the clock, is counted in thousandths somewhere.
+
+    columns : names of outputs and inputs; longest : the longest delay, seconds; places : what logs
+    are called; row_of : what row k of log i is called
+    """
+    best = max(range(len(parts)), key=lambda i: parts[i].time.size)
+    steps = [float(np.median(np.diff(part.time))) for part in parts]
+    whole = [Stretch(part, 0, part.time.size) for part in parts]
+    for i, one in enumerate(whole):
+        if i == best:
+            continue
+        lags = lags_between(whole[best], one, longest / min(steps))
+        ratio = steps[i] / steps[best]
+        clock = _clock(max(ratio, 1.0 / ratio))
+        if clock is not None and foretells(whole[best], one, lags):
+            slow, fast = (i, best) if ratio > 1.0 else (best, i)
+            unit, text = clock
+            raise ArgumentError(
+                f"{places[slow]} has a row every {steps[slow]:g} s, {places[fast]} one every "
+                f"{steps[fast]:g} s, and row by row the plant does the same in both: if t counts "
+                f"{unit} in {places[slow]}, divide it by {text}."
+            )
+        for name, scaled in _scaled(whole[best], one, columns):
+            if only_scaled(whole[best], one, scaled, lags):
+                there, elsewhere = f"in {places[i]}", f"in {places[best]}"
+                raise ArgumentError(_message(name, there, elsewhere, scaled))
+    for i, part in enumerate(parts):
+        for name, at, scaled in _changes(part, columns):
+            two = Stretch(part, 0, at), Stretch(part, at, part.time.size)
+            known, other = two if at > part.time.size // 2 else two[::-1]
+            own = scaled if other is two[1] else scaled._replace(factor=1.0 / scaled.factor)
+            if only_scaled(known, other, own, lags_between(*two, longest / steps[i])):
+                there = f"from {row_of(i, at)}, on"
+                raise ArgumentError(_message(name, there, "before", scaled))
+
+
+def _message(name: str, where: str, other: str, scaled: Scaled) -> str:
+    """What to say of a column, and where it has other units than elsewhere."""
+    what = "divided" if scaled.factor < 1.0 else "multiplied"
+    return (
+        f"{name} seems to be counted in other units {where} than {other}: the plant does the same "
+        f"in both only once {name} is {what} by 1,000 {where}. Convert it, so that all rows have "
+        "the same units."
+    )
+
+
+def _clock(ratio: float) -> tuple[str, str] | None:
+    """What a clock counts that is so much faster than one of seconds, and what to divide it by."""
+    near = [(unit, text) for size, unit, text in _CLOCKS if abs(ratio / size - 1.0) < _SAME]
+    return near[0] if near else None
+
+
+def _sizes(part: Part, output: bool, place: int) -> Float[np.ndarray, " row"]:
+    """Logarithms of how far an output moves, row by row, or of how large an input is."""
+    value = np.diff(part.output[:, place]) if output else part.input[:-1, place]
+    size = np.abs(value)
+    known = size[np.isfinite(size) & (size > 0.0)]
+    if known.size == 0:
+        return np.full(size.size, np.nan)
+    return np.log(np.maximum(size, 1e-9 * known.max()))
+
+
+def _each(columns: tuple[Sequence[str], Sequence[str]]) -> list[tuple[str, bool, int]]:
+    """Every column by its name, and where it is."""
+    outputs, inputs = columns
+    each = [(name, True, place) for place, name in enumerate(outputs)]
+    return each + [(name, False, place) for place, name in enumerate(inputs)]
+
+
+def _conversion(output: bool, place: int, difference: float) -> Scaled | None:
+    """What a difference of mean logarithms may come from, if it is near enough to 1,000."""
+    if not abs(abs(difference) - np.log(_THOUSAND)) < _LIKELY * np.log(10.0):
+        return None
+    return Scaled(output, place, 1.0 / _THOUSAND if difference > 0.0 else _THOUSAND)
+
+
+def _scaled(
+    known: Stretch, other: Stretch, columns: tuple[Sequence[str], Sequence[str]]
+) -> list[tuple[str, Scaled]]:
+    """Columns of another log that are about 1,000 times as large or as small."""
+    found = []
+    for name, output, place in _each(columns):
+        sizes = [_sizes(one.part, output, place) for one in (other, known)]
+        if all(np.isfinite(one).any() for one in sizes):
+            mean, base = (float(np.nanmean(one)) for one in sizes)
+            scaled = _conversion(output, place, mean - base)
+            found += [] if scaled is None else [(name, scaled)]
+    return found
+
+
+def _changes(
+    part: Part, columns: tuple[Sequence[str], Sequence[str]]
+) -> list[tuple[str, int, Scaled]]:
+    """Columns that become about 1,000 times as large or as small, and the row where they do."""
+    found = []
+    for name, output, place in _each(columns):
+        size = _sizes(part, output, place)
+        known = np.isfinite(size)
+        if known.sum() < 2 * LEAST:
+            continue
+        total = np.cumsum(np.where(known, size, 0.0))[:-1]
+        count = np.cumsum(known)[:-1].astype(float)
+        rest, left = total[-1] + np.nan_to_num(size[-1]) - total, known.sum() - count
+        enough = (count >= LEAST) & (left >= LEAST)
+        if not enough.any():
+            continue
+        with np.errstate(all="ignore"):
+            apart = rest / left - total / count
+            gain = np.where(enough, apart**2 * count * left, -1.0)
+        at = int(gain.argmax())
+        scaled = _conversion(output, place, float(apart[at]))
+        if scaled is not None:
+            # The leap into larger units is the first large move, but leads to the first row.
+            leap = output and scaled.factor < 1.0
+            found.append((name, at + 1 + leap, scaled))
+    return found

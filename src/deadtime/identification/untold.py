@@ -1,0 +1,98 @@
+"""Why a log hardly tells a delay: what its inputs are, that they tell so little."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.identification.recording import Part, Recording
+
+_LIKE = 0.95  # a correlation of samples so large: one may stand for the other
+_FELL = 0.7  # what it must fall below before: a slow input is like itself a moment later
+_FOLLOWS = 0.99  # of an input's variance, that the states of the same row explain
+_COARSE = 1.0  # s: a clock of whole numbers with rows so far apart may count milliseconds
+
+
+def reasons(recording: Recording, j: int, longest: float) -> list[str]:
+    """What there is to say of input j, whose delay, up to `longest` seconds, is hardly told."""
+    said = []
+    part = max(recording.parts, key=lambda one: one.time.size)
+    repeat = _repeat(part, recording.step, j, longest) if recording.even else None
+    name = recording.inputs[j]
+    if repeat is not None:
+        time, sign = repeat
+        opposite = " with the opposite sign" if sign < 0.0 else ""
+        said.append(
+            f"{name} repeats itself{opposite} every {time:.4g} s, and with it the delays that "
+            "explain the log: send an input that does not repeat itself, or narrow "
+            f"delay=(low, high), --delay LOW HIGH, to less than {time:.4g} s."
+        )
+    if _follows(recording, j):
+        said.append(
+            f"{name} is a function of the states of its row, as of a law u = K x and nothing else: "
+            "the log tells A + B K rather than A and B. Add steps or noise to what the law asks "
+            "for."
+        )
+    others = [recording.inputs[i] for i in _alike(recording, j)]
+    if others:
+        said.append(
+            f"{name} moves as {', '.join(others)} does throughout: which of them acts, and when, "
+            "is hardly told. Move them apart, or leave one out by inputs=[…], --inputs."
+        )
+    if counts_whole(recording):
+        said.append(
+            f"t counts whole numbers, a row every {recording.step:g}: if these are milliseconds, "
+            "divide it by 1,000."
+        )
+    return said
+
+
+def counts_whole(recording: Recording) -> bool:
+    """Whether the clock may count milliseconds: whole numbers, rows far apart."""
+    times = (part.time for part in recording.parts)
+    off = [float(np.abs(t - np.rint(t)).max()) for t in times]
+    return recording.step >= _COARSE and max(off) < 1e-6
+
+
+def _repeat(part: Part, step: float, j: int, longest: float) -> tuple[float, float] | None:
+    """After how long an input is like itself again, seconds, and with which sign."""
+    u = part.input[:, j]
+    fallen = False
+    for lag in range(1, min(int(longest / step), u.size // 2) + 1):
+        r = _likeness(u[:-lag], u[lag:])
+        if fallen and abs(r) > _LIKE:
+            following = _likeness(u[: -lag - 1], u[lag + 1 :])
+            best, r = (lag, r) if abs(r) >= abs(following) else (lag + 1, following)
+            return best * step, r
+        fallen = fallen or abs(r) < _FELL
+    return None
+
+
+def _likeness(before: np.ndarray, after: np.ndarray) -> float:
+    """The cosine between samples, where both are known; 0 where either is 0."""
+    known = np.isfinite(before) & np.isfinite(after)
+    a, b = before[known], after[known]
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else 0.0
+
+
+def _follows(recording: Recording, j: int) -> bool:
+    """Whether a linear law of the row's states, one per mode, explains an input."""
+    rest = total = 0.0
+    for i in range(len(recording.modes)):
+        rows = [part.mode == i for part in recording.parts]
+        each = list(zip(recording.parts, rows, strict=True))
+        u = np.concatenate([part.input[own, j] for part, own in each])
+        x = np.vstack([part.output[own] for part, own in each])
+        known = np.isfinite(u) & np.isfinite(x).all(axis=1)
+        u, x = u[known], np.column_stack((x[known], np.ones(int(known.sum()))))
+        if u.size > 2 * x.shape[1]:
+            rest += float(((u - x @ np.linalg.lstsq(x, u, rcond=None)[0]) ** 2).sum())
+            total += float(((u - u.mean()) ** 2).sum())
+    return total > 0.0 and rest < (1.0 - _FOLLOWS) * total
+
+
+def _alike(recording: Recording, j: int) -> list[int]:
+    """Other inputs that are this one, times a number."""
+    u = np.vstack([part.input for part in recording.parts])
+    others = [i for i in range(u.shape[1]) if i != j]
+    return [i for i in others if abs(_likeness(u[:, i], u[:, j])) > 1.0 - 1e-6]
