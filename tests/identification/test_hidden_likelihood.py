@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
 from deadtime.identification.cells import cells_of
-from deadtime.identification.hidden.information import _lifted, information_of
+from deadtime.identification.hidden.information import information_of, lifted
+from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import Periods
+from deadtime.identification.hidden.periods import EvenPeriods, UnevenPeriods
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.uneven import nodes_for
@@ -28,9 +30,11 @@ def likelihood(plant, count, last, per_mode=False, seed=0):
     part = Part(t, y, u, np.zeros(count, np.int64))
     record = Recording((part,), H, True, ("x",) * n, ("u",) * m, ("0", "1"), False)
     layout, S = Layout(modes, n, m, per_mode), [plant.covariance(i, H) for i in range(modes)]
-    periods = Periods.of((part,), 1, last, None)
+    periods = EvenPeriods.of((part,), 1, last, None)
     nodes = nodes_for((part,), plant.A)
-    log = HiddenLog(record, layout, (1e-8, last * H), nodes, periods, np.array(S), CHAIN)
+    log = HiddenLog(
+        record, layout, (1e-8, last * H), nodes, periods, np.array(S), Jumps(CHAIN, H, rates=False)
+    )
     theta = layout.join(plant.A, plant.B, plant.D)
     return log, theta, cells_of(theta[layout.at_delays], H)
 
@@ -77,9 +81,10 @@ def test_the_information_is_what_second_differences_of_the_likelihood_say():
     found = information_of(log, theta, cells)
 
     def value(z):
-        odds = log.chain * np.array([[1.0, np.exp(z[7])], [np.exp(z[8]), 1.0]])
+        odds = log.jumps.matrix * np.array([[1.0, np.exp(z[7])], [np.exp(z[8]), 1.0]])
+        odds /= odds.sum(axis=1, keepdims=True)
         S = log.S * (1.0 + z[5:7])[:, None, None]
-        moved = replace(log, S=S, chain=odds / odds.sum(axis=1, keepdims=True))
+        moved = replace(log, S=S, jumps=Jumps(odds, H, rates=False))
         return moved.posterior(z[:5], cells).value
 
     z = np.concatenate((theta, np.zeros(4)))
@@ -92,6 +97,47 @@ def test_the_information_is_what_second_differences_of_the_likelihood_say():
     left = held - J[:5, 5:] @ np.linalg.solve(J[5:, 5:], J[5:, :5])
     scale = np.sqrt(np.diagonal(found.known))
     for ours, theirs in ((found.held, held), (found.left, left)):
-        theirs, _ = _lifted(theirs, found.known)  # no more than known modes would tell
+        theirs, _ = lifted(theirs, found.known)  # no more than known modes would tell
         assert np.abs((ours - theirs) / scale / scale[:, None]).max() < 2e-3
     assert 0.05 < found.told < 0.9
+
+
+def test_uneven_rows_have_the_sum_over_all_paths_and_rates_are_scored_by_its_slope():
+    """Of e^{Λτ} by SciPy, with the noise of a period as long as it is."""
+    A = [[[-1.0, 0.5], [0.0, -2.0]], [[-0.2, 1.0], [-3.0, -0.1]]]
+    plant = Plant(A, [[[1.0], [0.3]], [[0.5], [1.0]]], 0.112, 1e-2 * np.eye(2))
+    rng, rates = np.random.default_rng(2), np.array([[-2.0, 2.0], [3.0, -3.0]])
+    t = np.cumsum(H * rng.uniform(0.5, 1.5, 13))
+    y, u = plant.log(t, rng.standard_normal((13, 1)), rng, (np.arange(13) // 5) % 2)
+    part = Part(t, y, u, np.zeros(13, np.int64))
+    record = Recording((part,), H, False, ("x",) * 2, ("u",), ("0", "1"), False)
+    layout, S = Layout(2, 2, 1, False), np.array([plant.covariance(i, H) for i in (0, 1)])
+    periods, nodes = UnevenPeriods.between((part,), 0.1, 0.12, None, H), nodes_for((part,), plant.A)
+    jumps = Jumps(rates, H, rates=True)
+    log = HiddenLog(record, layout, (1e-8, 0.2), nodes, periods, S, jumps)
+    theta = layout.join(plant.A, plant.B, plant.D)
+    (k,), length = periods.usable, np.diff(t)
+    density = np.empty((k.size, 2))
+    for row, place in enumerate(k):
+        for i in (0, 1):
+            Phi, moved = plant.period(t, u, np.full(13, i), place)
+            scaled = (y[place + 1] - Phi @ y[place] - moved) / np.sqrt(length[place] / H)
+            density[row, i] = multivariate_normal(np.zeros(2), S[i]).logpdf(scaled)
+
+    def value(rates):
+        start, total = np.array([0.5, 0.5]) @ expm(rates * (t[k[0]] - t[0])), 0.0
+        steps = [expm(rates * length[place]) for place in k[:-1]]
+        for path in itertools.product((0, 1), repeat=k.size):
+            chance = start[path[0]] * np.prod(
+                [P[i, j] for P, i, j in zip(steps, path, path[1:], strict=False)]
+            )
+            total += chance * np.exp(density[np.arange(k.size), path].sum())
+        return np.log(total)
+
+    found = log.posterior(theta, log.cells(theta))
+    assert found.value == pytest.approx(value(rates), abs=1e-8)
+    slope = jumps.slope(found.counts)
+    for i, j in ((0, 1), (1, 0)):
+        step = 1e-4 * rates[i, j] * (np.eye(2)[[i]].T @ (np.eye(2)[[j]] - np.eye(2)[[i]]))
+        ends = value(rates + step) - value(rates - step)
+        assert ends / 2e-4 == pytest.approx(slope[i, j], rel=1e-5, abs=1e-7)

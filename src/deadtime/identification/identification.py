@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import brief, instance, positive
+from deadtime.base.checks import brief, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
@@ -360,14 +360,16 @@ class Identification(Frozen):
 
 def _log_noise(found: Estimate, modes: int) -> tuple[np.ndarray, np.ndarray]:
     """Diagonals of W mode by mode, then deviations; and the standard errors of their logarithms."""
+    from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
     from deadtime.identification.noisy import NoisyLog
 
-    instance("log", found.log, NoisyLog)
     log, theta = found.log, found.best.theta
+    if not isinstance(log, NoisyLog | HiddenNoisyLog):
+        raise ArgumentError("found must have noise of its sensors.")
     size = log.layout.size
 
     def logarithms(vector: np.ndarray) -> np.ndarray:
-        noise = log.noise(vector)  # pyright: ignore[reportAttributeAccessIssue]
+        noise = log.noise(vector)
         diagonal = np.tile(np.log(np.maximum(np.diagonal(noise.W), 1e-300)), modes)
         return np.concatenate((diagonal, np.log(noise.deviation)))
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from deadtime.base.checks import number, real_array
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.delay_intervals import delay_intervals
-from deadtime.identification.hidden.identified import identify_hidden
-from deadtime.identification.hidden.request import numbers_of, require_exact_and_even
+from deadtime.identification.hidden.identified import Sensed, identify_hidden
+from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.identification import Identification
 from deadtime.identification.intervals import spread_of
 from deadtime.identification.logged_modes import fit_switching
@@ -29,7 +29,7 @@ from deadtime.identification.recording import Recording, read_recording
 from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.start import start_of
-from deadtime.identification.uneven import nodes_for, on_a_grid
+from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.identification.units import require_same_units, require_seconds
 from deadtime.identification.untold import reasons
 from deadtime.plant import SwitchedSystem
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from deadtime.identification.estimate import Estimate
 
 _SAME = 1e-13  # of the least eigenvalue of the correlation of states
+_SIZES = 1e-70, 1e70  # of what is measured, and of inputs
 _SHORTEST = 1e-6  # of a period: the shortest delay
 
 
@@ -101,8 +102,7 @@ def identify(
     ------
     ArgumentError
         If the log is malformed (its line is named), too short, or does not tell an unknown; if
-        modes that were not logged are too many for it, or it is uneven, noisy or of outputs; if
-        outputs do not have so many states.
+        modes that were not logged are too many for it; if outputs do not have so many states.
 
     References
     ----------
@@ -151,12 +151,13 @@ def identify(
     direct = _as_states(recording, sensors)
     count = sensors.shape[1]
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
+    _require_sizes(recording)
     _require_states(direct, named)
     layout = Layout(len(recording.modes), sensors.shape[1], len(recording.inputs), per_mode)
     said: tuple[str, ...] = ()
     if numbers is not None:
-        require_exact_and_even(recording.even, C, noise)
-        hidden = identify_hidden(recording, numbers, layout, bounds, within)
+        sensed = Sensed(direct, recording, sensors, True if C is not None else noise)
+        hidden = identify_hidden(sensed, numbers, layout, bounds, within)
         if hidden.estimate is not None:
             return Identification.of_hidden(hidden, sensors, named)
         said = hidden.sentences
@@ -223,6 +224,19 @@ def _as_states(recording: Recording, C: Float[np.ndarray, "p n"]) -> Recording:
     return recording._replace(parts=parts)
 
 
+def _require_sizes(recording: Recording) -> None:
+    """Refuse columns whose squares, and those of their ratios, leave the range of floats."""
+    least, most = _SIZES
+    for at, names in ((1, recording.outputs), (2, recording.inputs)):
+        every = np.abs(np.vstack([part[at] for part in recording.parts]))
+        for name, size in zip(names, np.nanmax(every, axis=0, initial=0.0), strict=True):
+            if size > 0.0 and not least <= size <= most:
+                raise ArgumentError(
+                    f"{name} must be of a size between {least:g} and {most:g}, got {size:.3g}: "
+                    "log it in another unit."
+                )
+
+
 def _require_states(recording: Recording, names: Sequence[str]) -> None:
     """Refuse states that never move, or that others say already."""
     every = np.vstack([part.output for part in recording.parts])
@@ -250,11 +264,7 @@ def _exact(
     """The estimate if states are measured without noise."""
     from deadtime.identification.estimate import Estimate
 
-    grid = recording
-    if not recording.even:
-        parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
-        grid = recording._replace(parts=parts, even=True)
-    start = start_of(grid, layout, bounds, within)
+    start = start_of(gridded(recording), layout, bounds, within)
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)

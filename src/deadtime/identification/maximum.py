@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cell_of, cells_of
 from deadtime.identification.hidden.likelihood import HiddenLog
+from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
@@ -70,7 +71,7 @@ class ExactLog(Frozen):
         return within
 
 
-Likelihood = ExactLog | NoisyLog | HiddenLog
+Likelihood = ExactLog | NoisyLog | HiddenLog | HiddenNoisyLog
 
 
 def window_of(
@@ -87,12 +88,17 @@ def maximise(
     theta: Float[np.ndarray, " size"],
     fixed: Bool[np.ndarray, " size"] | None = None,
     window: tuple[float, float] | None = None,
+    gain: float | None = None,
 ) -> tuple[Maximum, tuple[float, float]]:
     """The maximum that a start leads to, and the window of delays that it was sought in.
 
     What is usable of a log depends on the window, so likelihoods compare in the same one only.
+    `gain` is the rise of log likelihood that is worth a step; by default 1e-10, and 1e-3
+    where each step takes two filters for every unknown.
     """
     place = log.layout.at_delays
+    if gain is None:
+        gain = 1e-3 if isinstance(log, HiddenNoisyLog) else 1e-10
     h, asked = log.recording.step, window
     stride = log.stride if isinstance(log, NoisyLog) else np.inf
     while True:
@@ -100,13 +106,13 @@ def maximise(
         evaluate_in, ends = log.evaluate_in(low, high), log.limits
         if log.recording.even:
             cells = cells_of(theta[place], h)
-            reach = (low, high), ends, fixed, stride
+            reach = (low, high), ends, fixed, stride, gain
             best, _ = climb_cells(evaluate_in, theta, place, cells, h, *reach)
         else:
             ends[0][place], ends[1][place] = low, high
             if fixed is not None:
                 ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
-            best = climb(evaluate_in(np.zeros(0)), theta, *ends, stride=stride)
+            best = climb(evaluate_in(np.zeros(0)), theta, *ends, stride=stride, gain=gain)
         D, free = best.theta[place], np.ones(log.layout.delays, bool)
         if fixed is not None:
             free = ~fixed[place]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
@@ -91,9 +91,9 @@ def estimate_with_noise(
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     expect_many_calls()
-    layout = exact.log.layout
+    layout, W = exact.log.layout, exact.disturbance.mean(axis=0)
     log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
-    starts = [log.join(exact.best.theta, noise) for noise in _first_noises(exact, C, recording)]
+    starts = [log.join(exact.best.theta, noise) for noise in first_noises(W, C, recording.step)]
     lag = int(np.ceil(exact.window[1] / recording.step)) + 1
     some = replace(log, recording=stretches(recording, _ENOUGH, lag))
     tried = [maximise(some, start, window=exact.window) for start in starts]
@@ -116,13 +116,7 @@ def estimated_of(
     intervals, several = delay_intervals(log, best, window, spread, start)
     A, B, delays = layout.split(best.theta[: layout.size])
     noise = log.noise(best.theta)
-    e, s = log.innovations(best.theta, starts)
-    fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
-    known = np.vstack([np.isfinite(part.output) for part in recording.parts]) & ~fresh
-    white = np.split(
-        np.where(known, e / np.sqrt(s), np.nan),
-        np.cumsum([part.time.size for part in recording.parts])[:-1],
-    )
+    white = noisy_residuals(log, best.theta, starts)
     spent = None if log.embedding is None else 2 * layout.n * len(log.C)
     return Estimate(
         log,
@@ -160,6 +154,18 @@ def _spread(log: NoisyLog, best: Maximum, beyond: int, observations: int) -> Spr
     return Spread(covariance, reach, inflation, spare)
 
 
+def noisy_residuals(
+    log: NoisyLog, theta: Float[np.ndarray, " size"], starts: list[Bool[np.ndarray, " sample"]]
+) -> list[Float[np.ndarray, "sample p"]]:
+    """The innovations of every part, each over its deviation; NaN where there are none."""
+    e, s = log.innovations(theta, starts)
+    fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
+    parts = log.recording.parts
+    known = np.vstack([np.isfinite(part.output) for part in parts]) & ~fresh
+    white = np.where(known, e / np.sqrt(s), np.nan)
+    return np.split(white, np.cumsum([part.time.size for part in parts])[:-1])
+
+
 def stretches(recording: Recording, most: int, lag: int) -> Recording:
     """The recording, or of a longer one stretches from all over it, of about `most` samples.
 
@@ -176,10 +182,11 @@ def stretches(recording: Recording, most: int, lag: int) -> Recording:
     return recording._replace(parts=tuple(parts))
 
 
-def _first_noises(exact: Estimate, C: np.ndarray, recording: Recording) -> list[Noise]:
-    """Two guesses: what a period adds is mostly the plant's, or mostly the sensors'."""
-    W = exact.disturbance.mean(axis=0)
+def first_noises(
+    W: Float[np.ndarray, "n n"], C: Float[np.ndarray, "p n"], step: float
+) -> list[Noise]:
+    """Two guesses: what a period adds, of W, is mostly the plant's, or mostly the sensors'."""
     floor = max(_FLOOR * float(np.trace(W)), np.finfo(float).tiny)
     W = W + floor * np.eye(len(W))
-    added = np.sqrt(np.diagonal(C @ W @ C.T) * recording.step)
+    added = np.sqrt(np.diagonal(C @ W @ C.T) * step)
     return [Noise(0.7 * W, 0.4 * added), Noise(0.1 * W, 0.7 * added)]

@@ -84,6 +84,16 @@ def floored(
     return S + _APART * spread + np.diag(least)
 
 
+def log_density(
+    z: Float[np.ndarray, "period z"], P: Float[np.ndarray, "n r"], S: Float[np.ndarray, "n n"]
+) -> Float[np.ndarray, " period"]:
+    """log N(x_{k+1} − P r_k; 0, S) of rows z = (x_{k+1}, r_k)."""
+    n, L = len(P), np.linalg.cholesky(S)
+    white = np.linalg.solve(L, (z[:, :n] - z[:, n:] @ P.T).T)
+    constant = 2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi)
+    return -0.5 * ((white**2).sum(axis=0) + constant)
+
+
 class Lags(NamedTuple):
     """An evenly sampled log, as roots over x_{k+1}, x_k and u_{k−low}, …, u_{k−high} per mode."""
 

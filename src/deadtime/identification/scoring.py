@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 _GAIN = 1e-10  # of log likelihood that is still worth a step
 _STEPS = 200
+_CLOSE = 0.1  # of a period: so near a cell's end a climb of coarse steps may be on its way beyond
 
 
 class Evaluation(NamedTuple):
@@ -110,6 +111,7 @@ def climb_cells(
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
     stride: np.ndarray | float = np.inf,
+    gain: float = _GAIN,
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.
 
@@ -124,19 +126,21 @@ def climb_cells(
         high[delays] = np.minimum(cells * step, bounds[1])
         start = np.clip(start, low, high)
         low[still], high[still] = start[still], start[still]
-        return climb(evaluate_in(cells), start, low, high, stride=stride)
+        return climb(evaluate_in(cells), start, low, high, stride=stride, gain=gain)
 
     best, tried = highest(cells, theta), {tuple(cells)}
     while True:
         options = []
-        for j in np.flatnonzero(best.bound[delays] & ~still[delays]):
+        whole = best.theta[delays] / step
+        close = (gain > _GAIN) & (np.abs(whole - np.round(whole)) < _CLOSE)
+        for j in np.flatnonzero((best.bound[delays] | close) & ~still[delays]):
             D, beyond = best.theta[delays][j], cells.copy()
             beyond[j] += 1 if (cells[j] - 0.5) * step < D else -1
             reach = (beyond[j] - 1) * step < bounds[1] and beyond[j] * step > bounds[0]
             if reach and tuple(beyond) not in tried:
                 tried.add(tuple(beyond))
                 options.append((highest(beyond, best.theta), beyond))
-        better = [o for o in options if o[0].found.value > best.found.value + _GAIN]
+        better = [o for o in options if o[0].found.value > best.found.value + gain]
         if not better:
             return best, cells
         best, cells = max(better, key=lambda option: option[0].found.value)

@@ -115,7 +115,7 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
         said.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
             f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing, the "
-            "plant is not linear, or " + _last_cause(found, recording)
+            "plant is not linear, or " + _last_cause(found)
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
@@ -154,12 +154,11 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
     return said
 
 
-def _last_cause(found: Estimate, recording: Recording) -> str:
+def _last_cause(found: Estimate) -> str:
     """What else may leave residuals that are not white."""
     if found.noise.any():
         return "noise is not white."
-    hidden = len(recording.modes) > 1 and not recording.logged
-    return "sensors are noisy." if hidden else "sensors are noisy (noise=True)."
+    return "sensors are noisy (noise=True)."
 
 
 def _period(found: Estimate, recording: Recording) -> list[str]:

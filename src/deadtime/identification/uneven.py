@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part
+from deadtime.identification.recording import Part, Recording
 from deadtime.identification.regression import Term
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 
@@ -98,8 +98,7 @@ def uneven_terms(
 ) -> list[Term]:
     """The regressions of unevenly sampled logs, over the periods `good` of every part."""
     A, B, delays = layout.split(theta)
-    n, modes = layout.n, range(layout.modes)
-    size = n + nodes.size * (n + 2 * layout.m)
+    modes, size = range(layout.modes), layout.n + nodes.size * (layout.n + 2 * layout.m)
     roots, counts, block = (
         [np.zeros((0, size)) for _ in modes],
         [0] * len(modes),
@@ -108,20 +107,33 @@ def uneven_terms(
     for part, every in zip(parts, good, strict=True):
         for start in range(0, every.size, block):
             k = every[start : start + block]
-            length = part.time[k + 1] - part.time[k]
-            x = interpolation(nodes, length)[:, :, None] * part.output[k][:, None]
-            acts = (one.reshape(k.size, -1) for one in (x, *acting_in(part, k, delays, nodes)))
-            z = np.hstack((part.output[k + 1], *acts)) / np.sqrt(length / step)[:, None]
             for i in modes:
-                own = z[part.mode[k] == i]
-                counts[i] += len(own)
-                roots[i] = np.vstack((roots[i], own))
+                own = k[part.mode[k] == i]
+                counts[i] += own.size
+                rows = node_rows(part, own, delays[i], nodes, step)
+                roots[i] = np.vstack((roots[i], rows))
                 if len(roots[i]) > size:
                     roots[i] = np.asarray(np.linalg.qr(roots[i], mode="r"))
-    return [_term(roots[i], counts[i], layout, i, A[i], B[i], nodes) for i in modes]
+    return [node_term(roots[i], counts[i], layout, i, A[i], B[i], nodes) for i in modes]
 
 
-def _term(
+def node_rows(
+    part: Part,
+    k: np.ndarray,
+    delays: Float[np.ndarray, " m"],
+    nodes: Float[np.ndarray, " node"],
+    step: float,
+) -> Float[np.ndarray, "period z"]:
+    """z = (x_{k+1}, r_k) / √(τ_k/h) of periods k, all of one mode: r_k by the weights of nodes."""
+    length = part.time[k + 1] - part.time[k]
+    one = part._replace(mode=np.zeros(part.time.size, np.int64))
+    acts = acting_in(one, k, delays[None], nodes)
+    x = interpolation(nodes, length)[:, :, None] * part.output[k][:, None]
+    z = [part.output[k + 1], *(one.reshape(k.size, -1) for one in (x, acts.held, acts.moved))]
+    return np.hstack(z) / np.sqrt(length / step)[:, None]
+
+
+def node_term(
     root: np.ndarray,
     periods: int,
     layout: Layout,
@@ -130,6 +142,7 @@ def _term(
     B: np.ndarray,
     nodes: np.ndarray,
 ) -> Term:
+    """The regression of a mode on rows of `node_rows`."""
     n, m, count = layout.n, layout.m, nodes.size
     over = transitions_of(A, nodes)
     P = np.zeros((n, count, n + 2 * m))
@@ -165,3 +178,11 @@ def on_a_grid(part: Part, step: float) -> Part:
     before = np.searchsorted(part.time, time * (1.0 + 1e-15), side="right") - 1
     columns = [np.interp(time, part.time, column) for column in part.output.T]
     return Part(time, np.column_stack(columns), part.input[before], part.mode[before])
+
+
+def gridded(recording: Recording) -> Recording:
+    """A recording as if it were sampled evenly; itself where it is."""
+    if recording.even:
+        return recording
+    parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
+    return recording._replace(parts=parts, even=True)

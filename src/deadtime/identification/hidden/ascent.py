@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.cells import cells_of
 from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import Posterior, next_chain
+from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
 from deadtime.identification.hidden.regressions import rooted
-from deadtime.identification.regression import Lags, concentrated, even_terms, stacked
-from deadtime.identification.scoring import Evaluate, climb_cells
+from deadtime.identification.regression import Lags, Term, concentrated, even_terms, stacked
+from deadtime.identification.scoring import Evaluate, Evaluation, climb, climb_cells
 
 _GAIN = 1e-6  # of log likelihood that is still worth a step
 _STEPS = 400
+_FEW = 4  # steps up the plant of uneven rows for one of the modes
 _REACH = 3  # periods on either side of the delays in which they are looked for next
 
 
@@ -49,15 +49,15 @@ def ascended(
     regressions without a plant must not judge a plant that is near them alone: of little noise no
     period would seem to be of a mode.
     """
-    place, h, values = log.layout.at_delays, log.recording.step, []
+    values = []
     if found is None:
-        found = log.posterior(theta, cells_of(theta[place], h))
+        found = log.posterior(theta, log.cells(theta))
         values.append(found.value)
     for _ in range(_STEPS):
         if found.weight.sum(axis=0).min() < least:
             return None
         log, theta = _stepped(log, theta, found)
-        found = log.posterior(theta, cells_of(theta[place], h))
+        found = log.posterior(theta, log.cells(theta))
         values.append(found.value)
         if len(values) > 1 and values[-1] - values[-2] < _GAIN:
             break
@@ -67,12 +67,40 @@ def ascended(
 def _stepped(
     log: HiddenLog, theta: np.ndarray, found: Posterior
 ) -> tuple[HiddenLog, Float[np.ndarray, " size"]]:
-    """The next unknowns, S and P, given how likely each mode was."""
+    """The next unknowns, S and the chain, given how likely each mode was."""
+    periods = log.periods
+    if isinstance(periods, UnevenPeriods):
+        theta, terms = _climbed(log, periods, theta, found)
+    else:
+        theta, terms = _climbed_evenly(log, periods, theta, found)
+    S = concentrated(terms, log.layout.size)[1]
+    return replace(log, S=S, jumps=log.jumps.next(found.counts)), theta
+
+
+def _climbed(
+    log: HiddenLog, periods: UnevenPeriods, theta: np.ndarray, found: Posterior
+) -> tuple[Float[np.ndarray, " size"], list[Term]]:
+    """A few steps up of uneven rows: a rise is all that is asked for."""
+    low, high = log.limits
+    low[log.layout.at_delays], high[log.layout.at_delays] = periods.low, periods.high
+    none = np.zeros(0, np.int64)
+
+    def evaluate(vector: np.ndarray) -> Evaluation:
+        return concentrated(log.terms(vector, none, found.weight), log.layout.size)[0]
+
+    best = climb(evaluate, theta, low, high, steps=_FEW)
+    return best.theta, log.terms(best.theta, none, found.weight)
+
+
+def _climbed_evenly(
+    log: HiddenLog, periods: EvenPeriods, theta: np.ndarray, found: Posterior
+) -> tuple[Float[np.ndarray, " size"], list[Term]]:
+    """The maximum of even rows, from cell to cell."""
     layout, h, place = log.layout, log.recording.step, log.layout.at_delays
-    cells = cells_of(theta[place], h)
-    low = max(int(cells.min()) - 1 - _REACH, log.periods.first - 1)
-    high = min(int(cells.max()) + _REACH, log.periods.last)
-    each = zip(log.periods.parts, log.periods.usable, strict=True)
+    cells = log.cells(theta)
+    low = max(int(cells.min()) - 1 - _REACH, periods.first - 1)
+    high = min(int(cells.max()) + _REACH, periods.last)
+    each = zip(periods.parts, periods.usable, strict=True)
     z = np.vstack([stacked(part, k, low, high) for part, k in each])
     count = found.weight.sum(axis=0)
     lags = Lags([rooted(z, weight) for weight in found.weight.T], count, low, high)
@@ -83,6 +111,4 @@ def _stepped(
 
     window = max(log.bounds[0], low * h), min(log.bounds[1], high * h)
     best, cells = climb_cells(in_cells, theta, place, cells, h, window, log.limits)
-    terms = even_terms(lags, layout, h, layout.spread(cells), best.theta)
-    S = concentrated(terms, layout.size)[1]
-    return replace(log, S=S, chain=next_chain(found.pairs)), best.theta
+    return best.theta, even_terms(lags, layout, h, layout.spread(cells), best.theta)

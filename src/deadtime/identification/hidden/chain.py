@@ -2,7 +2,10 @@
 
 Sample k has the mode σ_k, and the period from it to the next one the density
 
-    b_k(i, j) = exp stay[k, i] if i = j else exp move[k, i],    p(σ) = first(σ_0) Π P(σ_k, σ_{k+1}).
+    b_k(i, j) = exp stay[k, i] if i = j else exp move[k, i, j],
+    p(σ) = first(σ_0) Π P_k(σ_k, σ_{k+1}),
+
+P_k the row kind[k] of `chain`: of uneven samples every period has its own.
 
 All is done in logarithms: densities of exact states may differ by e^{1e12}.
 """
@@ -16,26 +19,29 @@ import numpy as np
 from deadtime.numerics.kernels import kernel
 
 
-def smooth(stay, move, chain, first, same, node, pairs):
+def smooth(stay, move, chain, kind, first, same, node, pairs):
     """Forward and back: the log likelihood; and in place what each mode's probability was.
 
-    stay, move : (periods, modes), log densities; chain : (modes, modes), first : (modes,), logs of
-    probabilities. same : (periods, modes), of a period that begins and ends in a mode; node :
-    (periods + 1, modes), of each sample; pairs : (modes, modes), how many jumps are expected.
+    stay : (periods, modes), move : (periods, modes, modes), or (periods, modes, 1) where the mode
+    that a period ends in does not matter, log densities; chain : (kinds, modes, modes), first :
+    (modes,), logs of probabilities; kind : (periods,). same : (periods, modes), of a period that
+    begins and ends in a mode; node : (periods + 1, modes), of each sample; pairs : (kinds, modes,
+    modes), how many jumps are expected in periods of each kind.
     """
     ahead = np.empty(node.shape)
-    value = forward(stay, move, chain, first, ahead)
-    backward(stay, move, chain, ahead, same, node, pairs)
+    value = forward(stay, move, chain, kind, first, ahead)
+    backward(stay, move, chain, kind, ahead, same, node, pairs)
     return value
 
 
 @kernel
-def forward(stay, move, chain, first, ahead):
+def forward(stay, move, chain, kind, first, ahead):
     """The log likelihood; ahead (periods + 1, modes), in place, of each mode and all before it.
 
     Of each sample less the largest one, so that no digits are lost to the length of the log.
     """
     periods, modes = stay.shape
+    last = move.shape[2] - 1
     term = np.empty(modes)
     value, minus_infinity = 0.0, -np.inf
     for i in range(modes):
@@ -45,7 +51,8 @@ def forward(stay, move, chain, first, ahead):
         for j in range(modes):
             top = minus_infinity
             for i in range(modes):
-                term[i] = ahead[k, i] + chain[i, j] + (stay[k, i] if i == j else move[k, i])
+                term[i] = ahead[k, i] + chain[kind[k], i, j]
+                term[i] += stay[k, i] if i == j else move[k, i, min(j, last)]
                 top = max(top, term[i])
             total = 0.0
             for i in range(modes):
@@ -62,17 +69,20 @@ def forward(stay, move, chain, first, ahead):
 
 
 @kernel
-def backward(stay, move, chain, ahead, same, node, pairs):
+def backward(stay, move, chain, kind, ahead, same, node, pairs):
     """The probabilities of `smooth`, in place, from those `ahead`."""
     periods, modes = stay.shape
+    last = move.shape[2] - 1
     back, older, own = np.zeros(modes), np.zeros(modes), np.empty((modes, modes))
     minus_infinity = -np.inf
     total = 0.0
     for i in range(modes):
         node[periods, i] = math.exp(ahead[periods, i])
         total += node[periods, i]
-        for j in range(modes):
-            pairs[i, j] = 0.0
+    for k in range(pairs.shape[0]):
+        for i in range(modes):
+            for j in range(modes):
+                pairs[k, i, j] = 0.0
     for i in range(modes):
         node[periods, i] /= total
     for k in range(periods - 1, -1, -1):
@@ -80,7 +90,11 @@ def backward(stay, move, chain, ahead, same, node, pairs):
         for i in range(modes):
             most, after = minus_infinity, 0.0
             for j in range(modes):
-                own[i, j] = chain[i, j] + (stay[k, i] if i == j else move[k, i]) + back[j]
+                own[i, j] = (
+                    chain[kind[k], i, j]
+                    + (stay[k, i] if i == j else move[k, i, min(j, last)])
+                    + back[j]
+                )
                 most = max(most, own[i, j])
             for j in range(modes):
                 after += math.exp(own[i, j] - most)
@@ -97,39 +111,40 @@ def backward(stay, move, chain, ahead, same, node, pairs):
             for j in range(modes):
                 share = own[i, j] / total
                 node[k, i] += share
-                pairs[i, j] += share
+                pairs[kind[k], i, j] += share
             same[k, i] = own[i, i] / total
             back[i] = older[i] - largest
 
 
 @kernel
-def likeliest(stay, move, chain, first, path):
+def likeliest(stay, move, chain, kind, first, path):
     """Viterbi: the likeliest path (periods + 1,), in place, and its log probability.
 
     Of paths that are alike the one that stays.
     """
     periods, modes = stay.shape
+    last = move.shape[2] - 1
     best, after = np.empty(modes), np.empty(modes)
     came = np.zeros((periods, modes), np.int64)
     for i in range(modes):
         best[i] = first[i]
     for k in range(periods):
         for j in range(modes):
-            after[j] = best[j] + chain[j, j] + stay[k, j]
+            after[j] = best[j] + chain[kind[k], j, j] + stay[k, j]
             came[k, j] = j
             for i in range(modes):
                 if i != j:
-                    value = best[i] + chain[i, j] + move[k, i]
+                    value = best[i] + chain[kind[k], i, j] + move[k, i, min(j, last)]
                     if value > after[j]:
                         after[j] = value
                         came[k, j] = i
         for j in range(modes):
             best[j] = after[j]
-    last = 0
+    end = 0
     for i in range(modes):
-        if best[i] > best[last]:
-            last = i
-    path[periods] = last
+        if best[i] > best[end]:
+            end = i
+    path[periods] = end
     for k in range(periods - 1, -1, -1):
         path[k] = came[k, path[k + 1]]
-    return best[last]
+    return best[end]

@@ -14,8 +14,10 @@ import numpy as np
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.hidden.ascent import Ascent, ascended
+from deadtime.identification.hidden.jumps import Counts, Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
-from deadtime.identification.hidden.periods import Periods, Pooled, Posterior
+from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
+from deadtime.identification.hidden.pooled import PooledPlant, PooledRegression
 from deadtime.identification.hidden.regressions import (
     Regressions,
     climbed,
@@ -26,11 +28,12 @@ from deadtime.identification.hidden.regressions import (
     scanned,
 )
 from deadtime.identification.hidden.starts import drawn_start, first_cells, stretches_of
-from deadtime.identification.maximum import window_of
+from deadtime.identification.maximum import ExactLog, maximise, window_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
-from deadtime.identification.start import cell_range, plant_of
-from deadtime.identification.uneven import nodes_for
+from deadtime.identification.regression import concentrated
+from deadtime.identification.start import cell_range, plant_of, start_of
+from deadtime.identification.uneven import gridded, nodes_for
 
 _STARTS = 12
 _SHORT = 12  # steps of each start, with one covariance for all modes
@@ -39,30 +42,70 @@ _KEPT = 3
 _ALIKE = 5.0  # of log likelihood: starts so close after a few steps lead to the same
 
 
+class Search(NamedTuple):
+    """A recording and its periods; and the same on a grid, where searches begin."""
+
+    recording: Recording
+    periods: EvenPeriods | UnevenPeriods
+    grid: Recording
+    even: EvenPeriods
+    bounds: tuple[float, float]
+
+
 class Fitted(NamedTuple):
-    """The likeliest plant of a number of modes, BIC, and how many starts led there."""
+    """The likeliest plant of a number of modes, BIC, and how many starts led there.
+
+    grid : the likelihood of the recording on a grid; of even rows that of the ascent
+    """
 
     layout: Layout
     ascent: Ascent
+    grid: HiddenLog
     bic: float
     agreed: int
     starts: int
 
 
-def periods_of(
+def search_of(
     recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
-) -> Periods:
-    """The usable periods of a recording, with the density of one regression for all."""
-    first, last = cell_range(recording.step, bounds, layout.m)
-    periods = Periods.of(recording.parts, first, last, None)
-    one = Layout(1, layout.n, layout.m, per_mode=False)
+) -> Search:
+    """The usable periods of a recording, with the density of one model for all modes."""
+    grid, one = gridded(recording), Layout(1, layout.n, layout.m, per_mode=False)
+    even = _even_periods(grid, one, bounds, within)
+    if recording.even:
+        return Search(recording, even, grid, even, bounds)
+    pooled = _one_plant(recording, grid, one, bounds) if even.within else None
+    periods = UnevenPeriods.between(recording.parts, *bounds, pooled, recording.step)
+    return Search(recording, periods, grid, even, bounds)
+
+
+def _even_periods(
+    recording: Recording, one: Layout, bounds: tuple[float, float], within: bool
+) -> EvenPeriods:
+    """Those of even rows, with one regression for all modes."""
+    first, last = cell_range(recording.step, bounds, one.m)
+    periods = EvenPeriods.of(recording.parts, first, last, None)
     stretches = stretches_of(periods, one)
     if not within or stretches is None:
         return periods
     cells = first_cells(periods, stretches, one)
     z = periods.rows(cells)
-    pooled = Pooled(*regressed(rooted(z, np.ones(len(z))), layout.n, float(len(z))), cells)
-    return replace(periods, pooled=pooled)
+    pooled = regressed(rooted(z, np.ones(len(z))), one.n, float(len(z)))
+    return replace(periods, pooled=PooledRegression(*pooled, cells))
+
+
+def _one_plant(
+    recording: Recording, grid: Recording, one: Layout, bounds: tuple[float, float]
+) -> PooledPlant:
+    """The plant of one mode that uneven rows are likeliest of."""
+    start = start_of(grid, one, bounds, within=False)
+    A, _, _ = one.split(start.theta)
+    log = ExactLog(recording, one, False, bounds, nodes_for(recording.parts, A))
+    best, window = maximise(log, start.theta)
+    terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
+    A, B, delays = one.split(best.theta)
+    S = concentrated(terms, one.size)[1]
+    return PooledPlant(A[0], B[0], delays[0], S[0], log.nodes, recording.step)
 
 
 def refined(fit: Fitted) -> Fitted:
@@ -73,7 +116,7 @@ def refined(fit: Fitted) -> Fitted:
     return fit if ascent is None else fit._replace(ascent=ascent)
 
 
-def require_periods(periods: Periods, layout: Layout) -> None:
+def require_periods(periods: EvenPeriods, layout: Layout) -> None:
     """Refuse more modes than the log has periods for."""
     least = layout.least_periods * layout.modes
     if periods.count < least or stretches_of(periods, layout) is None:
@@ -87,32 +130,32 @@ def require_periods(periods: Periods, layout: Layout) -> None:
         )
 
 
-def fitted(
-    recording: Recording,
-    periods: Periods,
-    layout: Layout,
-    bounds: tuple[float, float],
-    seed: int = 0,
-) -> Fitted:
-    """The likeliest plant of as many modes as the layout has; `bounds` of its delays, seconds.
+def fitted(search: Search, layout: Layout, seed: int = 0) -> Fitted:
+    """The likeliest plant of as many modes as the layout has.
 
     Raises
     ------
     ArgumentError
         If the log is too short for so many, or each start leaves a mode with next to no period.
     """
-    require_periods(periods, layout)
-    found, agreed, starts = _best_regressions(periods, layout, np.random.default_rng(seed))
+    require_periods(search.even, layout)
+    found, agreed, starts = _best_regressions(search.even, layout, np.random.default_rng(seed))
     for model, begin in found:
-        theta = plant_of(list(model.P), model.cells, model.weight, layout, recording.step, bounds)
-        nodes = nodes_for(recording.parts, layout.split(theta)[0])
-        log = HiddenLog(recording, layout, bounds, nodes, periods, model.S, model.chain)
-        ascent = ascended(log, theta, layout.least_periods, begin)
-        if ascent is not None:
-            unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
-            unknowns += layout.modes * (layout.modes - 1)
-            bic = unknowns * float(np.log(periods.count)) - 2.0 * ascent.found.value
-            return Fitted(layout, ascent, bic, agreed, starts)
+        theta = plant_of(
+            list(model.P), model.cells, model.weight, layout, search.grid.step, search.bounds
+        )
+        nodes = nodes_for(search.recording.parts, layout.split(theta)[0])
+        given = search.grid, layout, search.bounds, nodes, search.even, model.S, model.jumps
+        ascent = ascended(HiddenLog(*given), theta, layout.least_periods, begin)
+        if ascent is None:
+            continue
+        grid = ascent.log
+        if not search.recording.even and (ascent := _off_the_grid(search, ascent)) is None:
+            continue
+        unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
+        unknowns += layout.modes * (layout.modes - 1)
+        bic = unknowns * float(np.log(search.periods.count)) - 2.0 * ascent.found.value
+        return Fitted(layout, ascent, grid, bic, agreed, starts)
     raise ArgumentError(
         f"modes = {layout.modes} is too many for this log: from each of {starts} starts a mode is "
         f"left with less than the {layout.least_periods} periods that its matrices cost: ask for "
@@ -120,8 +163,24 @@ def fitted(
     )
 
 
+def _off_the_grid(search: Search, ascent: Ascent) -> Ascent | None:
+    """The maximum of uneven rows, from that of the recording on a grid."""
+    grid, theta, periods = ascent.log, ascent.theta, search.periods
+    nodes, weight = nodes_for(search.recording.parts, grid.layout.split(theta)[0]), []
+    each = zip(periods.parts, periods.usable, search.grid.parts, ascent.found.node, strict=True)
+    for part, k, even, node in each:
+        middle = 0.5 * (part.time[k] + part.time[k + 1])
+        weight.append(np.column_stack([np.interp(middle, even.time, own) for own in node.T]))
+    step, counts = search.recording.step, ascent.found.counts
+    counts = Counts(counts.jumps, counts.spent * step)
+    jumps = Jumps.of(grid.jumps.matrix, step, rates=True)
+    log = HiddenLog(search.recording, grid.layout, search.bounds, nodes, periods, grid.S, jumps)
+    begin = Posterior(ascent.found.value, np.vstack(weight), counts, ascent.found.node)
+    return ascended(log, theta, grid.layout.least_periods, begin)
+
+
 def _best_regressions(
-    periods: Periods, layout: Layout, rng: np.random.Generator
+    periods: EvenPeriods, layout: Layout, rng: np.random.Generator
 ) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
     """Those that the best starts lead to, the likeliest first; how many starts led there, of all.
 
@@ -147,7 +206,7 @@ def _best_regressions(
 
 
 def _in_best_cells(
-    periods: Periods, model: Regressions, layout: Layout
+    periods: EvenPeriods, model: Regressions, layout: Layout
 ) -> tuple[Regressions, Posterior] | None:
     """Regressions with a covariance of each mode, in the cells that are likeliest then."""
     least, tried = layout.least_periods, set()
@@ -160,4 +219,5 @@ def _in_best_cells(
         cells, _ = scanned(periods, posterior.weight, model.cells, layout)
         if cells.tobytes() in tried:
             return model, posterior
-        model = maximised(rows_of_modes(periods, cells), posterior, cells, common=False)
+        rows = rows_of_modes(periods, cells)
+        model = maximised(rows, posterior, model.jumps, cells, common=False)

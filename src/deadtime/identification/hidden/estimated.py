@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,16 +10,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.choice import Fitted
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.information import Information, information_of
 from deadtime.identification.hidden.likelihood import HiddenLog
+from deadtime.identification.hidden.noisy_choice import NoisyFit
+from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.regressions import scanned
 from deadtime.identification.intervals import spread_of
 from deadtime.identification.noise import continuous
+from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.scoring import Maximum
@@ -30,14 +33,26 @@ class Decoded(NamedTuple):
     """A likelihood and unknowns whose modes are in the order of the path, and that path.
 
     log.recording : with the path as its modes; theta, cells : unknowns, and cells of the delays
+    grid : the likelihood on a grid
     """
 
+    fit: Fitted
     log: HiddenLog
     theta: Float[np.ndarray, " size"]
     cells: Int[np.ndarray, " delay"]
+    grid: HiddenLog
 
 
-def decoded(fit: Fitted, recording: Recording) -> Decoded:
+class Said(NamedTuple):
+    """Of the modes: how likely each was, their chain, the way up, and how much intervals widen."""
+
+    node: list[Float[np.ndarray, "sample mode"]]
+    chain: Float[np.ndarray, "mode mode"]
+    values: Float[np.ndarray, " step"]
+    widening: float
+
+
+def decoded(fit: Fitted) -> Decoded:
     """The likeliest path, modes in the order in which it visits them.
 
     Raises
@@ -46,8 +61,26 @@ def decoded(fit: Fitted, recording: Recording) -> Decoded:
         If it leaves a mode out.
     """
     log, theta, layout = fit.ascent.log, fit.ascent.theta, fit.layout
-    cells = cells_of(theta[layout.at_delays], recording.step)
-    paths = log.periods.path(log.densities(theta, cells), log.chain)
+    recording = log.recording
+    paths = log.path(theta, log.cells(theta))
+    order, record = ordered_by_path(paths, recording, layout)
+    A, B, D = layout.split(theta)
+    theta = layout.join(A[order], B[order], D[order])
+    log = replace(log, recording=record, S=log.S[order], jumps=log.jumps.ordered(order))
+    grid = replace(fit.grid, S=fit.grid.S[order], jumps=fit.grid.jumps.ordered(order))
+    return Decoded(fit, log, theta, log.cells(theta), grid)
+
+
+def ordered_by_path(
+    paths: list[Int[np.ndarray, " sample"]], recording: Recording, layout: Layout
+) -> tuple[Int[np.ndarray, " mode"], Recording]:
+    """Modes in the order in which paths visit them, and the recording with these as its modes.
+
+    Raises
+    ------
+    ArgumentError
+        If the paths leave a mode out.
+    """
     seen, first = np.unique(np.concatenate(paths), return_index=True)
     if seen.size < layout.modes:
         raise ArgumentError(
@@ -56,21 +89,14 @@ def decoded(fit: Fitted, recording: Recording) -> Decoded:
         )
     order = seen[np.argsort(first)]
     back = np.argsort(order)
-    parts = tuple(
-        part._replace(mode=back[path]) for part, path in zip(recording.parts, paths, strict=True)
-    )
-    names = tuple(map(str, range(layout.modes)))
-    record = recording._replace(parts=parts, modes=names)
-    A, B, D = layout.split(theta)
-    theta = layout.join(A[order], B[order], D[order])
-    chain = log.chain[np.ix_(order, order)]
-    log = replace(log, recording=record, S=log.S[order], chain=chain)
-    return Decoded(log, theta, cells_of(theta[layout.at_delays], recording.step))
+    each = zip(recording.parts, paths, strict=True)
+    parts = tuple(part._replace(mode=back[path]) for part, path in each)
+    return order, recording._replace(parts=parts, modes=tuple(map(str, range(layout.modes))))
 
 
-def estimated(found: Decoded) -> tuple[Estimate, Information]:
-    """The estimate, and what not knowing the modes takes from the information."""
-    log, theta, cells = found
+def estimated(found: Decoded) -> tuple[Estimate, Said]:
+    """The estimate, and what there is to say of the modes."""
+    _, log, theta, cells, grid = found
     layout, record = log.layout, log.recording
     posterior = log.posterior(theta, cells)
     best = Maximum(theta, log.evaluate(theta, cells), np.zeros(theta.size, bool))
@@ -80,14 +106,9 @@ def estimated(found: Decoded) -> tuple[Estimate, Information]:
     share = np.sqrt(layout.of_each(spare) / layout.of_each(counts))
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
-    whole = log.over(*log.bounds)  # other peaks may lie far from the delays found
-    weight = whole.posterior(theta, cells).weight
-    _, curves = scanned(whole.periods, weight, layout.spread(cells), layout)
-    start = Start(theta, cells, whole.periods.first, curves)
+    start = start_of_grid(grid, theta)
     A, B, delays = layout.split(theta)
-    h = record.step
-    window = max(log.bounds[0], (log.periods.first - 1) * h), log.periods.last * h
-    window = window[0], min(log.bounds[1], window[1])
+    window = log.window
     intervals, several = delay_intervals(log, best, window, spread, start)
     plant = SwitchedSystem(A, B, delays)
     covariances = log.S * (counts / spare)[:, None, None]
@@ -106,27 +127,43 @@ def estimated(found: Decoded) -> tuple[Estimate, Information]:
         start,
         continuous(A, covariances, record.step),
         np.zeros(layout.n),
-        spare.astype(np.int64),
+        np.maximum(spare * told.of_noise, 1.0).astype(np.int64),
         judge_residuals(white, record, float(delays.max())),
         tuple(white),
     )
-    return estimate, told
+    said = Said(posterior.node, log.jumps.chain, found.fit.ascent.values, widening_of(told))
+    return estimate, said
 
 
-def hidden_modes(fit: Fitted, fits: list[Fitted], found: Decoded, told: Information) -> HiddenModes:
-    """What there is to say of the modes; `fits` are those of all numbers tried."""
-    log, theta, cells = found
-    posterior, parts = log.posterior(theta, cells), log.recording.parts
+def start_of_grid(grid: HiddenLog, theta: Float[np.ndarray, " size"]) -> Start:
+    """What other cells of the delays would be like: other peaks may lie far from those found."""
+    whole, cells, layout = grid.over(*grid.bounds), grid.cells(theta), grid.layout
+    periods, weight = whole.periods, whole.posterior(theta, cells).weight
+    if not isinstance(periods, EvenPeriods):
+        raise ArgumentError("grid must be even.")
+    _, curves = scanned(periods, weight, layout.spread(cells), layout)
+    return Start(theta, cells, periods.first, curves)
+
+
+def widening_of(told: Information) -> float:
+    """How many times longer than with known modes the longest interval is."""
     errors = [np.diagonal(np.linalg.inv(F)) for F in (told.left, told.known)]
+    return float(np.sqrt((errors[0] / errors[1]).max()))
+
+
+def hidden_modes(
+    fits: Sequence[Fitted] | Sequence[NoisyFit], best: Fitted, recording: Recording, said: Said
+) -> HiddenModes:
+    """What there is to say of the modes; `fits` are those of all numbers tried."""
     return HiddenModes(
-        np.concatenate([part.time for part in parts]),
-        np.concatenate([part.mode for part in parts]),
-        np.vstack(posterior.node),
-        log.chain,
+        np.concatenate([part.time for part in recording.parts]),
+        np.concatenate([part.mode for part in recording.parts]),
+        np.vstack(said.node),
+        said.chain,
         np.array([one.layout.modes for one in fits]),
         np.array([one.bic for one in fits]),
-        fit.ascent.values,
-        fit.starts,
-        fit.agreed,
-        float(np.sqrt((errors[0] / errors[1]).max())),
+        said.values,
+        best.starts,
+        best.agreed,
+        said.widening,
     )

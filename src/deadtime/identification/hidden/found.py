@@ -25,12 +25,13 @@ class HiddenModes(Frozen):
     probability : (samples, modes) array
         Of every mode in every row, given all of the log.
     chain : (modes, modes) array
-        Probabilities of a switch from one row to the next.
+        Probabilities of a switch from one row to the next; of uneven rows within a sampling period.
     numbers, bic : (fits,) arrays
         The numbers of modes that were tried, and Bayes' information criterion of each; less is
         better. Those that the log is too short for are left out.
     likelihoods : (steps,) array
-        The log likelihood after every step of expectation–maximisation; it never falls.
+        The log likelihood after every step of expectation–maximisation, which never falls; with
+        noisy sensors after every round.
     starts, agreed : int
         How many starts were tried, and how many led to the likeliest.
     widening : float

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import number_of
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.choice import Fitted, fitted, periods_of, refined
+from deadtime.identification.hidden.choice import Fitted, fitted, refined, search_of
 from deadtime.identification.hidden.estimated import decoded, estimated, hidden_modes
 from deadtime.identification.hidden.found import HiddenModes
+from deadtime.identification.hidden.noisy_choice import (
+    NoisyFit,
+    fitted_with_noise,
+)
+from deadtime.identification.hidden.noisy_estimated import (
+    decoded_with_noise,
+    estimated_with_noise,
+)
+from deadtime.identification.hidden.words import Tried, of_numbers, of_sureness
 from deadtime.identification.logged_modes import fit_switching
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
@@ -21,6 +31,8 @@ from deadtime.numerics.kernels import expect_many_calls
 from deadtime.switching import SemiMarkov
 
 _CERTAIN = 1e-12  # a stay of so nearly all probability is never left
+_Fit = TypeVar("_Fit", Fitted, NoisyFit)
+_Found = TypeVar("_Found")
 
 
 class Hidden(NamedTuple):
@@ -38,8 +50,20 @@ class Hidden(NamedTuple):
     sentences: tuple[str, ...]
 
 
+class Sensed(NamedTuple):
+    """A recording of the states; the same as it was logged, y = C x; and whether sensors are noisy.
+
+    noise : None where that is to be tried if what is left without is not white
+    """
+
+    states: Recording
+    outputs: Recording
+    C: Float[np.ndarray, "p n"]
+    noise: bool | None
+
+
 def identify_hidden(
-    recording: Recording,
+    sensed: Sensed,
     numbers: tuple[int, ...],
     layout: Layout,
     bounds: tuple[float, float],
@@ -47,32 +71,93 @@ def identify_hidden(
 ) -> Hidden:
     """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC."""
     expect_many_calls()
-    periods = periods_of(recording, layout, bounds, within)
+    search = search_of(sensed.states, layout, bounds, within)
     fits, refused = [], None
     for number in numbers:
         try:
-            fits.append(fitted(recording, periods, replace(layout, modes=number), bounds))
+            fits.append(fitted(search, replace(layout, modes=number)))
         except ArgumentError as error:
             if not fits:
                 raise
             refused = error
             break  # more are too many, too
-    asked = list(fits)
     if len(numbers) == 1 and numbers[0] > 1:  # do fewer explain the log as well?
         fewer = replace(layout, modes=numbers[0] - 1)
         with suppress(ArgumentError):
-            fits.insert(0, fitted(recording, periods, fewer, bounds))
-    best = min(asked, key=lambda one: one.bic)
-    said = _numbers(best, fits, numbers, refused)
-    if best.layout.modes == 1:
+            fits.insert(0, fitted(search, fewer))
+    if not sensed.noise:
+        found = _without_noise(Tried(fits, numbers, refused), sensed.states, within)
+        white = found.estimate is None or found.estimate.tests.white
+        if white or sensed.noise is False:
+            return found
+    noisy, errors = [], []
+    for fit in fits:
+        try:
+            noisy.append(fitted_with_noise(fit, search, sensed.outputs, sensed.C))
+        except ArgumentError as error:
+            errors.append(error)
+    if not any(one.layout.modes in numbers for one in noisy):
+        raise errors[-1]
+    return _with_noise(Tried(noisy, numbers, refused), sensed.outputs, within)
+
+
+def _without_noise(tried: Tried[Fitted], recording: Recording, within: bool) -> Hidden:
+    """The best of fits of exact states."""
+    best, found, left_out = _chosen(tried, lambda fit: decoded(refined(fit)))
+    said = of_numbers(best.layout.modes, tried, left_out)
+    if found is None:
         return Hidden(1, None, None, recording, None, "", said)
-    best = refined(best)
-    found = decoded(best, recording)
-    estimate, told = estimated(found)
-    modes = hidden_modes(best, fits, found, told)
-    model, why = _switching(found.log.recording, modes.chain)
-    said = (*said, *_sureness(modes, within))
-    return Hidden(best.layout.modes, estimate, modes, found.log.recording, model, why, said)
+    estimate, of_modes = estimated(found)
+    modes = hidden_modes(tried.fits, best, found.log.recording, of_modes)
+    return _whole(estimate, modes, found.log.recording, said, within)
+
+
+def _with_noise(tried: Tried[NoisyFit], recording: Recording, within: bool) -> Hidden:
+    """The best of fits of noisy sensors."""
+    best, found, left_out = _chosen(tried, decoded_with_noise)
+    said = of_numbers(best.layout.modes, tried, left_out)
+    if found is None:
+        return Hidden(1, None, None, recording, None, "", said)
+    estimate, of_modes = estimated_with_noise(found)
+    modes = hidden_modes(tried.fits, best.fit, found.recording, of_modes)
+    return _whole(estimate, modes, found.recording, said, within)
+
+
+def _chosen(
+    tried: Tried[_Fit], decode: Callable[[_Fit], _Found]
+) -> tuple[_Fit, _Found | None, list[int]]:
+    """The fit of least BIC whose likeliest path visits all modes, and what that path makes of it.
+
+    And the numbers of modes that have less BIC, but no such path. One mode needs none.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such fit.
+    """
+    asked = [fit for fit in tried.fits if fit.layout.modes in tried.numbers]
+    *order, last = sorted(asked, key=lambda one: one.bic)
+    left_out = []
+    for fit in order:
+        if fit.layout.modes == 1:
+            return fit, None, left_out
+        with suppress(ArgumentError):
+            return fit, decode(fit), left_out
+        left_out.append(fit.layout.modes)
+    return last, None if last.layout.modes == 1 else decode(last), left_out
+
+
+def _whole(
+    estimate: Estimate,
+    modes: HiddenModes,
+    recording: Recording,
+    said: Sequence[str],
+    within: bool,
+) -> Hidden:
+    """With the model of how modes switch."""
+    model, why = _switching(recording, modes.chain)
+    said = (*said, *of_sureness(modes, within))
+    return Hidden(len(modes.chain), estimate, modes, recording, model, why, said)
 
 
 def _switching(recording: Recording, chain: np.ndarray) -> tuple[SemiMarkov | None, str]:
@@ -86,43 +171,3 @@ def _switching(recording: Recording, chain: np.ndarray) -> tuple[SemiMarkov | No
     jumps = chain * ~np.eye(len(chain), dtype=bool)
     sojourns = [expon(scale=recording.step / one) for one in leave]
     return SemiMarkov(sojourns, jumps / jumps.sum(axis=1, keepdims=True)), ""
-
-
-def _numbers(
-    best: Fitted, fits: list[Fitted], numbers: tuple[int, ...], refused: ArgumentError | None
-) -> tuple[str, ...]:
-    """What there is to say of the number of modes."""
-    number, bic = best.layout.modes, {one.layout.modes: one.bic for one in fits}
-    table = ", ".join(f"{bic[one]:.1f} with {one}" for one in sorted(bic) if one in numbers)
-    said = []
-    if len(numbers) > 1:
-        most = number_of(number, "mode")
-        row = len(numbers) == numbers[-1] - numbers[0] + 1
-        tried = f"{numbers[0]} to {numbers[-1]}" if row else ", ".join(map(str, numbers))
-        said.append(f"{most} of {tried}: BIC is least, {table}.")
-        if number == max(bic) and number > 1 and refused is None:
-            said.append("More might do better still: let the numbers go on.")
-    elif number > 1 and bic.get(number - 1, np.inf) < best.bic:
-        fewer = number_of(number - 1, "mode")
-        said.append(
-            f"{fewer} explain{'s' if number == 2 else ''} the log better (BIC "
-            f"{bic[number - 1]:.1f}, against {best.bic:.1f} with {number}): two of the modes are "
-            "alike, or the log does not tell them apart, and their matrices are fitted to chance. "
-            f"Say modes={number - 1}."
-        )
-    if len(numbers) > 1 and refused is not None:
-        said.append(f"Others were not tried: {refused}")
-    return tuple(said)
-
-
-def _sureness(modes: HiddenModes, within: bool) -> tuple[str, ...]:
-    """How sure the modes are, and what is taken for granted."""
-    longer = 100.0 * (modes.widening - 1.0)
-    said = [
-        "Modes were not logged; they are numbered as the likeliest path visits them. "
-        f"{100.0 * modes.sure:.0f} % of rows have one that is at least 95 % sure; not knowing them "
-        f"makes intervals up to {longer:.0f} % longer.",
-    ]
-    if not within:
-        said.append("Modes are taken to change at samples only.")
-    return tuple(said)

@@ -29,12 +29,14 @@ class Information(NamedTuple):
     """Of θ: with S and P held, and with these estimated; and that if the modes were known.
 
     told : the least share, over all directions, of what is left of the last
+    of_noise : (modes,), the least share that is left of what would be told of S's diagonal
     """
 
     held: Float[np.ndarray, "size size"]
     left: Float[np.ndarray, "size size"]
     known: Float[np.ndarray, "size size"]
     told: float
+    of_noise: Float[np.ndarray, " mode"]
 
 
 class _Noise:
@@ -44,8 +46,7 @@ class _Noise:
         self.log, n = log, log.layout.n
         self.i, self.j = np.tril_indices(n)
         self.L = np.linalg.cholesky(log.S)
-        stays = np.eye(log.layout.modes, dtype=bool)
-        self.jumps = np.argwhere((log.chain > _NEVER) & ~stays)
+        self.jumps = log.jumps.likelier(_NEVER)
 
     @property
     def size(self) -> int:
@@ -59,12 +60,31 @@ class _Noise:
         shift = eta[:cut].reshape(len(self.L), -1)
         M[:, self.i, self.j] += shift
         M[:, self.j, self.i] += np.where(self.i == self.j, 0.0, shift)
-        odds = np.ones(self.log.chain.shape)
+        odds = np.ones(self.log.jumps.matrix.shape)
         for (i, j), change in zip(self.jumps, eta[cut:], strict=True):
             odds[i, j] = np.exp(change)
-        chain = self.log.chain * odds
-        chain /= chain.sum(axis=1, keepdims=True)
-        return replace(self.log, S=self.L @ M @ self.L.transpose(0, 2, 1), chain=chain)
+        S = self.L @ M @ self.L.transpose(0, 2, 1)
+        return replace(self.log, S=S, jumps=self.log.jumps.scaled(odds))
+
+    @property
+    def known(self) -> Float[np.ndarray, "M M"]:
+        """The information on M if the modes were known, per period."""
+        return np.diag(np.where(self.i == self.j, 0.5, 1.0))
+
+    def shares(
+        self, J: Float[np.ndarray, "M M"], counts: Float[np.ndarray, " mode"]
+    ) -> Float[np.ndarray, " mode"]:
+        """Of the information on log S_aa that is left of known modes', the least of all a."""
+        known = np.kron(np.diag(counts), self.known)
+        covariance, own = np.linalg.inv(lifted(J, known)[0]), self.i.size
+        found = np.empty(len(self.L))
+        for mode, L in enumerate(self.L):
+            twice = np.where(self.i == self.j, 1.0, 2.0)
+            slope = twice * L[:, self.i] * L[:, self.j] / (L**2).sum(axis=1)[:, None]
+            at = slice(mode * own, (mode + 1) * own)
+            spread = np.einsum("as,st,at->a", slope, covariance[at, at], slope)
+            found[mode] = (2.0 / counts[mode] / spread).min()
+        return found
 
     def score(self, theta: np.ndarray, eta: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """The score in θ and in these."""
@@ -78,7 +98,7 @@ class _Noise:
             slope = 0.5 * (back @ (e @ e.T) @ back - total * back)
             twice = np.where(self.i == self.j, 1.0, 2.0)
             parts.append(twice * slope[self.i, self.j])
-        leave = found.pairs - found.pairs.sum(axis=1, keepdims=True) * log.chain
+        leave = log.jumps.slope(found.counts)
         return np.concatenate((*parts, [leave[i, j] for i, j in self.jumps]))
 
 
@@ -92,7 +112,8 @@ def information_of(
     coarse = (_SMALL * unit).min() < _ROUND_OFF * np.abs(theta).max()
     coarse |= np.linalg.eigvalsh(known * unit * unit[:, None])[0] < _FAINT
     if coarse or (weight * (1.0 - weight)).sum() < _CERTAIN:
-        return Information(known, known, known, 1.0)  # of no noise differences tell nothing
+        # of no noise differences tell nothing
+        return Information(known, known, known, 1.0, np.ones(log.layout.modes))
     of_S = np.repeat(1.0 / np.sqrt(weight.sum(axis=0)), noise.i.size)
     steps = _SMALL * np.concatenate((unit, of_S, np.full(len(noise.jumps), 0.3)))
     size = theta.size
@@ -104,14 +125,26 @@ def information_of(
         down = noise.score(theta - moved[:size], -moved[size:], cells)
         J[a] = (down - up) / (2.0 * step)
     J = 0.5 * (J + J.T)
-    held, cross, own = J[:size, :size], J[:size, size:], J[size:, size:]
-    left = held - cross @ np.linalg.pinv(own, rcond=1e-12, hermitian=True) @ cross.T
-    held, _ = _lifted(held, known)
-    left, told = _lifted(left, known)
-    return Information(held, left, known, told)
+    held, _ = lifted(J[:size, :size], known)
+    left, told = lifted(left_of(J, np.arange(size)), known)
+    of_noise = left_of(J, np.arange(size, steps.size - len(noise.jumps)))
+    return Information(held, left, known, told, noise.shares(of_noise, weight.sum(axis=0)))
 
 
-def _lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
+def left_of(J: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Schur's complement: what is left of the information on some unknowns, the others estimated.
+
+    Of scaled unknowns, so that units do not matter to what counts as no information.
+    """
+    rest = np.setdiff1d(np.arange(len(J)), of)
+    unit = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(J)), 1e-300))
+    scaled = J * unit[:, None] * unit
+    cross, own = scaled[np.ix_(of, rest)], scaled[np.ix_(rest, rest)]
+    left = scaled[np.ix_(of, of)] - cross @ np.linalg.pinv(own, 1e-12, hermitian=True) @ cross.T
+    return left / unit[of, None] / unit[of]
+
+
+def lifted(J: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
     """J with some share, up to all, of what known modes would give in every direction; the least.
 
     More it cannot be, but for what differences and one log's own curvature add.

@@ -1,14 +1,14 @@
-"""The periods of an evenly sampled log from which modes are told, and the chain over them.
+"""The periods of a log from which modes are told, and the chain over them.
 
-In each mode a period is normal about what the mode foretells, e = x_{k+1} − P_i r_k ~ N(0, S_i),
-r_k = (x_k, u_{k−N}, u_{k−N+1}). With `within` the mode may change at any time: a period that begins
-and ends in other modes has a density that no unknown is in, that of one regression for all modes.
-Without it the mode of a row holds for its period. A period of which something is missing says
-nothing, and the chain goes on.
+In each mode a period is normal about what the mode foretells, e = x_{k+1} − P_i r_k ~ N(0, S_i).
+With a `pooled` model the mode may change at any time: a period that begins and ends in other modes
+has the density of that, in which no unknown is. Without it the mode of a row holds for its period.
+A period of which something is missing says nothing, and the chain goes on.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -19,10 +19,11 @@ from jaxtyping import Float, Int
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.hidden.chain import likeliest, smooth
+from deadtime.identification.hidden.jumps import Counts, Jumps
+from deadtime.identification.hidden.pooled import Pooled, PooledPlant, PooledRegression, cell_rows
 from deadtime.identification.recording import Part
 from deadtime.identification.regression import rows_of
-
-_FLOOR = 1e-300  # of a probability, whose logarithm is taken
+from deadtime.identification.uneven import node_rows, usable
 
 
 class Posterior(NamedTuple):
@@ -30,45 +31,26 @@ class Posterior(NamedTuple):
 
     value : log likelihood
     weight : (periods, modes), how likely each usable period was in a mode from end to end
-    pairs : (modes, modes), how many jumps are expected
+    counts : the jumps that are expected
     node : of every part (samples, modes), how likely each mode was
     """
 
     value: float
     weight: Float[np.ndarray, "period mode"]
-    pairs: Float[np.ndarray, "mode mode"]
+    counts: Counts
     node: list[Float[np.ndarray, "sample mode"]]
-
-
-class Pooled(NamedTuple):
-    """One regression for all modes, in the cells that its inputs have, (m,)."""
-
-    P: Float[np.ndarray, "n r"]
-    S: Float[np.ndarray, "n n"]
-    cells: Int[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
 class Periods(Frozen):
     """The periods k of every part that are usable whatever the delays in a range are.
 
-    first, last : cells of the range
-    pooled : the density of periods within which the mode changes; None if it does at samples only
+    pooled : of periods within which the mode changes; None if it does at samples only
     """
 
     parts: tuple[Part, ...]
     usable: tuple[Int[np.ndarray, " period"], ...]
-    first: int
-    last: int
     pooled: Pooled | None
-
-    @classmethod
-    def of(cls, parts: tuple[Part, ...], first: int, last: int, pooled: Pooled | None) -> Periods:
-        """Those of parts, for delays in a range of cells and in those of the one regression."""
-        if pooled is not None:
-            first, last = min(first, *pooled.cells.tolist()), max(last, *pooled.cells.tolist())
-        usable = tuple(rows_of(part, first - 1, last, within=False) for part in parts)
-        return cls(parts, usable, first, last, pooled)
 
     @property
     def count(self) -> int:
@@ -85,82 +67,120 @@ class Periods(Frozen):
         """The log density of periods within which the mode changes."""
         if self.pooled is None:
             return read_only(np.zeros(self.count))
-        P, S, cells = self.pooled
-        return read_only(log_density(self.rows(cells), P, S))
+        each = zip(self.parts, self.usable, strict=True)
+        return read_only(np.concatenate([self.pooled.density(part, k) for part, k in each]))
 
-    def rows(self, cells: Int[np.ndarray, " m"]) -> Float[np.ndarray, "period z"]:
-        """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input."""
-        column, rows = np.arange(cells.size), []
-        for part, k in zip(self.parts, self.usable, strict=True):
-            read = [part.input[k[:, None] - lag, column] for lag in (cells, cells - 1)]
-            rows.append(np.hstack((part.output[k + 1], part.output[k], *read)))
-        return np.vstack(rows)
-
-    def posterior(
-        self,
-        density: Float[np.ndarray, "period mode"],
-        chain: Float[np.ndarray, "mode mode"],
-    ) -> Posterior:
-        """What the log says, given log densities of usable periods and the chain's P.
+    def posterior(self, density: Float[np.ndarray, "period mode"], jumps: Jumps) -> Posterior:
+        """What the log says, given log densities of usable periods and the chain.
 
         The first mode of a part may be any.
         """
-        modes = density.shape[1]
-        value, weight, nodes, pairs = 0.0, [], [], np.zeros((modes, modes))
-        for stay, move, k in self._laid(density):
-            same, node = np.empty(stay.shape), np.empty((len(stay) + 1, modes))
-            own = np.empty((modes, modes))
-            value += smooth(stay, move, *_logs(chain), same, node, own)
-            pairs += own
-            weight.append((same if self.within else node[:-1])[k])
-            nodes.append(node)
-        return Posterior(value, np.vstack(weight), pairs, nodes)
+        return posterior_of(self.parts, self._laid(density), jumps, self.usable, self.within)
 
     def path(
-        self,
-        density: Float[np.ndarray, "period mode"],
-        chain: Float[np.ndarray, "mode mode"],
+        self, density: Float[np.ndarray, "period mode"], jumps: Jumps
     ) -> list[Int[np.ndarray, " sample"]]:
         """The likeliest modes of the samples of every part."""
-        found = []
-        for stay, move, _ in self._laid(density):
-            path = np.empty(len(stay) + 1, np.int64)
-            likeliest(stay, move, *_logs(chain), path)
-            found.append(path)
-        return found
+        return path_of(self.parts, self._laid(density), jumps)
 
-    def _laid(self, density: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Of every part the densities of all periods, and which are usable."""
+    def _laid(self, density: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of every part the densities of all periods, if the mode stays and if it changes."""
         modes, laid, start = density.shape[1], [], 0
         for part, k in zip(self.parts, self.usable, strict=True):
             stay = np.zeros((part.time.size - 1, modes))
             stay[k] = density[start : start + k.size]
-            move = stay
+            move = stay[..., None]
             if self.within:
-                move = np.zeros(stay.shape)
-                move[k] = self._mixed[start : start + k.size, None]
-            laid.append((stay, move, k))
+                move = np.zeros((*stay.shape, 1))
+                move[k] = self._mixed[start : start + k.size, None, None]
+            laid.append((stay, move))
             start += k.size
         return laid
 
 
-def _logs(chain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of the chain, and of a first mode that may be any."""
-    modes = len(chain)
-    return np.log(np.maximum(chain, _FLOOR)), np.full(modes, -np.log(modes))
+@dataclass(frozen=True, eq=False)
+class EvenPeriods(Periods):
+    """Of even rows, for delays in the cells from `first` to `last`."""
+
+    first: int
+    last: int
+
+    @classmethod
+    def of(
+        cls, parts: tuple[Part, ...], first: int, last: int, pooled: PooledRegression | None
+    ) -> EvenPeriods:
+        """Those of parts, for delays in a range of cells and in those of the one regression."""
+        if pooled is not None:
+            first, last = min(first, *pooled.cells.tolist()), max(last, *pooled.cells.tolist())
+        good = tuple(rows_of(part, first - 1, last, within=False) for part in parts)
+        return cls(parts, good, pooled, first, last)
+
+    def rows(self, cells: Int[np.ndarray, " m"]) -> Float[np.ndarray, "period z"]:
+        """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input."""
+        each = zip(self.parts, self.usable, strict=True)
+        return np.vstack([cell_rows(part, k, cells) for part, k in each])
 
 
-def next_chain(pairs: Float[np.ndarray, "mode mode"]) -> Float[np.ndarray, "mode mode"]:
-    """The likeliest P of expected jumps."""
-    total = pairs.sum(axis=1, keepdims=True)
-    return np.where(total > 0.0, pairs / np.where(total > 0.0, total, 1.0), np.eye(len(pairs)))
+@dataclass(frozen=True, eq=False)
+class UnevenPeriods(Periods):
+    """Of uneven rows, for delays between `low` and `high`, seconds."""
+
+    low: float
+    high: float
+    step: float
+
+    @classmethod
+    def between(
+        cls, parts: tuple[Part, ...], low: float, high: float, pooled: Pooled | None, step: float
+    ) -> UnevenPeriods:
+        """Those of parts, for delays between two and those of the one plant."""
+        of = pooled.delays.tolist() if isinstance(pooled, PooledPlant) else []
+        ends = max([high, *of]), min([low, *of])
+        good = tuple(np.flatnonzero(usable(part, False, *ends)) for part in parts)
+        return cls(parts, good, pooled, low, high, step)
+
+    def rows(
+        self, delays: Float[np.ndarray, " m"], nodes: Float[np.ndarray, " node"]
+    ) -> Float[np.ndarray, "period z"]:
+        """What acts by the weights of nodes, for delays of one mode; noise scaled to a period."""
+        each = zip(self.parts, self.usable, strict=True)
+        return np.vstack([node_rows(part, k, delays, nodes, self.step) for part, k in each])
 
 
-def log_density(
-    z: Float[np.ndarray, "period z"], P: Float[np.ndarray, "n r"], S: Float[np.ndarray, "n n"]
-) -> Float[np.ndarray, " period"]:
-    """log N(x_{k+1} − P r_k; 0, S) of rows z = (x_{k+1}, r_k)."""
-    n, L = len(P), np.linalg.cholesky(S)
-    white = np.linalg.solve(L, (z[:, :n] - z[:, n:] @ P.T).T)
-    constant = 2.0 * np.log(np.diagonal(L)).sum() + n * np.log(2.0 * np.pi)
-    return -0.5 * ((white**2).sum(axis=0) + constant)
+def posterior_of(
+    parts: Sequence[Part],
+    laid: list[tuple[np.ndarray, np.ndarray]],
+    jumps: Jumps,
+    usable: Sequence[np.ndarray],
+    within: bool,
+) -> Posterior:
+    """What densities of all periods say, if the mode stays and if it changes; part by part."""
+    modes = jumps.modes
+    value, weight, nodes = 0.0, [], []
+    counts = Counts(np.zeros((modes, modes)), np.zeros(modes))
+    for part, (stay, move), k in zip(parts, laid, usable, strict=True):
+        logs, kind = jumps.over(part.time)
+        same, node = np.empty(stay.shape), np.empty((len(stay) + 1, modes))
+        pairs = np.empty(logs.shape)
+        value += smooth(stay, move, logs, kind, _any(modes), same, node, pairs)
+        counts = counts + jumps.counted(part.time, pairs)
+        weight.append((same if within else node[:-1])[k])
+        nodes.append(node)
+    return Posterior(value, np.vstack(weight), counts, nodes)
+
+
+def path_of(
+    parts: Sequence[Part], laid: list[tuple[np.ndarray, np.ndarray]], jumps: Jumps
+) -> list[Int[np.ndarray, " sample"]]:
+    """The likeliest modes of the samples of every part."""
+    found = []
+    for part, (stay, move) in zip(parts, laid, strict=True):
+        path = np.empty(len(stay) + 1, np.int64)
+        likeliest(stay, move, *jumps.over(part.time), _any(jumps.modes), path)
+        found.append(path)
+    return found
+
+
+def _any(modes: int) -> Float[np.ndarray, " mode"]:
+    """The first mode may be any."""
+    return np.full(modes, -np.log(modes))

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.periods import Periods, Posterior, log_density, next_chain
+from deadtime.identification.hidden.jumps import Jumps
+from deadtime.identification.hidden.periods import EvenPeriods, Posterior
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import floored
+from deadtime.identification.regression import floored, log_density
 
 _SWEEPS = 3  # over the delays, in a scan
 
@@ -26,7 +27,7 @@ class Regressions(NamedTuple):
 
     P: Float[np.ndarray, "mode n r"]
     S: Float[np.ndarray, "mode n n"]
-    chain: Float[np.ndarray, "mode mode"]
+    jumps: Jumps
     cells: Int[np.ndarray, "mode m"]
     weight: Float[np.ndarray, " mode"]
 
@@ -47,7 +48,7 @@ def regressed(
     return P, floored(e.T @ e / total, P[:, : y.shape[1]], y, total)
 
 
-def rows_of_modes(periods: Periods, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
+def rows_of_modes(periods: EvenPeriods, cells: Int[np.ndarray, "mode m"]) -> list[np.ndarray]:
     """The rows of each mode, shared where cells are the same."""
     kept = {}
     for own in cells:
@@ -56,16 +57,20 @@ def rows_of_modes(periods: Periods, cells: Int[np.ndarray, "mode m"]) -> list[np
     return [kept[own.tobytes()] for own in cells]
 
 
-def expected(periods: Periods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
+def expected(periods: EvenPeriods, model: Regressions, rows: list[np.ndarray]) -> Posterior:
     """What the log says of the modes under regressions."""
     each = zip(rows, model.P, model.S, strict=True)
     return periods.posterior(
-        np.column_stack([log_density(z, *one) for z, *one in each]), model.chain
+        np.column_stack([log_density(z, *one) for z, *one in each]), model.jumps
     )
 
 
 def maximised(
-    rows: list[np.ndarray], found: Posterior, cells: Int[np.ndarray, "mode m"], common: bool
+    rows: list[np.ndarray],
+    found: Posterior,
+    jumps: Jumps,
+    cells: Int[np.ndarray, "mode m"],
+    common: bool,
 ) -> Regressions:
     """The likeliest regressions given how likely each mode was; `common`: of one S for all."""
     count, n = found.weight.sum(axis=0), 0
@@ -78,11 +83,11 @@ def maximised(
     S = np.array(S)
     if common:
         S[:] = np.tensordot(count / count.sum(), S, axes=1)
-    return Regressions(np.array(P), S, next_chain(found.pairs), cells, count)
+    return Regressions(np.array(P), S, jumps.next(found.counts), cells, count)
 
 
 def climbed(
-    periods: Periods, model: Regressions, steps: int, least: float, common: bool, gain: float
+    periods: EvenPeriods, model: Regressions, steps: int, least: float, common: bool, gain: float
 ) -> tuple[Regressions, Posterior] | None:
     """The regressions after some steps; None where a mode has less periods than `least`."""
     rows, before = rows_of_modes(periods, model.cells), -np.inf
@@ -90,7 +95,7 @@ def climbed(
     for _ in range(steps):
         if found.weight.sum(axis=0).min() < least:
             return None
-        model = maximised(rows, found, model.cells, common)
+        model = maximised(rows, found, model.jumps, model.cells, common)
         found = expected(periods, model, rows)
         if found.value - before < gain:
             break
@@ -99,7 +104,7 @@ def climbed(
 
 
 def scanned(
-    periods: Periods,
+    periods: EvenPeriods,
     weight: Float[np.ndarray, "period mode"],
     cells: Int[np.ndarray, "mode m"],
     layout: Layout,

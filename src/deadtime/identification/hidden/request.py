@@ -32,18 +32,3 @@ def numbers_of(modes: Any) -> tuple[int, ...] | None:
             f"got {brief(modes)}."
         )
     return tuple(sorted({int(one) for one in given}))
-
-
-def require_exact_and_even(even: bool, C: Any, noise: bool | None) -> None:
-    """Refuse what hidden modes are not found in."""
-    if C is not None or noise:
-        name = "C" if C is not None else "noise=True"
-        raise ArgumentError(
-            f"{name} must be left out where modes are not logged: they are told from states that "
-            "are measured without noise. Log the mode, or the states themselves."
-        )
-    if not even:
-        raise ArgumentError(
-            "log must be evenly sampled where modes are not logged, got uneven rows: the chance of "
-            "a switch is one per period. Log the mode, or sample evenly."
-        )

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.hidden.periods import Periods
+from deadtime.identification.hidden.jumps import Jumps
+from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.regressions import Regressions, regressed, rooted
 from deadtime.identification.parameters import Layout
 
@@ -22,7 +23,6 @@ _PURE = (0.4, 0.8)  # of all stretches, those that fit best, are drawn from
 _FAR = 25.0  # of a squared deviation per state: farther off is no more likely to be drawn
 _WIDE = 4.0  # times the covariance of a stretch: its regression rests on few periods
 _LEAST = 1e-6  # of the covariance of one regression for all: of no noise, too, starts differ
-_STAY = 0.95  # a first guess of the chain's diagonal
 
 
 class Stretches(NamedTuple):
@@ -31,7 +31,7 @@ class Stretches(NamedTuple):
     rows: Int[np.ndarray, "stretch period"]
 
 
-def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Stretches | None:
+def stretches_of(periods: EvenPeriods, layout: Layout, short: bool = False) -> Stretches | None:
     """Half overlapping, some at most, spread over the log; None if there are less than modes.
 
     Short ones have periods for little more than a regression, and more often one mode.
@@ -50,7 +50,9 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Stret
     return Stretches(np.array(places)[chosen, None] + np.arange(length))
 
 
-def first_cells(periods: Periods, stretches: Stretches, layout: Layout) -> Int[np.ndarray, " m"]:
+def first_cells(
+    periods: EvenPeriods, stretches: Stretches, layout: Layout
+) -> Int[np.ndarray, " m"]:
     """The cells in which stretches, each by itself, are likeliest; input after input, twice."""
     options = np.arange(periods.first, periods.last + 1)
     cells: list[int | None] = [None] * layout.m
@@ -65,7 +67,7 @@ def first_cells(periods: Periods, stretches: Stretches, layout: Layout) -> Int[n
 
 
 def _together(
-    periods: Periods, stretches: Stretches, cells: list[int | None], layout: Layout
+    periods: EvenPeriods, stretches: Stretches, cells: list[int | None], layout: Layout
 ) -> float:
     """How likely all stretches are, inputs without a cell left out."""
     z = periods.rows(np.array([periods.first if c is None else c for c in cells]))
@@ -88,7 +90,7 @@ def _own(z: Float[np.ndarray, "stretch period z"], n: int) -> tuple[np.ndarray, 
 
 
 def drawn_start(
-    periods: Periods,
+    periods: EvenPeriods,
     stretches: Stretches,
     cells: Int[np.ndarray, " m"],
     layout: Layout,
@@ -114,8 +116,6 @@ def drawn_start(
         P.append(np.linalg.lstsq(own[:, n:], own[:, :n], rcond=1e-13)[0].T)
         e = (z[pure, :, :n] - z[pure, :, n:] @ P[-1].T) @ white.T
         off = np.minimum(off, (e**2).mean(axis=(1, 2)))
-    chain = np.full((modes, modes), (1.0 - _STAY) / max(modes - 1, 1))
-    np.fill_diagonal(chain, _STAY if modes > 1 else 1.0)
     count = np.full(modes, periods.count / modes)
-    every = np.tile(_WIDE * shared, (modes, 1, 1))
-    return Regressions(np.array(P), every, chain, np.tile(cells, (modes, 1)), count)
+    every, jumps = np.tile(_WIDE * shared, (modes, 1, 1)), Jumps.lasting(modes, 1.0, rates=False)
+    return Regressions(np.array(P), every, jumps, np.tile(cells, (modes, 1)), count)
