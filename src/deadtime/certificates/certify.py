@@ -342,7 +342,11 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
     if worst.growth_rate > GROWS and worst.proven:
         also = f" ({why})" if why and worst.signal.switches else ""
+        middle = np.array_equal(plant.A, setting.A[0]) and np.array_equal(plant.B, setting.B[0])
+        where = "" if setting.axes is None or middle else " at every plant in the ellipsoid"
         return Certificate(
-            False, f"Not stable for every admissible signal{also}: {worst.message}", witness=worst
+            False,
+            f"Not stable for every admissible signal{where}{also}: {worst.message}",
+            witness=worst,
         )
     return Certificate(None, worst.message, witness=worst)
