@@ -1,5 +1,9 @@
 """An ellipsoid of plants: what is proved of it holds for each of them, by SciPy's exponentials."""
 
+from functools import cache
+from itertools import product
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -17,8 +21,10 @@ from deadtime.feedback.recurrence import recurrence_of
 from deadtime.numerics.precision import precision
 
 H, D, N = 0.1, 0.234, 3
-PLANTS = 10_000
+PLANTS = 4000
 MILD, LAW = corpus.MILD, corpus.DELAYED
+ONE = dt.SwitchedSystem(MILD.A[:1], MILD.B[:1], D)
+ALONE = dt.DelayedStateFeedback(ONE, LAW.gains[:1])
 
 
 def surface(known, count, rng):
@@ -59,18 +65,31 @@ def periods(A, B, law, mode, after, s, delay):
     return M
 
 
-@pytest.mark.parametrize("delays", [None, (0.231, 0.237)], ids=["known", "range"])
-def test_v_falls_on_ten_thousand_plants_of_the_surface_wherever_they_switch(delays):
-    known, rng = corpus.around(MILD, 0.012), np.random.default_rng(1)
-    certificate = dt.certify(known, LAW, 0.2, H, delays=delays, search_signals=False)
+@cache
+def proved(law, delays=None):
+    known = corpus.around(law.plant, 0.012)
+    return dt.certify(known, law, 0.2, H, delays=delays, search_signals=False)
+
+
+@pytest.mark.parametrize(
+    ("law", "delays"),
+    [
+        pytest.param(LAW, None, id="known"),
+        pytest.param(ALONE, (0.231, 0.237), id="range-alone"),
+        pytest.param(LAW, (0.231, 0.237), id="range", marks=pytest.mark.long),
+    ],
+)
+def test_v_falls_on_thousands_of_plants_of_the_surface_wherever_they_switch(law, delays):
+    known, rng = corpus.around(law.plant, 0.012), np.random.default_rng(1)
+    certificate = proved(law, delays)
     assert certificate.proven
     assert "ellipsoid" in certificate.message
     A, B = surface(known, PLANTS, rng)
     low, high = delays or (D, D)
-    for mode, after in ((0, 0), (1, 1), (0, 1), (1, 0)):
+    for mode, after in product(range(law.plant.modes), repeat=2):
         s = np.where(rng.random(PLANTS) < 0.1, H, rng.uniform(0.0, H, PLANTS)) * (mode != after)
         delay = rng.choice([low, high, 0.5 * (low + high)])
-        M = periods(A, B, LAW, mode, after, s, delay)
+        M = periods(A, B, law, mode, after, s, delay)
         here, there = certificate.lyapunov(mode, 1), certificate.lyapunov(after, int(mode == after))
         less = here - M.transpose(0, 2, 1) @ there @ M / certificate.evidence.rho**2
         assert np.linalg.eigvalsh(less).min() > 0.0
@@ -90,14 +109,13 @@ def test_an_ellipsoid_that_holds_an_unstable_plant_is_never_proved():
 
 
 def test_a_mode_that_is_known_is_known_beside_one_that_is_not():
-    known = corpus.around(MILD, 0.01)
-    covariance = known.covariance.copy()
+    covariance = corpus.around(MILD, 0.012).covariance.copy()
     sure = [*range(4), 8, 9]
     covariance[sure], covariance[:, sure] = 0.0, 0.0
     found = dt.certify(dt.UncertainPlant(MILD, covariance), LAW, 0.2, H, search_signals=False)
     assert found.proven
     assert not found.evidence.setting.axes[:, 0].any()
-    assert found.decay_rate >= dt.certify(known, LAW, 0.2, H).decay_rate
+    assert found.decay_rate >= proved(LAW).decay_rate
 
 
 def test_more_is_proved_of_the_ellipsoid_than_of_the_polytope_about_it():
@@ -156,23 +174,23 @@ def test_what_an_ellipsoid_does_to_a_period_lies_within_its_bound(delays):
 
 
 def test_a_file_is_about_its_ellipsoid_and_no_wider_one(tmp_path):
-    known = corpus.around(MILD, 0.01)
-    found = dt.certify(known, LAW, 0.2, H, decay_rate=0.1)
+    known = corpus.around(ONE, 0.01)
+    found = dt.certify(known, ALONE, 0.2, H, decay_rate=0.1)
     path = found.save(tmp_path / "c.json")
-    assert dt.verify(path, known, LAW, dwell_time=0.2).proven
-    assert dt.verify(path, MILD, LAW).proven
-    assert dt.verify(path, corpus.around(MILD, 0.005), LAW).proven
+    assert dt.verify(path, known, ALONE, dwell_time=0.2).proven
+    assert dt.verify(path, ONE, ALONE).proven
+    assert dt.verify(path, corpus.around(ONE, 0.005), ALONE).proven
     for other, why in (
-        (corpus.around(MILD, 0.0101), "another ellipsoid"),
-        (dt.UncertainPlant(MILD, np.diag(np.diag(known.covariance))), "another ellipsoid"),
-        (corpus.around(MILD, 0.01, 0.002), "a delay of 0.234 s"),
+        (corpus.around(ONE, 0.0101), "another ellipsoid"),
+        (dt.UncertainPlant(ONE, np.diag(np.diag(known.covariance))), "another ellipsoid"),
+        (corpus.around(ONE, 0.01, 0.002), "a delay of 0.234 s"),
     ):
-        assert why in dt.verify(path, other, LAW).message
+        assert why in dt.verify(path, other, ALONE).message
     about = dt.verify(path).about[0]
-    assert "an ellipsoid of 12 axes" in about
-    alone = dt.certify(MILD, LAW, 0.2, H).save(tmp_path / "alone.json")
-    assert "no ellipsoid" in dt.verify(alone, corpus.around(MILD, 0.01)).message
-    rewritten(path, "plant", {"A": [(-MILD.A).tolist()]})
+    assert "an ellipsoid of 6 axes" in about
+    alone = dt.certify(ONE, ALONE, 0.2, H).save(tmp_path / "alone.json")
+    assert "no ellipsoid" in dt.verify(alone, corpus.around(ONE, 0.01)).message
+    rewritten(path, "plant", {"A": [(-ONE.A).tolist()]})
     assert not dt.verify(path).proven
 
 
@@ -183,3 +201,23 @@ def test_a_plant_without_errors_is_one_plant():
     one, other = (dt.certify(plant, LAW, 0.2, H) for plant in (sure, MILD))
     assert one.decay_rate == other.decay_rate
     assert one.evidence.setting.axes is None
+
+
+@pytest.mark.parametrize("part", [1e-8, 1e-12, 1e-20])
+def test_an_ellipsoid_that_is_nearly_a_plant_is_proved_as_fast_as_one(part):
+    found, exact = (dt.certify(one, ALONE, 0.2, H) for one in (corpus.around(ONE, part), ONE))
+    assert found.proven
+    np.testing.assert_allclose(found.decay_rate, exact.decay_rate, rtol=1e-6)
+
+
+def test_a_refutation_says_that_it_is_of_another_plant_than_the_middle():
+    found = dt.certify(corpus.around(ONE, 1.0), ALONE, 0.2, H)
+    assert found.stable is False
+    assert "at every plant in the ellipsoid" in found.message
+    assert np.abs(found.witness.plant.A - ONE.A).max() > 0.1
+
+
+def test_uncertain_plants_are_certified_one_by_one():
+    both: Any = [ONE, corpus.around(ONE, 0.01)]
+    with pytest.raises(dt.ArgumentError, match="one UncertainPlant by itself"):
+        dt.certify(both, ALONE, 0.2, H)

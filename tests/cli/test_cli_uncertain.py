@@ -47,6 +47,10 @@ def test_certify_proves_all_that_a_file_leaves_open_or_says_that_it_does_not(tmp
     assert code == 0
     assert "Every plant of [uncertainty]" in out
     assert "any plant in the ellipsoid" in " ".join(out.split())
+    assert "in their intervals of 95 %" in " ".join(out.split())
+    code, out, _ = run(capsys, "certify", *asked, "--uncertain", "--delays", "0.233", "0.235")
+    assert code == 0
+    assert "in their ranges of --delays" in " ".join(out.split())
     problem = "verify", str(saved), "--problem", *asked
     assert run(capsys, *problem, "--uncertain")[0] == 0
     file.write_text(UNCERTAIN.format(covariance=(4.0 * errors).tolist()), encoding="utf-8")

@@ -82,7 +82,8 @@ def certify(
     plant : SwitchedSystem, a sequence of them, or UncertainPlant
         The truth, which may differ from the law's model; a sequence gives the corners of a
         polytope of plants (of the same delays). Of an uncertain plant all are meant whose A and B
-        lie in its ellipsoid of 95 %, with every delay in its interval of 95 %.
+        lie in its ellipsoid of 95 %, with every delay in its interval of 95 %; with k delays the
+        true plant is among them with a probability of 95 − 5 k % or more.
     law : Law
         A law that is a table with rows by nothing, by mode, or by mode and age; or an
         `OutputFeedback` of one. Of that the whole loop is certified: the state, the estimate, the
@@ -342,7 +343,11 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
         return Certificate(None, f"Inconclusive: {why or 'no certificate was found'}; {error}")
     if worst.growth_rate > GROWS and worst.proven:
         also = f" ({why})" if why and worst.signal.switches else ""
+        middle = np.array_equal(plant.A, setting.A[0]) and np.array_equal(plant.B, setting.B[0])
+        where = "" if setting.axes is None or middle else " at every plant in the ellipsoid"
         return Certificate(
-            False, f"Not stable for every admissible signal{also}: {worst.message}", witness=worst
+            False,
+            f"Not stable for every admissible signal{where}{also}: {worst.message}",
+            witness=worst,
         )
     return Certificate(None, worst.message, witness=worst)

@@ -24,18 +24,26 @@ Range = tuple[ArrayLike, ArrayLike]
 
 
 def plants_of(
-    plant: SwitchedSystem | UncertainPlant | Sequence[SwitchedSystem], delays: Range | None
+    plant: SwitchedSystem | UncertainPlant | Sequence[SwitchedSystem | UncertainPlant],
+    delays: Range | None,
 ) -> tuple[list[SwitchedSystem], Float[np.ndarray, "axis mode n nm"] | None, Range | None]:
     """The vertices, the axes of an ellipsoid about the one there is, and the range of delays."""
     if isinstance(plant, UncertainPlant):
         axes = plant.axes()
         delays = plant.delay_range() if delays is None else delays
         return [plant.plant], axes if len(axes) else None, delays
-    plants = [plant] if isinstance(plant, SwitchedSystem) else list(plant)
+    plants: list[SwitchedSystem] = []
+    for corner in [plant] if isinstance(plant, SwitchedSystem) else plant:
+        if isinstance(corner, UncertainPlant):
+            raise ArgumentError(
+                "plant must be one UncertainPlant by itself, got a sequence with one: certify them "
+                "one by one, or the corners of all, [*one.corners(), *another.corners()]."
+            )
+        instance("plant", corner, SwitchedSystem)
+        plants.append(corner)
     if not plants:
         raise ArgumentError("plant must be a SwitchedSystem or a sequence of them, got none.")
     for corner in plants:
-        instance("plant", corner, SwitchedSystem)
         if not np.array_equal(corner.delays, plants[0].delays):
             raise ArgumentError(
                 "plant must have the same delays at all corners of the polytope: give a range of "

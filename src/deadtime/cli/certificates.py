@@ -153,8 +153,8 @@ def certify(
         record |= {"uncertain": uncertain} if chosen.uncertain is not None else {}
         print_json(record | {"laws": certificate_record(judged)}, saved)
     else:
-        sampled = period, mode_lag, lost_samples
-        _print_judged(chosen, judged, asked, sampled, law is not None, uncertain)
+        sampled, left_open = (period, mode_lag, lost_samples), (uncertain, ranges)
+        _print_judged(chosen, judged, asked, sampled, law is not None, left_open)
         if out is not None:
             print("\nCertificates: " + (", ".join(map(str, saved)) or "none to save"))
     return 0 if law is None or judged[0].stable else 1
@@ -356,7 +356,7 @@ def _print_judged(
     asked: Signals,
     sampled: tuple[float, int, int],
     in_full: bool,
-    uncertain: bool,
+    left_open: tuple[bool, object],
 ) -> None:
     from deadtime.base.wording import number_of
     from deadtime.cli.console import Terminal
@@ -379,7 +379,7 @@ def _print_judged(
         f"sampling period {step:g} s{late}.",
         markup=False,
     )
-    for sentence in (*plants_in_words(problem, uncertain), *left_out(problem)):
+    for sentence in (*plants_in_words(problem, *left_open), *left_out(problem)):
         console.print(sentence, markup=False)
     console.print()
     print_table(HEADINGS, certificate_rows(judged))

@@ -184,6 +184,8 @@ def _at_step(
     T = np.eye(v + w, v + free)
     T[v:, :v] = sample.delta * units.v / units.w[:, None]
     T[v:, v:] = np.eye(w)[:, [*range(n, n + extra), *range(free - extra)]]
+    if sample.sway is not None:
+        T[:, v + extra :] *= _reach(sample.sway, units)
     M = np.zeros((unknowns, v + free, v + free))
     M[:pi_size] = squares(T)
     M[-2, v : v + extra, v : v + extra] = np.eye(extra)
@@ -208,8 +210,22 @@ def _at_step(
 def _let_sway(M: np.ndarray, sway: Sway, units: Units, weight: int) -> None:
     """λ (qᵀ W⁻¹ q − yᵀ X y) of a sample, λ the unknown `weight`; q is last in (v, q)."""
     n, k = len(sway.W), len(sway.X)
-    seen = units.v[:k]
-    X = sway.X * seen * seen[:, None]
+    X, W = _in_units(sway, units)
     scale = float(np.trace(X))
     M[weight, :k, :k] = -X / scale
-    M[weight, -n:, -n:] = np.linalg.inv(sway.W / units.w[:n] / units.w[:n, None]) / scale
+    M[weight, -n:, -n:] = np.linalg.inv(W) * (_reach(sway, units) ** 2 / scale)
+
+
+def _reach(sway: Sway, units: Units) -> float:
+    """The unit of q: how large it may be for a v of 1, be the ellipsoid as small as it may."""
+    X, W = _in_units(sway, units)
+    return float(np.sqrt(np.trace(X) * np.linalg.norm(W, 2)))
+
+
+def _in_units(sway: Sway, units: Units) -> tuple[np.ndarray, np.ndarray]:
+    """X and W of y and q in the units of v and w."""
+    n, k = len(sway.W), len(sway.X)
+    return (
+        sway.X * units.v[:k] * units.v[:k, None],
+        sway.W / units.w[:n] / units.w[:n, None],
+    )

@@ -172,13 +172,15 @@ def uncertain_plant(problem: Problem) -> UncertainPlant:
     return problem.uncertain
 
 
-def plants_in_words(problem: Problem, uncertain: bool) -> list[str]:
+def plants_in_words(problem: Problem, uncertain: bool, delays: object = None) -> list[str]:
     """Which plants an answer is about, where the file leaves some open."""
     if problem.uncertain is None:
         return []
     if uncertain:
+        where = "intervals of 95 %" if delays is None else "ranges of --delays"
         return [
-            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in theirs."
+            "Every plant of [uncertainty]: A and B in their ellipsoid of 95 %, delays in their "
+            f"{where}."
         ]
     return [
         "Of the likeliest plant alone; --uncertain asks about all that [uncertainty] leaves open."
