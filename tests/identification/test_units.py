@@ -97,7 +97,7 @@ def test_rows_may_be_further_apart_than_the_longest_delay():
     table = pd.DataFrame({"t": t, "x": y[:, 0], "u": u[:, 0]})
     low, high = dt.identify(table, modes=None, delay=(0.0, 30.0)).interval("delay")
     assert 18.0 < low < 18.7 < high < 19.4
-    with pytest.raises(dt.ArgumentError, match="every 60 s.* far less than that: if its t counts"):
+    with pytest.raises(dt.ArgumentError, match=r"every 60 s.* far less than that: if its t counts"):
         dt.identify(table, modes=None, delay=(0.0, 10.0))
 
 

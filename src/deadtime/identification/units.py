@@ -46,8 +46,8 @@ def require_seconds(recording: Recording, longest: float) -> None:
     unit, text = fits[0] if fits else _CLOCKS[0][1:]
     raise ArgumentError(
         f"log has a row every {step:g} s, and delays of at most {longest:g} s are looked for, far "
-        f"less than that: if its t counts {unit}, divide it by {text}; else widen delay=(low, high), "
-        "--delay LOW HIGH, in seconds."
+        f"less than that: if its t counts {unit}, divide it by {text}; else widen "
+        "delay=(low, high), --delay LOW HIGH, in seconds."
     )
 
 
