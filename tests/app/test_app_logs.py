@@ -22,7 +22,7 @@ from deadtime.app.page import Page
 from deadtime.app.workers import TooLongError
 from deadtime.cli import main
 from deadtime.problems import load_problem
-from synthetic_logs import oscillator
+from synthetic_logs import Plant, oscillator
 
 H = 0.05
 MOTOR = Path(__file__).parents[2] / "examples" / "logs" / "motor.csv"
@@ -51,6 +51,30 @@ def wait(done, seconds=120.0):
 def opened(name, content, folder):
     """A log as a page opens it whose columns have the usual names."""
     return open_log(name, content, folder, look_at(name, content, folder).guess)
+
+
+@pytest.mark.parametrize("per_mode", [False, True])
+def test_delays_are_said_by_the_names_of_inputs_and_modes(per_mode, tmp_path):
+    """As on the page their own sentences are left out."""
+    rng, t = np.random.default_rng(0), H * np.arange(400)
+    plant = Plant([[[-1.0]], [[-3.0]]], [[[1.0, 0.5]], [[2.0, 0.5]]], [[0.112, 0.163]])
+    mode = np.arange(t.size) // 20 % 2
+    x, u = plant.log(t, rng.standard_normal((t.size, 2)), rng, mode, sensor=1e-4)
+    columns = {"t": t, "x1": x[:, 0], "u1: hot": u[:, 0], "u2: <b>": u[:, 1]}
+    table = pd.DataFrame(columns | {"mode": np.array(["dry", "wet"])[mode]})
+    content = table.to_csv(index=False).encode()
+    asked = look_at("tank.csv", content, tmp_path).guess._replace(per_mode=per_mode)
+    found, fit = open_log("tank.csv", content, tmp_path, asked)
+    names = [one[0] for one in found.delays]
+    if per_mode:
+        assert names == [
+            f"delay of {u} in mode {i}" for i in ("dry", "wet") for u in ("hot", "<b>")
+        ]
+    else:
+        assert names == ["delay of hot", "delay of <b>"]
+    assert [one[1] for one in found.delays] == fit.delays[: 1 + per_mode].ravel().tolist()
+    assert "Delay of hot" in shown(found)
+    assert "Delay of &lt;b&gt;" in shown(found)
 
 
 def test_a_log_becomes_the_problem_that_identify_makes(log, tmp_path):

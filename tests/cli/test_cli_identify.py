@@ -81,6 +81,22 @@ def test_what_cannot_be_done_is_one_line(folder, capsys):
     assert "must have the modes, states and inputs of the log, (1, 1, 1)" in other[2]
 
 
+@pytest.mark.parametrize(
+    ("names", "end"),
+    [
+        (("rising", "falling"), "; modes 0 = falling, 1 = rising"),
+        ((1, 2), "; modes 0 = 1, 1 = 2"),
+        ((0, 1), ""),
+    ],
+)
+def test_which_mode_is_which_is_said(names, end, tmp_path, capsys):
+    named = two_modes(120).assign(mode=np.take(names, np.repeat(np.arange(6) % 2, 20)))
+    named.to_csv(tmp_path / "log.csv", index=False)
+    asked = [tmp_path / "log.csv", "--delay", 0, 1, "--no-noise"]
+    assert said(asked, capsys)[1].splitlines()[0] == f"A plant from 120 samples, every 0.1 s{end}"
+    assert len(json.loads(said([*asked, "--json"], capsys)[1])["modes"]) == 2
+
+
 def two_modes(count=300):
     """A log of dx/dt = −x + u(t − 0.27) that turns into x + 2 u and back, without its modes."""
     rng, h = np.random.default_rng(1), 0.1

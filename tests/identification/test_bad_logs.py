@@ -119,6 +119,21 @@ REFUSED = {
 }
 
 
+FILES = {
+    "semicolons": ("t;x1;u1\n0,0;1,5;2\n", "has semicolons between its columns: save it with"),
+    "tabs": ("t\tx1\tu1\n0\t1\t2\n", r"has tabs .* pandas.read_csv\(…, sep='\\t'\)"),
+    "units": ("t,x1,u1\ns,m,N\n0,1,2\n1,2,3\n", "line 2: t must .* such as one of units"),
+    "dates": ("t,x1,u1\n2024-01-01 10:00,1,2\n" * 3, "line 2: t must .* count seconds from the"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), FILES.values(), ids=FILES)
+def test_tables_of_other_programs_are_refused_with_what_to_do(text, message, tmp_path):
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(dt.ArgumentError, match=message):
+        dt.identify(tmp_path / "log.csv", modes=None)
+
+
 @pytest.mark.parametrize(("log", "how", "message"), REFUSED.values(), ids=REFUSED)
 def test_what_cannot_be_is_refused_by_name(log, how, message):
     with pytest.raises(dt.ArgumentError, match=message):

@@ -203,11 +203,19 @@ def test_sensors_alone_may_be_noisy():
     assert designed(noise=0.0).standard_error("delay") < part < designed().standard_error("delay")
 
 
+def test_noises_of_modes_are_averaged_over_the_rows_and_that_is_said():
+    """As identify saves one of every mode where its sensors were exact."""
+    W, signal = W2 * np.array([1.0, 4.0])[:, None, None], SIGNAL.periodic([1.5, 0.5], [0, 1], 6.0)
+    each, mean = (designed(disturbance=one, signal=signal) for one in (W, 1.75 * W2))
+    np.testing.assert_allclose(each.errors, mean.errors, rtol=1e-9)
+    assert "the mean of theirs over the rows" in each.sentences[-1]
+    assert each.sentences[:-1] == mean.sentences
+
+
 REFUSED: list[tuple[dict, str]] = [
     ({"noise": -0.1}, "noise must be the standard deviation of every state's sensor"),
     ({"noise": np.inf}, "noise must be the standard deviation of every state's sensor"),
     ({"noise": [0.1, 0.1, 0.1]}, r"noise must have shape \(m,\) = \(2,\)"),
-    ({"disturbance": [1e-3 * np.eye(2), np.eye(2)]}, "disturbance must be the same for all modes"),
     ({"disturbance": 0.0, "noise": [0.01, 0.0]}, "disturbance must move every state within"),
 ]
 

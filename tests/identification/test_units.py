@@ -89,6 +89,18 @@ def test_a_clock_of_milliseconds_is_said_where_a_wide_range_hides_it():
     assert "whole numbers" not in slow.message
 
 
+def test_rows_may_be_further_apart_than_the_longest_delay():
+    """As of a process that is logged every minute, with half a minute of pipe."""
+    plant, t = Plant([[[-0.01]]], [[[0.01]]], 18.7, 1e-6 * np.eye(1)), 60.0 * np.arange(300)
+    rng = np.random.default_rng(3)
+    y, u = plant.log(t, rng.standard_normal((300, 1)), rng)
+    table = pd.DataFrame({"t": t, "x": y[:, 0], "u": u[:, 0]})
+    low, high = dt.identify(table, modes=None, delay=(0.0, 30.0)).interval("delay")
+    assert 18.0 < low < 18.7 < high < 19.4
+    with pytest.raises(dt.ArgumentError, match=r"every 60 s.* far less than that: if its t counts"):
+        dt.identify(table, modes=None, delay=(0.0, 10.0))
+
+
 HALF = np.where(np.arange(400)[:, None] < 200, 1e-3, 1.0)
 ORDINARY = {
     "two": [FIRST, SECOND],

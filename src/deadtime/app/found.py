@@ -63,7 +63,7 @@ def _delay(one: tuple[str, float, float, float]) -> str:
     wide = f"{1e3 * (high - value):.2g}", f"{1e3 * (value - low):.2g}"
     off = f"± {wide[0]} ms" if wide[0] == wide[1] else f"+ {wide[0]} / − {wide[1]} ms"
     return (
-        f"<div class='delay'>{escape(name).capitalize()} <b>{value:.4g} s</b> {off} "
+        f"<div class='delay'>{escape(name[:1].upper() + name[1:])} <b>{value:.4g} s</b> {off} "
         f"<small>({low:.5g} … {high:.5g} s at 95&nbsp;%)</small></div>"
     )
 

@@ -227,13 +227,22 @@ def open_log(
     verdicts, text = _verdicts(fit, saved), saved.read_bytes()
     saved.unlink()
     document = open_upload(saved.stem, text, folder)
-    delays = tuple(
-        (one, fit.estimate(one), *fit.interval(one)) for one in fit.names if one[:5] == "delay"
-    )
+    delays = tuple((called, fit.estimate(one), *fit.interval(one)) for one, called in _delays(fit))
     said = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
     rows = tuple(map(tuple, interval_rows(fit)))
     pictures = pictures_of(quick_figures(fit))
     return FoundPlant(document, delays, said, verdicts, rows, pictures), fit
+
+
+def _delays(fit: Identification) -> list[tuple[str, str]]:
+    """Every delay by its name among the unknowns, and in words: whose it is, in which mode."""
+    names = [one for one in fit.names if one.startswith("delay")]
+    if len(names) == 1:
+        return [(names[0], "delay")]
+    said = [f"delay of {one}" for one in fit.inputs]
+    if len(names) > len(said):
+        said = [f"{one} in mode {mode}" for mode in fit.modes for one in said]
+    return list(zip(names, said, strict=True))
 
 
 def report_of(fit: Identification, found: FoundPlant, command: str) -> tuple[Picture, bytes]:

@@ -123,11 +123,19 @@ def identify(
     if json_output:
         print_json(_record(fit, said), written)
         return
-    print_heading(f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s", said)
+    rows = f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s"
+    print_heading(rows + _numbered(fit), said)
     print()
     print_table(HEADINGS, interval_rows(fit))
     for path in written:
         print(f"\nWritten: {path}")
+
+
+def _numbered(fit: Identification) -> str:
+    """Which mode is which, where they have names."""
+    each = [f"{i} = {name}" for i, name in enumerate(fit.modes)]
+    own = any(name not in (str(i), f"mode {i}") for i, name in enumerate(fit.modes))
+    return f"; modes {', '.join(each)}" if own else ""
 
 
 def _modes(text: str) -> str | int | range:
@@ -176,6 +184,7 @@ def _record(fit: Identification, said: list[str]) -> dict:
     return {
         "samples": fit.samples,
         "step": fit.step,
+        "modes": fit.modes,
         "A": fit.plant.A,
         "B": fit.plant.B,
         "delays": fit.delays,

@@ -158,11 +158,14 @@ def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
     import pandas as pd
 
     try:
+        _require_commas(source)
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             return pd.read_csv(
                 source, skipinitialspace=True, skip_blank_lines=False, index_col=False, nrows=rows
             )
+    except ArgumentError:
+        raise
     except OSError as error:
         raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
     except UnicodeDecodeError:
@@ -175,6 +178,19 @@ def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
     except ValueError as error:  # pandas' own are ValueErrors
         text = " ".join(str(error).split()).rstrip(".")
         raise ArgumentError(f"{source} is no CSV table with one header line: {text}.") from None
+
+
+def _require_commas(source: Path) -> None:
+    """Refuse a header that other signs than commas divide, as in countries of decimal commas."""
+    with source.open(encoding="utf-8") as lines:
+        header = lines.readline(100_000)
+    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
+        if sign in header and "," not in header:
+            raise ArgumentError(
+                f"{source} has {name} between its columns: save it with commas there and points "
+                f"in numbers, or give the table that pandas.read_csv(…, sep={sign!r}) makes of it, "
+                'with decimal="," where its numbers have commas.'
+            )
 
 
 def _mode_column(tables: list[_Table], modes: str | None) -> str | None:
@@ -320,9 +336,14 @@ def _numbers(table: _Table, column: str) -> Float[np.ndarray, " sample"]:
     bad = np.flatnonzero((np.isnan(result) & raw.notna().to_numpy()) | np.isinf(result))
     if bad.size:
         got = brief(raw.astype(object).iloc[int(bad[0])])
+        advice = "leave the cell empty where nothing was measured."
+        if column in TIMES:
+            advice = (
+                "count seconds from the first row, and leave out lines that are no samples, such "
+                "as one of units."
+            )
         raise ArgumentError(
-            f"{table.place(int(bad[0]))}: {column} must be a finite number, got {got}: leave the "
-            "cell empty where nothing was measured."
+            f"{table.place(int(bad[0]))}: {column} must be a finite number, got {got}: {advice}"
         )
     return result
 

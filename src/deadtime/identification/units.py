@@ -30,19 +30,24 @@ _LIKELY = 0.7  # of a thousand, in decades to either side: sizes of stretches di
 _SAME = 0.01  # of a ratio of sampling periods, that clocks may be off by
 _CLOCKS = ((1e3, "milliseconds", "1,000"), (1e6, "microseconds", "1,000,000"))
 _CLOCKS = (*_CLOCKS, (1e9, "nanoseconds", "1,000,000,000"))
+_SLOW = 5.0  # longest delays that a period may last: a plant is often sampled so slowly
 
 
 def require_seconds(recording: Recording, longest: float) -> None:
-    """Refuse a clock that seems to count something else than seconds."""
+    """Refuse a clock that seems to count something else than seconds.
+
+    Rows that are a few times as far apart as the longest delay are in order: of milliseconds they
+    would be a thousandth of that.
+    """
     step = recording.step
-    if step <= longest:
+    if step <= _SLOW * longest:
         return
     fits = [(unit, text) for ratio, unit, text in _CLOCKS if step / ratio <= longest]
     unit, text = fits[0] if fits else _CLOCKS[0][1:]
     raise ArgumentError(
-        f"log has a row every {step:g} s, and delays of at most {longest:g} s are looked for, less "
-        f"than that: if its t counts {unit}, divide it by {text}; else widen delay=(low, high), "
-        "--delay LOW HIGH, in seconds."
+        f"log has a row every {step:g} s, and delays of at most {longest:g} s are looked for, far "
+        f"less than that: if its t counts {unit}, divide it by {text}; else widen "
+        "delay=(low, high), --delay LOW HIGH, in seconds."
     )
 
 

@@ -18,6 +18,7 @@ from deadtime.identification.excitation.given import (
     deviations_of,
     intensity_of,
     modes_of_rows,
+    one_for_all,
     require_words,
     root_of,
     table_of,
@@ -81,8 +82,8 @@ def design_experiment(
         W, the intensity of the process noise, x² per second: a number for number·I, (n,) for a
         diagonal, (n, n), or (modes, n, n) for one per mode, such as `fit.disturbance`.
     noise : float or (n,) array_like
-        Standard deviation of every state's sensor, in its units, such as `fit.noise`; then W is one
-        for all modes, as `identify` will find it.
+        Standard deviation of every state's sensor, in its units, such as `fit.noise`; then the mean
+        of W over the rows is counted with in every mode, as `identify` will find one for all.
     signal : SwitchingSignal, optional
         The modes that the plant is put into; read at samples. Not needed for one mode.
     law : Law, optional
@@ -148,7 +149,9 @@ def design_experiment(
     cells = cells_of(plant.delays.ravel(), step).reshape(plant.delays.shape)
     used = used_periods(plant, mode, step, layout, switches == "anywhere")
     W = intensity_of(plant, disturbance)
-    deviation = deviations_of(plant, noise, W)
+    deviation, averaged = deviations_of(plant, noise), False
+    if deviation.any():
+        W, averaged = one_for_all(W, mode)
     S = added_noise(plant, W, step, deviation)
     table = table_of(law, plant, step, mode)
     chain = chain_of(plant, step, mode, S, cells, layout, table, deviation**2)
@@ -170,7 +173,7 @@ def design_experiment(
     }
     clock = min(usual, key=lambda clock: prospect.errors(usual[clock])[layout.at_delays].prod())
     peers = {"prbs": usual[clock], "step": within_limits(prospect, steps(samples, limit))}
-    return Experiment.of(plant, step, prospect, r, peers, hold * clock)
+    return Experiment.of(plant, step, prospect, r, peers, hold * clock, averaged)
 
 
 def _require_told(prospect: Prospect, r: Float[np.ndarray, "sample m"]) -> None:

@@ -75,8 +75,12 @@ class Experiment(Frozen):
         r: Float[np.ndarray, "T m"],
         peers: Mapping[str, Float[np.ndarray, "T m"]],
         clock: int,
+        averaged: bool,
     ) -> Experiment:
-        """What there is to hand over of inputs r, and of others beside them."""
+        """What there is to hand over of inputs r, and of others beside them.
+
+        averaged : whether modes have a noise of their own each, and its mean was counted with
+        """
         layout, chain = prospect.layout, prospect.chain
         every = {name: prospect.errors(one)[layout.at_delays] for name, one in peers.items()}
         errors = prospect.errors(r)
@@ -87,6 +91,11 @@ class Experiment(Frozen):
         if chain.V.any():
             noise = ", ".join(f"{v:.3g}" for v in np.sqrt(chain.V))
             said += (f"Sensors are taken to be noisy, with deviations of {noise}.",)
+        if averaged:
+            said += (
+                "Noise of the plant is taken to be the same in all modes, the mean of theirs over "
+                "the rows, as identify finds one for all where sensors are noisy.",
+            )
         time = step * np.arange(len(r))
         closed = not chain.open
         return cls(plant, time, r.T, chain.mode, told, clock, errors, largest, closed, said, layout)

@@ -86,9 +86,7 @@ def intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Float[np.ndar
     return W
 
 
-def deviations_of(
-    plant: SwitchedSystem, noise: ArrayLike, W: Float[np.ndarray, "mode n n"]
-) -> Float[np.ndarray, " n"]:
+def deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, " n"]:
     """The standard deviations of the sensors of the states."""
     deviation = bound("noise", noise, plant.states)
     if not ((deviation >= 0.0) & np.isfinite(deviation)).all():
@@ -96,12 +94,17 @@ def deviations_of(
             "noise must be the standard deviation of every state's sensor, finite and at least 0, "
             f"got {deviation.tolist()}."
         )
-    if deviation.any() and (np.abs(W - W[0]) > 1e-9 * np.abs(W).max()).any():
-        raise ArgumentError(
-            "disturbance must be the same for all modes where sensors are noisy, as identify finds "
-            "one for all, got one per mode: give their mean, disturbance=W.mean(axis=0)."
-        )
     return deviation
+
+
+def one_for_all(
+    W: Float[np.ndarray, "mode n n"], mode: Int[np.ndarray, " sample"]
+) -> tuple[Float[np.ndarray, "mode n n"], bool]:
+    """The mean of W over the rows, in every mode, and whether modes had another one."""
+    share = np.bincount(mode, minlength=len(W)) / mode.size
+    mean = np.broadcast_to(np.tensordot(share, W, 1), W.shape)
+    own = np.abs(W - W[0]).max() > 1e-9 * np.abs(W).max()
+    return (mean, True) if own else (W, False)
 
 
 def added_noise(
