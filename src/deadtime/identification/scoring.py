@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 _GAIN = 1e-10  # of log likelihood that is still worth a step
 _STEPS = 200
+_AS_PROMISED = 0.25  # of a rise: after less of it the damping stays, or steps overshoot in turn
 _CLOSE = 0.1  # of a period: so near a cell's end a climb of coarse steps may be on its way beyond
 
 
@@ -70,7 +71,9 @@ def climb(
             break
         after = evaluate(trial)
         if np.isfinite(after.value) and after.value > now.value:
-            theta, now, damping = trial, after, max(0.1 * damping, 1e-12)
+            if after.value - now.value > _AS_PROMISED * rise:
+                damping = max(0.1 * damping, 1e-12)
+            theta, now = trial, after
         elif damping > 1e8:
             break
         else:
