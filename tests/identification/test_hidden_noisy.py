@@ -194,15 +194,12 @@ def test_outputs_uneven_rows_and_switches_anywhere_are_taken():
 
 @pytest.mark.long
 def test_intervals_hold_the_delay_behind_noisy_sensors():
-    inside, refused = [], 0
-    for seed in range(20):
-        log, _ = made(two_modes(0.312), 400, 0.02, seed)
-        try:
-            fit = dt.identify(log, modes=2, delay=(0.2, 0.4), noise=True, switches="samples")
-        except dt.ArgumentError:  # a mode is lost on the way
-            refused += 1
-            continue
+    inside, labelled = [], []
+    for seed in range(20):  # without a second start several lose a mode, or label rows by chance
+        log, mode = made(two_modes(0.312), 400, 0.02, seed)
+        fit = dt.identify(log, modes=2, delay=(0.2, 0.4), noise=True, switches="samples")
         low, high = fit.interval("delay")
         inside.append(low < 0.312 < high)
-    assert refused <= 4
+        labelled.append(right(fit, mode))
     assert np.mean(inside) > 0.8
+    assert min(labelled) > 0.7

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.hidden.ascent import Ascent, ascended
@@ -50,6 +51,21 @@ class Search(NamedTuple):
     grid: Recording
     even: EvenPeriods
     bounds: tuple[float, float]
+
+
+class Begun(NamedTuple):
+    """A plant near regressions whose modes are hidden, where a maximum is looked for.
+
+    log : of the recording on a grid; agreed : how many starts led there, of `starts`
+    found : what the log says of the modes under the regressions
+    """
+
+    layout: Layout
+    log: HiddenLog
+    theta: Float[np.ndarray, " size"]
+    found: Posterior
+    agreed: int
+    starts: int
 
 
 class Fitted(NamedTuple):
@@ -130,23 +146,40 @@ def require_periods(periods: EvenPeriods, layout: Layout) -> None:
         )
 
 
-def fitted(search: Search, layout: Layout, seed: int = 0) -> Fitted:
-    """The likeliest plant of as many modes as the layout has.
+def begun(search: Search, layout: Layout, common: bool = False, seed: int = 0) -> list[Begun]:
+    """Where the best starts lead, the likeliest first; `common`: with one covariance of all modes.
 
     Raises
     ------
     ArgumentError
-        If the log is too short for so many, or each start leaves a mode with next to no period.
+        If the log is too short for so many modes, or each start leaves one with next to no period.
     """
     require_periods(search.even, layout)
-    found, agreed, starts = _best_regressions(search.even, layout, np.random.default_rng(seed))
+    rng, each = np.random.default_rng(seed), []
+    found, agreed, starts = _best_regressions(search.even, layout, rng, common)
     for model, begin in found:
         theta = plant_of(
             list(model.P), model.cells, model.weight, layout, search.grid.step, search.bounds
         )
         nodes = nodes_for(search.recording.parts, layout.split(theta)[0])
         given = search.grid, layout, search.bounds, nodes, search.even, model.S, model.jumps
-        ascent = ascended(HiddenLog(*given), theta, layout.least_periods, begin)
+        each.append(Begun(layout, HiddenLog(*given), theta, begin, agreed, starts))
+    if not each:
+        raise _too_many(layout, starts)
+    return each
+
+
+def fitted(search: Search, layout: Layout) -> Fitted:
+    """The likeliest plant of as many modes as the layout has.
+
+    Raises
+    ------
+    ArgumentError
+        As of `begun`, or if a mode is left with next to no period on the way up.
+    """
+    each = begun(search, layout)
+    for one in each:
+        ascent = ascended(one.log, one.theta, layout.least_periods, one.found)
         if ascent is None:
             continue
         grid = ascent.log
@@ -155,8 +188,12 @@ def fitted(search: Search, layout: Layout, seed: int = 0) -> Fitted:
         unknowns = layout.size + layout.modes * (layout.n * (layout.n + 1) // 2)
         unknowns += layout.modes * (layout.modes - 1)
         bic = unknowns * float(np.log(search.periods.count)) - 2.0 * ascent.found.value
-        return Fitted(layout, ascent, grid, bic, agreed, starts)
-    raise ArgumentError(
+        return Fitted(layout, ascent, grid, bic, one.agreed, one.starts)
+    raise _too_many(layout, each[0].starts)
+
+
+def _too_many(layout: Layout, starts: int) -> ArgumentError:
+    return ArgumentError(
         f"modes = {layout.modes} is too many for this log: from each of {starts} starts a mode is "
         f"left with less than the {layout.least_periods} periods that its matrices cost: ask for "
         "fewer, or log for longer."
@@ -180,7 +217,7 @@ def _off_the_grid(search: Search, ascent: Ascent) -> Ascent | None:
 
 
 def _best_regressions(
-    periods: EvenPeriods, layout: Layout, rng: np.random.Generator
+    periods: EvenPeriods, layout: Layout, rng: np.random.Generator, common: bool
 ) -> tuple[list[tuple[Regressions, Posterior]], int, int]:
     """Those that the best starts lead to, the likeliest first; how many starts led there, of all.
 
@@ -200,19 +237,21 @@ def _best_regressions(
     values = np.array([found.value for _, found in short])
     agreed = int((values > values.max(initial=-np.inf) - _ALIKE).sum())
     best = [one for row, one in enumerate(short) if row == 0 or row >= agreed][:_KEPT]
-    long = [one for model, _ in best if (one := _in_best_cells(periods, model, layout)) is not None]
+    own = whole if common else periods
+    each = [_in_best_cells(own, model, layout, common) for model, _ in best]
+    long = [one for one in each if one is not None]
     long.sort(key=lambda one: -one[1].value)
     return long, agreed, starts
 
 
 def _in_best_cells(
-    periods: EvenPeriods, model: Regressions, layout: Layout
+    periods: EvenPeriods, model: Regressions, layout: Layout, common: bool
 ) -> tuple[Regressions, Posterior] | None:
-    """Regressions with a covariance of each mode, in the cells that are likeliest then."""
+    """Regressions in the cells that are likeliest then; with a covariance of each mode, or one."""
     least, tried = layout.least_periods, set()
     while True:
         tried.add(model.cells.tobytes())
-        found = climbed(periods, model, _LONG, least, False, 1e-3)
+        found = climbed(periods, model, _LONG, least, common, 1e-3)
         if found is None:
             return None
         model, posterior = found
@@ -220,4 +259,4 @@ def _in_best_cells(
         if cells.tobytes() in tried:
             return model, posterior
         rows = rows_of_modes(periods, cells)
-        model = maximised(rows, posterior, model.jumps, cells, common=False)
+        model = maximised(rows, posterior, model.jumps, cells, common)

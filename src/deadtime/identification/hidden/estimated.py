@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.hidden.choice import Fitted
+from deadtime.identification.hidden.choice import Begun, Fitted
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.information import Information, information_of
 from deadtime.identification.hidden.likelihood import HiddenLog
@@ -152,7 +152,10 @@ def widening_of(told: Information) -> float:
 
 
 def hidden_modes(
-    fits: Sequence[Fitted] | Sequence[NoisyFit], best: Fitted, recording: Recording, said: Said
+    fits: Sequence[Fitted] | Sequence[NoisyFit],
+    best: Fitted | Begun,
+    recording: Recording,
+    said: Said,
 ) -> HiddenModes:
     """What there is to say of the modes; `fits` are those of all numbers tried."""
     return HiddenModes(

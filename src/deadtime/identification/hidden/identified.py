@@ -72,33 +72,40 @@ def identify_hidden(
     """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC."""
     expect_many_calls()
     search = search_of(sensed.states, layout, bounds, within)
+    if not sensed.noise:
+        tried = _tried(numbers, lambda modes: fitted(search, replace(layout, modes=modes)))
+        found = _without_noise(tried, sensed.states, within)
+        white = found.estimate is None or found.estimate.tests.white
+        if white or sensed.noise is False:
+            return found
+    given = sensed.outputs, sensed.C
+    noisy = _tried(
+        numbers, lambda modes: fitted_with_noise(search, replace(layout, modes=modes), *given)
+    )
+    return _with_noise(noisy, sensed.outputs, within)
+
+
+def _tried(numbers: tuple[int, ...], fit: Callable[[int], _Fit]) -> Tried[_Fit]:
+    """Fits of numbers of modes, as far as they go; of a single number of the next smaller, too.
+
+    Raises
+    ------
+    ArgumentError
+        If not even the first goes.
+    """
     fits, refused = [], None
     for number in numbers:
         try:
-            fits.append(fitted(search, replace(layout, modes=number)))
+            fits.append(fit(number))
         except ArgumentError as error:
             if not fits:
                 raise
             refused = error
             break  # more are too many, too
     if len(numbers) == 1 and numbers[0] > 1:  # do fewer explain the log as well?
-        fewer = replace(layout, modes=numbers[0] - 1)
         with suppress(ArgumentError):
-            fits.insert(0, fitted(search, fewer))
-    if not sensed.noise:
-        found = _without_noise(Tried(fits, numbers, refused), sensed.states, within)
-        white = found.estimate is None or found.estimate.tests.white
-        if white or sensed.noise is False:
-            return found
-    noisy, errors = [], []
-    for fit in fits:
-        try:
-            noisy.append(fitted_with_noise(fit, search, sensed.outputs, sensed.C))
-        except ArgumentError as error:
-            errors.append(error)
-    if not any(one.layout.modes in numbers for one in noisy):
-        raise errors[-1]
-    return _with_noise(Tried(noisy, numbers, refused), sensed.outputs, within)
+            fits.insert(0, fit(numbers[0] - 1))
+    return Tried(fits, numbers, refused)
 
 
 def _without_noise(tried: Tried[Fitted], recording: Recording, within: bool) -> Hidden:
@@ -119,7 +126,7 @@ def _with_noise(tried: Tried[NoisyFit], recording: Recording, within: bool) -> H
     if found is None:
         return Hidden(1, None, None, recording, None, "", said)
     estimate, of_modes = estimated_with_noise(found)
-    modes = hidden_modes(tried.fits, best.fit, found.recording, of_modes)
+    modes = hidden_modes(tried.fits, best.begun, found.recording, of_modes)
     return _whole(estimate, modes, found.recording, said, within)
 
 

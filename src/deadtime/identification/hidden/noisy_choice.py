@@ -1,9 +1,9 @@
 """The maximum of a log whose modes are hidden and whose sensors are noisy, of one number of modes.
 
-It begins at the plant that is likeliest without noise of the sensors, with two guesses of how much
-of what a period adds is theirs. Plant and noise are climbed with the chain held, and the chain is
-set to the jumps that are expected then, in turn. The first steps take modes to change at samples
-and to last.
+It begins at each of the regressions that starts without noise lead to, with two guesses of how much
+of what a period adds is the sensors'; what leads highest in coarse steps, with modes that change at
+samples and last at first, goes on. Plant and noise are climbed with the chain held, and the chain
+is set to the jumps that are expected then, in turn.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.hidden.choice import Fitted, Search
+from deadtime.identification.hidden.choice import Begun, Search, begun
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
 from deadtime.identification.maximum import maximise, window_of
@@ -34,10 +34,10 @@ _SOON, _LATE = 0.3, 1e-3  # of log likelihood, a gain that is worth a step: at f
 class NoisyFit(NamedTuple):
     """The likeliest plant and noise of a number of modes, and BIC.
 
-    fit : without noise of the sensors; window : of delays; values : log likelihood of every round
+    begun : where it began; window : of delays; values : log likelihood of every round
     """
 
-    fit: Fitted
+    begun: Begun
     log: HiddenNoisyLog
     best: Maximum
     window: tuple[float, float]
@@ -47,58 +47,97 @@ class NoisyFit(NamedTuple):
     @property
     def layout(self) -> Layout:
         """Where unknowns of the plant lie."""
-        return self.fit.layout
-
-
-def _lag(window: tuple[float, float], step: float) -> int:
-    """Samples at the beginning of a stretch in which not all that acts is known."""
-    return int(np.ceil(window[1] / step)) + 1
+        return self.begun.layout
 
 
 def fitted_with_noise(
-    fit: Fitted,
     search: Search,
+    layout: Layout,
     recording: Recording,
     C: Float[np.ndarray, "p n"],
 ) -> NoisyFit:
-    """The likeliest plant and noise of a recording of y = C x, from a fit without noise.
+    """The likeliest plant and noise of a recording of y = C x, of a number of modes.
 
     Raises
     ------
     ArgumentError
-        If a mode is left with next to no row.
+        If the log is too short for so many, or a mode is left with next to no row.
     """
-    exact, theta, layout = fit.ascent.log, fit.ascent.theta, fit.layout
+    start, log, theta, window = _best_start(search, layout, recording, C)
+    log, best, values = _climbed(log, theta, window, _LATE)
+    best, window = maximise(log, best.theta, gain=_LATE)
+    if (rows := _least_rows(log, best.theta, window)) < layout.least_periods:
+        raise ArgumentError(
+            f"modes = {layout.modes} is too many for this log: with noise of the sensors a mode is "
+            f"left with {rows:.0f} rows: ask for fewer, or log for longer."
+        )
+    n, modes = layout.n, layout.modes
+    unknowns = layout.size + n * (n + 1) // 2 + len(C) + modes * (modes - 1)
+    value = log.value(best.theta, log.starts(*search.bounds))  # of the same samples for all numbers
+    bic = unknowns * float(np.log(search.periods.count)) - 2.0 * value
+    return NoisyFit(start, log, best, window, values, bic)
+
+
+def _best_start(
+    search: Search, layout: Layout, recording: Recording, C: Float[np.ndarray, "p n"]
+) -> tuple[Begun, HiddenNoisyLog, Float[np.ndarray, " size"], tuple[float, float]]:
+    """What leads highest in coarse steps, of those that leave all modes some rows, if any do.
+
+    And its likelihood, its vector, and the window of its delays.
+    """
+    lag = int(np.ceil(search.bounds[1] / recording.step)) + 1
+    few, found = stretches(recording, _ENOUGH, lag), []
+    for start in _starts(search, layout):
+        log, W = _of_start(start, search, recording, C)
+        window = window_of(start.log, start.theta[layout.at_delays])
+        rough = replace(log, noisy=replace(log.noisy, recording=few), within=False, _kept={})
+        for noise in first_noises(W, C, recording.step):
+            vector = rough.whole.join(start.theta, noise)
+            led, best, _ = _climbed(rough, vector, window, _SOON)
+            whole = _least_rows(led, best.theta, window) >= layout.least_periods
+            value = led.value(best.theta, led.starts(*search.bounds))
+            own = replace(log, jumps=led.jumps)
+            found.append(((whole, value), (start, own, best.theta, window)))
+    return max(found, key=lambda one: one[0])[1]
+
+
+def _starts(search: Search, layout: Layout) -> list[Begun]:
+    """Those that regressions lead to with one covariance of all modes, and with one of each.
+
+    Noise of sensors is that of all modes; where one hides another, though, the others may not.
+    """
+    found, errors = [], []
+    for common in (True, False)[: layout.modes]:
+        try:
+            found += begun(search, layout, common)
+        except ArgumentError as error:
+            errors.append(error)
+    if not found:
+        raise errors[0]
+    return found
+
+
+def _of_start(
+    start: Begun, search: Search, recording: Recording, C: Float[np.ndarray, "p n"]
+) -> tuple[HiddenNoisyLog, Float[np.ndarray, "n n"]]:
+    """The likelihood, with modes that last; and what a period adds, as noise of the plant."""
+    exact, theta, layout = start.log, start.theta, start.layout
     A, _, _ = layout.split(theta)
-    share = fit.ascent.found.weight.sum(axis=0)
+    share = start.found.weight.sum(axis=0)
     W = np.tensordot(share / share.sum(), continuous(A, exact.S, recording.step), axes=1)
-    window = window_of(exact, theta[layout.at_delays])
     known = np.diagonal(exact.evaluate(theta, exact.cells(theta)).information)
     unit = np.concatenate((1.0 / np.sqrt(np.maximum(known, 1e-300)), _units(W), np.ones(len(C))))
     one = replace(layout, modes=1, per_mode=False)
     noisy = NoisyLog(recording, one, C, False, search.bounds, exact.nodes)
-    jumps = Jumps.lasting(layout.modes, recording.step, exact.jumps.rates)
-    log = HiddenNoisyLog(noisy, layout, unit, jumps, exact.within)
-    few = stretches(recording, _ENOUGH, _lag(window, recording.step))
-    some = replace(noisy, recording=few)
-    tried = []
-    for noise in first_noises(W, C, recording.step):
-        begun = replace(log, noisy=some, within=False, _kept={})
-        tried.append(_climbed(begun, begun.whole.join(theta, noise), window, _SOON))
-    first = max(tried, key=lambda one: one[1].found.value)
-    log = replace(log, jumps=first[0].jumps)
-    log, best, values = _climbed(log, first[1].theta, window, _LATE)
-    best, window = maximise(log, best.theta, gain=_LATE)
-    rows = np.vstack(log.posterior(best.theta, log.starts(*window)).node).sum(axis=0)
-    if rows.min() < layout.least_periods:
-        raise ArgumentError(
-            f"modes = {layout.modes} is too many for this log: with noise of the sensors a mode is "
-            f"left with {rows.min():.0f} rows: ask for fewer, or log for longer."
-        )
-    n, modes = layout.n, layout.modes
-    unknowns = layout.size + n * (n + 1) // 2 + len(C) + modes * (modes - 1)
-    bic = unknowns * float(np.log(search.periods.count)) - 2.0 * best.found.value
-    return NoisyFit(fit, log, best, window, values, bic)
+    jumps = Jumps.lasting(layout.modes, recording.step, not recording.even)
+    return HiddenNoisyLog(noisy, layout, unit, jumps, exact.within), W
+
+
+def _least_rows(
+    log: HiddenNoisyLog, theta: Float[np.ndarray, " size"], window: tuple[float, float]
+) -> float:
+    """How many rows the rarest mode is expected to have."""
+    return float(np.vstack(log.posterior(theta, log.starts(*window)).node).sum(axis=0).min())
 
 
 def _climbed(

@@ -114,8 +114,8 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
 
 def _start(found: NoisyDecoded) -> Start:
     """What other cells of the delays would be like without noise, modes in their new order."""
-    fit, order, layout = found.fit.fit, found.order, found.log.layout
-    old = start_of_grid(fit.grid, fit.ascent.theta)
+    begun, order, layout = found.fit.begun, found.order, found.log.layout
+    old = start_of_grid(begun.log, begun.theta)
     theta = found.theta[: layout.size]
     cells = cells_of(theta[layout.at_delays], found.recording.step)
     curves = old.scanned
