@@ -9,12 +9,13 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import spread_of
+from deadtime.identification.intervals import require_seen, spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
+from deadtime.identification.restricted import restricted
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.plant import SwitchedSystem
@@ -98,15 +99,14 @@ def estimate_with_noise(
     best, window = maximise(log, theta)
     names = layout.names()
     observations = sum(int(np.isfinite(part.output).sum()) for part in recording.parts)
-    spare = max(observations - best.theta.size, 1)
-    F = best.found.information
-    known, every = F * (spare / observations), np.full(best.theta.size, float(spare))
-    spread = spread_of(F, names, known, every)
+    require_seen(best.found.information, names)
+    less = restricted(log, some, best, window, float(max(observations - best.theta.size, 1)))
+    spread = spread_of(best.found.information, names, less.information, less.spare)
     intervals, several = delay_intervals(log, best, window, spread, exact.start)
-    A, B, delays = layout.split(best.theta[: layout.size])
-    noise = log.noise(best.theta)
+    A, B, delays = layout.split(less.theta[: layout.size])
+    noise = log.noise(less.theta)
     starts = log.starts(*window)
-    e, s = log.innovations(best.theta, starts)
+    e, s = log.innovations(less.theta, starts)
     fresh = np.concatenate(starts)
     known = np.vstack([np.isfinite(part.output) for part in recording.parts]) & ~fresh[:, None]
     white = np.split(
@@ -115,7 +115,7 @@ def estimate_with_noise(
     )
     return Estimate(
         log,
-        best,
+        best._replace(theta=less.theta),
         window,
         SwitchedSystem(A, B, delays),
         spread,
