@@ -163,6 +163,12 @@ class NoisyLog(Frozen):
         L[i, j] = np.where(i == j, np.exp(np.where(i == j, lower, 0.0)), lower)
         return L
 
+    def units(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " noise"]:
+        """Of every unknown of the noise: 1 of logarithms, below L's diagonal its row's length."""
+        i, j = self.places
+        row = np.sqrt((self.root(vector) ** 2).sum(axis=1))
+        return np.concatenate((np.where(i == j, 1.0, row[i]), np.ones(len(self.C))))
+
     def innovations(
         self, vector: Float[np.ndarray, " size"], starts: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
