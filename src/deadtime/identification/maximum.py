@@ -15,7 +15,7 @@ from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
 from deadtime.identification.regression import concentrated, even_terms, lags_of
-from deadtime.identification.scoring import Evaluate, Maximum, climb, climb_cells
+from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
 from deadtime.identification.uneven import uneven_terms, usable
 
 REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
@@ -87,6 +87,7 @@ def maximise(
     theta: Float[np.ndarray, " size"],
     fixed: Bool[np.ndarray, " size"] | None = None,
     window: tuple[float, float] | None = None,
+    gain: float = GAIN,
 ) -> tuple[Maximum, tuple[float, float]]:
     """The maximum that a start leads to, and the window of delays that it was sought in.
 
@@ -100,13 +101,13 @@ def maximise(
         evaluate_in, ends = log.evaluate_in(low, high), log.limits
         if log.recording.even:
             cells = cells_of(theta[place], h)
-            reach = (low, high), ends, fixed, stride
+            reach = (low, high), ends, fixed, stride, gain
             best, _ = climb_cells(evaluate_in, theta, place, cells, h, *reach)
         else:
             ends[0][place], ends[1][place] = low, high
             if fixed is not None:
                 ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
-            best = climb(evaluate_in(np.zeros(0)), theta, *ends, stride=stride)
+            best = climb(evaluate_in(np.zeros(0)), theta, *ends, gain=gain, stride=stride)
         D, free = best.theta[place], np.ones(log.layout.delays, bool)
         if fixed is not None:
             free = ~fixed[place]

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import Spread, spread_of
+from deadtime.identification.intervals import Spread, inverse, spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.over_peaks import ends_over_peaks
@@ -146,13 +146,16 @@ def _spread(log: NoisyLog, best: Maximum, beyond: int, observations: int) -> Spr
     """Of all unknowns: what is known has no variance, noise that the log does not tell any."""
     F, names, size = best.found.information, log.layout.names(), log.layout.size
     free = log.free
-    seen = free[(free < size) | (np.diagonal(F)[free] > _UNTOLD)]
+    seen = free[(free < size) | ((log.unit(best.theta) ** 2 * np.diagonal(F))[free] > _UNTOLD)]
     own = F[np.ix_(seen, seen)]
     named = [names[a] for a in seen if a < size]
     of = spread_of(own, named, own * (beyond / observations), np.full(seen.size, float(beyond)))
     covariance = np.zeros(F.shape)
     untold = np.setdiff1d(free, seen)
-    covariance[untold, untold] = 1.0 / _UNTOLD
+    cross = F[np.ix_(untold, seen)]
+    beside = np.einsum("as,st,at->a", cross, inverse(own), cross)
+    least = 1e-12 * np.diagonal(F)[untold] + np.finfo(float).tiny
+    covariance[untold, untold] = 1.0 / np.maximum(np.diagonal(F)[untold] - beside, least)
     covariance[np.ix_(seen, seen)] = of.covariance
     reach, inflation = np.full(len(F), of.reach[0]), np.ones(len(F))
     inflation[seen] = of.inflation

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-_GAIN = 1e-10  # of log likelihood that is still worth a step
+GAIN = 1e-10  # of log likelihood that is still worth a step
 _STEPS = 200
 
 
@@ -44,7 +44,7 @@ def climb(
     low: Float[np.ndarray, " size"],
     high: Float[np.ndarray, " size"],
     steps: int = _STEPS,
-    gain: float = _GAIN,
+    gain: float = GAIN,
     stride: Float[np.ndarray, " size"] | float = np.inf,
 ) -> Maximum:
     """The local maximum within bounds that a start leads to; `gain` is worth a step.
@@ -110,6 +110,7 @@ def climb_cells(
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
     stride: np.ndarray | float = np.inf,
+    gain: float = GAIN,
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.
 
@@ -124,7 +125,7 @@ def climb_cells(
         high[delays] = np.minimum(cells * step, bounds[1])
         start = np.clip(start, low, high)
         low[still], high[still] = start[still], start[still]
-        return climb(evaluate_in(cells), start, low, high, stride=stride)
+        return climb(evaluate_in(cells), start, low, high, gain=gain, stride=stride)
 
     best, tried = highest(cells, theta), {tuple(cells)}
     while True:
@@ -136,7 +137,7 @@ def climb_cells(
             if reach and tuple(beyond) not in tried:
                 tried.add(tuple(beyond))
                 options.append((highest(beyond, best.theta), beyond))
-        better = [o for o in options if o[0].found.value > best.found.value + _GAIN]
+        better = [o for o in options if o[0].found.value > best.found.value + gain]
         if not better:
             return best, cells
         best, cells = max(better, key=lambda option: option[0].found.value)

@@ -73,7 +73,7 @@ def filtered(
             if np.isfinite(output[k, j]):
                 c = model.C[j]
                 g = P @ c
-                s = c @ g + model.R[j]
+                s = max(c @ g, 0.0) + model.R[j]  # of a vague state rounding may be all of it
                 e = output[k, j] - c @ x
                 x, P = x + g * (e / s), P - np.outer(g, g / s)
                 error[k, j], variance[k, j], gain[k, j] = e, s, g / s
