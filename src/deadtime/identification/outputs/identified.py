@@ -53,9 +53,8 @@ def identify_outputs(
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
     names = state_names(recording.outputs, given, shape.zeros)
-    said = zeros_in_doubt(chosen, recording.inputs)
-    if hardly_tells(found, shape):
-        said += order_too_high(request, chosen)
+    said = order_too_high(request, chosen) if hardly_tells(found, shape) else []
+    said = said or zeros_in_doubt(chosen, recording.inputs)
     return FromOutputs(found, recording, *fit_switching(recording), shape.C, names, tuple(said))
 
 
