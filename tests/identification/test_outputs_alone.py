@@ -165,13 +165,19 @@ def test_a_loop_closed_on_the_position_tells_the_motor_as_well():
 FIRST = Plant([[[-0.8]]], [[[1.0]]], 0.22, 1e-3 * np.eye(1))
 
 
-def test_an_order_too_high_is_told_beside_one_that_explains_the_log_better():
+def test_where_an_order_too_high_leaves_unknowns_open_the_error_names_a_better_one():
     table = logged(FIRST, [[1.0]], 300, 1)
-    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
-    assert "An order of 1 explains the log better" in fit.message
-    assert "say order=1, --order 1." in fit.message
     with pytest.raises(dt.ArgumentError, match=r"apart.*An order of 1 explains the log better"):
         dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("plant", "order"), [(FIRST, 2), (MOTOR, 3)])
+def test_an_order_too_high_by_one_is_named(plant, order):
+    table = logged(plant, np.eye(1, plant.A.shape[1]), 300, 1)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=order, zeros=False)
+    assert f"An order of {order - 1} explains the log better" in fit.message
+    assert f"say order={order - 1}, --order {order - 1}." in fit.message
 
 
 def test_an_order_too_low_is_told_to_be_raised():
@@ -181,6 +187,7 @@ def test_an_order_too_low_is_told_to_be_raised():
     assert "a state is missing (raise order, --order, to 2)" in fit.message
 
 
+@pytest.mark.long
 def test_zeros_that_are_in_doubt_come_with_the_delay_the_other_way_round():
     plant = Plant(MOTOR.A, [[[0.1], [1.0]]], 0.312, 1e-3 * np.eye(2))
     table = logged(plant, [[1.0, 0.0]], 400, 6)
@@ -211,6 +218,7 @@ def test_noise_that_is_not_told_is_less_than_where_the_likelihood_has_fallen():
     assert float(rows["noise[0]"][1]) > 0.0
 
 
+@pytest.mark.long
 def test_a_sensor_without_noise_is_said_to_have_less_than_some():
     table = logged(MOTOR, [[1.0, 0.0]], 400, 6, sensor=1e-7)
     fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
@@ -253,6 +261,7 @@ def test_a_plant_with_a_zero_is_found_to_have_one_and_keeps_its_transfer_functio
     assert low < 0.23 < high < low + 0.004
 
 
+@pytest.mark.long
 def test_a_log_without_noise_gives_the_plant_to_many_digits():
     plant = Plant(MOTOR.A, MOTOR.B, 0.23)
     table = logged(plant, [[1.0, 0.0]], 200, sensor=0.0)
@@ -261,6 +270,7 @@ def test_a_log_without_noise_gives_the_plant_to_many_digits():
     assert fit.delays.item() == pytest.approx(0.23, abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_file_has_an_observer_and_its_loop_is_proved(tmp_path):
     two = Plant(
         [[[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]],

@@ -31,7 +31,7 @@ def zeros_in_doubt(chosen: Chosen, inputs: tuple[str, ...]) -> list[str]:
     one = "the delay" if D.size == 1 else "delays"
     were = f"{one} would be {', '.join(f'{d:.4g}' for d in D)} s"
     whether = "the last derivative alone" if chosen.shape.zeros else "all states"
-    acting = "inputs act" if len(inputs) > 1 else f"{inputs[0]} acts"
+    acting = "inputs act" if inputs[1:] else f"{inputs[0]} acts"
     return [
         f"The log hardly tells whether {acting} on all states or on the last derivative alone: if "
         f"on {whether}, {were}. Say which by zeros=True or zeros=False, --zeros or --no-zeros."

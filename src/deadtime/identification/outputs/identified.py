@@ -29,7 +29,6 @@ class FromOutputs(NamedTuple):
     """What `Identification.of` takes, and what else there is to say."""
 
     estimate: Estimate
-    recording: Recording
     model: SemiMarkov | None
     why: str
     C: Float[np.ndarray, "p n"]
@@ -55,7 +54,7 @@ def identify_outputs(
     names = state_names(recording.outputs, given, shape.zeros)
     said = order_too_high(request, chosen) if hardly_tells(found, shape) else []
     said = said or zeros_in_doubt(chosen, recording.inputs)
-    return FromOutputs(found, recording, *fit_switching(recording), shape.C, names, tuple(said))
+    return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said))
 
 
 def _require_moving(recording: Recording) -> None:
