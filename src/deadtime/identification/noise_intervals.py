@@ -74,5 +74,6 @@ def _errors(
     variance = np.einsum("va,ab,vb->v", slope, C, slope)
     for a in range(n):
         own = np.flatnonzero(off & (i == a))
-        variance[a] += 2.0 * float((C[np.ix_(own, own)] ** 2).sum())
+        with np.errstate(over="ignore"):  # what the log does not tell at all may be any
+            variance[a] += 2.0 * float((C[np.ix_(own, own)] ** 2).sum())
     return np.sqrt(variance)
