@@ -175,9 +175,12 @@ def test_where_an_order_too_high_leaves_unknowns_open_the_error_names_a_better_o
 @pytest.mark.parametrize(("plant", "order"), [(FIRST, 2), (MOTOR, 3)])
 def test_an_order_too_high_by_one_is_named(plant, order):
     table = logged(plant, np.eye(1, plant.A.shape[1]), 300, 1)
-    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=order, zeros=False)
-    assert f"An order of {order - 1} explains the log better" in fit.message
-    assert f"say order={order - 1}, --order {order - 1}." in fit.message
+    try:
+        said = dt.identify(table, modes=None, delay=(0.0, 1.0), order=order, zeros=False).message
+    except dt.ArgumentError as error:  # where unknowns are so open that there are no intervals
+        said = str(error)
+    assert f"An order of {order - 1} explains the log better" in said
+    assert f"say order={order - 1}, --order {order - 1}." in said
 
 
 def test_an_order_too_low_is_told_to_be_raised():
