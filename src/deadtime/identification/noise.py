@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import Spread, require_seen, spread_of
+from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.over_peaks import ends_over_peaks
@@ -147,14 +147,18 @@ def _spread(
     What is known has no variance, noise that the log does not tell any.
     """
     F, names, size = best.found.information, log.layout.names(), log.layout.size
-    seen = log.free[(log.free < size) | (np.diagonal(F)[log.free] > _UNTOLD)]
+    free, told = log.free, log.unit(best.theta) ** 2 * np.diagonal(F) > _UNTOLD
+    seen = free[(free < size) | told[free]]
     own, named = np.ix_(seen, seen), [names[a] for a in seen if a < size]
     require_seen(F[own], named)
     less = restricted(log, some, best, window, most)
     of = spread_of(F[own], named, less.information[own], less.spare[seen])
     covariance = np.zeros(F.shape)
-    untold = np.setdiff1d(log.free, seen)
-    covariance[untold, untold] = 1.0 / _UNTOLD
+    untold = np.setdiff1d(free, seen)
+    cross = F[np.ix_(untold, seen)]
+    beside = np.einsum("as,st,at->a", cross, inverse(F[own]), cross)
+    least = 1e-12 * np.diagonal(F)[untold] + np.finfo(float).tiny
+    covariance[untold, untold] = 1.0 / np.maximum(np.diagonal(F)[untold] - beside, least)
     covariance[own] = of.covariance
     reach, inflation = np.full(len(F), of.reach.min()), np.ones(len(F))
     reach[seen], inflation[seen] = of.reach, of.inflation

@@ -44,7 +44,7 @@ def restricted(
     """
     cells, size = log.cells(best.theta), log.layout.size
     evaluate, own = log.evaluate_in(*window)(cells), some.evaluate_in(*window)(cells)
-    noise, unit = np.arange(size, log.size), log.units(best.theta)
+    noise, unit = np.arange(size, log.size), log.unit(best.theta)[size:]
     told = np.diagonal(best.found.information)[size:] * unit**2 > _TOLD
     moves = _moves(own, best.theta, noise[told], unit[told])[:, :size, :size]
     moves *= log.recording.samples / some.recording.samples
