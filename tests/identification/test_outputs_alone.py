@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
@@ -17,6 +18,7 @@ from deadtime.identification.recording import Part, Recording
 from deadtime.identification.scoring import Evaluation, climb
 from deadtime.identification.uneven import nodes_for
 from deadtime.problems import load_problem
+from deadtime.reports.identified import interval_rows
 from synthetic_logs import Plant
 
 H = 0.05
@@ -149,6 +151,86 @@ def test_position_alone_tells_the_motor_and_its_delay():
     assert fit.tests.unrelated
 
 
+def test_a_loop_closed_on_the_position_tells_the_motor_as_well():
+    rng, t = np.random.default_rng(8), H * np.arange(400)
+    x, u = MOTOR.log(t, rng.standard_normal((400, 1)), rng, feedback=np.array([[-1.5, 0.0]]))
+    y = x[:, 0] + 0.003 * rng.standard_normal(400)
+    table = pd.DataFrame({"t": t, "y1": y, "u1": u[:, 0]})
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
+    low, high = fit.interval("delay")
+    assert low < 0.312 < high < low + 0.08
+    assert misses(fit, MOTOR, [[1.0, 0.0]], (2,)) == ([], 3)
+
+
+FIRST = Plant([[[-0.8]]], [[[1.0]]], 0.22, 1e-3 * np.eye(1))
+
+
+def test_where_an_order_too_high_leaves_unknowns_open_the_error_names_a_better_one():
+    table = logged(FIRST, [[1.0]], 300, 1)
+    with pytest.raises(dt.ArgumentError, match=r"apart.*An order of 1 explains the log better"):
+        dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("plant", "order"), [(FIRST, 2), (MOTOR, 3)])
+def test_an_order_too_high_by_one_is_named(plant, order):
+    table = logged(plant, np.eye(1, plant.A.shape[1]), 300, 1)
+    try:
+        said = dt.identify(table, modes=None, delay=(0.0, 1.0), order=order, zeros=False).message
+    except dt.ArgumentError as error:  # where unknowns are so open that there are no intervals
+        said = str(error)
+    assert f"An order of {order - 1} explains the log better" in said
+    assert f"say order={order - 1}, --order {order - 1}." in said
+
+
+def test_an_order_too_low_is_told_to_be_raised():
+    table = logged(MOTOR, [[1.0, 0.0]], 300)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=1)
+    assert not fit.tests.white
+    assert "a state is missing (raise order, --order, to 2)" in fit.message
+
+
+@pytest.mark.long
+def test_zeros_that_are_in_doubt_come_with_the_delay_the_other_way_round():
+    plant = Plant(MOTOR.A, [[[0.1], [1.0]]], 0.312, 1e-3 * np.eye(2))
+    table = logged(plant, [[1.0, 0.0]], 400, 6)
+    given: dict[str, Any] = {"modes": None, "delay": (0.0, 1.0), "order": 2}
+    fit = dt.identify(table, **given)
+    told = "act on all of them" in fit.message
+    found = re.search(r"The log hardly tells whether u1 acts .* would be ([\d.]+) s", fit.message)
+    assert found
+    other = dt.identify(table, **given, zeros=not told)
+    assert float(found[1]) == pytest.approx(other.delays.item(), abs=1e-3)
+    assert "hardly tells whether" not in other.message
+
+
+def test_noise_that_is_not_told_is_less_than_where_the_likelihood_has_fallen():
+    plant = Plant(MOTOR.A, MOTOR.B, 0.312, np.diag([1e-12, 1e-3]))
+    table = logged(plant, [[1.0, 0.0]], 400, 1)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
+    low, high = fit.interval("disturbance[0][0,0]")
+    assert low == 0.0
+    log, best, window = fit._found.log, fit._found.best, fit._found.window
+    theta, fixed = best.theta.copy(), np.zeros(best.theta.size, bool)
+    place = log.layout.size
+    theta[place], fixed[place] = 0.5 * np.log(high), True
+    fall = best.found.value - maximise(log, theta, fixed, window)[0].found.value
+    assert 1.3 < fall < 3.0
+    rows = {row[0]: row[1:] for row in interval_rows(fit)}
+    assert rows["disturbance[0][0,0]"] == ("not told", "0", f"{high:.2g}")
+    assert float(rows["noise[0]"][1]) > 0.0
+
+
+@pytest.mark.long
+def test_a_sensor_without_noise_is_said_to_have_less_than_some():
+    table = logged(MOTOR, [[1.0, 0.0]], 400, 6, sensor=1e-7)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2, zeros=False)
+    low, high = fit.interval("noise[0]")
+    assert low == 0.0
+    assert 1e-7 < high < 5e-3
+    assert "Measurements are noisy: standard deviation less than " in fit.message
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("jitter", [0.0, 0.3], ids=["even", "uneven"])
 def test_three_modes_two_inputs_six_delays_and_missing_measurements(jitter):
@@ -182,6 +264,7 @@ def test_a_plant_with_a_zero_is_found_to_have_one_and_keeps_its_transfer_functio
     assert low < 0.23 < high < low + 0.004
 
 
+@pytest.mark.long
 def test_a_log_without_noise_gives_the_plant_to_many_digits():
     plant = Plant(MOTOR.A, MOTOR.B, 0.23)
     table = logged(plant, [[1.0, 0.0]], 200, sensor=0.0)
@@ -190,6 +273,7 @@ def test_a_log_without_noise_gives_the_plant_to_many_digits():
     assert fit.delays.item() == pytest.approx(0.23, abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_file_has_an_observer_and_its_loop_is_proved(tmp_path):
     two = Plant(
         [[[0.0, 1.0], [-2.0, -1.0]], [[0.0, 1.0], [-3.0, -0.5]]],

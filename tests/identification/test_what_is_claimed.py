@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import t as t_of
 
 import deadtime as dt
-from deadtime.identification.identification import Identification
+from deadtime.identification.noise_intervals import ends
 from deadtime.identification.peaks import fresh_rise
 from deadtime.identification.problem_text import problem_text
 from deadtime.identification.sentences import verdict_of
@@ -148,11 +148,11 @@ def test_an_interval_that_ends_where_the_search_did_says_that_nothing_longer_was
     assert "longer than 0.3 s, widen delay=(low, high), --delay LOW HIGH." in fit.message
 
 
-def test_a_sensors_noise_that_the_log_does_not_tell_may_be_any(monkeypatch):
-    told = np.array([1.0, 1e-6]), np.array([0.1, 1e4])
-    monkeypatch.setattr("deadtime.identification.identification._log_noise", lambda *_: told)
-    fit: Any = SimpleNamespace(disturbance=np.ones((1, 1, 1)), noise=np.ones(1), _found=None)
-    assert Identification._noise_interval(fit, 1) == (0.0, np.inf)
+def test_a_noise_that_the_log_does_not_tell_may_be_none_or_any():
+    assert ends(1e-12, 1e-3) == (0.0, pytest.approx(1.96e-3, rel=1e-4))
+    assert ends(1e-12, np.inf) == (0.0, np.inf)
+    low, high = ends(1.0, 0.1)
+    assert low * high == pytest.approx(1.0)
 
 
 def test_modes_that_have_numbers_only_are_called_what_they_are_without_names(tmp_path):

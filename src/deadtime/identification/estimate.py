@@ -20,7 +20,8 @@ from deadtime.plant import SwitchedSystem
 class Estimate(Frozen):
     """The likeliest plant under one description of the noise.
 
-    log, best, window : the likelihood, where it is largest, and the delays that it was sought in
+    log, best, window : the likelihood, where it is largest, and the delays that it was sought in;
+    with noisy sensors the unknowns are those of the restricted likelihood, its value the largest
     spread : of all unknowns; intervals : (delays, 2), seconds
     several : (delays,), whether an interval holds other peaks; start : the first guess
     disturbance : (modes, n, n), W of each mode, x² per second

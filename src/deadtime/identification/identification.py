@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -16,7 +15,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.identified import Hidden
-from deadtime.identification.noise import intensity_errors
+from deadtime.identification.noise_intervals import noise_interval
 from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.recording import Recording
@@ -29,9 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-
-
-_OWN = 0.5  # of an intensity: an error beyond which it may be none
 
 
 @runtime_checkable
@@ -224,7 +220,8 @@ class Identification(Frozen):
         name : str
             One of `names`: "delay", or "delay[j]" of input j where there are several, "delay[i][j]"
             where every mode i has its own; "A[0][0,1]", "B[1][2,0]"; "disturbance[0][1,1]" for a
-            diagonal entry of W in mode 0; "noise[1]" for the second sensor.
+            diagonal entry of W in mode 0; "noise[1]" for the second sensor. Noise that the log does
+            not tell from none begins at 0: it is less than the other end.
 
         Raises
         ------
@@ -237,7 +234,7 @@ class Identification(Frozen):
             low, high = found.intervals[place - layout.size + layout.delays]
             return float(low), float(high)
         if place >= layout.size:
-            return self._noise_interval(place - layout.size)
+            return noise_interval(found, self.step, place - layout.size)
         if found.ends is not None:
             low, high = found.ends[place]
             return float(low), float(high)
@@ -245,32 +242,6 @@ class Identification(Frozen):
             np.sqrt(found.spread.covariance[place, place])
         )
         return float(found.best.theta[place] - half), float(found.best.theta[place] + half)
-
-    @cached_property
-    def _errors(self) -> Float[np.ndarray, "mode n"]:
-        """Standard errors of the diagonals of W."""
-        return intensity_errors(self.plant.A, self.disturbance, self.step, self._found.spare)
-
-    def _noise_interval(self, place: int) -> tuple[float, float]:
-        """Of W's diagonal, then of the sensors' deviations.
-
-        Logarithms are nearly normal, but of an entry of W of the size of its own error.
-        """
-        from scipy.stats import norm
-
-        modes, n = self.disturbance.shape[:2]
-        reach = float(norm.ppf(0.975))
-        if not self.noise.any():
-            i, a = divmod(place, n)
-            value, error = float(self.disturbance[i, a, a]), float(self._errors[i, a])
-            if error > _OWN * value:
-                return max(0.0, value - reach * error), value + reach * error
-            wide = float(np.exp(reach * error / value)) if value else 1.0
-            return value / wide, value * wide
-        values, errors = _log_noise(self._found, modes)
-        with np.errstate(over="ignore"):  # a noise that the log does not tell may be any
-            wide = float(np.exp(reach * errors[place]))
-        return float(values[place]) / wide, float(values[place]) * wide
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
         """Whether a law stands every delay that the log allows.
@@ -356,27 +327,3 @@ class Identification(Frozen):
             f"inputs={self.plant.inputs}, delay={self.delays[0].round(6).tolist()}, "
             f"samples={self.samples})"
         )
-
-
-def _log_noise(found: Estimate, modes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Diagonals of W mode by mode, then deviations; and the standard errors of their logarithms."""
-    from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
-    from deadtime.identification.noisy import NoisyLog
-
-    log, theta = found.log, found.best.theta
-    if not isinstance(log, NoisyLog | HiddenNoisyLog):
-        raise ArgumentError("found must have noise of its sensors.")
-    size = log.layout.size
-
-    def logarithms(vector: np.ndarray) -> np.ndarray:
-        noise = log.noise(vector)
-        diagonal = np.tile(np.log(np.maximum(np.diagonal(noise.W), 1e-300)), modes)
-        return np.concatenate((diagonal, np.log(noise.deviation)))
-
-    slope = np.zeros((logarithms(theta).size, theta.size))
-    for a in range(size, theta.size):
-        step = np.zeros(theta.size)
-        step[a] = 1e-6
-        slope[:, a] = (logarithms(theta + step) - logarithms(theta - step)) / 2e-6
-    spread = slope @ found.spread.covariance @ slope.T
-    return np.exp(logarithms(theta)), np.sqrt(np.diagonal(spread))

@@ -144,8 +144,9 @@ def identify(
     within = switches == "anywhere"
     if order is not None:
         require_logged(C, noise, numbers is not None)
-        fit = identify_outputs(recording, order, zeros, per_mode, bounds, within)
-        return Identification.of(*fit)
+        of = identify_outputs(recording, order, zeros, per_mode, bounds, within)
+        fit = Identification.of(of.estimate, recording, of.model, of.why, of.C, of.states)
+        return replace(fit, sentences=(*fit.sentences, *of.sentences))
     _require_order_for(zeros, outputs, C)
     sensors = _sensors(C, recording)
     direct = _as_states(recording, sensors)

@@ -16,7 +16,7 @@ from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
 from deadtime.identification.regression import concentrated, even_terms, lags_of
-from deadtime.identification.scoring import Evaluate, Maximum, climb, climb_cells
+from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
 from deadtime.identification.uneven import uneven_terms, usable
 
 REACH = 3.0  # periods on either side of a delay that the log's start leaves room for
@@ -98,7 +98,7 @@ def maximise(
     """
     place = log.layout.at_delays
     if gain is None:
-        gain = 1e-3 if isinstance(log, HiddenNoisyLog) else 1e-10
+        gain = 1e-3 if isinstance(log, HiddenNoisyLog) else GAIN
     h, asked = log.recording.step, window
     stride = log.stride if isinstance(log, NoisyLog) else np.inf
     while True:

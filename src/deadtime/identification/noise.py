@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.intervals import Spread, spread_of
+from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
+from deadtime.identification.restricted import restricted
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 from deadtime.numerics.covariance import noise_covariances
@@ -112,15 +113,17 @@ def estimated_of(
     """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
     recording, layout, starts = log.recording, log.layout, log.starts(*window)
     beyond = max(log.measured(starts) - log.free.size, 1)
-    spread = _spread(log, best, beyond, log.measured(starts))
+    lag = int(np.ceil(window[1] / recording.step)) + 1
+    some = replace(log, recording=stretches(recording, _ENOUGH, lag))
+    spread, theta = _spread(log, some, best, window, float(beyond))
     intervals, several = delay_intervals(log, best, window, spread, start)
-    A, B, delays = layout.split(best.theta[: layout.size])
-    noise = log.noise(best.theta)
-    white = noisy_residuals(log, best.theta, starts)
+    A, B, delays = layout.split(theta[: layout.size])
+    noise = log.noise(theta)
+    white = noisy_residuals(log, theta, starts)
     spent = None if log.embedding is None else 2 * layout.n * len(log.C)
     return Estimate(
         log,
-        best,
+        best._replace(theta=theta),
         window,
         SwitchedSystem(A, B, delays),
         spread,
@@ -136,22 +139,30 @@ def estimated_of(
     )
 
 
-def _spread(log: NoisyLog, best: Maximum, beyond: int, observations: int) -> Spread:
-    """Of all unknowns: what is known has no variance, noise that the log does not tell any."""
+def _spread(
+    log: NoisyLog, some: NoisyLog, best: Maximum, window: tuple[float, float], most: float
+) -> tuple[Spread, Float[np.ndarray, " size"]]:
+    """Of all unknowns, and these with the noise restricted.
+
+    What is known has no variance, noise that the log does not tell any.
+    """
     F, names, size = best.found.information, log.layout.names(), log.layout.size
-    free = log.free
-    seen = free[(free < size) | (np.diagonal(F)[free] > _UNTOLD)]
-    own = F[np.ix_(seen, seen)]
-    named = [names[a] for a in seen if a < size]
-    of = spread_of(own, named, own * (beyond / observations), np.full(seen.size, float(beyond)))
+    free, told = log.free, log.unit(best.theta) ** 2 * np.diagonal(F) > _UNTOLD
+    seen = free[(free < size) | told[free]]
+    own, named = np.ix_(seen, seen), [names[a] for a in seen if a < size]
+    require_seen(F[own], named)
+    less = restricted(log, some, best, window, most)
+    of = spread_of(F[own], named, less.information[own], less.spare[seen])
     covariance = np.zeros(F.shape)
     untold = np.setdiff1d(free, seen)
-    covariance[untold, untold] = 1.0 / _UNTOLD
-    covariance[np.ix_(seen, seen)] = of.covariance
-    reach, inflation = np.full(len(F), of.reach[0]), np.ones(len(F))
-    inflation[seen] = of.inflation
-    spare = np.full(len(F), of.spare[0])
-    return Spread(covariance, reach, inflation, spare)
+    cross = F[np.ix_(untold, seen)]
+    beside = np.einsum("as,st,at->a", cross, inverse(F[own]), cross)
+    least = 1e-12 * np.diagonal(F)[untold] + np.finfo(float).tiny
+    covariance[untold, untold] = 1.0 / np.maximum(np.diagonal(F)[untold] - beside, least)
+    covariance[own] = of.covariance
+    reach, inflation = np.full(len(F), of.reach.min()), np.ones(len(F))
+    reach[seen], inflation[seen] = of.reach, of.inflation
+    return Spread(covariance, reach, inflation, less.spare), less.theta
 
 
 def noisy_residuals(

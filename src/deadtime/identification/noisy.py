@@ -155,6 +155,13 @@ class NoisyLog(Frozen):
         L = self.root(vector)
         return Noise(L @ L.T, np.exp(vector[self.layout.size + self.places[0].size :]))
 
+    def unit(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """What unknowns of the noise are of: 1, but of L the deviation of their row."""
+        unit, (i, j) = np.ones(self.size), self.places
+        row = np.sqrt(np.diagonal(self.noise(vector).W))[i]
+        unit[self.layout.size : self.layout.size + i.size] = np.where(i == j, 1.0, row)
+        return unit
+
     def root(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, "n n"]:
         """L of a vector, W = L Lᵀ."""
         i, j = self.places

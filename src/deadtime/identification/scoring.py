@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-_GAIN = 1e-10  # of log likelihood that is still worth a step
+GAIN = 1e-10  # of log likelihood that is still worth a step
 _STEPS = 200
 _AS_PROMISED = 0.25  # of a rise: after less of it the damping stays, or steps overshoot in turn
 _CLOSE = 0.1  # of a period: so near a cell's end a climb of coarse steps may be on its way beyond
@@ -46,7 +46,7 @@ def climb(
     low: Float[np.ndarray, " size"],
     high: Float[np.ndarray, " size"],
     steps: int = _STEPS,
-    gain: float = _GAIN,
+    gain: float = GAIN,
     stride: Float[np.ndarray, " size"] | float = np.inf,
 ) -> Maximum:
     """The local maximum within bounds that a start leads to; `gain` is worth a step.
@@ -114,7 +114,7 @@ def climb_cells(
     limits: tuple[np.ndarray, np.ndarray],
     fixed: np.ndarray | None = None,
     stride: np.ndarray | float = np.inf,
-    gain: float = _GAIN,
+    gain: float = GAIN,
 ) -> tuple[Maximum, np.ndarray]:
     """The maximum with delays free, from cell to cell; and the cells that it lies in.
 
@@ -135,7 +135,7 @@ def climb_cells(
     while True:
         options = []
         whole = best.theta[delays] / step
-        close = (gain > _GAIN) & (np.abs(whole - np.round(whole)) < _CLOSE)
+        close = (gain > GAIN) & (np.abs(whole - np.round(whole)) < _CLOSE)
         for j in np.flatnonzero((best.bound[delays] | close) & ~still[delays]):
             D, beyond = best.theta[delays][j], cells.copy()
             beyond[j] += 1 if (cells[j] - 0.5) * step < D else -1

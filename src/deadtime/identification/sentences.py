@@ -8,6 +8,7 @@ import numpy as np
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.noise_intervals import sensor_intervals
 from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.recording import Recording
 from deadtime.identification.untold import counts_whole, reasons
@@ -103,8 +104,11 @@ def delay_names(recording: Recording, found: Estimate) -> list[str]:
 def _noise(found: Estimate) -> list[str]:
     if not found.noise.any():
         return ["Measurements are taken as exact, and all noise as the plant's."]
-    deviations = ", ".join(amount(float(value)) for value in found.noise)
-    return [f"Measurements are noisy: standard deviation {deviations}."]
+    each = zip(found.noise.tolist(), sensor_intervals(found), strict=True)
+    deviations = [
+        amount(v) if low > 0.0 else f"less than {amount(high)}" for v, (low, high) in each
+    ]
+    return [f"Measurements are noisy: standard deviation {', '.join(deviations)}."]
 
 
 def _tests(found: Estimate, recording: Recording) -> list[str]:
@@ -114,8 +118,8 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
     if not tests.white:
         said.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
-            f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing, the "
-            "plant is not linear, or " + _last_cause(found)
+            f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing"
+            f"{_larger(found)}, the plant is not linear, or {_last_cause(found)}"
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
@@ -152,6 +156,16 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
             "and speed do not."
         )
     return said
+
+
+def _larger(found: Estimate) -> str:
+    """Of outputs alone, how to ask for one more state."""
+    shape = found.log.embedding if isinstance(found.log, NoisyLog) else None
+    if shape is None:
+        return ""
+    more = tuple(count + 1 for count in shape.order)
+    text = f"{more[0]}" if len(more) == 1 else f"up to {more}"
+    return f" (raise order, --order, to {text})"
 
 
 def _last_cause(found: Estimate) -> str:

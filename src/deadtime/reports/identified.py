@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEADINGS = ("", "estimate", "from", "to")
+_NOTHING = 1e-3  # of what noise is less than: that it was taken to be so little says nothing
 
 
 class Picture(NamedTuple):
@@ -40,11 +41,14 @@ def pictures_of(figures: Iterable[tuple[str, str, Figure]]) -> tuple[Picture, ..
 
 
 def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
-    """Every unknown with its estimate and its 95 % interval."""
+    """Every unknown with its estimate and its 95 % interval: of noise that may be none, from 0."""
     rows = []
     for name in fit.names:
-        low, high = fit.interval(name)
-        rows.append((name, *(f"{value:.5g}" for value in (fit.estimate(name), low, high))))
+        value, (low, high) = fit.estimate(name), fit.interval(name)
+        if low == 0.0 and value < _NOTHING * high:
+            rows.append((name, "not told", "0", f"{high:.2g}"))
+        else:
+            rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
     return rows
 
 

@@ -31,11 +31,14 @@ class Embedding(Frozen):
 
     order : how many of each output; zeros : whether inputs act on all of them
     size : (n,), how large each state is about, for a state of which nothing is known
+    lead : the order by which first measurements are left out, that likelihoods of several orders
+        are of the same ones; its own by default
     """
 
     order: tuple[int, ...]
     zeros: bool
     size: Float[np.ndarray, " n"]
+    lead: tuple[int, ...] | None = None
 
     @property
     def last(self) -> Int[np.ndarray, " p"]:
@@ -84,5 +87,6 @@ class Embedding(Frozen):
         measured = np.isfinite(output)
         before = np.cumsum(measured, axis=0) - measured
         latest = np.maximum.accumulate(np.where(start, np.arange(start.size), 0))
-        few = np.any(before - before[latest] < np.array(self.order), axis=1, keepdims=True)
+        lead = np.array(self.lead or self.order)
+        few = np.any(before - before[latest] < lead, axis=1, keepdims=True)
         return measured & few

@@ -61,7 +61,7 @@ def filtered(
     (count, p), n = output.shape, model.C.shape[1]
     state, covariance = np.empty((count, n)), np.empty((count, n, n))
     error, variance, gain = np.zeros((count, p)), np.ones((count, p)), np.zeros((count, p, n))
-    x, P = np.zeros(n), model.P0
+    x, P, unit = np.zeros(n), model.P0, np.eye(n)
     for k in range(count):
         if start[k]:
             x, P = np.zeros(n), model.P0
@@ -74,8 +74,9 @@ def filtered(
                 c = model.C[j]
                 g = P @ c
                 s = c @ g + model.R[j]
-                e = output[k, j] - c @ x
-                x, P = x + g * (e / s), P - np.outer(g, g / s)
+                e, own = output[k, j] - c @ x, g / s
+                rest = unit - np.outer(own, c)  # Joseph's form: a vague P stays positive
+                x, P = x + own * e, rest @ P @ rest.T + model.R[j] * np.outer(own, own)
                 error[k, j], variance[k, j], gain[k, j] = e, s, g / s
     return Filtered(state, covariance, error, variance, gain)
 

@@ -1,0 +1,142 @@
+"""The likeliest plant of outputs alone, from where a scan of delays leads; whether it has zeros.
+
+Of long logs that is done on stretches, of uneven ones on a grid: it tells where the maximum is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from deadtime.identification.maximum import maximise
+from deadtime.identification.noise import stretches
+from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.outputs.embedding import Embedding
+from deadtime.identification.outputs.start import Scanned, guess_of, scanned
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Recording
+from deadtime.identification.scoring import Maximum
+from deadtime.identification.uneven import nodes_for, on_a_grid
+from deadtime.numerics.kernels import expect_many_calls
+
+_FEW = 4_000  # samples that tell where to begin
+_ROUNDS = 3  # of scans, each about the likeliest plant so far
+_BETTER = 0.1  # of log likelihood: cells that are worth going to
+_GAIN = 1e-4  # of log likelihood that a beginning may be short of: a pole too many runs for ever
+_NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
+CHANCE = 1e-3  # that inputs seem to act on all states though they do not
+
+
+class Request(NamedTuple):
+    """What is asked of a log; zeros None: where the log asks for them."""
+
+    recording: Recording
+    layout: Layout
+    order: tuple[int, ...]
+    zeros: bool | None
+    bounds: tuple[float, float]
+    within: bool
+
+
+class Chosen(NamedTuple):
+    """A plant, what it is likeliest of, and the last scan.
+
+    other : the likeliest one with zeros if it has none, without if it has; None if not asked
+    rise : 2 (log L with zeros − log L without); more : how many numbers of B zeros have
+    """
+
+    log: NoisyLog
+    best: Maximum
+    scan: Scanned
+    other: Maximum | None = None
+    rise: float = 0.0
+    more: int = 0
+
+    @property
+    def shape(self) -> Embedding:
+        """Which states it has."""
+        assert self.log.embedding is not None
+        return self.log.embedding
+
+    @property
+    def bic(self) -> float:
+        """−2 log L + q log N, of q unknowns and N measurements."""
+        count = self.log.measured(self.log.starts(*self.log.bounds))
+        return self.log.free.size * float(np.log(count)) - 2.0 * self.best.found.value
+
+
+def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
+    """The likeliest plant; `lead`: see `Embedding`."""
+    from scipy.stats import chi2
+
+    expect_many_calls()
+    recording, layout, order, zeros, bounds, within = request
+    grid = recording
+    if not recording.even:
+        parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
+        grid = recording._replace(parts=parts, even=True)
+    lag = int(np.ceil(bounds[1] / recording.step)) + 1
+    guess = guess_of(grid, layout, order, bounds, within)
+    shape = Embedding(order, zeros is True, guess.size, lead)
+    nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
+    some = stretches(grid, _FEW, lag)
+    log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
+    begins = [log.join(guess.theta, noise) for noise in guess.noise]
+    best, scan = _begun(log, begins)
+    if zeros is not None or not shape.upper.size:
+        return Chosen(log, best, scan)
+    wider = replace(log, embedding=replace(shape, zeros=True))
+    other, scan_of_other = _begun(wider, [*begins, best.theta])
+    rise = 2.0 * (other.found.value - best.found.value)
+    more = wider.free.size - log.free.size
+    if rise > float(chi2.isf(CHANCE, more)):
+        return Chosen(wider, other, scan_of_other, best, rise, more)
+    return Chosen(log, best, scan, other, rise, more)
+
+
+def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
+    """The likeliest plant that scans of all delays lead to, and the last scan."""
+    best, scan = None, None
+    for begin in begins:
+        scan = scanned(log, begin)
+        found = _from(log, begin, scan)
+        if best is None or found.found.value > best.found.value:
+            best = found
+    assert best is not None
+    for _ in range(_ROUNDS):
+        scan = scanned(log, best.theta)
+        tried = [
+            maximise(log, theta, window=log.bounds, gain=_GAIN)[0]
+            for theta in _others(log, best, scan)
+        ]
+        top = max(tried, key=lambda one: one.found.value, default=best)
+        if top.found.value < best.found.value + _BETTER:
+            break
+        best = top
+    assert scan is not None
+    return best, scan
+
+
+def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
+    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so."""
+    place, h = log.layout.at_delays, log.recording.step
+    found = []
+    if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
+        found.append(np.concatenate((scan.theta, best.theta[log.layout.size :])))
+    for row, curve in enumerate(scan.curves):
+        D = (scan.first + np.arange(curve.size) - 0.5) * h
+        near = (curve > curve.max() - _NEARLY) & (np.abs(D - best.theta[place][row]) > 1.5 * h)
+        if near.any():
+            theta = best.theta.copy()
+            theta[place.start + row] = D[near][curve[near].argmax()]
+            found.append(theta)
+    return found
+
+
+def _from(log: NoisyLog, vector: np.ndarray, scan: Scanned) -> Maximum:
+    """The maximum that a scan leads to, over the whole range of delays."""
+    theta = vector.copy()
+    theta[: log.layout.size] = scan.theta
+    return maximise(log, theta, window=log.bounds, gain=_GAIN)[0]
