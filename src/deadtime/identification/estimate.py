@@ -16,7 +16,7 @@ from deadtime.identification.start import Start
 from deadtime.plant import SwitchedSystem
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(Frozen):
     """The likeliest plant under one description of the noise.
 

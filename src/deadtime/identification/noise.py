@@ -122,20 +122,20 @@ def estimated_of(
     white = noisy_residuals(log, theta, starts)
     spent = None if log.embedding is None else 2 * layout.n * len(log.C)
     return Estimate(
-        log,
-        best._replace(theta=theta),
-        window,
-        SwitchedSystem(A, B, delays),
-        spread,
-        intervals,
-        several,
-        start,
-        np.tile(noise.W, (layout.modes, 1, 1)),
-        noise.deviation,
-        np.full(layout.modes, beyond) if spare is None else spare,
-        judge_residuals(white, recording, float(delays.max()), spent),
-        tuple(white),
-        ends_over_peaks(log, best, spread, start) if log.embedding is None else None,
+        log=log,
+        best=best._replace(theta=theta),
+        window=window,
+        plant=SwitchedSystem(A, B, delays),
+        spread=spread,
+        intervals=intervals,
+        several=several,
+        start=start,
+        disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
+        noise=noise.deviation,
+        spare=np.full(layout.modes, beyond) if spare is None else spare,
+        tests=judge_residuals(white, recording, float(delays.max()), spent),
+        white=tuple(white),
+        ends=ends_over_peaks(log, best, spread, start) if log.embedding is None else None,
     )
 
 

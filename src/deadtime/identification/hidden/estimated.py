@@ -117,19 +117,19 @@ def estimated(found: Decoded) -> tuple[Estimate, Said]:
     for one, k in zip(white, log.periods.usable, strict=True):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan  # nothing told their modes
     estimate = Estimate(
-        log,
-        best,
-        window,
-        plant,
-        spread,
-        intervals,
-        several,
-        start,
-        continuous(A, covariances, record.step),
-        np.zeros(layout.n),
-        np.maximum(spare * told.of_noise, 1.0).astype(np.int64),
-        judge_residuals(white, record, float(delays.max())),
-        tuple(white),
+        log=log,
+        best=best,
+        window=window,
+        plant=plant,
+        spread=spread,
+        intervals=intervals,
+        several=several,
+        start=start,
+        disturbance=continuous(A, covariances, record.step),
+        noise=np.zeros(layout.n),
+        spare=np.maximum(spare * told.of_noise, 1.0).astype(np.int64),
+        tests=judge_residuals(white, record, float(delays.max())),
+        white=tuple(white),
     )
     said = Said(posterior.node, log.jumps.chain, found.fit.ascent.values, widening_of(told))
     return estimate, said

@@ -95,19 +95,19 @@ def estimated_with_noise(found: NoisyDecoded) -> tuple[Estimate, Said]:
     posterior = log.posterior(theta, starts)
     rows = np.vstack(posterior.node).sum(axis=0)
     estimate = Estimate(
-        log,
-        best,
-        window,
-        SwitchedSystem(A, B, delays),
-        spread,
-        intervals,
-        several,
-        start,
-        np.tile(noise.W, (layout.modes, 1, 1)),
-        noise.deviation,
-        np.maximum(rows, 1.0).astype(np.int64),
-        judge_residuals(white, record, float(delays.max())),
-        tuple(white),
+        log=log,
+        best=best,
+        window=window,
+        plant=SwitchedSystem(A, B, delays),
+        spread=spread,
+        intervals=intervals,
+        several=several,
+        start=start,
+        disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
+        noise=noise.deviation,
+        spare=np.maximum(rows, 1.0).astype(np.int64),
+        tests=judge_residuals(white, record, float(delays.max())),
+        white=tuple(white),
     )
     return estimate, Said(posterior.node, log.jumps.chain, fit.values, widening_of(told))
 
