@@ -156,6 +156,16 @@ def right(fit, mode):
     return max(share, 1.0 - share)
 
 
+def test_noise_that_is_asked_for_has_intervals_and_modes_are_labelled():
+    log, mode = made(two_modes(0.312), 300, 0.02, 6)
+    how: Any = {"modes": 2, "noise": True, "delay": (0.2, 0.4), "switches": "samples"}
+    fit = dt.identify(log, **how)
+    assert right(fit, mode) > 0.75
+    for name, true in (("noise[0]", 0.02), ("noise[1]", 0.02), ("disturbance[1][1,1]", 1e-3)):
+        low, high = fit.interval(name)
+        assert low < true < high
+
+
 @pytest.mark.long
 def test_noise_of_the_sensors_is_found_and_rows_are_labelled_better(tmp_path):
     log, mode = made(two_modes(0.312), 400, 0.02)
