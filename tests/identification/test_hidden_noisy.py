@@ -1,6 +1,7 @@
 """Hidden modes behind noisy sensors, against every path with a dense normal law of the log."""
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import deadtime as dt
+from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.filters_kernel import carry_halves
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.hidden.periods import EvenPeriods
+from deadtime.identification.noise_intervals import sensor_intervals
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
@@ -156,6 +159,20 @@ def right(fit, mode):
     return max(share, 1.0 - share)
 
 
+def test_intervals_of_noise_are_of_the_vector_of_all_modes():
+    log, vector = hidden_log(two_modes(), 0.02, 60)
+    found = object.__new__(Estimate)
+    given: dict[str, Any] = {"log": log, "noise": np.full(3, 0.02)}
+    given["best"] = SimpleNamespace(theta=vector)
+    given["spread"] = SimpleNamespace(covariance=0.01 * np.eye(vector.size))
+    given["disturbance"] = np.tile(1e-3 * np.eye(2), (2, 1, 1))
+    for name, value in given.items():
+        object.__setattr__(found, name, value)
+    for ends in sensor_intervals(found):
+        assert ends == pytest.approx(0.02 * np.exp([-0.196, 0.196]), rel=1e-3)
+
+
+@pytest.mark.long
 def test_noise_that_is_asked_for_has_intervals_and_modes_are_labelled():
     log, mode = made(two_modes(0.312), 300, 0.02, 6)
     how: Any = {"modes": 2, "noise": True, "delay": (0.2, 0.4), "switches": "samples"}
