@@ -1,6 +1,7 @@
 """Hidden modes behind noisy sensors, against every path with a dense normal law of the log."""
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import deadtime as dt
+from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.filters_kernel import carry_halves
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.hidden.periods import EvenPeriods
+from deadtime.identification.noise_intervals import sensor_intervals
 from deadtime.identification.noisy import Noise, NoisyLog
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
@@ -154,6 +157,26 @@ def made(plant, count, sensor, seed=0, even=True):
 def right(fit, mode):
     share = float(np.mean(fit.hidden.mode == mode))
     return max(share, 1.0 - share)
+
+
+def test_intervals_of_noise_are_read_where_all_modes_have_their_unknowns():
+    log, vector = hidden_log(two_modes(), 0.05)
+    errors = np.zeros(vector.size)
+    errors[-len(C) :] = 0.01, 0.02, 0.03  # of the logarithms of the sensors' deviations
+    noise, fit = log.noise(vector), object.__new__(Estimate)  # only what is read is there
+    parts = {
+        "log": log,
+        "best": SimpleNamespace(theta=vector),
+        "spread": SimpleNamespace(covariance=np.diag(errors**2)),
+        "noise": noise.deviation,
+        "disturbance": np.tile(noise.W, (2, 1, 1)),
+    }
+    for name, value in parts.items():
+        object.__setattr__(fit, name, value)
+    wide = np.exp(1.959964 * errors[-len(C) :])
+    np.testing.assert_allclose(
+        sensor_intervals(fit), np.transpose([0.05 / wide, 0.05 * wide]), rtol=1e-6
+    )
 
 
 @pytest.mark.long

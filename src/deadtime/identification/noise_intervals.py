@@ -24,7 +24,7 @@ def noise_interval(found: Estimate, step: float, place: int) -> tuple[float, flo
     """Of W's diagonal, mode by mode, then of the sensors' deviations."""
     modes, n = found.disturbance.shape[:2]
     if found.noise.any():
-        log = found.log.noisy if isinstance(found.log, HiddenNoisyLog) else found.log
+        log = found.log.whole if isinstance(found.log, HiddenNoisyLog) else found.log
         assert isinstance(log, NoisyLog)
         own = place % n if place < modes * n else n + place - modes * n
         W, sensors = _variances(log, found.best.theta)
