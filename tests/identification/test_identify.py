@@ -1,5 +1,6 @@
 """What a log of a known plant gives back, and what is refused."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -168,6 +169,11 @@ def test_what_is_saved_is_a_problem_that_loads(tmp_path):
     np.testing.assert_allclose(problem.uncertain.covariance, fit.uncertain.covariance, rtol=1e-6)
     assert problem.modes == ("fast", "slow")
     assert fit.model is not None
+    lasts = max(float(one.mean()) for one in fit.model.sojourn)
+    assert problem.horizon == pytest.approx(max(20.0 * fit.delays.max(), 5.0 * lasts), abs=H)
+    slow = dataclasses.replace(fit, plant=dt.SwitchedSystem(fit.plant.A, fit.plant.B, 0.01))
+    slow.save(tmp_path / "short_delay.toml")
+    assert load_problem(tmp_path / "short_delay.toml").horizon == pytest.approx(5.0 * lasts, abs=H)
     assert problem.title == 'a "plant"'
     figure = fit.plot()
     assert len(figure.axes) == 5

@@ -309,7 +309,8 @@ class Identification(Frozen):
         title : str
             Of the problem.
         horizon : float, optional
-            Length of its run, seconds; 20 times the longest delay by default.
+            Length of its run, seconds; by default 20 times the longest delay, and at least 5 mean
+            sojourns of the mode that lasts longest.
         """
         from deadtime.identification.problem_text import problem_text, write_problem
 

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from deadtime.identification.identification import Identification
 
 _LEFT_OUT = "# Noise of the sensors is left out: it is of y = C x, and the file's would be of x."
-_DELAYS = 20.0  # a run lasts so many of the longest one
+_DELAYS = 20.0  # a run lasts so many of the longest one,
+_SOJOURNS = 5.0  # and so many mean ones of the mode that lasts longest
 
 
 def problem_text(fit: Identification, title: str = "", horizon: float | None = None) -> str:
     """The problem file of an identification, with its intervals as comments."""
     plant, n, m = fit.plant, fit.plant.states, fit.plant.inputs
-    length = _DELAYS * plant.longest_delay if horizon is None else positive("horizon", horizon)
+    length = _length(fit) if horizon is None else positive("horizon", horizon)
     length = round(fit.step * float(np.ceil(length / fit.step - 1e-9)), 12)
     named = _text(title or f"Identified from {fit.samples} samples")
     lines = [f"# {one_line(sentence)}" for sentence in fit.sentences]
@@ -47,6 +48,12 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
     ]
     lines += _noise(fit)
     return "\n".join([*lines, ""])
+
+
+def _length(fit: Identification) -> float:
+    """Of a run, seconds: long beside the delays, and such that modes switch."""
+    sojourns = [] if fit.model is None else [float(dist.mean()) for dist in fit.model.sojourn]
+    return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * max(sojourns, default=0.0))
 
 
 def _by_number(fit: Identification) -> bool:
