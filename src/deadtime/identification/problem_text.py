@@ -11,6 +11,7 @@ import numpy as np
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import one_line
+from deadtime.switching.models.sojourns import mean_sojourn
 
 if TYPE_CHECKING:
     from deadtime.identification.identification import Identification
@@ -52,7 +53,7 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
 
 def _length(fit: Identification) -> float:
     """Of a run, seconds: long beside the delays, and such that modes switch."""
-    sojourns = [] if fit.model is None else [float(dist.mean()) for dist in fit.model.sojourn]
+    sojourns = [] if fit.model is None else [mean_sojourn(dist) for dist in fit.model.sojourn]
     return max(_DELAYS * fit.plant.longest_delay, _SOJOURNS * max(sojourns, default=0.0))
 
 
