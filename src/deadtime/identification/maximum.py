@@ -112,7 +112,7 @@ def maximise(
             ends[0][place], ends[1][place] = low, high
             if fixed is not None:
                 ends[0][fixed], ends[1][fixed] = theta[fixed], theta[fixed]
-            best = climb(evaluate_in(np.zeros(0)), theta, *ends, stride=stride, gain=gain)
+            best = climb(evaluate_in(np.zeros(0, np.int64)), theta, *ends, stride=stride, gain=gain)
         D, free = best.theta[place], np.ones(log.layout.delays, bool)
         if fixed is not None:
             free = ~fixed[place]
