@@ -123,8 +123,9 @@ def test_a_page_that_is_given_a_log_shows_its_plant(log, workers):
     page = Page(open_named("paper"), workers)
     assert not page.log.view.visible
     page.upload_log("drive.csv", log)
-    wait(lambda: "likelihood" in page.log.likelihood.object or page.message.severity == "error")
-    assert "as a problem" in page.message.object
+    wait(lambda: "as a problem" in page.message.object or page.message.severity == "error")
+    assert page.message.severity == "info"
+    assert "likelihood" in page.log.likelihood.object
     assert page.outcome.problem.modes == ("<img src=x>", 'say "no"')
     assert abs(page.outcome.problem.plant.delays[0, 0] - 0.312) < 2e-3
     page.open(open_named("paper"))
@@ -181,8 +182,8 @@ def test_a_log_that_takes_too_long_says_what_to_do_and_keeps_what_was_asked(
 ):
     page = Page(own, workers)
     page.upload_log("motor.csv", MOTOR.read_bytes())
-    wait(lambda: page.log.view.visible)
-    assert "Say what the columns of motor.csv are" in page.message.object
+    wait(lambda: "Say what the columns of motor.csv are" in page.message.object)
+    assert page.log.view.visible
     monkeypatch.setattr(page.log, "_errands", Refusing(TooLongError("too long")))
     for name, role in (("speed", STATE), ("current", STATE), ("voltage", INPUT)):
         page.log.form.roles[name].value = role
@@ -221,7 +222,8 @@ def test_what_is_cancelled_leaves_the_log_to_be_asked_again(own, workers):
     table = pd.DataFrame(rows, columns=["x1", "x2", "x3", "u1"])
     table.insert(0, "t", 0.1 * np.arange(3000))
     page.upload_log("noise.csv", table.to_csv(index=False).encode())
-    wait(lambda: page.log.cancel.visible)
+    wait(lambda: "Identifying the plant" in page.message.object)
+    assert page.log.cancel.visible
     page.log.stop()
     assert "Cancelled. Nothing was changed." in page.message.object
     assert not page.log.cancel.visible
