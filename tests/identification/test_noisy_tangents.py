@@ -1,5 +1,6 @@
 """Score and information of noisy logs against those of the dense Gaussian of the whole log."""
 
+import dataclasses
 import tracemalloc
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
 from deadtime.identification.uneven import nodes_for
@@ -100,6 +102,29 @@ def test_value_score_and_information_are_those_of_the_dense_gaussian(given, bloc
     unit = 1.0 / np.sqrt(np.diagonal(F))
     assert np.abs((found.score - score) * unit).max() < 1e-6
     assert np.abs((found.information - F) * unit * unit[:, None]).max() < 1e-6
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3], ids=["even", "uneven"])
+def test_derivatives_by_what_is_unknown_are_the_same_without_those_by_what_is_known(
+    jitter, monkeypatch
+):
+    record = made(jitter)
+    (part,) = record.parts
+    record = record._replace(parts=(part._replace(output=part.output[:, :1]),), outputs=("y1",))
+    shape = Embedding((2,), False, np.array([0.3, 0.5]))
+    log = NoisyLog(record, LAYOUT, shape.C, False, WINDOW, nodes_for(record.parts, A), shape)
+    vector = log.join(LAYOUT.join(A, B, D), Noise(np.diag([2e-3, 1e-3]), np.array([0.02])))
+    some, starts, free = log.evaluate(vector, log.starts(*WINDOW)), log.starts(*WINDOW), log.free
+    assert free.size < log.size
+    monkeypatch.setattr(NoisyLog, "free", np.arange(log.size))
+    every = dataclasses.replace(log).evaluate(vector, starts)
+    assert some.value == every.value
+    np.testing.assert_allclose(some.score[free], every.score[free], rtol=1e-10, atol=1e-10)
+    own, others = np.ix_(free, free), np.setdiff1d(np.arange(log.size), free)
+    np.testing.assert_allclose(some.information[own], every.information[own], rtol=1e-10)
+    assert every.information[others].any(axis=1).sum() > others.size // 2
+    assert not some.information[others].any()
+    assert not some.score[others].any()
 
 
 def test_an_even_log_may_be_taken_for_an_uneven_one():

@@ -1,6 +1,6 @@
 """The likelihood of a log with noisy sensors: one pass of Kalman's filter, of bounded memory.
 
-The filter carries its own derivatives by all unknowns, which are exact. Blocks of samples are
+The filter carries its own derivatives by what is unknown, which are exact. Blocks of samples are
 summed up as they come.
 """
 
@@ -23,12 +23,12 @@ _NUMBERS = 2_000_000  # of them
 
 
 class Places(NamedTuple):
-    """Where unknowns lie: those of a plant, the lower triangle of L, and the sensors.
+    """Where the unknowns of a filter lie: some of a plant's, of the triangle of L, and the sensors.
 
     size : of them all
-    own : those of A, B and the delays of each mode
+    own : those of A, B and the delays of each mode, −1 for what is known
     wide : those that variances depend on, A and all of the noise
-    noisy : where in `wide` A and L of each mode are
+    noisy : where in `wide` A and L of each mode are, −1 for what is known
     """
 
     size: int
@@ -37,15 +37,27 @@ class Places(NamedTuple):
     noisy: Int[np.ndarray, "mode noisy"]
 
     @classmethod
-    def of(cls, layout: Layout, sensors: int) -> Places:
-        """Those of a layout with so many sensors."""
+    def of(cls, layout: Layout, sensors: int, free: Int[np.ndarray, " free"]) -> Places:
+        """Those of a layout with so many sensors, of which some are free, the sensors among them.
+
+        Examples
+        --------
+        >>> places = Places.of(Layout(1, 1, 1, False), 1, np.array([1, 2, 3, 4]))  # A is known
+        >>> places.own, places.wide, places.noisy
+        (array([[-1,  0,  1]]), array([2, 3]), array([[-1,  0]]))
+        """
         modes, n = layout.modes, layout.n
         of_L = np.arange(n * (n + 1) // 2)
         each = (layout.of_A.reshape(modes, -1), layout.of_B.reshape(modes, -1), layout.of_delay)
         size = layout.size + of_L.size + sensors
         wide = np.concatenate((layout.of_A.ravel(), np.arange(layout.size, size)))
         of_L = np.tile(layout.of_A.size + of_L, (modes, 1))
-        return cls(size, np.hstack(each), wide, np.hstack((each[0], of_L)))
+        at = np.full(size, -1)
+        at[free] = np.arange(free.size)
+        kept = at[wide] >= 0
+        among = np.where(kept, np.cumsum(kept) - 1, -1)
+        noisy = among[np.hstack((each[0], of_L))]
+        return cls(free.size, at[np.hstack(each)], at[wide[kept]], noisy)
 
     @classmethod
     def none(cls, modes: int) -> Places:

@@ -190,12 +190,13 @@ class NoisyLog(Frozen):
         cells: np.ndarray | None = None,
     ) -> Evaluation:
         """The log likelihood, its score and information; of an even log in cells of delays."""
-        places = Places.of(self.layout, len(self.C))
+        free = self.free
+        places = Places.of(self.layout, len(self.C), free)
         with np.errstate(all="ignore"):
             found = evaluated(self._filtered(vector, starts, cells, places), places)
-        known = np.setdiff1d(np.arange(self.size), self.free)
-        found.score[known] = found.information[known] = found.information[:, known] = 0.0
-        return found
+        score, information = np.zeros(self.size), np.zeros((self.size, self.size))
+        score[free], information[np.ix_(free, free)] = found.score, found.information
+        return Evaluation(found.value, score, information)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
         """The likelihood for delays between two, seconds; of an even log in cells of theirs."""

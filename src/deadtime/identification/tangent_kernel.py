@@ -87,6 +87,8 @@ def carry_mean(x, by_x, Phi, by_Phi, added, by_added, own):
             total += Phi[i, j] * before[j]
         x[i] = total
     for c in range(own.size):
+        if own[c] < 0:
+            continue
         for i in range(n):
             total = by_added[c, i]
             if c < n * n:  # A's
@@ -117,6 +119,8 @@ def carry_variance(P, by_P, Phi, by_Phi, Q, by_Q, noisy):
             across[i, j] = total
     for c in range(noisy.size):
         w = noisy[c]
+        if w < 0:
+            continue
         if c < n * n:  # A's
             product(by_Phi[c], across, spare)
             for i in range(n):
