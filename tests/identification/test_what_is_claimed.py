@@ -12,8 +12,8 @@ import deadtime as dt
 from deadtime.identification.noise_intervals import ends
 from deadtime.identification.peaks import fresh_rise
 from deadtime.identification.problem_text import problem_text
-from deadtime.identification.sentences import verdict_of
 from deadtime.identification.separate_errors import failure_of
+from deadtime.identification.verdict import delays_beside
 from synthetic_logs import Plant, oscillator
 
 H = 0.05
@@ -49,11 +49,11 @@ def test_delays_that_err_against_each_other_are_no_common_shift():
         H,
     )
     assert np.abs(run.states[:, -1]).max() > 1e3
-    said = verdict_of(OPPOSED.delays, box(0.09), MARGIN)
+    said = delays_beside(OPPOSED.delays, box(0.09), MARGIN)
     assert "enough if all err alike; nothing is said of errors that differ" in said
     failure = failure_of(OPPOSED, box(0.09), LAW, H)
     assert failure
-    assert "not enough" in verdict_of(OPPOSED.delays, box(0.09), MARGIN, failure)
+    assert "not enough" in delays_beside(OPPOSED.delays, box(0.09), MARGIN, failure)
 
 
 def test_corners_find_what_no_delay_alone_shows():
@@ -62,7 +62,7 @@ def test_corners_find_what_no_delay_alone_shows():
     said = failure_of(OPPOSED, box(0.95 * borne), LAW, H)
     assert "does not decay" in said
     assert failure_of(OPPOSED, box(0.02), LAW, H) == ""
-    end = verdict_of(OPPOSED.delays, box(0.02), MARGIN, "")
+    end = delays_beside(OPPOSED.delays, box(0.02), MARGIN, "")
     assert "every corner of the box of intervals: enough" in end
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.intervals import Spread
 from deadtime.identification.maximum import Likelihood
+from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
@@ -45,3 +46,9 @@ class Estimate(Frozen):
     tests: ResidualTests
     white: tuple[Float[np.ndarray, "sample p"], ...]
     ends: Float[np.ndarray, "size 2"] | None = None
+
+    @property
+    def of_outputs(self) -> NoisyLog | None:
+        """The likelihood, where states were found from outputs alone."""
+        log = self.log
+        return log if isinstance(log, NoisyLog) and log.embedding is not None else None

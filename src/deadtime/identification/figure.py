@@ -93,7 +93,7 @@ def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
         x = logged[:, i]
         middle, span = np.nanmean(x), max(float(np.nanmax(x) - np.nanmin(x)), 1e-300)
         far = np.where(np.abs(free[:, i] - middle) < _FAR * span, free[:, i], np.nan)
-        measured = fit._of_outputs is None or bool(fit.C[:, i].any())
+        measured = fit._found.of_outputs is None or bool(fit.C[:, i].any())
         if measured:
             own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
         else:
@@ -114,7 +114,7 @@ def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
 
 def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States as logged, a sample ahead, and run freely; smoothed where they were not logged."""
-    if (log := fit._of_outputs) is None:
+    if (log := fit._found.of_outputs) is None:
         logged = part.output @ np.linalg.pinv(fit.C).T
         return logged, *forecast(part, fit.plant, fit._found.log.nodes, fit.C)
     found = following(log, fit._found.best.theta, part, fit._found.window)

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.checks import brief, positive
+from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.identified import Hidden
-from deadtime.identification.noise_intervals import noise_interval
-from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.sentences import sentences_of, verdict_of
+from deadtime.identification.sentences import sentences_of
+from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
 
@@ -28,22 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-
-
-@runtime_checkable
-class Margin(Protocol):
-    """What a law tolerates: a `margins.DelayMargin`."""
-
-    @property
-    def lower(self) -> float | None: ...
-    @property
-    def upper(self) -> float | None: ...
-    @property
-    def nominal(self) -> float: ...
-    @property
-    def input(self) -> int | None: ...
-    @property
-    def certified(self) -> bool: ...
+    from deadtime.identification.verdict import Margin
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,17 +139,11 @@ class Identification(Frozen):
     @property
     def largest_states(self) -> Float[np.ndarray, " n"]:
         """The largest |x| of every state in the log."""
-        if (log := self._of_outputs) is not None:
+        if (log := self._found.of_outputs) is not None:
             return largest_of(log, self._found.best.theta, self._found.window)
         back = np.linalg.pinv(self._C).T
         every = np.vstack([part.output @ back for part in self._recording.parts])
         return np.nanmax(np.abs(every), axis=0)
-
-    @property
-    def _of_outputs(self) -> NoisyLog | None:
-        """The likelihood, where states were found from outputs alone."""
-        log = self._found.log
-        return log if isinstance(log, NoisyLog) and log.embedding is not None else None
 
     @property
     def uncertain(self) -> UncertainPlant:
@@ -183,34 +162,15 @@ class Identification(Frozen):
 
         From outputs alone those entries that the choice of states fixes are left out.
         """
-        return tuple(self._places)
+        return tuple(self._unknowns.places)
 
-    @property
-    def _places(self) -> dict[str, int]:
-        """Where each unknown lies: in the layout, then W's diagonals, then the sensors."""
-        log, n, p = self._found.log, self.plant.states, self.noise.size
-        more = [f"disturbance[{i}][{a},{a}]" for i in range(self.plant.modes) for a in range(n)]
-        more += [f"noise[{j}]" for j in range(p)] if self.noise.any() else []
-        places = {name: a for a, name in enumerate([*log.layout.names(), *more])}
-        if (of_outputs := self._of_outputs) is None:
-            return places
-        free = {*of_outputs.free.tolist(), *range(log.layout.size, len(places))}
-        return {name: a for name, a in places.items() if a in free}
+    @cached_property
+    def _unknowns(self) -> Unknowns:
+        return Unknowns(self._found, self.step)
 
     def estimate(self, name: str) -> float:
         """The likeliest value of one unknown, by its name; see `interval`."""
-        layout, place = self._found.log.layout, self._place(name)
-        if place < layout.size:
-            return float(self._found.best.theta[place])
-        diagonal = np.diagonal(self.disturbance, axis1=1, axis2=2)
-        return float(np.concatenate((diagonal.ravel(), self.noise))[place - layout.size])
-
-    def _place(self, name: str) -> int:
-        """Where an unknown lies."""
-        places = self._places
-        if name not in places:
-            raise ArgumentError(f"name must be one of {', '.join(places)}, got {brief(name)}.")
-        return places[name]
+        return self._unknowns.estimate(name)
 
     def interval(self, name: str) -> tuple[float, float]:
         """The ends of the 95 % interval of one unknown.
@@ -228,20 +188,7 @@ class Identification(Frozen):
         ArgumentError
             If there is no such name.
         """
-        layout, found = self._found.log.layout, self._found
-        place = self._place(name)
-        if layout.size - layout.delays <= place < layout.size:
-            low, high = found.intervals[place - layout.size + layout.delays]
-            return float(low), float(high)
-        if place >= layout.size:
-            return noise_interval(found, self.step, place - layout.size)
-        if found.ends is not None:
-            low, high = found.ends[place]
-            return float(low), float(high)
-        half = float(found.spread.reach[place]) * float(
-            np.sqrt(found.spread.covariance[place, place])
-        )
-        return float(found.best.theta[place] - half), float(found.best.theta[place] + half)
+        return self._unknowns.interval(name)
 
     def verdict(self, margin: Margin, law: Law | None = None, step: float | None = None) -> str:
         """Whether a law stands every delay that the log allows.
@@ -276,24 +223,10 @@ class Identification(Frozen):
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2595 s (0.259 … 0.2599); the law bears 0 … 1.054 s: enough.
         """
-        from deadtime.identification.separate_errors import MOST_INPUTS, failure_of
-        from deadtime.margins import drawn_stability
-        from deadtime.margins.drawn_plants import has_rates
+        from deadtime.identification.verdict import verdict_of
 
-        failure, period = None, self.step if step is None else positive("step", step)
-        apart = self._found.log.layout.delays > 1 and self.plant.inputs <= MOST_INPUTS
-        if law is not None and apart and margin.lower is not None:
-            failure = failure_of(self.plant, self.delay_interval, law, period)
-        said = verdict_of(self.delays, self.delay_interval, margin, failure)
-        if law is None or margin.lower is None or not has_rates(law):
-            return said
-        drawn = drawn_stability(self.uncertain, law, period)
-        also = (
-            ""
-            if drawn.all_stable
-            else " Not enough: log for longer, or design a law that bears more."
-        )
-        return f"{said} {drawn.sentence}{also}"
+        period = self.step if step is None else positive("step", step)
+        return verdict_of(self, margin, law, period)
 
     def save(
         self, path: str | PathLike[str], *, title: str = "", horizon: float | None = None

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
-
-if TYPE_CHECKING:
-    import pandas as pd
+from deadtime.identification.mode_columns import absent_modes, label, labels_of, mode_column
+from deadtime.identification.tables import TIMES, Table, chosen_columns, numeric_column, table_of
 
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
-TIMES = ("t", "time")
 _NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
@@ -62,18 +58,6 @@ Check = Callable[
 ]
 
 
-class _Table(NamedTuple):
-    """A table, what messages call it, and how they name its rows: the first one's number."""
-
-    frame: pd.DataFrame
-    name: str
-    row: str
-    first: int
-
-    def place(self, index: int) -> str:
-        return f"{self.name}, {self.row} {index + self.first}"
-
-
 def read_recording(
     logs: Any,
     modes: str | None,
@@ -108,16 +92,16 @@ def read_recording(
     given = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not given:
         raise ArgumentError("log must be a path, a table or a list of them, got an empty list.")
-    tables = [_table(log, number) for number, log in enumerate(given)]
-    column = _mode_column(tables, modes)
-    names = _columns(tables[0], letter, states, "states" if letter == "x" else "outputs")
-    acting = _columns(tables[0], "u", inputs, "inputs")
+    tables = [table_of(log, number) for number, log in enumerate(given)]
+    column = mode_column(tables, modes)
+    names = chosen_columns(tables[0], letter, states, "states" if letter == "x" else "outputs")
+    acting = chosen_columns(tables[0], "u", inputs, "inputs")
     for table in tables:
         if len(table.frame) < 3:
             raise ArgumentError(
                 f"{table.name} must have at least 3 rows, got {len(table.frame)}: log for longer."
             )
-    labels = _labels(tables, column)
+    labels = labels_of(tables, column)
     parts = tuple(_part(table, names, acting, column, labels) for table in tables)
     _require_moving(parts, acting)
     if check is not None:
@@ -126,7 +110,7 @@ def read_recording(
     parts = _split_at_gaps(parts)
     step, even = _period(parts)
     called, moved = map(_names_of, (names, acting))
-    absent = _absent(tables, column, labels)
+    absent = absent_modes(tables, column, labels)
     logged = column is not None
     return Recording(parts, step, even, called, moved, tuple(labels), logged, absent)
 
@@ -136,158 +120,8 @@ def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
     return tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
 
 
-def _table(log: Any, number: int) -> _Table:
-    """A log as a pandas table."""
-    import pandas as pd
-
-    if isinstance(log, pd.DataFrame):
-        name = "log" if number == 0 else f"log[{number}]"
-        return _Table(log.rename(columns=lambda c: str(c).strip()), name, "row", 0)
-    try:
-        source = Path(log)
-    except TypeError:
-        raise ArgumentError(
-            f"log must be the path of a CSV file or a pandas DataFrame, got {type(log).__name__}."
-        ) from None
-    frame = read_table(source)
-    return _Table(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
-
-
-def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
-    """A CSV file with one header line, or its first rows; no column is taken for an index."""
-    import pandas as pd
-
-    try:
-        _require_commas(source)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            return pd.read_csv(
-                source, skipinitialspace=True, skip_blank_lines=False, index_col=False, nrows=rows
-            )
-    except ArgumentError:
-        raise
-    except OSError as error:
-        raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
-    except UnicodeDecodeError:
-        raise ArgumentError(f"{source} is not UTF-8 text: save it as UTF-8.") from None
-    except pd.errors.ParserWarning:
-        raise ArgumentError(
-            f"{source} is no CSV table with one header line: its rows have more columns than its "
-            "header names. Name them all."
-        ) from None
-    except ValueError as error:  # pandas' own are ValueErrors
-        text = " ".join(str(error).split()).rstrip(".")
-        raise ArgumentError(f"{source} is no CSV table with one header line: {text}.") from None
-
-
-def _require_commas(source: Path) -> None:
-    """Refuse a header that other signs than commas divide, as in countries of decimal commas."""
-    with source.open(encoding="utf-8") as lines:
-        header = lines.readline(100_000)
-    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
-        if sign in header and "," not in header:
-            raise ArgumentError(
-                f"{source} has {name} between its columns: save it with commas there and points "
-                f"in numbers, or give the table that pandas.read_csv(…, sep={sign!r}) makes of it, "
-                'with decimal="," where its numbers have commas.'
-            )
-
-
-def _mode_column(tables: list[_Table], modes: str | None) -> str | None:
-    if modes is None:
-        return None
-    for table in tables:
-        if modes not in table.frame.columns:
-            raise ArgumentError(
-                f"{table.name} must have the column {modes!r}, got "
-                f"{brief(list(table.frame.columns))}: log the mode, name its column by modes=, say "
-                "modes=None (--one-mode) for a plant of one mode, or modes=2 (--modes 2) for two "
-                "that were not logged."
-            )
-    return modes
-
-
-def _columns(
-    table: _Table, letter: str, given: Sequence[str] | None, argument: str
-) -> tuple[str, ...]:
-    """The columns of states or inputs."""
-    found = list(table.frame.columns)
-    if given is None:
-        chosen = columns_of(found, letter)
-    elif isinstance(given, str):
-        raise ArgumentError(
-            f"{argument} must be a list of columns, such as {given.split(',')}, got the text "
-            f"{given!r}."
-        )
-    else:
-        chosen = [str(name) for name in given]
-    if not chosen:
-        raise ArgumentError(
-            f"{table.name} must have columns {letter}1, {letter}2, …, got {brief(found)}: name "
-            f"them so, or say which they are by {argument}=[…], --{argument}."
-        )
-    return tuple(chosen)
-
-
-def columns_of(columns: Sequence[str], letter: str) -> list[str]:
-    """Those that a letter and a number name, by their numbers.
-
-    Examples
-    --------
-    >>> columns_of(["t", "x2", "x1: speed (m/s)", "extra"], "x")
-    ['x1: speed (m/s)', 'x2']
-    """
-    form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
-    places = {name: match[1] for name in columns if (match := form.fullmatch(name))}
-    return sorted(places, key=lambda name: int(places[name] or 0))
-
-
-def _labels(tables: list[_Table], column: str | None) -> dict[str, int]:
-    """The number of every mode, by what the logs call it."""
-    if column is None:
-        return {"mode 0": 0}
-    seen: set[str] = set()
-    for table in tables:
-        missing = np.flatnonzero(table.frame[column].isna())
-        if missing.size:
-            raise ArgumentError(
-                f"{table.place(int(missing[0]))}: {column} must be there in every row, got none: "
-                "fill it with the mode that was active."
-            )
-        seen |= {_label(value) for value in table.frame[column].unique()}
-    if not all(name.isdecimal() for name in seen):
-        return {name: i for i, name in enumerate(sorted(seen))}
-    numbers = sorted(map(int, seen))
-    if numbers[-1] - numbers[0] >= len(numbers):
-        absent = next(i for i in range(numbers[0], numbers[-1]) if i not in numbers)
-        raise ArgumentError(
-            f"{column}: mode {absent} is never visited, modes {numbers} are: nothing is known of "
-            "it. Log a stay in it, or number the modes without a gap."
-        )
-    return {str(i): place for place, i in enumerate(numbers)}
-
-
-def _absent(tables: list[_Table], column: str | None, labels: dict[str, int]) -> tuple[str, ...]:
-    """Modes that are categories of a column and not visited."""
-    import pandas as pd
-
-    kinds = [table.frame[column].dtype for table in tables if column is not None]
-    declared = [kind.categories for kind in kinds if isinstance(kind, pd.CategoricalDtype)]
-    names = [_label(name) for categories in declared for name in categories]
-    return tuple(dict.fromkeys(name for name in names if name not in labels))
-
-
-def _label(value: Any) -> str:
-    """What a log calls a mode: whole numbers are the same however they are written."""
-    if isinstance(value, float | np.floating) and float(value).is_integer():
-        return str(int(value))
-    if isinstance(value, bool | np.bool_):
-        return str(int(value))
-    return str(value).strip()
-
-
 def _part(
-    table: _Table,
+    table: Table,
     names: tuple[str, ...],
     inputs: tuple[str, ...],
     column: str | None,
@@ -301,7 +135,7 @@ def _part(
             f"{brief(list(table.frame.columns))}: name it t, and divide it by 1,000 where it "
             "counts milliseconds."
         )
-    time = _numbers(table, clock)
+    time = numeric_column(table, clock)
     if np.isnan(time).any():
         where = table.place(int(np.flatnonzero(np.isnan(time))[0]))
         raise ArgumentError(f"{where}: {clock} must be a number, got none: leave the row out.")
@@ -312,40 +146,13 @@ def _part(
             f"{time[late[0] + 1]:.9g} after {time[late[0]]:.9g}: sort the log and keep one row per "
             "instant."
         )
-    output = np.column_stack([_numbers(table, name) for name in names])
-    entered = np.column_stack([_numbers(table, name) for name in inputs])
+    output = np.column_stack([numeric_column(table, name) for name in names])
+    entered = np.column_stack([numeric_column(table, name) for name in inputs])
     mode = np.zeros(time.size, np.int64)
     if column is not None:
         codes, values = table.frame[column].factorize()
-        mode = np.array([labels[_label(value)] for value in values])[codes]
+        mode = np.array([labels[label(value)] for value in values])[codes]
     return Part(*map(read_only, (time, output, entered, mode)))
-
-
-def _numbers(table: _Table, column: str) -> Float[np.ndarray, " sample"]:
-    """A column as numbers, NaN where it has none."""
-    import pandas as pd
-
-    if column not in table.frame.columns:
-        raise ArgumentError(
-            f"{table.name} must have the column {column!r}, got "
-            f"{brief(list(table.frame.columns))}: name columns as the log does."
-        )
-    raw = table.frame[column]
-    values = pd.to_numeric(raw, errors="coerce")
-    result = np.array(values, dtype=np.float64)
-    bad = np.flatnonzero((np.isnan(result) & raw.notna().to_numpy()) | np.isinf(result))
-    if bad.size:
-        got = brief(raw.astype(object).iloc[int(bad[0])])
-        advice = "leave the cell empty where nothing was measured."
-        if column in TIMES:
-            advice = (
-                "count seconds from the first row, and leave out lines that are no samples, such "
-                "as one of units."
-            )
-        raise ArgumentError(
-            f"{table.place(int(bad[0]))}: {column} must be a finite number, got {got}: {advice}"
-        )
-    return result
 
 
 def _require_moving(parts: tuple[Part, ...], inputs: tuple[str, ...]) -> None:

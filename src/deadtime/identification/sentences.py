@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.noise_intervals import sensor_intervals
-from deadtime.identification.noisy import NoisyLog
 from deadtime.identification.recording import Recording
 from deadtime.identification.untold import counts_whole, reasons
 
 _EDGE = 1e-6  # of the range searched
-_NO_SWITCHES = "; errors that differ while modes switch are for certify(…, delays=…)"
 _WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
@@ -139,7 +135,7 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
 
 def _states(found: Estimate, recording: Recording) -> list[str]:
     """What states are, where there are more of them than outputs."""
-    shape = found.log.embedding if isinstance(found.log, NoisyLog) else None
+    shape = found.of_outputs and found.of_outputs.embedding
     if shape is None:
         return []
     each = zip(recording.outputs, shape.order, strict=True)
@@ -160,7 +156,7 @@ def _states(found: Estimate, recording: Recording) -> list[str]:
 
 def _larger(found: Estimate) -> str:
     """Of outputs alone, how to ask for one more state."""
-    shape = found.log.embedding if isinstance(found.log, NoisyLog) else None
+    shape = found.of_outputs and found.of_outputs.embedding
     if shape is None:
         return ""
     more = tuple(count + 1 for count in shape.order)
@@ -187,55 +183,3 @@ def _period(found: Estimate, recording: Recording) -> list[str]:
             f"{np.degrees(2.0 * np.pi - turn):.0f}° the other way looks the same. Sample faster."
         )
     return said
-
-
-def verdict_of(
-    delays: np.ndarray, interval: np.ndarray, margin: Any, failure: str | None = None
-) -> str:
-    """The intervals beside a margin: how far every delay may be off beside how far it is borne.
-
-    A margin is of delays that all err alike. Of several, `failure` says what fails where each errs
-    by itself, "" if nothing does; None where that was not looked at.
-    """
-    j = margin.input
-    column = slice(None) if j is None else slice(j, j + 1)
-    D, ends = delays[:, column], interval[:, column]
-    if (D[0] == D).all() and (ends[0] == ends).all():
-        D, ends = D[:1], ends[:1]
-    one = D.size == 1
-    if one:
-        low, high = ends[0, 0]
-        said = f"Delay {D[0, 0]:.4g} s ({low:.4g} … {high:.4g})"
-    else:
-        off = ends - D[..., None]
-        said = f"Delays are off by {off.min():+.2g} … {off.max():+.2g} s at 95 %"
-    if margin.lower is None or margin.upper is None:
-        return f"{said}; the law bears no delay at all, not even the likeliest: design another."
-    shift = margin.lower - margin.nominal, margin.upper - margin.nominal
-    left, right = float((ends[..., 0] - D).min()), float((ends[..., 1] - D).max())
-    enough = shift[0] <= left and right <= shift[1]
-    if one:
-        return (
-            f"{said}; the law bears {margin.lower:.4g} … {margin.upper:.4g} s: "
-            f"{_end(enough, interval.shape[1] > 1)}."
-        )
-    together = "" if j is not None else ", of all together"
-    said = f"{said}; the law bears {shift[0]:+.2g} … {shift[1]:+.2g} s{together}"
-    if failure is None or not enough:
-        alike = (
-            "enough if all err alike; nothing is said of errors that differ: verdict(margin, law) "
-            "looks at them"
-        )
-        return f"{said}: {alike if enough else _end(False)}."
-    if failure:
-        return f"{said}, but errors differ: {failure}: {_end(False)}."
-    return (
-        f"{said}, in each mode held the error of every input's delay alone, and every corner of "
-        f"the box of intervals: {_end(True)}{_NO_SWITCHES if margin.certified else ''}."
-    )
-
-
-def _end(enough: bool, others: bool = False) -> str:
-    if not enough:
-        return "not enough, so design a law with a wider margin or log for longer"
-    return "enough, if the other delays are what they are taken for" if others else "enough"

@@ -1,0 +1,64 @@
+"""The estimate where states are measured without noise: a regression, and what it leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.delay_intervals import delay_intervals
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.intervals import spread_of
+from deadtime.identification.maximum import ExactLog, maximise
+from deadtime.identification.noise import continuous
+from deadtime.identification.over_peaks import ends_over_peaks
+from deadtime.identification.parameters import Layout
+from deadtime.identification.recording import Recording
+from deadtime.identification.regression import concentrated
+from deadtime.identification.residuals import judge_residuals, residuals_of
+from deadtime.identification.start import start_of
+from deadtime.identification.uneven import gridded, nodes_for
+from deadtime.identification.untold import reasons
+from deadtime.plant import SwitchedSystem
+
+
+def estimate_exactly(
+    recording: Recording, layout: Layout, bounds: tuple[float, float], within: bool
+) -> Estimate:
+    """The estimate if states are measured without noise."""
+    start = start_of(gridded(recording), layout, bounds, within)
+    nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
+    log = ExactLog(recording, layout, within, bounds, nodes)
+    best, window = maximise(log, start.theta)
+    terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
+    F, covariances = concentrated(terms, layout.size)
+    counts = np.array([term.periods for term in terms])
+    spare = np.maximum(counts - layout.n - layout.m - 1, 1)
+    parts = [concentrated([term], layout.size)[0].information for term in terms]
+    known = np.einsum("i,iab->ab", spare / counts, parts)
+    try:
+        spread = spread_of(F.information, layout.names(), known, layout.of_each(spare))
+    except ArgumentError as error:
+        why = [reasons(recording, j, bounds[1] - bounds[0]) for j in range(layout.m)]
+        said = dict.fromkeys(sentence for sentences in why for sentence in sentences)
+        raise ArgumentError(" ".join((str(error), *said))) from None
+    intervals, several = delay_intervals(log, best, window, spread, start)
+    A, B, delays = layout.split(best.theta)
+    plant = SwitchedSystem(A, B, delays)
+    covariances = covariances * (counts / spare)[:, None, None]
+    white = residuals_of(recording, plant, nodes, within, np.linalg.cholesky(covariances))
+    return Estimate(
+        log=log,
+        best=best,
+        window=window,
+        plant=plant,
+        spread=spread,
+        intervals=intervals,
+        several=several,
+        start=start,
+        disturbance=continuous(A, covariances, recording.step),
+        noise=np.zeros(layout.n),
+        spare=spare,
+        tests=judge_residuals(white, recording, float(delays.max())),
+        white=tuple(white),
+        ends=ends_over_peaks(log, best, spread, start),
+    )

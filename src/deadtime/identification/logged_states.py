@@ -1,0 +1,78 @@
+"""The states that a log holds, or outputs of them of rank n; what cannot be states is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from deadtime.base.checks import real_array
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.recording import Recording
+
+_SAME = 1e-13  # of the least eigenvalue of the correlation of states
+_SIZES = 1e-70, 1e70  # of what is measured, and of inputs
+
+
+def sensors_of(C: ArrayLike | None, recording: Recording) -> Float[np.ndarray, "p n"]:
+    """C, the identity where states are logged."""
+    count = len(recording.outputs)
+    if C is None:
+        return np.eye(count)
+    given = real_array("C", C, "(p, n)", 2)
+    p, n = given.shape
+    if p != count:
+        raise ArgumentError(f"C must have a row for each output, {count}, got {p}.")
+    rank = np.linalg.matrix_rank(given)
+    if rank < n:
+        raise ArgumentError(
+            f"C must have rank n = {n}, got {rank}: from fewer outputs than states the "
+            "matrices are known only up to a change of states. Log all states, or leave C out and "
+            "say how many states each output has: order=2 takes it and its derivative."
+        )
+    return given
+
+
+def as_states(recording: Recording, C: Float[np.ndarray, "p n"]) -> Recording:
+    """The recording with states in place of outputs, by least squares."""
+    if np.array_equal(C, np.eye(C.shape[0])):
+        return recording
+    back = np.linalg.pinv(C).T
+    parts = tuple(part._replace(output=part.output @ back) for part in recording.parts)
+    return recording._replace(parts=parts)
+
+
+def require_sizes(recording: Recording) -> None:
+    """Refuse columns whose squares, and those of their ratios, leave the range of floats."""
+    least, most = _SIZES
+    for at, names in ((1, recording.outputs), (2, recording.inputs)):
+        every = np.abs(np.vstack([part[at] for part in recording.parts]))
+        for name, size in zip(names, np.nanmax(every, axis=0, initial=0.0), strict=True):
+            if size > 0.0 and not least <= size <= most:
+                raise ArgumentError(
+                    f"{name} must be of a size between {least:g} and {most:g}, got {size:.3g}: "
+                    "log it in another unit."
+                )
+
+
+def require_states(recording: Recording, names: Sequence[str]) -> None:
+    """Refuse states that never move, or that others say already."""
+    every = np.vstack([part.output for part in recording.parts])
+    every = every[np.isfinite(every).all(axis=1)]
+    spread = every.std(axis=0) if len(every) else np.zeros(len(names))
+    still = [name for name, one in zip(names, spread, strict=True) if not one > 0.0]
+    if still:
+        got = "the same in every row" if len(every) else "no row"
+        raise ArgumentError(
+            f"{still[0]} must move, got {got} where all states are known: leave it out by "
+            "states=[…], --states, or log it."
+        )
+    values, vectors = np.linalg.eigh(np.corrcoef(every.T).reshape(len(names), -1))
+    if values[0] < _SAME:
+        part = [name for name, one in zip(names, vectors[:, 0], strict=True) if abs(one) > 0.1]
+        raise ArgumentError(
+            f"{', '.join(part)} must be states of their own, got such that one is a sum of the "
+            "others: leave it out by states=[…], --states."
+        )

@@ -1,0 +1,152 @@
+"""Logs as they come, CSV files or tables of pandas: their columns, and those columns' numbers."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.checks import brief
+from deadtime.base.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TIMES = ("t", "time")
+
+
+class Table(NamedTuple):
+    """A table, what messages call it, and how they name its rows: the first one's number."""
+
+    frame: pd.DataFrame
+    name: str
+    row: str
+    first: int
+
+    def place(self, index: int) -> str:
+        """What a row is called."""
+        return f"{self.name}, {self.row} {index + self.first}"
+
+
+def table_of(log: Any, number: int) -> Table:
+    """A log as a pandas table."""
+    import pandas as pd
+
+    if isinstance(log, pd.DataFrame):
+        name = "log" if number == 0 else f"log[{number}]"
+        return Table(log.rename(columns=lambda c: str(c).strip()), name, "row", 0)
+    try:
+        source = Path(log)
+    except TypeError:
+        raise ArgumentError(
+            f"log must be the path of a CSV file or a pandas DataFrame, got {type(log).__name__}."
+        ) from None
+    frame = read_table(source)
+    return Table(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
+
+
+def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
+    """A CSV file with one header line, or its first rows; no column is taken for an index."""
+    import pandas as pd
+
+    try:
+        _require_commas(source)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            return pd.read_csv(
+                source, skipinitialspace=True, skip_blank_lines=False, index_col=False, nrows=rows
+            )
+    except ArgumentError:
+        raise
+    except OSError as error:
+        raise ArgumentError(f"{source} cannot be read: {error.strerror}.") from None
+    except UnicodeDecodeError:
+        raise ArgumentError(f"{source} is not UTF-8 text: save it as UTF-8.") from None
+    except pd.errors.ParserWarning:
+        raise ArgumentError(
+            f"{source} is no CSV table with one header line: its rows have more columns than its "
+            "header names. Name them all."
+        ) from None
+    except ValueError as error:  # pandas' own are ValueErrors
+        text = " ".join(str(error).split()).rstrip(".")
+        raise ArgumentError(f"{source} is no CSV table with one header line: {text}.") from None
+
+
+def _require_commas(source: Path) -> None:
+    """Refuse a header that other signs than commas divide, as in countries of decimal commas."""
+    with source.open(encoding="utf-8") as lines:
+        header = lines.readline(100_000)
+    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
+        if sign in header and "," not in header:
+            raise ArgumentError(
+                f"{source} has {name} between its columns: save it with commas there and points "
+                f"in numbers, or give the table that pandas.read_csv(…, sep={sign!r}) makes of it, "
+                'with decimal="," where its numbers have commas.'
+            )
+
+
+def chosen_columns(
+    table: Table, letter: str, given: Sequence[str] | None, argument: str
+) -> tuple[str, ...]:
+    """The columns of states or inputs."""
+    found = list(table.frame.columns)
+    if given is None:
+        chosen = columns_of(found, letter)
+    elif isinstance(given, str):
+        raise ArgumentError(
+            f"{argument} must be a list of columns, such as {given.split(',')}, got the text "
+            f"{given!r}."
+        )
+    else:
+        chosen = [str(name) for name in given]
+    if not chosen:
+        raise ArgumentError(
+            f"{table.name} must have columns {letter}1, {letter}2, …, got {brief(found)}: name "
+            f"them so, or say which they are by {argument}=[…], --{argument}."
+        )
+    return tuple(chosen)
+
+
+def columns_of(columns: Sequence[str], letter: str) -> list[str]:
+    """Those that a letter and a number name, by their numbers.
+
+    Examples
+    --------
+    >>> columns_of(["t", "x2", "x1: speed (m/s)", "extra"], "x")
+    ['x1: speed (m/s)', 'x2']
+    """
+    form = re.compile(rf"{letter}[ _]?\[?(\d*)\]?(?:: *.+)?")
+    places = {name: match[1] for name in columns if (match := form.fullmatch(name))}
+    return sorted(places, key=lambda name: int(places[name] or 0))
+
+
+def numeric_column(table: Table, column: str) -> Float[np.ndarray, " sample"]:
+    """A column as numbers, NaN where it has none."""
+    import pandas as pd
+
+    if column not in table.frame.columns:
+        raise ArgumentError(
+            f"{table.name} must have the column {column!r}, got "
+            f"{brief(list(table.frame.columns))}: name columns as the log does."
+        )
+    raw = table.frame[column]
+    values = pd.to_numeric(raw, errors="coerce")
+    result = np.array(values, dtype=np.float64)
+    bad = np.flatnonzero((np.isnan(result) & raw.notna().to_numpy()) | np.isinf(result))
+    if bad.size:
+        got = brief(raw.astype(object).iloc[int(bad[0])])
+        advice = "leave the cell empty where nothing was measured."
+        if column in TIMES:
+            advice = (
+                "count seconds from the first row, and leave out lines that are no samples, such "
+                "as one of units."
+            )
+        raise ArgumentError(
+            f"{table.place(int(bad[0]))}: {column} must be a finite number, got {got}: {advice}"
+        )
+    return result
