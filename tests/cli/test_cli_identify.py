@@ -1,6 +1,10 @@
 """`deadtime identify`: a table, sentences, files; and what it refuses."""
 
 import json
+import os
+import pty
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -51,6 +55,25 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
     assert "each mode held: Delay" in record["sentences"][-1]
     assert record["written"] == [str(folder / "fit.svg")]
     assert (folder / "fit.svg").read_text(encoding="utf-8").count("<svg") == 1
+
+
+def test_a_terminal_is_told_what_is_being_done(folder):
+    leader, follower = pty.openpty()
+    command = [sys.executable, "-m", "deadtime", "identify", "log.csv", "--one-mode"]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=follower) as process:
+        os.close(follower)
+        seen = b""
+        try:
+            while chunk := os.read(leader, 65536):
+                seen += chunk
+        except OSError:  # Linux says so when the last writer is gone
+            pass
+        assert process.stdout is not None
+        out = process.stdout.read()
+    os.close(leader)
+    assert process.returncode == 0
+    assert b"looking for the delay between 0 and 2 s" in seen
+    assert b"looking for" not in out
 
 
 def test_columns_have_commas_between_them_or_in_them(folder, capsys):

@@ -204,6 +204,22 @@ def test_noise_of_the_sensors_is_found_and_rows_are_labelled_better(tmp_path):
 
 
 @pytest.mark.long
+def test_modes_that_noise_hides_are_looked_for_with_noise_though_one_mode_seems_to_do():
+    log, _ = made(two_modes(0.312), 600, 0.06, 1)
+    how: Any = {"modes": range(1, 3), "delay": (0.2, 0.4), "switches": "samples"}
+    told: list[str] = []
+    assert dt.identify(log, noise=False, **how).plant.modes == 1
+    fit = dt.identify(log, progress=told.append, **how)
+    assert fit.plant.modes == 2
+    np.testing.assert_allclose(fit.noise, 0.06, rtol=0.15)
+    assert told[:3] == ["reading the log", "looking for 1 mode", "looking for 2 modes"]
+    assert told[-2:] == [
+        "looking for 2 modes, sensors taken for noisy",
+        "looking how well the log tells them, sensors taken for noisy",
+    ]
+
+
+@pytest.mark.long
 def test_outputs_uneven_rows_and_switches_anywhere_are_taken():
     for even, switches in ((True, "anywhere"), (False, "samples")):
         log, mode = made(two_modes(0.312), 500, 0.0, 2, even)

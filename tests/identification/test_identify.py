@@ -109,7 +109,9 @@ def test_a_log_that_is_written_with_few_digits_is_even():
 
 def test_noise_of_a_sensor_is_noticed():
     log = made(UNSTABLE, 120, seed=1, sensor=np.array([0.03]))
-    fit = dt.identify(log, modes=None, delay=(0.0, 0.5))
+    told = []
+    fit = dt.identify(log, modes=None, delay=(0.0, 0.5), progress=told.append)
+    assert told[-2:] == ["looking for the delay between 0 and 0.5 s", "taking sensors for noisy"]
     assert holds(fit, UNSTABLE) == 1.0
     low, high = fit.interval("noise[0]")
     assert low < 0.03 < high < 1.5 * low

@@ -202,8 +202,6 @@ def open_log(
     ArgumentError
         If it is malformed, or does not tell the plant; the line is named.
     """
-    low, high = asked.delay
-    tell(f"looking for the delay between {low:g} and {high:g} s")
     source = _laid(name, content, folder)
     modes = asked.modes
     try:
@@ -215,6 +213,7 @@ def open_log(
             switches="samples" if asked.at_samples else "anywhere",
             states=asked.states,
             inputs=asked.inputs,
+            progress=tell,
         )
     except DeadtimeError as error:
         raise _without_folder(error, source) from None
@@ -228,6 +227,7 @@ def open_log(
     saved.unlink()
     document = open_upload(saved.stem, text, folder)
     delays = tuple((called, fit.estimate(one), *fit.interval(one)) for one, called in _delays(fit))
+    low, high = asked.delay
     said = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
     rows = tuple(map(tuple, interval_rows(fit)))
     pictures = pictures_of(quick_figures(fit))

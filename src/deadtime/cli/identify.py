@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,7 +11,7 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, command_line, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, save_figure
+from deadtime.cli.printing import print_heading, print_json, print_table, save_figure, stage_line
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
@@ -94,32 +95,29 @@ def identify(
         Print the result as JSON instead of text.
     """
     from deadtime.identification import identify as identified
-    from deadtime.reports.identified import HEADINGS, interval_rows, write_identification
+    from deadtime.reports.identified import HEADINGS, interval_rows
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
-    fit = identified(
-        list(logs),
-        None if one_mode else _modes(modes),
-        delay,
-        per_mode=per_mode,
-        noise=noise,
-        switches=switches,
-        states=_columns(states, logs[0]),
-        inputs=_columns(inputs, logs[0]),
-        outputs=_columns(outputs, logs[0]),
-        order=None if order is None else order[0] if len(order) == 1 else order,
-        zeros=zeros,
-    )
-    said = [*fit.sentences, *_verdict(fit, beside, law)]
-    written = [path for path in (out, figure, report) if path is not None]
-    if out is not None:
-        fit.save(out)
-    if figure is not None:
-        save_figure(fit.plot(), figure)
-    if report is not None:
-        name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
-        write_identification(fit, report, said, name, command_line())
+    with stage_line(quiet=json_output) as say:
+        fit = identified(
+            list(logs),
+            None if one_mode else _modes(modes),
+            delay,
+            per_mode=per_mode,
+            noise=noise,
+            switches=switches,
+            states=_columns(states, logs[0]),
+            inputs=_columns(inputs, logs[0]),
+            outputs=_columns(outputs, logs[0]),
+            order=None if order is None else order[0] if len(order) == 1 else order,
+            zeros=zeros,
+            progress=say,
+        )
+        if beside is not None:
+            say("looking how much delay the law bears")
+        said = [*fit.sentences, *_verdict(fit, beside, law)]
+        written = _write(fit, said, logs, (out, figure, report), say)
     if json_output:
         print_json(_record(fit, said), written)
         return
@@ -129,6 +127,29 @@ def identify(
     print_table(HEADINGS, interval_rows(fit))
     for path in written:
         print(f"\nWritten: {path}")
+
+
+def _write(
+    fit: Identification,
+    said: list[str],
+    logs: tuple[Path, ...],
+    asked: tuple[Path | None, Path | None, Path | None],
+    say: Callable[[str], None],
+) -> list[Path]:
+    """The problem file, the figure and the report that were asked for."""
+    from deadtime.reports.identified import write_identification
+
+    out, figure, report = asked
+    if out is not None:
+        fit.save(out)
+    if figure is not None or report is not None:
+        say("drawing how likely every delay is")
+    if figure is not None:
+        save_figure(fit.plot(), figure)
+    if report is not None:
+        name = f"A plant from {logs[0].name}" + (f" and {len(logs) - 1} more" * (len(logs) > 1))
+        write_identification(fit, report, said, name, command_line())
+    return [path for path in asked if path is not None]
 
 
 def _numbered(fit: Identification) -> str:

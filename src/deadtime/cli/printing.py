@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -122,6 +122,23 @@ def progress_bar(total: int, quiet: bool, first: str = "starting") -> Iterator[A
             bar.update(task, advance=done, description=what)
 
         yield advance
+
+
+@contextmanager
+def stage_line(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A clock on stderr and what is being done, which it takes, only when that is a terminal."""
+    if quiet or not on_terminal():
+        yield lambda _: None
+        return
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from deadtime.cli.console import Terminal
+
+    what = TextColumn("{task.description}", markup=False)
+    columns = SpinnerColumn(), TimeElapsedColumn(), what
+    with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda what: bar.update(task, description=what)
 
 
 def on_terminal() -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -49,6 +49,7 @@ def identify(
     outputs: Sequence[str] | None = None,
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Identification:
     """The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
 
@@ -84,6 +85,8 @@ def identify(
     zeros : bool, optional
         Of `order`: whether inputs act on all states of an output, and not on the last derivative
         alone, so that the others are no derivatives. By default, where the log asks for it.
+    progress : callable
+        Called with a few words whenever something else is begun.
 
     Returns
     -------
@@ -122,6 +125,7 @@ def identify(
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None
     letter = "x" if C is None and order is None and outputs is None else "y"
+    progress("reading the log")
     recording = read_recording(
         log,
         column,
@@ -135,7 +139,7 @@ def identify(
     within = switches == "anywhere"
     if order is not None:
         require_logged(C, noise, numbers is not None)
-        of = identify_outputs(recording, order, zeros, per_mode, bounds, within)
+        of = identify_outputs(recording, order, zeros, per_mode, bounds, within, progress)
         fit = Identification.of(of.estimate, recording, of.model, of.why, of.C, of.states)
         return replace(fit, sentences=(*fit.sentences, *of.sentences))
     _require_order_for(zeros, outputs, C)
@@ -149,12 +153,14 @@ def identify(
     said: tuple[str, ...] = ()
     if numbers is not None:
         sensed = Sensed(direct, recording, sensors, True if C is not None else noise)
-        hidden = identify_hidden(sensed, numbers, layout, bounds, within)
+        hidden = identify_hidden(sensed, numbers, layout, bounds, within, progress)
         if hidden.estimate is not None:
             return Identification.of_hidden(hidden, sensors, named)
         said = hidden.sentences
+    progress(f"looking for the delay between {low:g} and {high:g} s")
     found = estimate_exactly(direct, layout, bounds, within)
     if C is not None or noise or (noise is None and not found.tests.white):
+        progress("taking sensors for noisy")
         found = estimate_with_noise(recording, sensors, found, within, bounds)
     model, why = fit_switching(recording)
     fit = Identification.of(found, recording, model, why, sensors, named)

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.hidden.choice import Fitted, fitted, refined, search_of
 from deadtime.identification.hidden.estimated import decoded, estimated, hidden_modes
 from deadtime.identification.hidden.found import HiddenModes
@@ -68,24 +70,38 @@ def identify_hidden(
     layout: Layout,
     bounds: tuple[float, float],
     within: bool,
+    progress: Callable[[str], None],
 ) -> Hidden:
-    """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC."""
+    """The likeliest plant whose modes are hidden, of one of several numbers of them, by BIC.
+
+    layout : with one mode, as the recording has
+    """
     expect_many_calls()
     search = search_of(sensed.states, layout, bounds, within)
     if not sensed.noise:
-        tried = _tried(numbers, lambda modes: fitted(search, replace(layout, modes=modes)))
+        tried = _tried(
+            numbers, lambda modes: fitted(search, replace(layout, modes=modes)), progress
+        )
+        progress("looking how well the log tells them")
         found = _without_noise(tried, sensed.states, within)
-        white = found.estimate is None or found.estimate.tests.white
-        if white or sensed.noise is False:
+        if sensed.noise is False or numbers == (1,):
+            return found
+        estimate = found.estimate or estimate_exactly(sensed.states, layout, bounds, within)
+        if estimate.tests.white:
             return found
     given = sensed.outputs, sensed.C
     noisy = _tried(
-        numbers, lambda modes: fitted_with_noise(search, replace(layout, modes=modes), *given)
+        numbers,
+        lambda modes: fitted_with_noise(search, replace(layout, modes=modes), *given),
+        lambda said: progress(f"{said}, sensors taken for noisy"),
     )
+    progress("looking how well the log tells them, sensors taken for noisy")
     return _with_noise(noisy, sensed.outputs, within)
 
 
-def _tried(numbers: tuple[int, ...], fit: Callable[[int], _Fit]) -> Tried[_Fit]:
+def _tried(
+    numbers: tuple[int, ...], fit: Callable[[int], _Fit], progress: Callable[[str], None]
+) -> Tried[_Fit]:
     """Fits of numbers of modes, as far as they go; of a single number of the next smaller, too.
 
     Raises
@@ -95,6 +111,7 @@ def _tried(numbers: tuple[int, ...], fit: Callable[[int], _Fit]) -> Tried[_Fit]:
     """
     fits, refused = [], None
     for number in numbers:
+        progress(f"looking for {number_of(number, 'mode')}")
         try:
             fits.append(fit(number))
         except ArgumentError as error:
@@ -103,6 +120,7 @@ def _tried(numbers: tuple[int, ...], fit: Callable[[int], _Fit]) -> Tried[_Fit]:
             refused = error
             break  # more are too many, too
     if len(numbers) == 1 and numbers[0] > 1:  # do fewer explain the log as well?
+        progress(f"looking whether {number_of(numbers[0] - 1, 'mode')} would do")
         with suppress(ArgumentError):
             fits.insert(0, fit(numbers[0] - 1))
     return Tried(fits, numbers, refused)

@@ -5,6 +5,7 @@ Of long logs that is done on stretches, of uneven ones on a grid: it tells where
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,7 +31,10 @@ CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
 
 class Request(NamedTuple):
-    """What is asked of a log; zeros None: where the log asks for them."""
+    """What is asked of a log; zeros None: where the log asks for them.
+
+    progress : told what is begun
+    """
 
     recording: Recording
     layout: Layout
@@ -38,6 +42,7 @@ class Request(NamedTuple):
     zeros: bool | None
     bounds: tuple[float, float]
     within: bool
+    progress: Callable[[str], None]
 
 
 class Chosen(NamedTuple):
@@ -72,7 +77,7 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     from scipy.stats import chi2
 
     expect_many_calls()
-    recording, layout, order, zeros, bounds, within = request
+    recording, layout, order, zeros, bounds, within, progress = request
     grid = recording
     if not recording.even:
         parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
@@ -84,9 +89,11 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     some = stretches(grid, _FEW, lag)
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
     begins = [log.join(guess.theta, noise) for noise in guess.noise]
+    progress(f"looking for the delay with {' + '.join(map(str, order))} states")
     best, scan = _begun(log, begins)
     if zeros is not None or not shape.upper.size:
         return Chosen(log, best, scan)
+    progress("trying inputs that act on all states")
     wider = replace(log, embedding=replace(shape, zeros=True))
     other, scan_of_other = _begun(wider, [*begins, best.theta])
     rise = 2.0 * (other.found.value - best.found.value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -43,12 +43,13 @@ def identify_outputs(
     per_mode: bool,
     bounds: tuple[float, float],
     within: bool,
+    progress: Callable[[str], None],
 ) -> FromOutputs:
     """The likeliest plant with so many states of each output."""
     given = order_of(order, recording.outputs)
     _require_moving(recording)
     layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode)
-    request = Request(recording, layout, given, zeros, bounds, within)
+    request = Request(recording, layout, given, zeros, bounds, within, progress)
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
     names = state_names(recording.outputs, given, shape.zeros)
@@ -76,6 +77,7 @@ def estimate_from_outputs(request: Request) -> tuple[Estimate, Chosen]:
     best, scan = chosen.best, chosen.scan
     nodes = nodes_for(recording.parts, request.layout.split(best.theta[: request.layout.size])[0])
     log = replace(chosen.log, recording=recording, nodes=nodes)
+    request.progress("looking how well the log tells it")
     top, window = maximise(log, best.theta)
     cells = cells_of(top.theta[request.layout.at_delays], recording.step)
     start = Start(top.theta[: request.layout.size], cells, scan.first, scan.curves)
