@@ -106,6 +106,16 @@ REFUSED = {
         {"switches": "samples"},
         "mode '1' has 4 periods whose .* Log longer stays in it",
     ),
+    "a mode slips in": (
+        GOOD.assign(mode=np.where(np.arange(T) % 30, MODE, 2)),
+        {},
+        "mode '2' has 0 periods .* It stays for 1 row at a time, at most: put rows right whose",
+    ),
+    "every row another mode": (
+        GOOD.assign(mode=np.arange(T) % 2),
+        {},
+        'changes at samples only say switches="samples", --switches samples',
+    ),
     "a mode never": (GOOD.assign(mode=2 * MODE), {}, "mode: mode 1 is never visited"),
     "never measured": (GOOD.assign(x1=np.nan), {}, "x1 must move, got no row where all states"),
     "text for a list": (GOOD, {"states": "x1,x2"}, r"states must be a list .* \['x1', 'x2'\], got"),

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import number_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Recording
 from deadtime.identification.regression import Lags, lags_of
 from deadtime.identification.transition import transitions_of
+from deadtime.identification.untold import require_enough
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
 _ALL = 2000  # combinations of cells that are all tried
@@ -86,28 +86,6 @@ def plant_of(
         strength = np.array([np.sum(b**2, axis=0) for b in B]) * count[:, None]
         D[:] = (D * strength).sum(axis=0) / np.maximum(strength.sum(axis=0), 1e-300)
     return layout.join(A, np.array(B), np.clip(D, *bounds))
-
-
-def require_enough(
-    recording: Recording, layout: Layout, count: Int[np.ndarray, " mode"], window: float
-) -> None:
-    """Every mode has more periods than unknowns."""
-    least = layout.least_periods
-    for i in np.flatnonzero(count < least):
-        name = recording.modes[i]
-        whole = max(float(np.ptp(part.time)) for part in recording.parts)
-        hint = " Log for longer." if layout.modes == 1 else " Log longer stays in it."
-        if whole < 2.0 * window:
-            hint = (
-                f" The log lasts {whole:g} s, and delays of up to {window:g} s are looked for: "
-                "is t in seconds? Narrow delay=(low, high), in seconds, or log for longer."
-            )
-        what = "the log" if layout.modes == 1 else f"mode {name!r}"
-        raise ArgumentError(
-            f"{what} has {number_of(int(count[i]), 'period')} whose inputs and ends are known, at "
-            f"least {least} are needed for {number_of(layout.n, 'state')} and "
-            f"{number_of(layout.m, 'input')}: it is too short.{hint}"
-        )
 
 
 class _Scan:

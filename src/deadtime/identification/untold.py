@@ -1,14 +1,19 @@
-"""Why a log hardly tells a delay: what its inputs are, that they tell so little."""
+"""Why a log hardly tells a delay, by what its inputs are, and why it does not tell a mode."""
 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Int
 
+from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of
+from deadtime.identification.parameters import Layout
 from deadtime.identification.recording import Part, Recording
 
 _LIKE = 0.95  # a correlation of samples so large: one may stand for the other
 _FELL = 0.7  # what it must fall below before: a slow input is like itself a moment later
 _FOLLOWS = 0.99  # of an input's variance, that the states of the same row explain
+_BRIEF = 2  # rows: in so short a stay no period, or one, is of a mode alone
 _COARSE = 1.0  # s: a clock of whole numbers with rows so far apart may count milliseconds
 
 
@@ -96,3 +101,41 @@ def _alike(recording: Recording, j: int) -> list[int]:
     u = np.vstack([part.input for part in recording.parts])
     others = [i for i in range(u.shape[1]) if i != j]
     return [i for i in others if abs(_likeness(u[:, i], u[:, j])) > 1.0 - 1e-6]
+
+
+def require_enough(
+    recording: Recording, layout: Layout, count: Int[np.ndarray, " mode"], window: float
+) -> None:
+    """Every mode has more periods than unknowns."""
+    least = layout.least_periods
+    for i in np.flatnonzero(count < least):
+        name = recording.modes[i]
+        whole = max(float(np.ptp(part.time)) for part in recording.parts)
+        hint = " Log for longer." if layout.modes == 1 else " Log longer stays in it."
+        if whole < 2.0 * window:
+            hint = (
+                f" The log lasts {whole:g} s, and delays of up to {window:g} s are looked for: "
+                "is t in seconds? Narrow delay=(low, high), in seconds, or log for longer."
+            )
+        if (rows := _longest_stay(recording, int(i))) <= _BRIEF and layout.modes > 1:
+            hint = (
+                f" It stays for {number_of(rows, 'row')} at a time, at most: put rows right whose "
+                "mode is a slip of the log; of a mode that changes at samples only say "
+                'switches="samples", --switches samples.'
+            )
+        what = "the log" if layout.modes == 1 else f"mode {name!r}"
+        raise ArgumentError(
+            f"{what} has {number_of(int(count[i]), 'period')} whose inputs and ends are known, at "
+            f"least {least} are needed for {number_of(layout.n, 'state')} and "
+            f"{number_of(layout.m, 'input')}: it is too short.{hint}"
+        )
+
+
+def _longest_stay(recording: Recording, mode: int) -> int:
+    """Most rows in a row that have a mode."""
+    stays = [0]
+    for part in recording.parts:
+        there = np.concatenate(([False], part.mode == mode, [False]))
+        ends = np.flatnonzero(there[1:] != there[:-1])
+        stays += (ends[1::2] - ends[::2]).tolist()
+    return max(stays)
