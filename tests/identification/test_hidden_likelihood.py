@@ -13,8 +13,8 @@ from deadtime.identification.hidden.information import information_of, lifted
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.periods import EvenPeriods, UnevenPeriods
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant, oscillator
 

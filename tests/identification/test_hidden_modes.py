@@ -14,8 +14,8 @@ from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.hidden.starts import drawn_start, stretches_of
 from deadtime.identification.hidden.words import Tried, of_numbers
+from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part
 from synthetic_logs import Plant, oscillator
 
 H = 0.05

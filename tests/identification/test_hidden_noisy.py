@@ -16,10 +16,10 @@ from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
 from deadtime.identification.hidden.periods import EvenPeriods
-from deadtime.identification.noise_intervals import sensor_intervals
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.noise_intervals import sensor_intervals
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant
 

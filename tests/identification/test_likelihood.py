@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import ExactLog
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.regression import (
     concentrated,
     even_terms,

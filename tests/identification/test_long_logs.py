@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
-from deadtime.identification.noise import stretches
-from deadtime.identification.recording import Part, Recording
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.noise import stretches
 from synthetic_logs import Plant
 
 H = 0.05
@@ -40,7 +40,7 @@ def test_where_a_long_log_begins_does_not_move_its_estimate(monkeypatch, delay):
     log = pd.DataFrame({"t": t, "x": y[:, 0], "u": u[:, 0]})
     found = []
     for most in (10_000, 100):
-        monkeypatch.setattr("deadtime.identification.noise._ENOUGH", most)
+        monkeypatch.setattr("deadtime.identification.noisy.noise._ENOUGH", most)
         found.append(dt.identify(log, modes=None, delay=(delay - 0.15, delay + 0.3), noise=True))
     whole, some = found
     for name in whole.names:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.uneven import nodes_for
 from synthetic_logs import Plant
 
@@ -80,8 +80,8 @@ def test_value_score_and_information_are_those_of_the_dense_gaussian(given, bloc
 
     What is not known of the first state is small enough that differences have digits left.
     """
-    monkeypatch.setattr("deadtime.identification.filtering._BLOCK", block)
-    monkeypatch.setattr("deadtime.identification.noisy._VAGUE", 10.0)
+    monkeypatch.setattr("deadtime.identification.noisy.filtering._BLOCK", block)
+    monkeypatch.setattr("deadtime.identification.noisy.likelihood._VAGUE", 10.0)
     log = log_of(made(*given))
     theta = LAYOUT.join(1.05 * A, 0.9 * B, D + 0.003)
     vector = log.join(theta, NOISE)

@@ -10,11 +10,11 @@ from scipy.stats import multivariate_normal
 
 import deadtime as dt
 from deadtime.cli import main
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.scoring import Evaluation, climb
 from deadtime.identification.uneven import nodes_for
 from deadtime.problems import load_problem

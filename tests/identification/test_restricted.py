@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
-from deadtime.identification.restricted import restricted
 from synthetic_logs import Plant
 
 H, D = 0.1, 0.237

@@ -13,8 +13,8 @@ from deadtime.app.documents import Document, file_stem, open_upload
 from deadtime.app.outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
-from deadtime.identification.report_figures import likelihood_figure, quick_figures
-from deadtime.identification.tables import TIMES, columns_of, read_table
+from deadtime.identification.log.tables import TIMES, columns_of, read_table
+from deadtime.identification.told.report_figures import likelihood_figure, quick_figures
 from deadtime.laws import ExactPredictor
 from deadtime.margins import delay_margin
 from deadtime.problems import load_problem

@@ -172,7 +172,7 @@ def _columns(given: list[str] | None, log: Path) -> list[str] | None:
     """Names with commas between them, but for columns of the log that have commas in them."""
     if given is None or not any("," in text for text in given):
         return given
-    from deadtime.identification.tables import read_table
+    from deadtime.identification.log.tables import read_table
 
     whole = {str(name).strip() for name in read_table(log, 0).columns}
     parts = [[text] if text in whole else text.split(",") for text in given]

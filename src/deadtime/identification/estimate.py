@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.frozen import Frozen
 from deadtime.identification.intervals import Spread
 from deadtime.identification.maximum import Likelihood
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start

@@ -8,11 +8,11 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import spread_of
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import ExactLog, maximise
-from deadtime.identification.noise import continuous
+from deadtime.identification.noisy.noise import continuous
 from deadtime.identification.over_peaks import ends_over_peaks
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.regression import concentrated
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.start import start_of

@@ -15,19 +15,19 @@ from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.identification import Identification
-from deadtime.identification.logged_modes import fit_switching
-from deadtime.identification.logged_states import (
+from deadtime.identification.log.logged_modes import fit_switching
+from deadtime.identification.log.logged_states import (
     as_states,
     require_sizes,
     require_states,
     sensors_of,
 )
-from deadtime.identification.noise import estimate_with_noise
+from deadtime.identification.log.recording import read_recording
+from deadtime.identification.log.units import require_same_units, require_seconds
+from deadtime.identification.noisy.noise import estimate_with_noise
 from deadtime.identification.outputs.identified import identify_outputs
 from deadtime.identification.outputs.request import require_logged
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import read_recording
-from deadtime.identification.units import require_same_units, require_seconds
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,9 +12,9 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cell_of, cells_of
 from deadtime.identification.hidden.likelihood import HiddenLog
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.regression import concentrated, even_terms, lags_of
 from deadtime.identification.scoring import GAIN, Evaluate, Maximum, climb, climb_cells
 from deadtime.identification.uneven import uneven_terms, usable

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from deadtime.identification.intervals import LEVEL, Spread, inverse
 from deadtime.identification.maximum import ExactLog, Likelihood
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.peaks import fresh_rise, plausible_fall
 from deadtime.identification.scoring import Maximum, climb
 from deadtime.identification.start import Start

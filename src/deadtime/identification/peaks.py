@@ -6,7 +6,7 @@ import numpy as np
 
 from deadtime.identification.intervals import LEVEL
 from deadtime.identification.maximum import Likelihood
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.start import Start
 
 

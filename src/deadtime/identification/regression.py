@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part
 from deadtime.identification.scoring import Evaluation
 from deadtime.identification.transition import transitions_of
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.recording import Part, Recording
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.transition import interpolation, plain_transitions
 from deadtime.identification.uneven import acting_in, fed, usable
 from deadtime.plant import SwitchedSystem

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.regression import Lags, lags_of
 from deadtime.identification.transition import transitions_of
 from deadtime.identification.untold import require_enough

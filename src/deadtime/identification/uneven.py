@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.regression import Term
 from deadtime.identification.transition import interpolation, nodes_of, transitions_of
 

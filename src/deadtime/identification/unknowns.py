@@ -9,7 +9,7 @@ import numpy as np
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.noise_intervals import noise_interval
+from deadtime.identification.noisy.noise_intervals import noise_interval
 
 
 class Unknowns:

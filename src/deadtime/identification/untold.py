@@ -7,8 +7,8 @@ from jaxtyping import Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part, Recording
 
 _LIKE = 0.95  # a correlation of samples so large: one may stand for the other
 _FELL = 0.7  # what it must fall below before: a slow input is like itself a moment later

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.identification.noisy.periods import noise_tables
 from deadtime.identification.parameters import Layout
-from deadtime.identification.periods import noise_tables
 
 
 class NoiseTables(NamedTuple):

@@ -29,9 +29,9 @@ from deadtime.identification.hidden.regressions import (
     scanned,
 )
 from deadtime.identification.hidden.starts import drawn_start, first_cells, stretches_of
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import ExactLog, maximise, window_of
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.regression import concentrated
 from deadtime.identification.start import cell_range, plant_of, start_of
 from deadtime.identification.uneven import gridded, nodes_for

@@ -20,9 +20,9 @@ from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.hidden.periods import EvenPeriods
 from deadtime.identification.hidden.regressions import scanned
 from deadtime.identification.intervals import spread_of
-from deadtime.identification.noise import continuous
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy.noise import continuous
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start

@@ -26,9 +26,9 @@ from deadtime.identification.hidden.noisy_estimated import (
     estimated_with_noise,
 )
 from deadtime.identification.hidden.words import Tried, of_numbers, of_sureness
-from deadtime.identification.logged_modes import fit_switching
+from deadtime.identification.log.logged_modes import fit_switching
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.numerics.kernels import expect_many_calls
 from deadtime.switching import SemiMarkov
 

@@ -21,8 +21,8 @@ from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.periods import EvenPeriods, Posterior, UnevenPeriods
 from deadtime.identification.hidden.pooled import PooledRegression
 from deadtime.identification.hidden.regressions import rooted, rows_of_modes
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.regression import Lags, Term, even_terms, log_density
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import node_term

@@ -18,11 +18,11 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.hidden.choice import Begun, Search, begun
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise, window_of
-from deadtime.identification.noise import continuous, first_noises, stretches
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.noisy.noise import continuous, first_noises, stretches
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.scoring import Maximum
 
 _ENOUGH = 2_000  # samples that tell which of two beginnings is the better one

@@ -26,8 +26,8 @@ from deadtime.identification.hidden.information import Information, left_of, lif
 from deadtime.identification.hidden.noisy_choice import NoisyFit
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Starts
 from deadtime.identification.intervals import spread_of
-from deadtime.identification.noise import noisy_residuals
-from deadtime.identification.recording import Recording
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy.noise import noisy_residuals
 from deadtime.identification.residuals import judge_residuals
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start

@@ -25,9 +25,9 @@ from deadtime.identification.hidden.filters_kernel import filter_modes
 from deadtime.identification.hidden.jumps import Jumps
 from deadtime.identification.hidden.periods import Posterior, path_of, posterior_of
 from deadtime.identification.hidden.stretch import Stretch, stretch_of
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
 
 _SMALL = 1e-3  # of a standard error, a step of differences: what bends moves no maximum by more

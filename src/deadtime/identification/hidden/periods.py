@@ -21,7 +21,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.hidden.chain import likeliest, smooth
 from deadtime.identification.hidden.jumps import Counts, Jumps
 from deadtime.identification.hidden.pooled import Pooled, PooledPlant, PooledRegression, cell_rows
-from deadtime.identification.recording import Part
+from deadtime.identification.log.recording import Part
 from deadtime.identification.regression import rows_of
 from deadtime.identification.uneven import node_rows, usable
 

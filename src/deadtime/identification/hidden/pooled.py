@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.recording import Part
+from deadtime.identification.log.recording import Part
 from deadtime.identification.regression import log_density
 from deadtime.identification.transition import plain_transitions
 from deadtime.identification.uneven import node_rows

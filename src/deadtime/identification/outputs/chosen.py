@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noise import stretches
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.start import Scanned, guess_of, scanned
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import nodes_for, on_a_grid
 from deadtime.numerics.kernels import expect_many_calls

@@ -13,10 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.filtering import Filtered, Places, Sensors, filtered as innovations
+from deadtime.identification.log.recording import Part
+from deadtime.identification.noisy.filtering import (
+    Filtered,
+    Places,
+    Sensors,
+    filtered as innovations,
+)
+from deadtime.identification.noisy.periods import Periods
 from deadtime.identification.outputs.smoother import Model, filtered, smoothed
-from deadtime.identification.periods import Periods
-from deadtime.identification.recording import Part
 
 _VAGUE = 1e8  # variances of a sensor that a state is not known by
 _DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.noise import stretches
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.log.recording import Part
+from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.smoother import Model, filtered, smoothed
-from deadtime.identification.recording import Part
 
 _MOST = 10_000  # samples of a long log whose states are looked at
 

@@ -12,14 +12,14 @@ from jaxtyping import Float
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.cells import cells_of
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.logged_modes import fit_switching
+from deadtime.identification.log.logged_modes import fit_switching
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noise import estimated_of
+from deadtime.identification.noisy.noise import estimated_of
 from deadtime.identification.outputs.chosen import Chosen, Request, chosen_of
 from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
 from deadtime.identification.outputs.request import order_of, state_names
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.start import Start
 from deadtime.identification.uneven import nodes_for
 from deadtime.switching import SemiMarkov

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.outputs.derivatives import Derivatives, derivatives_of
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.smoother import Model, filtered, responses
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Recording
 from deadtime.identification.start import cell_range, start_of
 from deadtime.identification.transition import transitions_of
 

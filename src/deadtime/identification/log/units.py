@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.foretold import (
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.told.foretold import (
     LEAST,
     Scaled,
     Stretch,
@@ -23,7 +24,6 @@ from deadtime.identification.foretold import (
     lags_between,
     only_scaled,
 )
-from deadtime.identification.recording import Part, Recording
 
 _THOUSAND = 1000.0
 _LIKELY = 0.7  # of a thousand, in decades to either side: sizes of stretches differ, too

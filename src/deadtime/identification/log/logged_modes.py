@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.recording import Recording
+from deadtime.identification.log.recording import Recording
 from deadtime.switching import SemiMarkov, SwitchingSignal
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import real_array
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.recording import Recording
+from deadtime.identification.log.recording import Recording
 
 _SAME = 1e-13  # of the least eigenvalue of the correlation of states
 _SIZES = 1e-70, 1e70  # of what is measured, and of inputs

@@ -8,10 +8,10 @@ import numpy as np
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.delay_intervals import profile
+from deadtime.identification.log.recording import Part
 from deadtime.identification.outputs.following import following
-from deadtime.identification.recording import Part
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast
-from deadtime.identification.sentences import delay_names
+from deadtime.identification.told.sentences import delay_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

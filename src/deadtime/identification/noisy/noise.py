@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, Int
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.over_peaks import ends_over_peaks
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.residuals import judge_residuals
-from deadtime.identification.restricted import restricted
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 from deadtime.numerics.covariance import noise_covariances

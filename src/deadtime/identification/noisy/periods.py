@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout
-from deadtime.identification.recording import Part
 from deadtime.identification.regression import period_weights
 from deadtime.identification.transition import interpolation, transitions_of
 from deadtime.identification.uneven import acting_in

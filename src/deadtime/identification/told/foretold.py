@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from deadtime.identification.recording import Part
+from deadtime.identification.log.recording import Part
 
 _TOLD = 0.5  # of what a stretch moves by, that a model of its units leaves at most
 _WORSE = 3.0  # times so much is left in the units as they are

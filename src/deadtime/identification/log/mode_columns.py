@@ -8,7 +8,7 @@ import numpy as np
 
 from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.tables import Table
+from deadtime.identification.log.tables import Table
 
 
 def mode_column(tables: list[Table], modes: str | None) -> str | None:

@@ -6,8 +6,8 @@ import numpy as np
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.noise_intervals import sensor_intervals
-from deadtime.identification.recording import Recording
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.noisy.noise_intervals import sensor_intervals
 from deadtime.identification.untold import counts_whole, reasons
 
 _EDGE = 1e-6  # of the range searched

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
-from deadtime.identification.figure import (
+from deadtime.identification.residuals import with_inputs
+from deadtime.identification.told.figure import (
     draw_likelihood,
     draw_log,
     draw_modes,
     draw_residuals,
     shown,
 )
-from deadtime.identification.residuals import with_inputs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog
-from deadtime.identification.noise import intensity_errors
-from deadtime.identification.noisy import NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.noisy.noise import intensity_errors
 
 _REACH = 1.959963984540054  # of a normal distribution's 95 %
 _OWN = 0.5  # of a variance: an error beyond which it may be none

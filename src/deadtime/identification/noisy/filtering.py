@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from deadtime.identification.log.recording import Part
+from deadtime.identification.noisy.periods import PeriodsOf
+from deadtime.identification.noisy.tangent_kernel import tangents
 from deadtime.identification.parameters import Layout
-from deadtime.identification.periods import PeriodsOf
-from deadtime.identification.recording import Part
 from deadtime.identification.scoring import Evaluation
-from deadtime.identification.tangent_kernel import tangents
 
 _BLOCK = 4096  # samples whose derivatives are kept at a time, at most
 _NUMBERS = 2_000_000  # of them

@@ -25,11 +25,11 @@ from jaxtyping import Bool, Float, Int
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.identification.cells import cells_of
-from deadtime.identification.filtering import Filtered, Places, Sensors, evaluated, filtered
+from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.noisy.filtering import Filtered, Places, Sensors, evaluated, filtered
+from deadtime.identification.noisy.periods import Periods, PeriodsOf, even_periods, uneven_periods
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.parameters import Layout
-from deadtime.identification.periods import Periods, PeriodsOf, even_periods, uneven_periods
-from deadtime.identification.recording import Part, Recording
 from deadtime.identification.scoring import Evaluate, Evaluation
 from deadtime.identification.uneven import fed
 

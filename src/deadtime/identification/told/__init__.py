@@ -1,0 +1,1 @@
+"""What is told of an identification: sentences, the verdict, figures, and its problem file."""
