@@ -5,6 +5,7 @@ import os
 import pty
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -60,7 +61,9 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
 def test_a_terminal_is_told_what_is_being_done(folder):
     leader, follower = pty.openpty()
     command = [sys.executable, "-m", "deadtime", "identify", "log.csv", "--one-mode"]
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=follower) as process:
+    able = os.environ | {"TERM": "xterm"}  # of a dumb one nothing can be taken back
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": follower}
+    with subprocess.Popen(command, cwd=folder, env=able, **pipes) as process:
         os.close(follower)
         seen = b""
         try:
