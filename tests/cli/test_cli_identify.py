@@ -2,10 +2,7 @@
 
 import json
 import os
-import pty
-import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +11,7 @@ import pytest
 from deadtime.cli import main
 from deadtime.cli.identify import _modes
 from deadtime.problems import load_problem
+from terminal import on_a_terminal
 
 
 @pytest.fixture(scope="module")
@@ -59,22 +57,9 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
 
 
 def test_a_terminal_is_told_what_is_being_done(folder):
-    leader, follower = pty.openpty()
     command = [sys.executable, "-m", "deadtime", "identify", "log.csv", "--one-mode"]
     able = os.environ | {"TERM": "xterm"}  # of a dumb one nothing can be taken back
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": follower}
-    with subprocess.Popen(command, cwd=folder, env=able, **pipes) as process:
-        os.close(follower)
-        seen = b""
-        try:
-            while chunk := os.read(leader, 65536):
-                seen += chunk
-        except OSError:  # Linux says so when the last writer is gone
-            pass
-        assert process.stdout is not None
-        out = process.stdout.read()
-    os.close(leader)
-    assert process.returncode == 0
+    seen, out = on_a_terminal(command, pipe_stdout=True, cwd=folder, env=able)
     assert b"looking for the delay between 0 and 2 s" in seen
     assert b"looking for" not in out
 

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import pty
 import re
 import shlex
 import signal
@@ -16,6 +15,7 @@ import pytest
 
 from deadtime.cli.entry import app, main
 from deadtime.cli.printing import print_json
+from terminal import on_a_terminal
 
 PAGE = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
 LINES = [
@@ -141,17 +141,7 @@ def kinds(tmp_path, terminal, **environment):
         result = subprocess.run(command, capture_output=True, check=True, **options)
         assert result.stderr == b""
         return result.stdout.split(b"MARK\n")[1:]
-    leader, follower = pty.openpty()
-    process = subprocess.Popen(command, stdout=follower, stderr=follower, **options)
-    os.close(follower)
-    seen = b""
-    try:
-        while chunk := os.read(leader, 65536):
-            seen += chunk
-    except OSError:  # Linux says so when the last writer is gone
-        pass
-    os.close(leader)
-    assert process.wait() == 0
+    seen, _ = on_a_terminal(command, **options)
     return seen.split(b"MARK\r\n")[1:]
 
 

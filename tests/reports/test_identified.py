@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.entry import main
-from deadtime.identification.told.report_figures import figures_of
+from deadtime.identification.results.report_figures import figures_of
 from deadtime.reports.identified import write_identification
 from synthetic_logs import Plant
 

@@ -14,7 +14,7 @@ from deadtime.app.outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.identification import Identification, identify
 from deadtime.identification.log.tables import TIMES, columns_of, read_table
-from deadtime.identification.told.report_figures import likelihood_figure, quick_figures
+from deadtime.identification.results.report_figures import likelihood_figure, quick_figures
 from deadtime.laws import ExactPredictor
 from deadtime.margins import delay_margin
 from deadtime.problems import load_problem

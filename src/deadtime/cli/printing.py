@@ -12,6 +12,7 @@ from deadtime.base.errors import ArgumentError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.progress import Progress, ProgressColumn
 
     from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
@@ -103,19 +104,9 @@ def progress_bar(total: int, quiet: bool, first: str = "starting") -> Iterator[A
     if quiet or not on_terminal():
         yield lambda _, done=1: None
         return
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn
 
-    from deadtime.cli.console import Terminal
-
-    what = TextColumn("{task.description}", markup=False)
-    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), what
-    with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
+    with _live(BarColumn(), MofNCompleteColumn()) as bar:
         task = bar.add_task(first, total=total)
 
         def advance(what: str, done: int = 1) -> None:
@@ -130,15 +121,22 @@ def stage_line(quiet: bool) -> Iterator[Callable[[str], None]]:
     if quiet or not on_terminal():
         yield lambda _: None
         return
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import SpinnerColumn
+
+    with _live(SpinnerColumn()) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda what: bar.update(task, description=what)
+
+
+def _live(*columns: ProgressColumn) -> Progress:
+    """A line on stderr that is redrawn: columns, a clock, and what is being done."""
+    from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
     from deadtime.cli.console import Terminal
 
     what = TextColumn("{task.description}", markup=False)
-    columns = SpinnerColumn(), TimeElapsedColumn(), what
-    with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda what: bar.update(task, description=what)
+    every = *columns, TimeElapsedColumn(), what
+    return Progress(*every, console=Terminal(stderr=True), transient=True)
 
 
 def on_terminal() -> bool:

@@ -19,7 +19,7 @@ from deadtime.identification.hidden.identified import Hidden
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.told.sentences import sentences_of
+from deadtime.identification.results.sentences import sentences_of
 from deadtime.identification.unknowns import Unknowns
 from deadtime.plant import SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
-    from deadtime.identification.told.verdict import Margin
+    from deadtime.identification.results.verdict import Margin
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -223,7 +223,7 @@ class Identification(Frozen):
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2595 s (0.259 … 0.2599); the law bears 0 … 1.054 s: enough.
         """
-        from deadtime.identification.told.verdict import verdict_of
+        from deadtime.identification.results.verdict import verdict_of
 
         period = self.step if step is None else positive("step", step)
         return verdict_of(self, margin, law, period)
@@ -245,13 +245,13 @@ class Identification(Frozen):
             Length of its run, seconds; by default 20 times the longest delay, and at least 5 mean
             sojourns of the mode that lasts longest.
         """
-        from deadtime.identification.told.problem_text import problem_text, write_problem
+        from deadtime.identification.results.problem_text import problem_text, write_problem
 
         write_problem(problem_text(self, title, horizon), path)
 
     def plot(self) -> Figure:
         """The likelihood over the delays, predictions against the log, residuals, and modes."""
-        from deadtime.identification.told.figure import plot_identification
+        from deadtime.identification.results.figure import plot_identification
 
         return plot_identification(self)
 

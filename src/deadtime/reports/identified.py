@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification import Identification
-from deadtime.identification.told.report_figures import figures_of
+from deadtime.identification.results.report_figures import figures_of
 from deadtime.reports.page import render
 
 if TYPE_CHECKING:

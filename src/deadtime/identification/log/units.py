@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.told.foretold import (
+from deadtime.identification.results.foretold import (
     LEAST,
     Scaled,
     Stretch,

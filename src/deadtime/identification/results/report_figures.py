@@ -10,7 +10,7 @@ import numpy as np
 
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.residuals import with_inputs
-from deadtime.identification.told.figure import (
+from deadtime.identification.results.figure import (
     draw_likelihood,
     draw_log,
     draw_modes,

@@ -11,7 +11,7 @@ from deadtime.identification.delay_intervals import profile
 from deadtime.identification.log.recording import Part
 from deadtime.identification.outputs.following import following
 from deadtime.identification.residuals import LAGS, autocorrelation, forecast
-from deadtime.identification.told.sentences import delay_names
+from deadtime.identification.results.sentences import delay_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from deadtime.identification.told.separate_errors import MOST_INPUTS, failure_of
+from deadtime.identification.results.separate_errors import MOST_INPUTS, failure_of
 from deadtime.margins import drawn_stability
 from deadtime.margins.drawn_plants import has_rates
 

@@ -1,0 +1,1 @@
+"""Results of an identification: sentences, the verdict, figures, and its problem file."""

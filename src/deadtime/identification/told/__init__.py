@@ -1,1 +1,0 @@
-"""What is told of an identification: sentences, the verdict, figures, and its problem file."""
