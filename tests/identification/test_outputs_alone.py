@@ -38,12 +38,13 @@ MOTOR = Plant([[[0.0, 1.0], [-2.0, -1.0]]], [[[0.0], [1.0]]], 0.312, 1e-3 * np.e
 OUTPUTS = {(2, 1): [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], (1, 2): [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]}
 
 
-def logged(plant, C, count, seed=0, modes=1, sensor=0.003, jitter=0.0, missing=0.0):
-    """Outputs of a log, as a table."""
+def logged(plant, C, count, seed=0, modes=1, sensor=0.003, jitter=0.0, missing=0.0, hold=1):
+    """Outputs of a log, as a table; inputs stay for `hold` rows."""
     rng, C = np.random.default_rng(seed), np.array(C)
     t = H * (np.arange(count) + jitter * rng.uniform(-1.0, 1.0, count))
     mode = (np.arange(count) // 23) % modes
-    x, u = plant.log(t, rng.standard_normal((count, plant.B.shape[2])), rng, mode)
+    u = rng.standard_normal((count, plant.B.shape[2]))[np.arange(count) // hold]
+    x, u = plant.log(t, u, rng, mode)
     y = x @ C.T + sensor * rng.standard_normal((count, len(C)))
     y[rng.random(y.shape) < missing] = np.nan
     columns = {"t": t, "mode": mode} | {f"y{i + 1}": one for i, one in enumerate(y.T)}
@@ -262,6 +263,45 @@ def test_a_plant_with_a_zero_is_found_to_have_one_and_keeps_its_transfer_functio
         assert abs(gains[1] / gains[0] - 1.0) < 0.1
     low, high = fit.interval("delay")
     assert low < 0.23 < high < low + 0.004
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ((-1.68, -2.39), -1.42),  # each a stable zero, at a₁ − b
+        ((-1.18, -2.47), -0.72),  # between −1.83 and −0.65: all but as one of order 1
+        ((-2.17, -2.09), -0.62),
+        ((-1.85, -1.46), 1.05),
+    ],
+)
+@pytest.mark.parametrize(
+    ("W", "sensor", "jitter"), [(1e-5, 1e-3, 0.0), (1e-8, 1e-5, 0.0), (1e-5, 1e-3, 0.3)]
+)
+def test_a_zero_in_a_quiet_log_is_found_where_the_likelihood_is_largest(a, b, W, sensor, jitter):
+    plant = Plant([[[0.0, 1.0], a]], [[[1.0], [b]]], 0.17, W * np.eye(2))
+    table = logged(plant, [[1.0, 0.0]], 500, 3, sensor=sensor, jitter=jitter, hold=2)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2)
+    log, window = fit._found.log, fit._found.window
+    assert isinstance(log, NoisyLog)
+    truth = log.layout.join(plant.A, plant.B, plant.D)
+    vector = log.join(truth, Noise(plant.W, np.array([sensor])))
+    assert fit.log_likelihood > maximise(log, vector, window=window)[0].found.value - 0.1
+    low, high = fit.interval("delay")
+    assert 0.17 - 1.5 * (high - low) < low < high < 0.17 + 1.5 * (high - low)
+    assert high - low < 4e-4
+
+
+def test_a_sensor_of_a_quiet_log_keeps_its_noise():
+    own = [[0.0, 1.0, 0.0], [-4.79, -4.57, -0.25], [-0.07, 0.18, -1.9]]
+    B = [[0.0, 0.0], [-0.6, -1.78], [1.22, -1.83]]
+    plant = Plant([own], [B], [[0.328, 0.395]], 1e-8 * np.eye(3))
+    table = logged(plant, OUTPUTS[2, 1], 400, 1, sensor=1e-3, hold=2)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=(2, 1))
+    for name in ("noise[0]", "noise[1]"):
+        low, high = fit.interval(name)
+        assert 0.85e-3 < low < high < 1.2e-3
+    assert "act on all of them" not in fit.message
 
 
 @pytest.mark.long

@@ -196,7 +196,8 @@ class NoisyLog(Frozen):
             found = evaluated(self._filtered(vector, starts, cells, places), places)
         score, information = np.zeros(self.size), np.zeros((self.size, self.size))
         score[free], information[np.ix_(free, free)] = found.score, found.information
-        return Evaluation(found.value, score, information)
+        known = np.isfinite(score).all() and np.isfinite(information).all()
+        return Evaluation(found.value if known else -np.inf, score, information)
 
     def evaluate_in(self, low: float, high: float) -> Callable[[np.ndarray], Evaluate]:
         """The likelihood for delays between two, seconds; of an even log in cells of theirs."""

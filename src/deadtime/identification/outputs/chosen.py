@@ -1,6 +1,7 @@
 """The likeliest plant of outputs alone, from where a scan of delays leads; whether it has zeros.
 
-Of long logs that is done on stretches, of uneven ones on a grid: it tells where the maximum is.
+Of long logs that is done on stretches: they tell where the maximum is. Uneven ones are scanned on a
+grid.
 """
 
 from __future__ import annotations
@@ -13,19 +14,20 @@ import numpy as np
 
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.embedding import Embedding
-from deadtime.identification.outputs.start import Scanned, guess_of, scanned
+from deadtime.identification.outputs.start import Guess, Scanned, guess_of, scanned
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
-from deadtime.identification.uneven import nodes_for, on_a_grid
+from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.numerics.kernels import expect_many_calls
 
 _FEW = 4_000  # samples that tell where to begin
 _ROUNDS = 3  # of scans, each about the likeliest plant so far
 _BETTER = 0.1  # of log likelihood: cells that are worth going to
 _GAIN = 1e-4  # of log likelihood that a beginning may be short of: a pole too many runs for ever
+_LESS = 1.0, 1e-2, 1e-4  # of a noise of the plant
 _NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
 CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
@@ -78,24 +80,19 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
 
     expect_many_calls()
     recording, layout, order, zeros, bounds, within, progress = request
-    grid = recording
-    if not recording.even:
-        parts = tuple(on_a_grid(part, recording.step) for part in recording.parts)
-        grid = recording._replace(parts=parts, even=True)
     lag = int(np.ceil(bounds[1] / recording.step)) + 1
-    guess = guess_of(grid, layout, order, bounds, within)
+    guess = guess_of(gridded(recording), layout, order, bounds, within)
     shape = Embedding(order, zeros is True, guess.size, lead)
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
-    some = stretches(grid, _FEW, lag)
+    some = stretches(recording, _FEW, lag)
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
-    begins = [log.join(guess.theta, noise) for noise in guess.noise]
     progress(f"looking for the delay with {' + '.join(map(str, order))} states")
-    best, scan = _begun(log, begins)
+    best, scan = _begun(log, _begins(log, guess))
     if zeros is not None or not shape.upper.size:
         return Chosen(log, best, scan)
     progress("trying inputs that act on all states")
     wider = replace(log, embedding=replace(shape, zeros=True))
-    other, scan_of_other = _begun(wider, [*begins, best.theta])
+    other, scan_of_other = _begun(wider, [*_begins(wider, guess), best.theta])
     rise = 2.0 * (other.found.value - best.found.value)
     more = wider.free.size - log.free.size
     if rise > float(chi2.isf(CHANCE, more)):
@@ -103,17 +100,34 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     return Chosen(log, best, scan, other, rise, more)
 
 
+def _begins(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
+    """Where to begin: of chains with zeros, from integrators behind less and less noise.
+
+    Derivatives of outputs that inputs make jump are no states: an A of them has poles far out, in
+    place of a zero and a part of the delay, where the likelihood has a maximum that is not its
+    largest. So it has with much noise in place of a pole that lies near a zero.
+    """
+    shape, layout = log.embedding, log.layout
+    assert shape is not None
+    if not (shape.zeros and shape.upper.size):
+        return [log.join(guess.theta, noise) for noise in guess.noise]
+    A, B, delays = layout.split(guess.theta)
+    theta = layout.join(np.broadcast_to(shape.shift(), A.shape), B, delays)
+    W, deviation = guess.noise[-1]
+    return [log.join(theta, Noise(less * W, deviation)) for less in _LESS]
+
+
 def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
     """The likeliest plant that scans of all delays lead to, and the last scan."""
-    best, scan = None, None
+    best, scan, grid = None, None, replace(log, recording=gridded(log.recording))
     for begin in begins:
-        scan = scanned(log, begin)
+        scan = scanned(grid, begin)
         found = _from(log, begin, scan)
         if best is None or found.found.value > best.found.value:
             best = found
     assert best is not None
     for _ in range(_ROUNDS):
-        scan = scanned(log, best.theta)
+        scan = scanned(grid, best.theta)
         tried = [
             maximise(log, theta, window=log.bounds, gain=_GAIN)[0]
             for theta in _others(log, best, scan)
@@ -127,9 +141,12 @@ def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
 
 
 def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
-    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so."""
+    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so.
+
+    And where errors are all the sensors': a climb does not come back from a sensor without noise.
+    """
     place, h = log.layout.at_delays, log.recording.step
-    found = []
+    found = [_of_sensors(log, best.theta)]
     if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
         found.append(np.concatenate((scan.theta, best.theta[log.layout.size :])))
     for row, curve in enumerate(scan.curves):
@@ -140,6 +157,13 @@ def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
             theta[place.start + row] = D[near][curve[near].argmax()]
             found.append(theta)
     return found
+
+
+def _of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
+    """The same plant, as if all that it cannot foretell were noise of the sensors."""
+    e, _ = log.innovations(vector, log.starts(*log.bounds))
+    W = _LESS[-1] * log.noise(vector).W
+    return log.join(vector[: log.layout.size], Noise(W, np.sqrt(np.mean(e**2, axis=0))))
 
 
 def _from(log: NoisyLog, vector: np.ndarray, scan: Scanned) -> Maximum:
