@@ -88,8 +88,39 @@ def test_what_cannot_be_done_is_one_line(folder, capsys):
     assert said([log], capsys)[0] == 2
     assert "logs must be given" in said([], capsys)[2]
     assert "law needs beside" in said([log, "--one-mode", "--law", "mean"], capsys)[2]
-    other = said([log, "--one-mode", "--delay", 0, 1, "--beside", "paper"], capsys)
-    assert "must have the modes, states and inputs of the log, (1, 1, 1)" in other[2]
+    assert (
+        "modes must be left out beside one-mode"
+        in said([log, "--one-mode", "--modes", 2], capsys)[2]
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--beside", "no.toml"], "no.toml"),
+        (["--beside", "paper", "--law", "no"], "law must be one of"),
+        (["--out", "no/problem.toml"], "out 'no/problem.toml' cannot be written: there is no"),
+        (["--figure", "fit.docx"], "figure must end in .png or .svg or .pdf, got 'fit.docx'"),
+        (["--report", "no/fit.html"], "report 'no/fit.html' cannot be written"),
+    ],
+)
+def test_what_cannot_be_written_or_read_is_said_before_the_work(
+    given, message, folder, monkeypatch, capsys
+):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("deadtime.identification.identify", None)  # not to be called
+    code, out, err = said(["log.csv", "--one-mode", *given], capsys)
+    assert (code, out) == (2, "")
+    assert message in err
+
+
+def test_a_law_of_another_plant_loses_nothing_of_what_the_log_tells(folder, capsys):
+    file, asked = folder / "kept.toml", [folder / "log.csv", "--one-mode", "--delay", 0, 1]
+    code, out, err = said([*asked, "--out", file, "--beside", "paper"], capsys)
+    assert code == 2
+    assert "beside must have the modes, states and inputs of the log, (1, 1, 1)" in err
+    assert "The delay is 0.2" in out
+    assert load_problem(file).plant.states == 1
 
 
 @pytest.mark.parametrize(

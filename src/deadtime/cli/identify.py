@@ -11,10 +11,19 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import BUILD, AsJson, File, Flag, app, command_line, lines
-from deadtime.cli.printing import print_heading, print_json, print_table, save_figure, stage_line
+from deadtime.cli.printing import (
+    PICTURES,
+    print_heading,
+    print_json,
+    print_table,
+    require_writable,
+    save_figure,
+    stage_line,
+)
 from deadtime.cli.problems import problem_of
 
 if TYPE_CHECKING:
+    from deadtime.feedback import Law
     from deadtime.identification import Identification
     from deadtime.identification.hidden.found import HiddenModes
 
@@ -99,6 +108,13 @@ def identify(
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
+    if one_mode and modes != "mode":
+        raise ArgumentError(f"modes must be left out beside one-mode, got {modes!r}.")
+    require_writable("out", out)
+    require_writable("figure", figure, PICTURES)
+    require_writable("report", report, (".html", ".htm"))
+    whose = _law_of(beside, law)
+    failed = None
     with stage_line(quiet=json_output) as say:
         fit = identified(
             list(logs),
@@ -114,19 +130,25 @@ def identify(
             zeros=zeros,
             progress=say,
         )
-        if beside is not None:
-            say("looking how much delay the law bears")
-        said = [*fit.sentences, *_verdict(fit, beside, law)]
+        said = list(fit.sentences)
+        try:
+            if whose is not None:
+                say("looking how much delay the law bears")
+                said.append(_verdict(fit, *whose))
+        except ArgumentError as error:  # of the law: what the log tells is not lost with it
+            failed = error
         written = _write(fit, said, logs, (out, figure, report), say)
     if json_output:
         print_json(_record(fit, said), written)
-        return
-    rows = f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s"
-    print_heading(rows + _numbered(fit), said)
-    print()
-    print_table(HEADINGS, interval_rows(fit))
-    for path in written:
-        print(f"\nWritten: {path}")
+    else:
+        rows = f"A plant from {fit.samples:,} samples, every {fit.step:.4g} s"
+        print_heading(rows + _numbered(fit), said)
+        print()
+        print_table(HEADINGS, interval_rows(fit))
+        for path in written:
+            print(f"\nWritten: {path}")
+    if failed is not None:
+        raise failed
 
 
 def _write(
@@ -179,26 +201,30 @@ def _columns(given: list[str] | None, log: Path) -> list[str] | None:
     return [name.strip() for texts in parts for name in texts]
 
 
-def _verdict(fit: Identification, beside: Path | None, name: str | None) -> list[str]:
-    """The law's delay margin beside the interval, where a law is given."""
+def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | None:
+    """The name of the law whose margin is asked for, the law, and its period."""
     if beside is None:
         if name is not None:
             raise ArgumentError("law needs beside: the problem file whose law it is.")
-        return []
-    from deadtime.margins import delay_margin
+        return None
     from deadtime.problems.asked import step_of
 
     problem = problem_of(beside)
     chosen = next(iter(problem.laws)) if name is None else name
-    law = problem.law(chosen)
+    return chosen, problem.law(chosen), step_of(problem)
+
+
+def _verdict(fit: Identification, name: str, law: Law, step: float) -> str:
+    """The law's delay margin beside the interval."""
+    from deadtime.margins import delay_margin
+
     sizes = [(p.modes, p.states, p.inputs) for p in (fit.plant, law.plant)]
     if sizes[0] != sizes[1]:
         raise ArgumentError(
             f"beside must have the modes, states and inputs of the log, {sizes[0]}, got {sizes[1]}."
         )
-    step = step_of(problem)
     margin = delay_margin(fit.plant, law, step)
-    return [f"Law “{chosen}”, each mode held: {fit.verdict(margin, law, step)}"]
+    return f"Law “{name}”, each mode held: {fit.verdict(margin, law, step)}"
 
 
 def _record(fit: Identification, said: list[str]) -> dict:

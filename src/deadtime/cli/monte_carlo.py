@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,10 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from deadtime.base.errors import ArgumentError
 from deadtime.cli.entry import COMPARE, AsJson, File, app, lines
 from deadtime.cli.printing import (
+    PICTURES,
     print_heading,
     print_json,
     print_never,
     print_table,
+    require_writable,
     save_figure,
 )
 from deadtime.cli.problems import problem_of
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from deadtime.switching import SemiMarkov, SwitchingSignal
 
 _DATA = (".nc", ".csv")
-_PICTURES = (".png", ".svg", ".pdf")
 
 
 @app.command(
@@ -99,9 +99,8 @@ def monte_carlo(
     picture = Path(f"{chosen.name}-monte-carlo.png") if out is None else out
     picture = picture if picture.suffix else picture.with_suffix(".png")
     # Before the run: an hour of work should not end at a name that cannot be written.
-    _writable("out", picture, _PICTURES)
-    if data is not None:
-        _writable("data", data, _DATA)
+    require_writable("out", picture, PICTURES)
+    require_writable("data", data, _DATA)
     result = compare(
         chosen.plant,
         chosen.laws,
@@ -260,21 +259,6 @@ def _model(problem: Problem, sojourn: Sojourn, mean_sojourn: float | None) -> Se
 def _is_limited(problem: Problem) -> bool:
     """Whether the file says more of its signals than one dwell time."""
     return problem.constraint is not None and not problem.constraint.is_plain
-
-
-def _writable(name: str, path: Path, kinds: tuple[str, ...]) -> None:
-    """Refuse a file that could not be written, before there is anything to write."""
-    if path.suffix.lower() not in kinds:
-        raise ArgumentError(f"{name} must end in {' or '.join(kinds)}, got {str(path)!r}.")
-    if not path.parent.is_dir():
-        reason = f"there is no folder {str(path.parent)!r}"
-    elif path.is_dir():
-        reason = "it is a folder"
-    elif not os.access(path if path.exists() else path.parent, os.W_OK):
-        reason = "permission denied"
-    else:
-        return
-    raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
 def _print(

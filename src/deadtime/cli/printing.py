@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from deadtime.problems import Problem
     from deadtime.problems.comparison import Comparison
     from deadtime.reports.study.phrases import Answer
+
+PICTURES = (".png", ".svg", ".pdf")
 
 
 class Advance(Protocol):
@@ -142,6 +145,23 @@ def _live(*columns: ProgressColumn) -> Progress:
 def on_terminal() -> bool:
     """Whether somebody watches stderr; FORCE_COLOR, which is about colours, does not matter."""
     return sys.stderr is not None and sys.stderr.isatty()
+
+
+def require_writable(name: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
+    """Refuse a file that could not be written, or of no such kind, before there is work to lose."""
+    if path is None:
+        return
+    if kinds and path.suffix.lower() not in kinds:
+        raise ArgumentError(f"{name} must end in {' or '.join(kinds)}, got {str(path)!r}.")
+    if not path.parent.is_dir():
+        reason = f"there is no folder {str(path.parent)!r}"
+    elif path.is_dir():
+        reason = "it is a folder"
+    elif not os.access(path if path.exists() else path.parent, os.W_OK):
+        reason = "permission denied"
+    else:
+        return
+    raise ArgumentError(f"{name} {str(path)!r} cannot be written: {reason}.")
 
 
 def save_figure(figure: Figure, target: Path) -> None:
