@@ -106,6 +106,8 @@ REFUSED = {
         {"switches": "samples"},
         "mode '1' has 4 periods whose .* Log longer stays in it",
     ),
+    "noise in words": (GOOD, {"noise": "yes"}, "noise must be True, False, or None .*'yes'"),
+    "no progress": (GOOD, {"progress": None}, "progress must be a function .* leave it out"),
     "a mode slips in": (
         GOOD.assign(mode=np.where(np.arange(T) % 30, MODE, 2)),
         {},

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import number
-from deadtime.base.errors import ArgumentError
 from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
@@ -25,6 +23,11 @@ from deadtime.identification.log.logged_states import (
 from deadtime.identification.log.recording import read_recording
 from deadtime.identification.log.units import require_same_units, require_seconds
 from deadtime.identification.noisy.noise import estimate_with_noise
+from deadtime.identification.options import (
+    range_of_delays,
+    require_options,
+    require_order_for,
+)
 from deadtime.identification.outputs.identified import identify_outputs
 from deadtime.identification.outputs.request import require_logged
 from deadtime.identification.parameters import Layout
@@ -119,9 +122,8 @@ def identify(
     >>> dt.identify(log, modes=range(1, 3), delay=(0.0, 1.0)).plant.modes    # how many are there?
     1
     """
-    if switches not in ("anywhere", "samples"):
-        raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-    low, high = _range(delay)
+    require_options(switches, noise, zeros, progress)
+    low, high = range_of_delays(delay)
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None
     letter = "x" if C is None and order is None and outputs is None else "y"
@@ -142,7 +144,7 @@ def identify(
         of = identify_outputs(recording, order, zeros, per_mode, bounds, within, progress)
         fit = Identification.of(of.estimate, recording, of.model, of.why, of.C, of.states)
         return replace(fit, sentences=(*fit.sentences, *of.sentences))
-    _require_order_for(zeros, outputs, C)
+    require_order_for(zeros, outputs, C)
     sensors = sensors_of(C, recording)
     direct = as_states(recording, sensors)
     count = sensors.shape[1]
@@ -165,30 +167,3 @@ def identify(
     model, why = fit_switching(recording)
     fit = Identification.of(found, recording, model, why, sensors, named)
     return replace(fit, sentences=(*said, *fit.sentences))
-
-
-def _range(delay: object) -> tuple[float, float]:
-    """The range of delays."""
-    try:
-        low, high = delay  # pyright: ignore[reportGeneralTypeIssues]
-    except (TypeError, ValueError):
-        raise ArgumentError(
-            f"delay must be the range (low, high) to look in, in seconds, got {delay!r}."
-        ) from None
-    low, high = number("delay[0]", low), number("delay[1]", high)
-    if not 0.0 <= low < high:
-        raise ArgumentError(
-            f"delay must be a range 0 ≤ low < high, in seconds, got ({low:g}, {high:g})."
-        )
-    return low, high
-
-
-def _require_order_for(zeros: object, outputs: object, C: object) -> None:
-    """Refuse what only outputs alone have."""
-    if zeros is not None:
-        raise ArgumentError("zeros is of outputs alone: give order, too, or leave zeros out.")
-    if outputs is not None and C is None:
-        raise ArgumentError(
-            "outputs needs order, how many states each has, or C, what they are of the states; "
-            "columns that are the states are states=[…]."
-        )

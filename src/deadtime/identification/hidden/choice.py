@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import number_of
 from deadtime.identification.hidden.ascent import Ascent, ascended
 from deadtime.identification.hidden.jumps import Counts, Jumps
 from deadtime.identification.hidden.likelihood import HiddenLog
@@ -140,9 +141,9 @@ def require_periods(periods: EvenPeriods, layout: Layout) -> None:
         said = many if layout.modes > 1 else "log is too short"
         raise ArgumentError(
             f"{said}: {periods.count} periods in it have inputs and ends that are known, and "
-            f"{layout.modes} of {layout.n} states and "
-            f"{layout.m} inputs need at least {least}, in unbroken runs: log for longer, ask for "
-            "fewer, or narrow delay=(low, high)."
+            f"{layout.modes} of {number_of(layout.n, 'state')} and {number_of(layout.m, 'input')} "
+            f"need at least {least}, in unbroken runs: log for longer, ask for fewer, or narrow "
+            "delay=(low, high)."
         )
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
@@ -86,7 +87,8 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
     some = stretches(recording, _FEW, lag)
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
-    progress(f"looking for the delay with {' + '.join(map(str, order))} states")
+    before = "".join(f"{n} + " for n in order[:-1])
+    progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
     best, scan = _begun(log, _begins(log, guess))
     if zeros is not None or not shape.upper.size:
         return Chosen(log, best, scan)

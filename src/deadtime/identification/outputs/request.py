@@ -52,7 +52,7 @@ def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
     if hidden:
         raise ArgumentError(
             "modes must be logged where order is given, got a number of hidden ones: they are told "
-            "from states that are measured without noise. Log the mode, or all states."
+            "from all states alone. Log the mode, or all states."
         )
 
 

@@ -175,7 +175,7 @@ def _period(found: Estimate, recording: Recording) -> list[str]:
     """Whether oscillations are so fast that others would look the same at samples."""
     said = []
     if not recording.even:
-        said.append(f"Rows are unevenly spaced, {recording.step:.4g} s on average.")
+        said.append(f"Rows are unevenly spaced, {recording.step:.4g} s apart by their median.")
     turn = np.abs(np.linalg.eigvals(found.plant.A).imag).max() * recording.step
     if turn > _COARSE * np.pi:
         said.append(
