@@ -102,6 +102,8 @@ def test_what_cannot_be_done_is_one_line(folder, capsys):
         (["--out", "no/problem.toml"], "out 'no/problem.toml' cannot be written: there is no"),
         (["--figure", "fit.docx"], "figure must end in .png or .svg or .pdf, got 'fit.docx'"),
         (["--report", "no/fit.html"], "report 'no/fit.html' cannot be written"),
+        (["--out", "log.csv"], "log.csv is read, or written twice: choose another name"),
+        (["--out", "a.html", "--report", "a.html"], "a.html is read, or written twice"),
     ],
 )
 def test_what_cannot_be_written_or_read_is_said_before_the_work(

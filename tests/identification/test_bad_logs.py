@@ -107,6 +107,7 @@ REFUSED = {
         "mode '1' has 4 periods whose .* Log longer stays in it",
     ),
     "noise in words": (GOOD, {"noise": "yes"}, "noise must be True, False, or None .*'yes'"),
+    "zeros in words": (GOOD, {"zeros": "no"}, "zeros must be True, False, or None .*'no'"),
     "no progress": (GOOD, {"progress": None}, "progress must be a function .* leave it out"),
     "a mode slips in": (
         GOOD.assign(mode=np.where(np.arange(T) % 30, MODE, 2)),

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
 import deadtime as dt
@@ -290,6 +291,43 @@ def test_a_zero_in_a_quiet_log_is_found_where_the_likelihood_is_largest(a, b, W,
     low, high = fit.interval("delay")
     assert 0.17 - 1.5 * (high - low) < low < high < 0.17 + 1.5 * (high - low)
     assert high - low < 4e-4
+
+
+FAST = Plant([[[0.0, 1.0], [-400.0, -12.0]]], [[[-2.0], [200.0]]], 0.163, 1e-6 * np.eye(2))
+
+
+def sampled(plant, delay, b, count):
+    """The position at samples after a pulse of one period, input weights b: by exponentials."""
+    t, u = H * np.arange(count), np.zeros((count, 1))
+    u[0] = 1.0
+    one = Plant(plant.A, [np.reshape(b, (2, 1))], delay)
+    return one.log(t, u, np.random.default_rng(0))[0][:, 0]
+
+
+def test_another_delay_and_zero_that_make_the_same_samples_are_in_the_interval_and_said():
+    table = logged(FAST, [[1.0, 0.0]], 500, sensor=1e-5, hold=2)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2)
+    said = re.search(r"The delay may as well be ([\d.]+) s, with other weights", fit.message)
+    assert said
+    both = sorted([float(said[1]), fit.delays.item()])
+    assert both[1] - both[0] > 0.005
+    low, high = fit.interval("delay")
+    assert low < both[0] < both[1] < high
+    assert min(abs(np.array(both) - 0.163)) < 1e-4
+    assert misses(fit, FAST, [[1.0, 0.0]], (2,))[0] == []
+    true = sampled(FAST, 0.163, FAST.B[0], 20)
+    E = expm(np.array(FAST.A[0]) * (sum(both) - 2 * 0.163))  # to the other one
+    other = sampled(FAST, sum(both) - 0.163, E @ FAST.B[0], 20)
+    assert np.abs(other - true).max() < 1e-3 * np.abs(true).max()
+
+
+@pytest.mark.long
+def test_uneven_rows_tell_a_zero_from_that_on_the_other_side():
+    table = logged(FAST, [[1.0, 0.0]], 500, sensor=1e-5, hold=2, jitter=0.3)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=2)
+    low, high = fit.interval("delay")
+    assert low < 0.163 < high < low + 1e-3
+    assert "may as well be" not in fit.message
 
 
 def test_a_sensor_of_a_quiet_log_keeps_its_noise():

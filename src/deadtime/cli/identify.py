@@ -113,6 +113,7 @@ def identify(
     require_writable("out", out)
     require_writable("figure", figure, PICTURES)
     require_writable("report", report, (".html", ".htm"))
+    _require_apart([*logs, beside], [out, figure, report])
     whose = _law_of(beside, law)
     failed = None
     with stage_line(quiet=json_output) as say:
@@ -149,6 +150,17 @@ def identify(
             print(f"\nWritten: {path}")
     if failed is not None:
         raise failed
+
+
+def _require_apart(read: list[Path | None], written: list[Path | None]) -> None:
+    """Refuse to write over what is read, or twice to one file."""
+    seen = {path.resolve() for path in read if path is not None}
+    for path in written:
+        if path is None:
+            continue
+        if path.resolve() in seen:
+            raise ArgumentError(f"{path} is read, or written twice: choose another name for one.")
+        seen.add(path.resolve())
 
 
 def _write(

@@ -24,6 +24,7 @@ from deadtime.identification.log.recording import read_recording
 from deadtime.identification.log.units import require_same_units, require_seconds
 from deadtime.identification.noisy.noise import estimate_with_noise
 from deadtime.identification.options import (
+    choice,
     range_of_delays,
     require_options,
     require_order_for,
@@ -122,7 +123,8 @@ def identify(
     >>> dt.identify(log, modes=range(1, 3), delay=(0.0, 1.0)).plant.modes    # how many are there?
     1
     """
-    require_options(switches, noise, zeros, progress)
+    require_options(switches, progress)
+    noise, zeros = choice("noise", noise), choice("zeros", zeros)
     low, high = range_of_delays(delay)
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None

@@ -8,20 +8,24 @@ from deadtime.base.checks import number
 from deadtime.base.errors import ArgumentError
 
 
-def require_options(switches: object, noise: object, zeros: object, progress: object) -> None:
+def require_options(switches: object, progress: object) -> None:
     """Refuse what is none of the values that there are."""
     if switches not in ("anywhere", "samples"):
         raise ArgumentError(f'switches must be "anywhere" or "samples", got {switches!r}.')
-    for name, value in (("noise", noise), ("zeros", zeros)):
-        if not (value is None or isinstance(value, bool | np.bool_)):
-            raise ArgumentError(
-                f"{name} must be True, False, or None to find out from the log, got {value!r}."
-            )
     if not callable(progress):
         raise ArgumentError(
             f"progress must be a function that takes a few words, got {progress!r}: leave it out "
             "to hear nothing."
         )
+
+
+def choice(name: str, value: object) -> bool | None:
+    """True, False, or None, which leaves it to the log."""
+    if value is None or isinstance(value, bool | np.bool_):
+        return None if value is None else bool(value)
+    raise ArgumentError(
+        f"{name} must be True, False, or None to find out from the log, got {value!r}."
+    )
 
 
 def range_of_delays(delay: object) -> tuple[float, float]:

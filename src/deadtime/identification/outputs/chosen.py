@@ -18,6 +18,7 @@ from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.embedding import Embedding
+from deadtime.identification.outputs.other_delays import others_of
 from deadtime.identification.outputs.start import Guess, Scanned, guess_of, scanned
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
@@ -28,7 +29,9 @@ _FEW = 4_000  # samples that tell where to begin
 _ROUNDS = 3  # of scans, each about the likeliest plant so far
 _BETTER = 0.1  # of log likelihood: cells that are worth going to
 _GAIN = 1e-4  # of log likelihood that a beginning may be short of: a pole too many runs for ever
-_LESS = 1.0, 1e-2, 1e-4  # of a noise of the plant
+# Where chains with zeros begin: all poles at −a/h, so much of the plant's noise and the sensors'.
+_BEGINS = (0.0, 1.0, 1.0), (0.0, 1e-2, 1.0), (0.0, 1e-4, 1.0), (0.0, 1e-4, 10.0), (0.3, 1e-2, 1.0)
+_LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
 _NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
 CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
@@ -103,7 +106,7 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
 
 
 def _begins(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
-    """Where to begin: of chains with zeros, from integrators behind less and less noise.
+    """Where to begin: of chains with zeros, from integrators and fast lags, and several noises.
 
     Derivatives of outputs that inputs make jump are no states: an A of them has poles far out, in
     place of a zero and a part of the delay, where the likelihood has a maximum that is not its
@@ -113,10 +116,13 @@ def _begins(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     assert shape is not None
     if not (shape.zeros and shape.upper.size):
         return [log.join(guess.theta, noise) for noise in guess.noise]
-    A, B, delays = layout.split(guess.theta)
-    theta = layout.join(np.broadcast_to(shape.shift(), A.shape), B, delays)
+    (A, B, delays), begins = layout.split(guess.theta), []
     W, deviation = guess.noise[-1]
-    return [log.join(theta, Noise(less * W, deviation)) for less in _LESS]
+    for rate, plant, sensors in _BEGINS:
+        chains = np.broadcast_to(shape.lags(rate / log.recording.step), A.shape)
+        theta = layout.join(chains, B, delays)
+        begins.append(log.join(theta, Noise(plant * W, sensors * deviation)))
+    return begins
 
 
 def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
@@ -148,7 +154,7 @@ def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
     And where errors are all the sensors': a climb does not come back from a sensor without noise.
     """
     place, h = log.layout.at_delays, log.recording.step
-    found = [_of_sensors(log, best.theta)]
+    found = [_of_sensors(log, best.theta), *others_of(log, best.theta)]
     if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
         found.append(np.concatenate((scan.theta, best.theta[log.layout.size :])))
     for row, curve in enumerate(scan.curves):
@@ -164,8 +170,13 @@ def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
 def _of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
     """The same plant, as if all that it cannot foretell were noise of the sensors."""
     e, _ = log.innovations(vector, log.starts(*log.bounds))
-    W = _LESS[-1] * log.noise(vector).W
-    return log.join(vector[: log.layout.size], Noise(W, np.sqrt(np.mean(e**2, axis=0))))
+    changed, (i, j) = vector.copy(), log.places
+    L = slice(log.layout.size, log.layout.size + i.size)
+    less = np.sqrt(_LESS)
+    changed[L] = np.where(i == j, vector[L] + np.log(less), less * vector[L])
+    error = np.sqrt(np.mean(e**2, axis=0))
+    changed[L.stop :] = np.log(np.maximum(error, np.finfo(float).tiny))
+    return changed
 
 
 def _from(log: NoisyLog, vector: np.ndarray, scan: Scanned) -> Maximum:

@@ -18,6 +18,7 @@ from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.noise import estimated_of
 from deadtime.identification.outputs.chosen import Chosen, Request, chosen_of
 from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
+from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.outputs.request import order_of, state_names
 from deadtime.identification.parameters import Layout
 from deadtime.identification.start import Start
@@ -54,7 +55,8 @@ def identify_outputs(
     shape = chosen.shape
     names = state_names(recording.outputs, given, shape.zeros)
     said = order_too_high(request, chosen) if hardly_tells(found, shape) else []
-    said = said or zeros_in_doubt(chosen, recording.inputs)
+    found, others = with_others(found)
+    said = said or others or zeros_in_doubt(chosen, recording.inputs)
     return FromOutputs(found, *fit_switching(recording), shape.C, names, tuple(said))
 
 

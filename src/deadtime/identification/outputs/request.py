@@ -52,7 +52,8 @@ def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
     if hidden:
         raise ArgumentError(
             "modes must be logged where order is given, got a number of hidden ones: they are told "
-            "from all states alone. Log the mode, or all states."
+            "from all states alone. Log the mode, or all states; of one mode say modes=None, "
+            "--one-mode."
         )
 
 

@@ -11,6 +11,7 @@ from deadtime.identification.noisy.noise_intervals import sensor_intervals
 from deadtime.identification.untold import counts_whole, reasons
 
 _EDGE = 1e-6  # of the range searched
+_AWAY = 3.0  # standard deviations: a column whose mean is so far from 0 may rest elsewhere
 _WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
@@ -115,7 +116,8 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
         said.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
             f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing"
-            f"{_larger(found)}, the plant is not linear, or {_last_cause(found)}"
+            f"{_larger(found)}, the plant is not linear, {_resting(recording)}or "
+            f"{_last_cause(found)}"
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], _bounds(found, recording)
@@ -162,6 +164,22 @@ def _larger(found: Estimate) -> str:
     more = tuple(count + 1 for count in shape.order)
     text = f"{more[0]}" if len(more) == 1 else f"up to {more}"
     return f" (raise order, --order, to {text})"
+
+
+def _resting(recording: Recording) -> str:
+    """Which columns stay away from 0, where the model rests without an input."""
+    every = np.vstack([part.output for part in recording.parts])
+    mean, deviation = np.nanmean(every, axis=0), np.nanstd(every, axis=0)
+    away = [
+        f"{name} ({m:.4g})"
+        for name, m, far in zip(
+            recording.outputs, mean, np.abs(mean) > _AWAY * deviation, strict=True
+        )
+        if far
+    ]
+    if not away:
+        return ""
+    return f"0 is not where {' and '.join(away)} would rest (subtract that), "
 
 
 def _last_cause(found: Estimate) -> str:
