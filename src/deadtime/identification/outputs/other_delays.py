@@ -110,8 +110,9 @@ def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
     others = []
     for vector in others_of(log, top.theta):
         one = maximise(log, vector, window=found.window)[0]
-        apart = np.abs(one.theta - top.theta)[place] > _SAME * error[place]
-        if one.found.value > top.found.value - fall and apart.any():
+        known = np.array([each.theta[place] for each in (top, *others)])
+        apart = np.abs(one.theta[place] - known) > _SAME * error[place]
+        if one.found.value > top.found.value - fall and apart.any(axis=1).all():
             others.append(one)
     if not others:
         return found, []
