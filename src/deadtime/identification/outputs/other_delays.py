@@ -100,15 +100,17 @@ def _pulses(
 
 def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
     """The estimate, its intervals over other delays that explain the log as well; what to say."""
-    log, layout = found.of_outputs, found.log.layout
+    log, layout, spread = found.of_outputs, found.log.layout, found.spread
     assert log is not None
+    vectors = others_of(log, found.best.theta)
+    if not vectors:
+        return found, []
     place = np.arange(layout.size)[layout.at_delays]
-    spread, best = found.spread, found.best
     error = np.sqrt(np.diagonal(spread.covariance))
     fall = 0.5 * (spread.reach**2 * spread.inflation)[place].max()
-    top = maximise(log, best.theta, window=found.window)[0]
+    top = maximise(log, found.best.theta, window=found.window)[0]  # its noise is restricted
     others = []
-    for vector in others_of(log, top.theta):
+    for vector in vectors:
         one = maximise(log, vector, window=found.window)[0]
         known = np.array([each.theta[place] for each in (top, *others)])
         apart = np.abs(one.theta[place] - known) > _SAME * error[place]
