@@ -7,6 +7,7 @@ import pytest
 import deadtime as dt
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy import restricted as restricted_noise
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.parameters import Layout
@@ -128,3 +129,16 @@ def test_noise_beside_many_unknowns_is_not_too_small():
             held.append(low < true[place] < high)
     assert np.mean(shares) == pytest.approx(1.0, abs=0.15)
     assert 0.92 < np.mean(held) < 0.98
+
+
+def test_a_correction_that_would_run_away_is_left_out(monkeypatch):
+    """The gradient is taken as constant: where it is huge the noise would grow for ever."""
+    log, _ = log_of(60, 0.05, 4)
+    start = log.join(START, Noise(0.04 * np.eye(1), np.array([0.05])))
+    best, _ = maximise(log, start, window=WINDOW)
+    moves = restricted_noise._moves
+    monkeypatch.setattr(restricted_noise, "_moves", lambda *given: 1e6 * moves(*given))
+    found = restricted(log, log, best, WINDOW, 55.0)
+    np.testing.assert_array_equal(found.theta, best.theta)
+    np.testing.assert_array_equal(found.information, best.found.information)
+    assert (found.spare == 55.0).all()

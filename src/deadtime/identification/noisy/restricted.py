@@ -62,6 +62,9 @@ def restricted(
     still = np.concatenate((np.arange(size)[log.layout.at_delays], noise[~told]))
     low[still], high[still] = best.theta[still], best.theta[still]
     after = climb(tilted, best.theta, low, high, gain=_GAIN, stride=log.stride)
+    value = after.found.value - float(gradient @ (after.theta - best.theta))
+    if not value > best.found.value - free.size:  # so much less likely it is no correction any more
+        return Restricted(best.theta, best.found.information, np.full(log.size, most))
     fewer = np.sqrt(np.append(np.ones(size), _shares(log, best.theta, after.theta)))
     F = after.found.information * fewer[:, None] * fewer
     slopes = np.zeros((size, moves.shape[0]))
