@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from output_logs import MOTOR, OUTPUTS, H, logged, misses
 from scipy.linalg import expm
 
 import deadtime as dt
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from output_logs import MOTOR, OUTPUTS, H, logged, misses
 from synthetic_logs import Plant
 
 
