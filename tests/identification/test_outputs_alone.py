@@ -146,6 +146,17 @@ def test_an_order_too_high_by_one_is_named(plant, order):
     assert f"say order={order - 1}, --order {order - 1}." in said
 
 
+@pytest.mark.parametrize("rest", [0.0, 5.0])
+def test_where_a_log_is_not_explained_a_column_that_stays_away_from_0_is_named(rest):
+    table = logged(MOTOR, [[1.0, 0.0]], 300)
+    table["y1"] += rest
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=1)
+    assert not fit.tests.white
+    named = re.search(r"0 is not where y1 \(([\d.]+)\) would rest \(subtract that\)", fit.message)
+    assert (named is not None) == (rest > 0.0)
+    assert named is None or abs(float(named[1]) - rest) < 0.5
+
+
 def test_an_order_too_low_is_told_to_be_raised():
     table = logged(MOTOR, [[1.0, 0.0]], 300)
     fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=1)

@@ -70,10 +70,9 @@ def require_seen(F: Float[np.ndarray, "size size"], names: list[str]) -> None:
         return
     direction = vectors[:, 0]
     part = np.abs(direction) > 0.2 * np.abs(direction).max()
-    together = [names[a] if a < len(names) else "noise" for a in np.flatnonzero(part)]
-    said = ", ".join(dict.fromkeys(together)).replace("noise", "kinds of noise")
+    together = [names[a] if a < len(names) else "kinds of noise" for a in np.flatnonzero(part)]
     raise ArgumentError(
-        f"log does not tell {said} apart: they can all change "
+        f"log does not tell {', '.join(dict.fromkeys(together))} apart: they can all change "
         "together and nothing in it would. Log a run in which states and inputs move apart, such "
         "as with an input that is not a function of the state alone, or widen delay=(low, high) if "
         "the delay may lie outside it."

@@ -21,8 +21,10 @@ def require_options(switches: object, progress: object) -> None:
 
 def choice(name: str, value: object) -> bool | None:
     """True, False, or None, which leaves it to the log."""
-    if value is None or isinstance(value, bool | np.bool_):
-        return None if value is None else bool(value)
+    if value is None:
+        return None
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
     raise ArgumentError(
         f"{name} must be True, False, or None to find out from the log, got {value!r}."
     )

@@ -28,6 +28,7 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.scoring import Maximum
+from deadtime.identification.transition import plain_transitions
 
 _PARTS = 32  # of a period
 _SAME = 2.0  # standard errors, and parts of a period: a delay so near is no other one
@@ -88,14 +89,11 @@ def _pulses(
     A: np.ndarray, delays: np.ndarray, k: np.ndarray, C: np.ndarray, step: float
 ) -> Float[np.ndarray, "delay kp n"]:
     """The outputs at samples k of a pulse of one period, for every delay, by the weights b."""
-    from scipy.linalg import expm
-
-    n = len(A)
-    Z = np.zeros((2 * n, 2 * n))
-    Z[:n, :n], Z[:n, n:] = A, np.eye(n)
-    over = step * k - delays[:, None]
-    G = [expm(Z * np.maximum(t, 0.0)[..., None, None])[..., :n, n:] for t in (over, over - step)]
-    return (C @ (G[0] - G[1])).reshape(delays.size, -1, n)
+    over = k - delays[:, None] / step
+    since = np.round(np.maximum(np.stack((over, over - 1.0)), 0.0), 9)
+    periods, place = np.unique(since, return_inverse=True)  # of most delays they are the same
+    G = plain_transitions(A[None], step * periods)[1][0][place.reshape(since.shape)]
+    return (C @ (G[0] - G[1])).reshape(delays.size, -1, len(A))
 
 
 def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
@@ -118,7 +116,7 @@ def with_others(found: Estimate) -> tuple[Estimate, list[str]]:
             others.append(one)
     if not others:
         return found, []
-    return _widened(found, others, place, error), [_said(found, others, place)]
+    return _widened(found, others, place, error), [_said(others, place)]
 
 
 def _widened(
@@ -137,7 +135,7 @@ def _widened(
     return replace(found, intervals=np.clip(delays, *found.log.bounds), ends=ends)
 
 
-def _said(found: Estimate, others: list[Maximum], place: np.ndarray) -> str:
+def _said(others: list[Maximum], place: np.ndarray) -> str:
     each = [", ".join(f"{d:.4g}" for d in one.theta[place]) for one in others]
     one = "The delay" if place.size == 1 else "Delays"
     return (
