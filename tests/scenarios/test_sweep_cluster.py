@@ -1,5 +1,7 @@
 """A sweep survives killed workers and clients, and uses a cluster elsewhere by its address."""
 
+import asyncio
+import gc
 import importlib
 import os
 import signal
@@ -12,6 +14,7 @@ import psutil
 import pytest
 
 import deadtime as dt
+from deadtime.scenarios.sweeps.cluster import cluster
 from deadtime.scenarios.sweeps.layout import Layout
 from deadtime.scenarios.sweeps.store import create
 from own_sweep import filled, tree
@@ -140,3 +143,20 @@ def test_a_scheduler_that_is_not_there_is_named(own, tmp_path, monkeypatch):
         dt.sweep(own[0], tmp_path / "x.zarr", "tcp://127.0.0.1:9")
     with pytest.raises(dt.ClusterError, match=r"'nonsense' cannot be reached"):
         dt.sweep(own[0], tmp_path / "x.zarr", "nonsense")
+
+
+def forsake():
+    """Leave errors behind in the loop that nobody asks for."""
+    for error in (TimeoutError("of Dask's own"), OSError("of somebody else")):
+        asyncio.get_running_loop().create_future().set_exception(error)
+    gc.collect()
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_waits_that_the_end_of_a_cluster_cuts_off_are_not_reported(workers, capfd, caplog):
+    with cluster(None, workers) as client:
+        client.run(forsake)
+        client.loop.add_callback(forsake)
+    seen = capfd.readouterr().err + caplog.text
+    assert "of Dask" not in seen
+    assert seen.count("OSError: of somebody else") == workers + 1

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deadtime.base.errors import ArgumentError, ClusterError
 from deadtime.base.threads import processors
@@ -57,10 +58,9 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             f"workers cannot be started ({error}): a script must call sweep under "
             'if __name__ == "__main__":, or with workers=1.'
         ) from None
-    with local, distributed.Client(local, set_as_default=False) as client:
-        # Ctrl-C reaches every process of the terminal: here it ends the sweep in good order.
+    with local, _hushed(distributed.Client(local, set_as_default=False)) as client:
         if count > 1:
-            client.run(_ignore_interrupts)
+            client.run(_prepare_worker)
         yield client
 
 
@@ -76,7 +76,7 @@ def _remote(scheduler: str) -> Iterator[Client]:
             f"scheduler {scheduler!r} cannot be reached ({error or type(error).__name__}): start "
             "one with `dask scheduler`, or leave the scheduler out to run here."
         ) from None
-    with client:
+    with _hushed(client):
         try:
             client.wait_for_workers(1, timeout=_PATIENCE)
         except TimeoutError:
@@ -97,5 +97,24 @@ def _version() -> str:
     return __version__
 
 
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _prepare_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's processes one ends the sweep
+    asyncio.get_running_loop().set_exception_handler(_report)
+
+
+def _hushed(client: Client) -> Client:
+    async def hush() -> None:
+        asyncio.get_running_loop().set_exception_handler(_report)
+
+    client.sync(hush)
+    return client
+
+
+def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Print what went wrong in Dask's loop, but for its own waits that the loop's end cuts off.
+
+    A connection waits a few milliseconds at a time for something to send. Where that time runs out
+    in the loop's last turn, nobody is left to ask, and asyncio would print a TimeoutError.
+    """
+    if not isinstance(context.get("exception"), TimeoutError):
+        loop.default_exception_handler(context)
