@@ -5,9 +5,9 @@
 
 Quiet, is a zero found where there is little noise: dx₁/dt = x₂ + u(t − D), dx₂/dt = a₀ x₁ + a₁ x₂ +
 b u(t − D) + noise of both, a₀ from −3 to −0.3, a₁ from −2.5 to −0.3, b from −2 to 2 and D from 0.06
-to 0.4 s by chance, x₁ logged in 500 rows of 0.05 s, u held for two of them. Short of the truth:
-estimates less likely, by more than 5 of log L, than the maximum that a climb from the true plant
-reaches.
+to 0.4 s by chance, x₁ logged in 500 rows of 0.05 s, u held for two of them. Or three states in a
+chain, with poles from −3 to −0.3 and two weights of u from −2 to 2. Short of the truth: estimates
+less likely, by more than 5 of log L, than the maximum that a climb from the true plant reaches.
 
 Faint, is it told from a delay: "position alone" of `identification.py`, 400 rows, with b₁ for what
 the input weighs in the position's derivative, beside 1 in the speed's.
@@ -27,7 +27,7 @@ from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 
 H, COUNT, HELD, MARGIN = 0.05, 500, 2, 5.0
-# name: W of both states, deviation of the sensor, jitter of the rows' times in periods
+# name: W of all states, deviation of the sensor, jitter of the rows' times in periods
 CASES = {
     "no noise of the plant": (0.0, 1e-3, 0.0),
     "W = 1e-8, sensor 1e-5": (1e-8, 1e-5, 0.0),
@@ -35,6 +35,8 @@ CASES = {
     "the same, uneven": (1e-5, 1e-3, 0.3),
     "W = 1e-3, sensor 1e-2": (1e-3, 1e-2, 0.0),
 }
+THREE = "three states, W = 1e-10, sensor 1e-5"
+CASES[THREE] = (1e-10, 1e-5, 0.0)
 # name: b₁ and the case of identification.py
 FAINT = {
     "b₁ = 0": (0.0, "position alone"),
@@ -45,11 +47,21 @@ FAINT = {
 }
 
 
-def made(seed, W, sensor, jitter):
+def plant(rng, case):
+    """A and B."""
+    if case == THREE:
+        poles = np.poly(-np.exp(rng.uniform(np.log(0.3), np.log(3.0), 3)))
+        A = np.vstack((np.eye(2, 3, k=1), -poles[:0:-1]))
+        return A[None], np.append(rng.uniform(-2.0, 2.0, 2), 1.0).reshape(1, 3, 1)
+    a0, a1 = -rng.uniform(0.3, 3.0), -rng.uniform(0.3, 2.5)
+    return np.array([[[0.0, 1.0], [a0, a1]]]), np.array([[[1.0], [rng.uniform(-2.0, 2.0)]]])
+
+
+def made(seed, case):
     """A log as a table, A, B and the delay."""
     rng = np.random.default_rng(seed)
-    a0, a1 = -rng.uniform(0.3, 3.0), -rng.uniform(0.3, 2.5)
-    A, B = np.array([[[0.0, 1.0], [a0, a1]]]), np.array([[[1.0], [rng.uniform(-2.0, 2.0)]]])
+    W, sensor, jitter = CASES[case]
+    A, B = plant(rng, case)
     D = float(rng.uniform(0.06, 0.4))
     t = H * (np.arange(COUNT) + jitter * rng.integers(-1000, 1001, COUNT) / 1000.0)
     u = np.repeat(rng.standard_normal((COUNT // HELD, 1)), HELD, axis=0)
@@ -66,7 +78,7 @@ def short_of_the_truth(fit, A, B, D, W, sensor):
         return None
     vector = log.join(
         log.layout.join(A, B, np.array([[D]])),
-        Noise(max(W, 1e-14) * np.eye(2), np.array([sensor])),
+        Noise(max(W, 1e-14) * np.eye(A.shape[1]), np.array([sensor])),
     )
     found, _ = maximise(log, vector, window=window)
     return found.found.value > fit.log_likelihood + MARGIN
@@ -78,9 +90,9 @@ def quiet(seeds, cases):
         W, sensor, _ = CASES[case]
         short, without, refused, inside = 0, 0, 0, 0
         for seed in seeds:
-            table, A, B, D = made(seed, *CASES[case])
+            table, A, B, D = made(seed, case)
             try:
-                fit = dt.identify(table, None, (0.0, 1.0), order=2)
+                fit = dt.identify(table, None, (0.0, 1.0), order=A.shape[1])
             except dt.ArgumentError:
                 refused += 1
                 continue

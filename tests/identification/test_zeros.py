@@ -74,6 +74,46 @@ def test_a_zero_in_a_quiet_log_is_found_where_the_likelihood_is_largest(a, b, W,
     assert high - low < 4e-4
 
 
+THREE = Plant(  # poles that all but coincide
+    [[[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-0.047, -0.395, -1.091]]],
+    [[[-0.477], [-0.593], [0.444]]],
+    0.129,
+    1e-10 * np.eye(3),
+)
+TWO_BY_TWO = Plant(
+    [
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [-5.177, -4.59, -0.588, -0.189],
+            [0.0, 0.0, 0.0, 1.0],
+            [0.152, 0.109, -1.113, -1.893],
+        ]
+    ],
+    [[[-0.917, -0.982], [1.672, 1.55], [0.549, -0.564], [-1.009, -1.556]]],
+    [[0.2061, 0.0769]],
+    1e-10 * np.eye(4),
+)
+
+
+@pytest.mark.parametrize(
+    ("plant", "order", "seed"),
+    [
+        (THREE, (3,), 3),
+        pytest.param(THREE, (3,), 4, marks=pytest.mark.long),
+        pytest.param(TWO_BY_TWO, (2, 2), 0, marks=pytest.mark.long),
+        pytest.param(TWO_BY_TWO, (2, 2), 1, marks=pytest.mark.long),
+    ],
+)
+def test_more_states_in_a_log_of_next_to_no_noise_are_found_too(plant, order, seed):
+    C = np.eye(sum(order))[np.cumsum(order) - order]
+    table = logged(plant, C, 500, seed, sensor=1e-5, hold=2)
+    fit = dt.identify(table, modes=None, delay=(0.0, 1.0), order=order)
+    assert np.ptp(fit.delay_interval, axis=-1).max() < 1e-5
+    assert np.abs(fit.delays - plant.D).max() < 1e-5
+    true = [np.sort_complex(np.linalg.eigvals(one.A[0])) for one in (plant, fit.plant)]
+    assert np.abs(true[1] - true[0]).max() < 0.2
+
+
 FAST = Plant([[[0.0, 1.0], [-400.0, -12.0]]], [[[-2.0], [200.0]]], 0.163, 1e-6 * np.eye(2))
 
 

@@ -15,11 +15,12 @@ import numpy as np
 from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.likelihood import NoisyLog
 from deadtime.identification.noisy.noise import stretches
+from deadtime.identification.outputs.begin import begins_of, by_past, of_sensors
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.other_delays import others_of
-from deadtime.identification.outputs.start import Guess, Scanned, guess_of, scanned
+from deadtime.identification.outputs.start import Scanned, guess_of, scanned
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import gridded, nodes_for
@@ -29,9 +30,6 @@ _FEW = 4_000  # samples that tell where to begin
 _ROUNDS = 3  # of scans, each about the likeliest plant so far
 _BETTER = 0.1  # of log likelihood: cells that are worth going to
 _GAIN = 1e-4  # of log likelihood that a beginning may be short of: a pole too many runs for ever
-# Where chains with zeros begin: all poles at −a/h, so much of the plant's noise and the sensors'.
-_BEGINS = (0.0, 1.0, 1.0), (0.0, 1e-2, 1.0), (0.0, 1e-4, 1.0), (0.0, 1e-4, 10.0), (0.3, 1e-2, 1.0)
-_LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
 _NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
 CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
@@ -92,12 +90,14 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
-    best, scan = _begun(log, _begins(log, guess))
+    best, scan = _begun(log, begins_of(log, guess), by_past(log, guess))
     if zeros is not None or not shape.upper.size:
         return Chosen(log, best, scan)
     progress("trying inputs that act on all states")
     wider = replace(log, embedding=replace(shape, zeros=True))
-    other, scan_of_other = _begun(wider, [*_begins(wider, guess), best.theta])
+    other, scan_of_other = _begun(
+        wider, [*begins_of(wider, guess), best.theta], by_past(wider, guess)
+    )
     rise = 2.0 * (other.found.value - best.found.value)
     more = wider.free.size - log.free.size
     if rise > float(chi2.isf(CHANCE, more)):
@@ -105,41 +105,19 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     return Chosen(log, best, scan, other, rise, more)
 
 
-def _begins(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
-    """Where to begin: of chains with zeros, from integrators and fast lags, and several noises.
-
-    Derivatives of outputs that inputs make jump are no states: an A of them has poles far out, in
-    place of a zero and a part of the delay, where the likelihood has a maximum that is not its
-    largest. So it has with much noise in place of a pole that lies near a zero.
-    """
-    shape, layout = log.embedding, log.layout
-    assert shape is not None
-    if not (shape.zeros and shape.upper.size):
-        return [log.join(guess.theta, noise) for noise in guess.noise]
-    (A, B, delays), begins = layout.split(guess.theta), []
-    W, deviation = guess.noise[-1]
-    for rate, plant, sensors in _BEGINS:
-        chains = np.broadcast_to(shape.lags(rate / log.recording.step), A.shape)
-        theta = layout.join(chains, B, delays)
-        begins.append(log.join(theta, Noise(plant * W, sensors * deviation)))
-    return begins
-
-
-def _begun(log: NoisyLog, begins: list[np.ndarray]) -> tuple[Maximum, Scanned]:
-    """The likeliest plant that scans of all delays lead to, and the last scan."""
-    best, scan, grid = None, None, replace(log, recording=gridded(log.recording))
+def _begun(
+    log: NoisyLog, begins: list[np.ndarray], more: list[np.ndarray]
+) -> tuple[Maximum, Scanned]:
+    """The likeliest plant that scans of all delays lead to, or `more` do; and the last scan."""
+    scan, grid = None, replace(log, recording=gridded(log.recording))
+    found = [_climbed(log, begin) for begin in more]
     for begin in begins:
         scan = scanned(grid, begin)
-        found = _from(log, begin, scan)
-        if best is None or found.found.value > best.found.value:
-            best = found
-    assert best is not None
+        found.append(_climbed(log, scan.moved(begin)))
+    best = max(found, key=lambda one: one.found.value)
     for _ in range(_ROUNDS):
         scan = scanned(grid, best.theta)
-        tried = [
-            maximise(log, theta, window=log.bounds, gain=_GAIN)[0]
-            for theta in _others(log, best, scan)
-        ]
+        tried = [_climbed(log, theta) for theta in _others(log, best, scan)]
         top = max(tried, key=lambda one: one.found.value, default=best)
         if top.found.value < best.found.value + _BETTER:
             break
@@ -154,9 +132,9 @@ def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
     And where errors are all the sensors': a climb does not come back from a sensor without noise.
     """
     place, h = log.layout.at_delays, log.recording.step
-    found = [_of_sensors(log, best.theta), *others_of(log, best.theta)]
+    found = [of_sensors(log, best.theta), *others_of(log, best.theta)]
     if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
-        found.append(np.concatenate((scan.theta, best.theta[log.layout.size :])))
+        found.append(scan.moved(best.theta))
     for row, curve in enumerate(scan.curves):
         D = (scan.first + np.arange(curve.size) - 0.5) * h
         near = (curve > curve.max() - _NEARLY) & (np.abs(D - best.theta[place][row]) > 1.5 * h)
@@ -167,20 +145,6 @@ def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
     return found
 
 
-def _of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
-    """The same plant, as if all that it cannot foretell were noise of the sensors."""
-    e, _ = log.innovations(vector, log.starts(*log.bounds))
-    changed, (i, j) = vector.copy(), log.places
-    L = slice(log.layout.size, log.layout.size + i.size)
-    less = np.sqrt(_LESS)
-    changed[L] = np.where(i == j, vector[L] + np.log(less), less * vector[L])
-    error = np.sqrt(np.mean(e**2, axis=0))
-    changed[L.stop :] = np.log(np.maximum(error, np.finfo(float).tiny))
-    return changed
-
-
-def _from(log: NoisyLog, vector: np.ndarray, scan: Scanned) -> Maximum:
-    """The maximum that a scan leads to, over the whole range of delays."""
-    theta = vector.copy()
-    theta[: log.layout.size] = scan.theta
-    return maximise(log, theta, window=log.bounds, gain=_GAIN)[0]
+def _climbed(log: NoisyLog, vector: np.ndarray) -> Maximum:
+    """The maximum that a vector leads to, over the whole range of delays."""
+    return maximise(log, vector, window=log.bounds, gain=_GAIN)[0]

@@ -62,13 +62,6 @@ class Embedding(Frozen):
         A[self.upper, self.upper + 1] = 1.0
         return A
 
-    def lags(self, rate: float) -> Float[np.ndarray, "n n"]:
-        """A of chains whose poles are all at −rate, 1/s."""
-        A = self.shift()
-        for last, count in zip(self.last, self.order, strict=True):
-            A[last, last - count + 1 : last + 1] = -np.poly(np.full(count, -rate))[:0:-1]
-        return A
-
     def known(
         self, layout: Layout
     ) -> tuple[Int[np.ndarray, " known"], Float[np.ndarray, " known"]]:

@@ -73,6 +73,10 @@ class Scanned(NamedTuple):
     first: int
     curves: Float[np.ndarray, "delay cell"]
 
+    def moved(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """The vector with its plant, and its own noise."""
+        return np.concatenate((self.theta, vector[self.theta.size :]))
+
 
 def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
     """All delays of an even log, A and noise as they are in `vector`."""
@@ -81,7 +85,8 @@ def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
     rows = np.arange(layout.n) if shape.zeros else shape.last
     first, last = cell_range(h, log.bounds, layout.m)
     lags = np.arange(first - 1, last + 1)
-    scan = _Scan(_gram(log, vector, rows, lags), layout, rows.size, lags.size)
+    gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)
+    scan = _Scan(gram, share, layout, lags.size)
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
     places, curves = scan.best(np.clip(own, 0, scan.options - 1))
     B = np.zeros((layout.modes, layout.n, layout.m))
@@ -114,31 +119,45 @@ def _gram(
     return np.asarray(total)
 
 
-class _Scan:
-    """Regressions of errors on what every input adds, at so many delays of each.
+def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "mode part r r"]:
+    """What of b the newer of two inputs adds in a period, at every part of it.
 
-    Between two whole numbers of periods what it adds is taken to lie on a line.
+    An input that arrives a part f of the period h late acts on the rest of it, W((1 − f) h) b =
+    W(h) K b. K is close to 1 − f, which stands for it where b has rows that are 0.
     """
+    late = np.arange(_PARTS) / _PARTS
+    modes, n = log.layout.modes, log.layout.n
+    if rows < n:
+        return np.tile((1.0 - late)[:, None, None] * np.eye(rows), (modes, 1, 1, 1))
+    A = log.layout.split(vector[: log.layout.size])[0]
+    acting = [transitions_of(one, log.recording.step * (1.0 - late)).W for one in A]
+    return np.array([[np.linalg.lstsq(W[0], part, rcond=None)[0] for part in W] for W in acting])
 
-    def __init__(self, gram: np.ndarray, layout: Layout, rows: int, lags: int) -> None:
-        self.layout, self.rows = layout, rows
+
+class _Scan:
+    """Regressions of errors on what every input adds, at so many delays of each."""
+
+    def __init__(self, gram: np.ndarray, share: np.ndarray, layout: Layout, lags: int) -> None:
+        self.layout, self.rows, self.share = layout, share.shape[-1], share
         self.options = (lags - 1) * _PARTS + 1
-        self.place = 1 + np.arange(layout.modes * rows * lags * layout.m).reshape(
-            layout.modes, rows, lags, layout.m
+        self.place = 1 + np.arange(layout.modes * self.rows * lags * layout.m).reshape(
+            layout.modes, self.rows, lags, layout.m
         )
         self.gram = gram
 
     def _columns(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Of each mode, row and input that acts, two columns and what they weigh."""
+        """Of each mode, row and input that acts, columns of two lags and what they weigh."""
         of = self.layout.spread(np.arange(self.layout.delays))
         at, weight = [], []
         for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
             if (place := places[of[i, j]]) is not None:
                 lag, part = divmod(place, _PARTS)
                 later = min(lag + 1, self.place.shape[2] - 1)
-                at.append((self.place[i, row, lag, j], self.place[i, row, later, j]))
-                weight.append((1.0 - part / _PARTS, part / _PARTS))
-        return np.array(at, int).reshape(-1, 2), np.array(weight).reshape(-1, 2)
+                new = self.share[i, part, :, row]
+                at.append((self.place[i, :, lag, j], self.place[i, :, later, j]))
+                weight.append((new, np.eye(self.rows)[row] - new))
+        size = -1, 2 * self.rows
+        return np.array(at, int).reshape(size), np.array(weight).reshape(size)
 
     def weights(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
         """B (modes, rows, m), and the squares of errors that it explains."""

@@ -1,0 +1,72 @@
+"""Where climbs to the likeliest plant of outputs begin; with zeros there are several maxima."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.outputs.past import chains_by_past
+from deadtime.identification.outputs.start import Guess, scanned
+from deadtime.identification.uneven import gridded
+
+_SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin with
+_APART = 8, 4, 2, 1  # periods between outputs that stand for states
+_NOTHING = 1e-8  # of the plant's noise, where it is left out
+_LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
+_GAIN = 1e-2  # of log likelihood that is worth a step while noise is held
+
+
+def begins_of(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
+    """Where to begin: of chains with zeros, from integrators, and several noises.
+
+    Derivatives of outputs that inputs make jump are no states: an A of them has poles far out, in
+    place of a zero and a part of the delay, where the likelihood has a maximum that is not its
+    largest. So it has with much noise in place of a pole that lies near a zero.
+    """
+    shape, layout = log.embedding, log.layout
+    assert shape is not None
+    if not (shape.zeros and shape.upper.size):
+        return [log.join(guess.theta, noise) for noise in guess.noise]
+    A, B, delays = layout.split(guess.theta)
+    theta = layout.join(np.broadcast_to(shape.shift(), A.shape), B, delays)
+    W, deviation = guess.noise[-1]
+    return [log.join(theta, Noise(share * W, deviation)) for share in _SHARES]
+
+
+def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
+    """Where each A that outputs' past tells leads to with hardly any noise of the plant.
+
+    That noise is next to nothing and stays so first: else it takes up what a delay that is a part
+    of a period off leaves, and a climb ends there.
+    """
+    shape, layout, grid = log.embedding, log.layout, gridded(log.recording)
+    assert shape is not None
+    _, B, delays = layout.split(guess.theta)
+    W, deviation = guess.noise[-1]
+    lag = int(np.ceil(log.bounds[1] / grid.step)) + 1
+    even, held = replace(log, recording=grid), np.arange(log.size) >= layout.size
+    begins = []
+    for apart in _APART:
+        given = shape, deviation, grid.step, lag, layout.modes, apart
+        if (A := chains_by_past(grid.parts, *given)) is None:
+            continue
+        begin = log.join(layout.join(A, B, delays), Noise(_NOTHING * W, deviation))
+        begin = of_sensors(log, scanned(even, begin).moved(begin))
+        best, _ = maximise(log, begin, held, log.bounds, _GAIN)
+        begins.append(of_sensors(log, best.theta))
+    return begins
+
+
+def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
+    """The same plant, as if all that it cannot foretell were noise of the sensors."""
+    e, _ = log.innovations(vector, log.starts(*log.bounds))
+    changed, (i, j) = vector.copy(), log.places
+    L = slice(log.layout.size, log.layout.size + i.size)
+    less = np.sqrt(_LESS)
+    changed[L] = np.where(i == j, vector[L] + np.log(less), less * vector[L])
+    error = np.sqrt(np.mean(e**2, axis=0))
+    changed[L.stop :] = np.log(np.maximum(error, np.finfo(float).tiny))
+    return changed
