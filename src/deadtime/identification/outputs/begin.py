@@ -8,6 +8,7 @@ import numpy as np
 
 from deadtime.identification.maximum import maximise
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
+from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.past import chains_by_past
 from deadtime.identification.outputs.start import Guess, scanned
 from deadtime.identification.uneven import gridded
@@ -16,6 +17,7 @@ _SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin w
 _APART = 8, 4, 2, 1  # periods between outputs that stand for states
 _NOTHING = 1e-8  # of the plant's noise, where it is left out
 _LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
+_FEW = 1_000  # samples for climbs with noise held
 _GAIN = 1e-2  # of log likelihood that is worth a step while noise is held
 
 
@@ -37,25 +39,28 @@ def begins_of(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
 
 
 def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
-    """Where each A that outputs' past tells leads to with hardly any noise of the plant.
+    """Where each A that outputs' past tells leads to with hardly any noise: of chains with zeros.
 
     That noise is next to nothing and stays so first: else it takes up what a delay that is a part
     of a period off leaves, and a climb ends there.
     """
     shape, layout, grid = log.embedding, log.layout, gridded(log.recording)
     assert shape is not None
+    if not (shape.zeros and shape.upper.size):
+        return []
     _, B, delays = layout.split(guess.theta)
     W, deviation = guess.noise[-1]
     lag = int(np.ceil(log.bounds[1] / grid.step)) + 1
-    even, held = replace(log, recording=grid), np.arange(log.size) >= layout.size
+    few = replace(log, recording=stretches(log.recording, _FEW, lag))
+    even, held = replace(few, recording=gridded(few.recording)), np.arange(log.size) >= layout.size
     begins = []
     for apart in _APART:
         given = shape, deviation, grid.step, lag, layout.modes, apart
         if (A := chains_by_past(grid.parts, *given)) is None:
             continue
         begin = log.join(layout.join(A, B, delays), Noise(_NOTHING * W, deviation))
-        begin = of_sensors(log, scanned(even, begin).moved(begin))
-        best, _ = maximise(log, begin, held, log.bounds, _GAIN)
+        begin = of_sensors(few, scanned(even, begin).moved(begin))
+        best, _ = maximise(few, begin, held, log.bounds, _GAIN)
         begins.append(of_sensors(log, best.theta))
     return begins
 
