@@ -145,15 +145,13 @@ def test_a_scheduler_that_is_not_there_is_named(own, tmp_path, monkeypatch):
         dt.sweep(own[0], tmp_path / "x.zarr", "nonsense")
 
 
-def forsake():
-    """Leave errors behind in the loop that nobody asks for."""
-    for error in (TimeoutError("of Dask's own"), OSError("of somebody else")):
-        asyncio.get_running_loop().create_future().set_exception(error)
-    gc.collect()
-
-
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_waits_that_the_end_of_a_cluster_cuts_off_are_not_reported(workers, capfd, caplog):
+    def forsake():
+        for error in (TimeoutError("of Dask's own"), OSError("of somebody else")):
+            asyncio.get_running_loop().create_future().set_exception(error)
+        gc.collect()
+
     with cluster(None, workers) as client:
         client.run(forsake)
         client.loop.add_callback(forsake)
