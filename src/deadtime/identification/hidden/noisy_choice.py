@@ -85,8 +85,7 @@ def _best_start(
 
     And its likelihood, its vector, and the window of its delays.
     """
-    lag = int(np.ceil(search.bounds[1] / recording.step)) + 1
-    few, found = stretches(recording, _ENOUGH, lag), []
+    few, found = stretches(recording, _ENOUGH, recording.lag(search.bounds[1])), []
     for start in _starts(search, layout):
         log, W = _of_start(start, search, recording, C)
         window = window_of(start.log, start.theta[layout.at_delays])

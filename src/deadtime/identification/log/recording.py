@@ -57,6 +57,10 @@ class Recording(NamedTuple):
         """How many there are in all logs."""
         return sum(part.time.size for part in self.parts)
 
+    def lag(self, delay: float) -> int:
+        """How many samples ago an input was given, at most, that acts so many seconds late."""
+        return int(np.ceil(delay / self.step)) + 1
+
 
 Check = Callable[
     [tuple[Part, ...], tuple[Sequence[str], Sequence[str]], list[str], Callable[[int, int], str]],

@@ -95,7 +95,7 @@ def estimate_with_noise(
     layout, W = exact.log.layout, exact.disturbance.mean(axis=0)
     log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
     starts = [log.join(exact.best.theta, noise) for noise in first_noises(W, C, recording.step)]
-    lag = int(np.ceil(exact.window[1] / recording.step)) + 1
+    lag = recording.lag(exact.window[1])
     some = replace(log, recording=stretches(recording, _ENOUGH, lag))
     tried = [maximise(some, start, window=exact.window) for start in starts]
     theta = max(tried, key=lambda one: one[0].found.value)[0].theta
@@ -113,7 +113,7 @@ def estimated_of(
     """What there is to say of a maximum; `spare` periods of each mode, of measurements if None."""
     recording, layout, starts = log.recording, log.layout, log.starts(*window)
     beyond = max(log.measured(starts) - log.free.size, 1)
-    lag = int(np.ceil(window[1] / recording.step)) + 1
+    lag = recording.lag(window[1])
     some = replace(log, recording=stretches(recording, _ENOUGH, lag))
     spread, theta = _spread(log, some, best, window, float(beyond))
     intervals, several = delay_intervals(log, best, window, spread, start)

@@ -50,7 +50,7 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
         return []
     _, B, delays = layout.split(guess.theta)
     W, deviation = guess.noise[-1]
-    lag = int(np.ceil(log.bounds[1] / grid.step)) + 1
+    lag = grid.lag(log.bounds[1])
     few = replace(log, recording=stretches(log.recording, _FEW, lag))
     even, held = replace(few, recording=gridded(few.recording)), np.arange(log.size) >= layout.size
     begins = []

@@ -20,7 +20,7 @@ from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.begin import begins_of, by_past, of_sensors
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.other_delays import others_of
-from deadtime.identification.outputs.start import Scanned, guess_of, scanned
+from deadtime.identification.outputs.start import Guess, Scanned, guess_of, scanned
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import gridded, nodes_for
@@ -82,22 +82,19 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
 
     expect_many_calls()
     recording, layout, order, zeros, bounds, within, progress = request
-    lag = int(np.ceil(bounds[1] / recording.step)) + 1
     guess = guess_of(gridded(recording), layout, order, bounds, within)
     shape = Embedding(order, zeros is True, guess.size, lead)
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
-    some = stretches(recording, _FEW, lag)
+    some = stretches(recording, _FEW, recording.lag(bounds[1]))
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
-    best, scan = _begun(log, begins_of(log, guess), by_past(log, guess))
+    best, scan = _begun(log, guess)
     if zeros is not None or not shape.upper.size:
         return Chosen(log, best, scan)
     progress("trying inputs that act on all states")
     wider = replace(log, embedding=replace(shape, zeros=True))
-    other, scan_of_other = _begun(
-        wider, [*begins_of(wider, guess), best.theta], by_past(wider, guess)
-    )
+    other, scan_of_other = _begun(wider, guess, best.theta)
     rise = 2.0 * (other.found.value - best.found.value)
     more = wider.free.size - log.free.size
     if rise > float(chi2.isf(CHANCE, more)):
@@ -105,13 +102,11 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     return Chosen(log, best, scan, other, rise, more)
 
 
-def _begun(
-    log: NoisyLog, begins: list[np.ndarray], more: list[np.ndarray]
-) -> tuple[Maximum, Scanned]:
-    """The likeliest plant that scans of all delays lead to, or `more` do; and the last scan."""
+def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Scanned]:
+    """The likeliest plant that scans of all delays or outputs' past lead to; and the last scan."""
     scan, grid = None, replace(log, recording=gridded(log.recording))
-    found = [_climbed(log, begin) for begin in more]
-    for begin in begins:
+    found = [_climbed(log, begin) for begin in by_past(log, guess)]
+    for begin in (*begins_of(log, guess), *more):
         scan = scanned(grid, begin)
         found.append(_climbed(log, scan.moved(begin)))
     best = max(found, key=lambda one: one.found.value)

@@ -53,7 +53,6 @@ def largest_of(
     log: NoisyLog, vector: Float[np.ndarray, " size"], window: tuple[float, float]
 ) -> Float[np.ndarray, " n"]:
     """The largest |x| of every state; of a long log in stretches from all over it."""
-    lag = int(np.ceil(window[1] / log.recording.step)) + 1
-    parts = stretches(log.recording, _MOST, lag).parts
+    parts = stretches(log.recording, _MOST, log.recording.lag(window[1])).parts
     states = np.vstack([following(log, vector, part, window).states for part in parts])
     return np.nanmax(np.abs(states), axis=0)
