@@ -8,6 +8,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import spread_of
+from deadtime.identification.levels import without_level
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import ExactLog, maximise
 from deadtime.identification.noisy.noise import continuous
@@ -18,7 +19,6 @@ from deadtime.identification.residuals import judge_residuals, residuals_of
 from deadtime.identification.start import start_of
 from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.identification.untold import reasons
-from deadtime.plant import SwitchedSystem
 
 
 def estimate_exactly(
@@ -29,10 +29,14 @@ def estimate_exactly(
     nodes = nodes_for(recording.parts, layout.split(start.theta)[0])
     log = ExactLog(recording, layout, within, bounds, nodes)
     best, window = maximise(log, start.theta)
+    log, theta = without_level(log, best.theta, best.found.information, np.eye(layout.n))
+    if log.layout is not layout:
+        layout, recording = log.layout, log.recording
+        best, window = maximise(log, theta)
     terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
     F, covariances = concentrated(terms, layout.size)
     counts = np.array([term.periods for term in terms])
-    spare = np.maximum(counts - layout.n - layout.m - 1, 1)
+    spare = np.maximum(counts - layout.n - layout.acting - 1, 1)
     parts = [concentrated([term], layout.size)[0].information for term in terms]
     known = np.einsum("i,iab->ab", spare / counts, parts)
     try:
@@ -42,10 +46,16 @@ def estimate_exactly(
         said = dict.fromkeys(sentence for sentences in why for sentence in sentences)
         raise ArgumentError(" ".join((str(error), *said))) from None
     intervals, several = delay_intervals(log, best, window, spread, start)
-    A, B, delays = layout.split(best.theta)
-    plant = SwitchedSystem(A, B, delays)
+    plant = layout.plant(best.theta)
     covariances = covariances * (counts / spare)[:, None, None]
-    white = residuals_of(recording, plant, nodes, within, np.linalg.cholesky(covariances))
+    white = residuals_of(
+        recording,
+        plant,
+        layout.constant_of(best.theta),
+        nodes,
+        within,
+        np.linalg.cholesky(covariances),
+    )
     return Estimate(
         log=log,
         best=best,
@@ -55,10 +65,10 @@ def estimate_exactly(
         intervals=intervals,
         several=several,
         start=start,
-        disturbance=continuous(A, covariances, recording.step),
+        disturbance=continuous(plant.A, covariances, recording.step),
         noise=np.zeros(layout.n),
         spare=spare,
-        tests=judge_residuals(white, recording, float(delays.max())),
+        tests=judge_residuals(white, recording, plant.longest_delay),
         white=tuple(white),
         ends=ends_over_peaks(log, best, spread, start),
     )

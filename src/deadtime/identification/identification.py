@@ -16,6 +16,7 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.identified import Hidden
+from deadtime.identification.levels import OperatingPoint, operating_point
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
@@ -61,6 +62,8 @@ class Identification(Frozen):
         Of modes that were not logged: which was active when, and how sure that is.
     sentences : tuple of str
         What there is to say, in words.
+    operating_point : OperatingPoint or None
+        Where the plant rests: its states and inputs are deviations from that. None: at 0.
 
     Examples
     --------
@@ -84,6 +87,7 @@ class Identification(Frozen):
     _recording: Recording = field(repr=False)
     _C: Float[np.ndarray, "p n"] = field(repr=False)
     hidden: HiddenModes | None = None
+    operating_point: OperatingPoint | None = None
 
     @classmethod
     def of(
@@ -113,6 +117,7 @@ class Identification(Frozen):
             found,
             recording,
             C,
+            operating_point=operating_point(found, np.linalg.pinv(C)),
         )
 
     @classmethod
@@ -141,15 +146,16 @@ class Identification(Frozen):
         """The largest |x| of every state in the log."""
         if (log := self._found.of_outputs) is not None:
             return largest_of(log, self._found.best.theta, self._found.window)
-        back = np.linalg.pinv(self._C).T
-        every = np.vstack([part.output @ back for part in self._recording.parts])
-        return np.nanmax(np.abs(every), axis=0)
+        back, recording = np.linalg.pinv(self._C).T, self._recording.absolute()
+        every = np.vstack([part.output @ back for part in recording.parts])
+        at = 0.0 if self.operating_point is None else self.operating_point.states
+        return np.nanmax(np.abs(every - at), axis=0)
 
     @property
     def uncertain(self) -> UncertainPlant:
         """The plant with the covariance of all its entries and delays: to draw, and corners."""
-        size = self._found.log.layout.size
-        return UncertainPlant(self.plant, self._found.spread.covariance[:size, :size])
+        _, own = self._found.log.layout.without_constant()
+        return UncertainPlant(self.plant, self._found.spread.covariance[np.ix_(own, own)])
 
     @property
     def message(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from numpy.typing import ArrayLike
 
@@ -13,6 +13,7 @@ from deadtime.identification.exact import estimate_exactly
 from deadtime.identification.hidden.identified import Sensed, identify_hidden
 from deadtime.identification.hidden.request import numbers_of
 from deadtime.identification.identification import Identification
+from deadtime.identification.levels import level_of
 from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.logged_states import (
     as_states,
@@ -20,7 +21,8 @@ from deadtime.identification.log.logged_states import (
     require_states,
     sensors_of,
 )
-from deadtime.identification.log.recording import read_recording
+from deadtime.identification.log.recording import Recording, read_recording
+from deadtime.identification.log.rest import disproved, resting
 from deadtime.identification.log.units import require_same_units, require_seconds
 from deadtime.identification.noisy.noise import estimate_with_noise
 from deadtime.identification.options import (
@@ -30,7 +32,7 @@ from deadtime.identification.options import (
     require_order_for,
 )
 from deadtime.identification.outputs.identified import identify_outputs
-from deadtime.identification.outputs.request import require_logged
+from deadtime.identification.outputs.request import is_states, require_logged
 from deadtime.identification.parameters import Layout
 
 if TYPE_CHECKING:
@@ -53,6 +55,7 @@ def identify(
     outputs: Sequence[str] | None = None,
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
+    rest: bool | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Identification:
     """The plant that a log is likeliest of: matrices, delays and noise, each with its interval.
@@ -89,6 +92,9 @@ def identify(
     zeros : bool, optional
         Of `order`: whether inputs act on all states of an output, and not on the last derivative
         alone, so that the others are no derivatives. By default, where the log asks for it.
+    rest : bool, optional
+        Whether inputs before the log were those of its first row. By default, where inputs and
+        states are still at first and what is left of the log does not contradict it.
     progress : callable
         Called with a few words whenever something else is begun.
 
@@ -124,7 +130,7 @@ def identify(
     1
     """
     require_options(switches, progress)
-    noise, zeros = choice("noise", noise), choice("zeros", zeros)
+    noise, zeros, rest = choice("noise", noise), choice("zeros", zeros), choice("rest", rest)
     low, high = range_of_delays(delay)
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None
@@ -139,33 +145,74 @@ def identify(
         lambda parts, columns, *names: require_same_units(parts, columns, high, *names),
     )
     require_seconds(recording, high)
-    bounds = max(low, _SHORTEST * recording.step), high
-    within = switches == "anywhere"
-    if order is not None:
+    if order is None:
+        require_order_for(zeros, outputs, C)
+    else:
         require_logged(C, noise, numbers is not None)
-        of = identify_outputs(recording, order, zeros, per_mode, bounds, within, progress)
-        fit = Identification.of(of.estimate, recording, of.model, of.why, of.C, of.states)
+        if is_states(order, recording.outputs):  # the same model as of states that are logged
+            order = None
+    asked = _Asked(
+        C,
+        numbers,
+        order,
+        zeros,
+        per_mode,
+        noise,
+        (max(low, _SHORTEST * recording.step), high),
+        switches == "anywhere",
+        progress,
+    )
+    fit = _identified(resting(recording, rest), asked)
+    if rest is None and disproved(fit._recording, fit._found.white, fit.plant.longest_delay):
+        progress("looking again, as inputs before the log were others than its first")
+        fit = _identified(resting(recording, False), asked)
+    return fit
+
+
+class _Asked(NamedTuple):
+    """What is asked of a recording: see `identify`. numbers : of hidden modes; bounds : of delays"""
+
+    C: ArrayLike | None
+    numbers: tuple[int, ...] | None
+    order: int | Sequence[int] | None
+    zeros: bool | None
+    per_mode: bool
+    noise: bool | None
+    bounds: tuple[float, float]
+    within: bool
+    progress: Callable[[str], None]
+
+
+def _identified(recording: Recording, asked: _Asked) -> Identification:
+    """What a recording tells."""
+    C, numbers, order, zeros, per_mode, noise, bounds, within, progress = asked
+    about = recording.about(level_of(recording))
+    if order is not None:
+        of = identify_outputs(about, order, zeros, per_mode, bounds, within, progress)
+        fit = Identification.of(
+            of.estimate, of.estimate.log.recording, of.model, of.why, of.C, of.states
+        )
         return replace(fit, sentences=(*fit.sentences, *of.sentences))
-    require_order_for(zeros, outputs, C)
     sensors = sensors_of(C, recording)
-    direct = as_states(recording, sensors)
     count = sensors.shape[1]
     named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(count))
     require_sizes(recording)
-    require_states(direct, named)
-    layout = Layout(len(recording.modes), sensors.shape[1], len(recording.inputs), per_mode)
+    require_states(as_states(recording, sensors), named)
+    layout = Layout(len(recording.modes), count, len(recording.inputs), per_mode)
     said: tuple[str, ...] = ()
     if numbers is not None:
-        sensed = Sensed(direct, recording, sensors, True if C is not None else noise)
+        noisy = True if C is not None else noise
+        sensed = Sensed(as_states(recording, sensors), recording, sensors, noisy)
         hidden = identify_hidden(sensed, numbers, layout, bounds, within, progress)
         if hidden.estimate is not None:
             return Identification.of_hidden(hidden, sensors, named)
         said = hidden.sentences
-    progress(f"looking for the delay between {low:g} and {high:g} s")
-    found = estimate_exactly(direct, layout, bounds, within)
+    progress(f"looking for the delay between {bounds[0]:g} and {bounds[1]:g} s")
+    direct = as_states(about, sensors)
+    found = estimate_exactly(direct, replace(layout, constant=True), bounds, within)
     if C is not None or noise or (noise is None and not found.tests.white):
         progress("taking sensors for noisy")
-        found = estimate_with_noise(recording, sensors, found, within, bounds)
+        found = estimate_with_noise(about, sensors, found, within, bounds)
     model, why = fit_switching(recording)
-    fit = Identification.of(found, recording, model, why, sensors, named)
+    fit = Identification.of(found, found.log.recording, model, why, sensors, named)
     return replace(fit, sentences=(*said, *fit.sentences))

@@ -51,7 +51,7 @@ class ExactLog(Frozen):
         record, layout = self.recording, self.layout
         if record.even:
             first, last = cell_of(low, record.step, up=True), cell_of(high, record.step)
-            lags = lags_of(record.parts, layout.modes, first - 1, last, self.within)
+            lags = lags_of(record.parts, layout, first - 1, last, self.within)
             return lambda cells: (
                 lambda theta: even_terms(lags, layout, record.step, layout.spread(cells), theta)
             )

@@ -1,11 +1,18 @@
-"""The unknowns of a plant in one vector: entries of A and B of every mode, then the delays."""
+"""The unknowns of a plant in one vector: entries of A and B of every mode, then the delays.
+
+With an operating point that is not 0, dx/dt = A (x − x₀) + B (u(t − D) − u₀), each mode has the
+constant term c = −A x₀ − B u₀. It acts as an input does that is always 1, so it is one more column
+of B, which no delay belongs to.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from deadtime.plant import SwitchedSystem
 
 
 @dataclass(frozen=True)
@@ -14,12 +21,19 @@ class Layout:
 
     modes, n, m : how many modes, states and inputs
     per_mode : whether every mode has delays of its own
+    constant : whether dx/dt has a constant term in each mode, the last column of B
     """
 
     modes: int
     n: int
     m: int
     per_mode: bool
+    constant: bool = False
+
+    @property
+    def acting(self) -> int:
+        """How many columns B has: the inputs, and the constant term."""
+        return self.m + self.constant
 
     @property
     def of_A(self) -> Int[np.ndarray, "mode n n"]:
@@ -27,10 +41,15 @@ class Layout:
         return np.arange(self.modes * self.n**2).reshape(self.modes, self.n, self.n)
 
     @property
-    def of_B(self) -> Int[np.ndarray, "mode n m"]:
-        """Places of B_i[a, j]."""
-        count = self.modes * self.n * self.m
-        return self.of_A.size + np.arange(count).reshape(self.modes, self.n, self.m)
+    def of_B(self) -> Int[np.ndarray, "mode n acting"]:
+        """Places of B_i[a, j], and of c_i[a] in the last column."""
+        count = self.modes * self.n * self.acting
+        return self.of_A.size + np.arange(count).reshape(self.modes, self.n, self.acting)
+
+    @property
+    def of_constant(self) -> Int[np.ndarray, "mode n c"]:
+        """Places of the constant terms c_i[a]; none where there are none."""
+        return self.of_B[:, :, self.m :]
 
     @property
     def of_delay(self) -> Int[np.ndarray, "mode m"]:
@@ -53,7 +72,7 @@ class Layout:
     @property
     def least_periods(self) -> int:
         """How many periods each mode needs: twice what a state's regression costs, and one."""
-        return 2 * (self.n + 2 * self.m) + 1
+        return 2 * (self.n + 2 * self.m + self.constant) + 1
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """One value per delay as (modes, m)."""
@@ -65,14 +84,30 @@ class Layout:
         return slice(self.size - self.delays, self.size)
 
     def join(self, A: np.ndarray, B: np.ndarray, delays: np.ndarray) -> Float[np.ndarray, " size"]:
-        """The vector of A (modes, n, n), B (modes, n, m) and delays (modes, m)."""
+        """The vector of A (modes, n, n), B (modes, n, acting) and delays (modes, m)."""
         own = delays if self.per_mode else delays[0]
         return np.concatenate((A.ravel(), B.ravel(), own.ravel()))
+
+    def plant(self, theta: Float[np.ndarray, " size"]) -> SwitchedSystem:
+        """The plant of a vector, about its operating point."""
+        A, B, delays = self.split(theta)
+        return SwitchedSystem(A, B[:, :, : self.m], delays)
+
+    def constant_of(self, theta: Float[np.ndarray, " size"]) -> Float[np.ndarray, "mode n"]:
+        """The constant terms of a vector, 0 where there are none."""
+        return theta[self.of_constant].sum(axis=2)
+
+    def without_constant(self) -> tuple[Layout, Int[np.ndarray, " kept"]]:
+        """The layout that has no constant term, and which places of this vector it keeps."""
+        kept = np.setdiff1d(np.arange(self.size), self.of_constant)
+        return replace(self, constant=False), kept
 
     def split(
         self, theta: Float[np.ndarray, " size"]
     ) -> tuple[
-        Float[np.ndarray, "mode n n"], Float[np.ndarray, "mode n m"], Float[np.ndarray, "mode m"]
+        Float[np.ndarray, "mode n n"],
+        Float[np.ndarray, "mode n acting"],
+        Float[np.ndarray, "mode m"],
     ]:
         """A, B and delays of a vector."""
         return theta[self.of_A], theta[self.of_B], theta[self.of_delay]
@@ -98,7 +133,8 @@ class Layout:
         ['A[0][0,0]', 'B[0][0,0]', 'B[0][0,1]', 'delay[0]', 'delay[1]']
         """
         names = [f"A[{i}][{a},{b}]" for i, a, b in np.ndindex(self.of_A.shape)]
-        names += [f"B[{i}][{a},{j}]" for i, a, j in np.ndindex(self.of_B.shape)]
+        for i, a, j in np.ndindex(self.of_B.shape):
+            names.append(f"B[{i}][{a},{j}]" if j < self.m else f"constant[{i}][{a}]")
         if self.delays == 1:
             return [*names, "delay"]
         if self.per_mode:

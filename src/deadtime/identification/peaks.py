@@ -32,7 +32,7 @@ def over_other_peaks(
 def plausible_fall(log: Likelihood, cells: int, inflation: float) -> float:
     """How far below the likeliest cell's log likelihood a plausible one's is at most.
 
-    A cell's two weights per state are free in each mode that has the delay; from outputs alone one
+    A cell's two weights per state are free in each mode that has the delay; with noisy sensors one
     per state that inputs act on. Of as many cells as there are each may be the likeliest by chance,
     so that the level is Bonferroni's.
     """
@@ -40,8 +40,9 @@ def plausible_fall(log: Likelihood, cells: int, inflation: float) -> float:
 
     layout = log.layout
     weights = 2 * layout.n
-    if isinstance(log, NoisyLog) and log.embedding is not None:
-        weights = layout.n if log.embedding.zeros else len(log.C)
+    if isinstance(log, NoisyLog):
+        shape = log.embedding
+        weights = layout.n if shape is None or shape.zeros else len(log.C)
     free = weights * (1 if layout.per_mode else layout.modes)
     return 0.5 * inflation * float(chi2.isf((1.0 - LEVEL) / cells, free))
 

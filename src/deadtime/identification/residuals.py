@@ -46,7 +46,12 @@ class ResidualTests(NamedTuple):
 
 
 def one_step(
-    part: Part, plant: SwitchedSystem, nodes: np.ndarray, k: np.ndarray, states: np.ndarray
+    part: Part,
+    plant: SwitchedSystem,
+    constant: Float[np.ndarray, "mode n"],
+    nodes: np.ndarray,
+    k: np.ndarray,
+    states: np.ndarray,
 ) -> Float[np.ndarray, "period n"]:
     """What the plant makes of states (periods, n) at the samples k of a part, a period later."""
     result = np.empty((k.size, plant.states))
@@ -61,13 +66,14 @@ def one_step(
             x = states[start + at]
             free = np.einsum("kq,qab,kb->ka", over[at], Phi_at[i], x, optimize=True)
             forced = np.tensordot(held[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
-            result[start + at] = free + forced
+            result[start + at] = free + forced + over[at] @ (W_at[i] @ constant[i])
     return result
 
 
 def residuals_of(
     recording: Recording,
     plant: SwitchedSystem,
+    constant: Float[np.ndarray, "mode n"],
     nodes: np.ndarray,
     within: bool,
     roots: Float[np.ndarray, "mode n n"],
@@ -77,7 +83,7 @@ def residuals_of(
     found = []
     for part in recording.parts:
         k = np.flatnonzero(usable(part, within, longest, shortest))
-        rest = part.output[k + 1] - one_step(part, plant, nodes, k, part.output[k])
+        rest = part.output[k + 1] - one_step(part, plant, constant, nodes, k, part.output[k])
         rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
         white = np.full(part.output.shape, np.nan)
         for i in range(plant.modes):
@@ -162,14 +168,18 @@ def autocorrelation(
 
 
 def forecast(
-    part: Part, plant: SwitchedSystem, nodes: np.ndarray, C: Float[np.ndarray, "p n"]
+    part: Part,
+    plant: SwitchedSystem,
+    constant: Float[np.ndarray, "mode n"],
+    nodes: np.ndarray,
+    C: Float[np.ndarray, "p n"],
 ) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
     """States foretold from those a sample before, and from the first known one on; NaN without."""
     states = part.output @ np.linalg.pinv(C).T
     k = np.flatnonzero(fed(part, float(plant.delays.max()), float(plant.delays.min())))
     ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)
-    ahead[k + 1] = one_step(part, plant, nodes, k, states[k])
-    forced = one_step(part, plant, nodes, k, np.zeros((k.size, plant.states)))
+    ahead[k + 1] = one_step(part, plant, constant, nodes, k, states[k])
+    forced = one_step(part, plant, constant, nodes, k, np.zeros((k.size, plant.states)))
     Phi_at, _ = plain_transitions(plant.A, nodes)
     over = interpolation(nodes, part.time[k + 1] - part.time[k])
     Phi = np.einsum("kq,kqab->kab", over, Phi_at[part.mode[k]])

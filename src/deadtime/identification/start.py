@@ -2,7 +2,7 @@
 
 With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
 those, whatever D is. The N with the likeliest residuals is taken; A = log Φ / h, and the weights of
-the two samples tell B and the fraction of the period.
+the two samples tell B and the fraction of the period. A cell needs the inputs of its own lags alone.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
-from deadtime.identification.regression import Lags, lags_of
+from deadtime.identification.regression import known_ends, lags_of, stacked
 from deadtime.identification.transition import transitions_of
 from deadtime.identification.untold import require_enough
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
+_NEARLY_ALL = 0.9  # of the periods of each mode: so many that all cells are compared by
+_ENOUGH = 10_000  # samples that tell where to begin, where cells are compared by their own periods
 _ALL = 2000  # combinations of cells that are all tried
 
 
@@ -44,13 +46,74 @@ def start_of(
     """A first guess from an evenly sampled recording; delays are within `bounds`, seconds."""
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
-    lags = lags_of(recording.parts, layout.modes, first - 1, last, within, root=False)
-    require_enough(recording, layout, lags.periods, last * h)
-    scan = _Scan(lags, layout, first, last)
+    scan = _Scan(_sums_of(recording, layout, first, last, within), layout, first, last)
     cells, scanned = scan.best()
-    P = [scan.weights(i, scan.own(cells, i)) for i in range(layout.modes)]
-    theta = plant_of(P, layout.spread(cells), lags.periods, layout, h, bounds)
+    own = [scan.own(cells, i) for i in range(layout.modes)]
+    count = np.array([scan.periods(i, one) for i, one in enumerate(own)])
+    require_enough(recording, layout, count, last * h)
+    P = [scan.weights(i, one) for i, one in enumerate(own)]
+    theta = plant_of(P, layout.spread(cells), count, layout, h, bounds)
     return Start(theta, cells, first, scanned)
+
+
+def _sums_of(
+    recording: Recording, layout: Layout, first: int, last: int, within: bool
+) -> _CommonPeriods | _OwnPeriods:
+    """The periods that a scan compares cells by: the same for all where hardly any is lost so."""
+    lags = lags_of(recording.parts, layout, first - 1, last, within, root=False)
+    every = np.zeros(layout.modes)
+    for part in recording.parts:
+        own = part.mode[:-1][known_ends(part, within)]
+        every += np.bincount(own, minlength=layout.modes)
+    if (lags.periods >= _NEARLY_ALL * every).all():
+        return _CommonPeriods(lags.root, lags.periods)
+    some, z = recording.stretches(_ENOUGH, last), [[] for _ in range(layout.modes)]
+    for part in some.parts:
+        k = np.flatnonzero(known_ends(part, within))
+        rows = stacked(part, k, first - 1, last, layout.constant)
+        for i in range(layout.modes):
+            z[i].append(rows[part.mode[k] == i])
+    return _OwnPeriods([np.vstack(one) for one in z], layout.n, layout.constant)
+
+
+class _CommonPeriods(NamedTuple):
+    """The same periods for all cells, as Σ z zᵀ of every mode, z of `stacked`."""
+
+    gram: list[Float[np.ndarray, "z z"]]
+    count: Int[np.ndarray, " mode"]
+
+    def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
+        """Σ z zᵀ of some columns, and over how many periods."""
+        return self.gram[mode][np.ix_(columns, columns)], int(self.count[mode])
+
+    def unseen(self, mode: int, count: int) -> float:
+        """The log likelihood of all other periods: there are none."""
+        return 0.0
+
+
+class _OwnPeriods:
+    """For each cell the periods whose inputs are known there; others as if nothing acted.
+
+    A delay that leaves out periods in which a state answers an input would else explain the rest
+    as well as the true one explains all. So what it leaves out counts with the density that a
+    regression on the states alone gives it.
+    """
+
+    def __init__(self, z: list[Float[np.ndarray, "period z"]], n: int, constant: bool) -> None:
+        self._z, self._n = z, n
+        self._alone = [*range(2 * n), *([z[0].shape[1] - 1] if constant else [])]
+
+    def of(self, mode: int, columns: list[int]) -> tuple[np.ndarray, int]:
+        """Σ z zᵀ of some columns, and over how many periods."""
+        z = self._z[mode][:, columns]
+        z = z[np.isfinite(z).all(axis=1)]
+        return z.T @ z, len(z)
+
+    def unseen(self, mode: int, count: int) -> float:
+        """The log likelihood of all periods but so many, by states alone."""
+        M, every = self.of(mode, self._alone)
+        size = _residual_sizes(M, self._n)[1] / max(every - M.shape[0] + self._n, 1)
+        return -0.5 * (every - count) * float(np.log(size).sum())
 
 
 def cell_range(h: float, bounds: tuple[float, float], m: int) -> tuple[int, int]:
@@ -83,7 +146,7 @@ def plant_of(
         D.append((cells[i] - part) * h)
     D = np.array(D)
     if not layout.per_mode:
-        strength = np.array([np.sum(b**2, axis=0) for b in B]) * count[:, None]
+        strength = np.array([np.sum(b[:, : layout.m] ** 2, axis=0) for b in B]) * count[:, None]
         D[:] = (D * strength).sum(axis=0) / np.maximum(strength.sum(axis=0), 1e-300)
     return layout.join(A, np.array(B), np.clip(D, *bounds))
 
@@ -91,8 +154,10 @@ def plant_of(
 class _Scan:
     """Linear regressions over the cells of all delays."""
 
-    def __init__(self, lags: Lags, layout: Layout, first: int, last: int) -> None:
-        self.lags, self.layout, self.first = lags, layout, first
+    def __init__(
+        self, sums: _CommonPeriods | _OwnPeriods, layout: Layout, first: int, last: int
+    ) -> None:
+        self.sums, self.layout, self.first = sums, layout, first
         self.cells = np.arange(first, last + 1)
 
     def own(self, cells: np.ndarray, mode: int) -> np.ndarray:
@@ -128,30 +193,44 @@ class _Scan:
         ]
         return np.array(best), np.array(scanned)
 
-    def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> np.ndarray:
+    def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:
         n, m = self.layout.n, self.layout.m
         columns = [*range(2 * n)]
         for lag in (0, -1):
             of = [(j, c) for j, c in enumerate(chosen) if c is not None]
-            columns += [2 * n + (c + lag - self.lags.low) * m + j for j, c in of]
-        return self.lags.root[mode][np.ix_(columns, columns)]
+            columns += [2 * n + (c + lag - self.first + 1) * m + j for j, c in of]
+        if self.layout.constant:
+            columns.append(2 * n + (self.cells.size + 1) * m)
+        return self.sums.of(mode, columns)
+
+    def periods(self, mode: int, chosen: np.ndarray) -> int:
+        """How many periods of a mode tell of some cells."""
+        return self._sums(mode, tuple(chosen.tolist()))[1]
 
     def _likelihood(self, mode: int, chosen: tuple[int | None, ...]) -> float:
-        n, M = self.layout.n, self._sums(mode, chosen)
-        unit = np.sqrt(np.maximum(np.diagonal(M), 1e-300))
-        M = M / unit / unit[:, None]
-        P = np.linalg.lstsq(M[n:, n:], M[n:, :n], rcond=1e-13)[0]
-        S = M[:n, :n] - M[:n, n:] @ P
-        size = np.linalg.eigvalsh(S).clip(1e-15)
-        return float(-0.5 * self.lags.periods[mode] * np.log(size).sum())
+        M, count = self._sums(mode, chosen)
+        spare = count - (len(M) - self.layout.n)
+        if spare <= 0:
+            return -np.inf
+        size = _residual_sizes(M, self.layout.n)[1] / spare
+        return -0.5 * count * float(np.log(size).sum()) + self.sums.unseen(mode, count)
 
     def weights(self, mode: int, chosen: np.ndarray) -> Float[np.ndarray, "n r"]:
-        """Φ, then the weights of u_{k−N} and of u_{k−N+1}, by least squares."""
-        n, M = self.layout.n, self._sums(mode, tuple(chosen.tolist()))
-        unit = np.sqrt(np.maximum(np.diagonal(M), 1e-300))
-        scaled = M / unit / unit[:, None]
-        P = np.linalg.lstsq(scaled[n:, n:], scaled[n:, :n], rcond=1e-13)[0]
-        return P.T * unit[:n, None] / unit[n:]
+        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1, by least squares."""
+        M, _ = self._sums(mode, tuple(chosen.tolist()))
+        return _residual_sizes(M, self.layout.n)[0]
+
+
+def _residual_sizes(
+    M: Float[np.ndarray, "z z"], n: int
+) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, " n"]]:
+    """From Σ z zᵀ, z = (x_{k+1}, r_k): the regression, and the eigenvalues of Σ e eᵀ."""
+    unit = np.sqrt(np.maximum(np.diagonal(M), 1e-300))
+    scaled = M / unit / unit[:, None]
+    P = np.linalg.lstsq(scaled[n:, n:], scaled[n:, :n], rcond=1e-13)[0]
+    S = (scaled[:n, :n] - scaled[:n, n:] @ P) * unit[:n] * unit[:n, None]
+    size = np.linalg.eigvalsh(S).clip(1e-15 * unit[:n].min() ** 2)
+    return P.T * unit[:n, None] / unit[n:], size
 
 
 def _logarithm(
@@ -160,11 +239,12 @@ def _logarithm(
     """A, B, and what part of a period the newer sample acts."""
     n, m = layout.n, layout.m
     A = matrix_logarithm(P[:, :n]) / h
-    old, new = P[:, n : n + m], P[:, n + m :]
+    old, new = P[:, n : n + m], P[:, n + m : n + 2 * m]
     whole = old + new
     part = (new * whole).sum(axis=0) / np.maximum((whole**2).sum(axis=0), 1e-300)
     W = transitions_of(A, np.array([h])).W[0]
-    return A, np.linalg.solve(W, whole), np.clip(part, 0.02, 0.98)
+    B = np.linalg.solve(W, np.hstack((whole, P[:, n + 2 * m :])))
+    return A, B, np.clip(part, 0.02, 0.98)
 
 
 def matrix_logarithm(Phi: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

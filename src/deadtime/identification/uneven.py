@@ -49,7 +49,8 @@ def fed(part: Part, longest: float, shortest: float) -> Bool[np.ndarray, " perio
     oldest = np.searchsorted(t, t[:-1] - longest + slack, side="right") - 1
     newest = np.searchsorted(t, t[1:] - shortest - slack, side="left")
     newest = np.maximum(np.minimum(newest, t.size), oldest + 1)
-    return (oldest >= 0) & (lost[newest] == lost[np.maximum(oldest, 0)])
+    known = lost[newest] == lost[np.maximum(oldest, 0)]
+    return known if part.rests else known & (oldest >= 0)
 
 
 def acting_in(
@@ -58,7 +59,10 @@ def acting_in(
     delays: Float[np.ndarray, "mode m"],
     nodes: Float[np.ndarray, " node"],
 ) -> Acting:
-    """What acts in periods k of a part, each with the delays of its mode."""
+    """What acts in periods k of a part, each with the delays of its mode.
+
+    Before the part's first row its first inputs act: such periods are used where it rests there.
+    """
     t, m = part.time, part.input.shape[1]
     held = np.zeros((k.size, nodes.size, m))
     moved = np.zeros(held.shape)
@@ -68,7 +72,7 @@ def acting_in(
     over = interpolation(nodes, t[k + 1] - t[k])
     for j in range(m):
         u, D = part.input[:, j], delays[part.mode[k], j]
-        first = np.searchsorted(t, t[k] - D + slack, side="right") - 1
+        first = np.maximum(np.searchsorted(t, t[k] - D + slack, side="right") - 1, 0)
         last = np.searchsorted(t, t[k + 1] - D - slack, side="left") - 1
         held[:, :, j] = over * u[first][:, None]
         for later in range(1, int((last - first).max(initial=0)) + 1):
@@ -98,7 +102,7 @@ def uneven_terms(
 ) -> list[Term]:
     """The regressions of unevenly sampled logs, over the periods `good` of every part."""
     A, B, delays = layout.split(theta)
-    modes, size = range(layout.modes), layout.n + nodes.size * (layout.n + 2 * layout.m)
+    modes, size = range(layout.modes), node_columns(layout, nodes)
     roots, counts, block = (
         [np.zeros((0, size)) for _ in modes],
         [0] * len(modes),
@@ -110,11 +114,16 @@ def uneven_terms(
             for i in modes:
                 own = k[part.mode[k] == i]
                 counts[i] += own.size
-                rows = node_rows(part, own, delays[i], nodes, step)
+                rows = node_rows(part, own, delays[i], nodes, step, layout.constant)
                 roots[i] = np.vstack((roots[i], rows))
                 if len(roots[i]) > size:
                     roots[i] = np.asarray(np.linalg.qr(roots[i], mode="r"))
     return [node_term(roots[i], counts[i], layout, i, A[i], B[i], nodes) for i in modes]
+
+
+def node_columns(layout: Layout, nodes: Float[np.ndarray, " node"]) -> int:
+    """How many columns `node_rows` has."""
+    return layout.n + nodes.size * (layout.n + layout.acting + layout.m)
 
 
 def node_rows(
@@ -123,13 +132,15 @@ def node_rows(
     delays: Float[np.ndarray, " m"],
     nodes: Float[np.ndarray, " node"],
     step: float,
+    constant: bool,
 ) -> Float[np.ndarray, "period z"]:
     """z = (x_{k+1}, r_k) / √(τ_k/h) of periods k, all of one mode: r_k by the weights of nodes."""
     length = part.time[k + 1] - part.time[k]
     one = part._replace(mode=np.zeros(part.time.size, np.int64))
-    acts = acting_in(one, k, delays[None], nodes)
-    x = interpolation(nodes, length)[:, :, None] * part.output[k][:, None]
-    z = [part.output[k + 1], *(one.reshape(k.size, -1) for one in (x, acts.held, acts.moved))]
+    acts, over = acting_in(one, k, delays[None], nodes), interpolation(nodes, length)[:, :, None]
+    held = np.concatenate((acts.held, over), axis=2) if constant else acts.held
+    x = over * part.output[k][:, None]
+    z = [part.output[k + 1], *(one.reshape(k.size, -1) for one in (x, held, acts.moved))]
     return np.hstack(z) / np.sqrt(length / step)[:, None]
 
 
@@ -143,29 +154,29 @@ def node_term(
     nodes: np.ndarray,
 ) -> Term:
     """The regression of a mode on rows of `node_rows`."""
-    n, m, count = layout.n, layout.m, nodes.size
-    over = transitions_of(A, nodes)
-    P = np.zeros((n, count, n + 2 * m))
-    by_P = np.zeros((n * n + n * m + m, *P.shape))
+    n, m, acting, count = layout.n, layout.m, layout.acting, nodes.size
+    over, whole = transitions_of(A, nodes), layout.n + layout.acting
+    P = np.zeros((n, count, whole + m))
+    by_P = np.zeros((n * whole + m, *P.shape))
 
     def side(M: np.ndarray) -> np.ndarray:
         """(…, node, n, c) as (…, n, node, c)."""
         return np.moveaxis(M, -2, -3)
 
-    P[:, :, :n], P[:, :, n : n + m] = side(over.Phi), side(over.W @ B)
+    P[:, :, :n], P[:, :, n:whole] = side(over.Phi), side(over.W @ B)
     by_P[: n * n, :, :, :n] = side(over.Phi_by_A.swapaxes(0, 1))
-    by_P[: n * n, :, :, n : n + m] = side((over.W_by_A @ B).swapaxes(0, 1))
+    for j in range(acting):
+        by_P[n * n + np.arange(n) * acting + j, :, :, n + j] = over.W.transpose(2, 1, 0)
     for j in range(m):
-        by_P[n * n + np.arange(n) * m + j, :, :, n + j] = over.W.transpose(2, 1, 0)
-        by_P[n * n + n * m + j, :, :, n + m + j] = -(over.Phi @ B[:, j]).T
-    order = [count * n, count * m, count * m]
+        by_P[n * whole + j, :, :, whole + j] = -(over.Phi @ B[:, j]).T
+    order = [count * n, count * acting, count * m]
     flat = [
         M.reshape(*M.shape[:-2], size)
-        for M, size in zip(np.split(P, [n, n + m], axis=-1), order, strict=True)
+        for M, size in zip(np.split(P, [n, whole], axis=-1), order, strict=True)
     ]
     moved = [
         M.reshape(*M.shape[:-2], size)
-        for M, size in zip(np.split(by_P, [n, n + m], axis=-1), order, strict=True)
+        for M, size in zip(np.split(by_P, [n, whole], axis=-1), order, strict=True)
     ]
     own = (layout.of_A[mode].ravel(), layout.of_B[mode].ravel(), layout.of_delay[mode])
     parts = np.concatenate(flat, axis=-1), np.concatenate(moved, axis=-1)
@@ -177,7 +188,8 @@ def on_a_grid(part: Part, step: float) -> Part:
     time = part.time[0] + step * np.arange(int((part.time[-1] - part.time[0]) / step) + 1)
     before = np.searchsorted(part.time, time * (1.0 + 1e-15), side="right") - 1
     columns = [np.interp(time, part.time, column) for column in part.output.T]
-    return Part(time, np.column_stack(columns), part.input[before], part.mode[before])
+    output = np.column_stack(columns)
+    return Part(time, output, part.input[before], part.mode[before], part.rests)
 
 
 def gridded(recording: Recording) -> Recording:

@@ -101,7 +101,7 @@ def _climbed_evenly(
     low = max(int(cells.min()) - 1 - _REACH, periods.first - 1)
     high = min(int(cells.max()) + _REACH, periods.last)
     each = zip(periods.parts, periods.usable, strict=True)
-    z = np.vstack([stacked(part, k, low, high) for part, k in each])
+    z = np.vstack([stacked(part, k, low, high, layout.constant) for part, k in each])
     count = found.weight.sum(axis=0)
     lags = Lags([rooted(z, weight) for weight in found.weight.T], count, low, high)
 

@@ -107,13 +107,12 @@ def estimated(found: Decoded) -> tuple[Estimate, Said]:
     known = told.left * share[:, None] * share
     spread = spread_of(told.held, layout.names(), known, layout.of_each(spare))
     start = start_of_grid(grid, theta)
-    A, B, delays = layout.split(theta)
     window = log.window
     intervals, several = delay_intervals(log, best, window, spread, start)
-    plant = SwitchedSystem(A, B, delays)
+    plant = layout.plant(theta)
     covariances = log.S * (counts / spare)[:, None, None]
     roots = np.linalg.cholesky(covariances)
-    white = residuals_of(record, plant, log.nodes, log.within, roots)
+    white = residuals_of(record, plant, layout.constant_of(theta), log.nodes, log.within, roots)
     for one, k in zip(white, log.periods.usable, strict=True):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan  # nothing told their modes
     estimate = Estimate(
@@ -125,10 +124,10 @@ def estimated(found: Decoded) -> tuple[Estimate, Said]:
         intervals=intervals,
         several=several,
         start=start,
-        disturbance=continuous(A, covariances, record.step),
+        disturbance=continuous(plant.A, covariances, record.step),
         noise=np.zeros(layout.n),
         spare=np.maximum(spare * told.of_noise, 1.0).astype(np.int64),
-        tests=judge_residuals(white, record, float(delays.max())),
+        tests=judge_residuals(white, record, plant.longest_delay),
         white=tuple(white),
     )
     said = Said(posterior.node, log.jumps.chain, found.fit.ascent.values, widening_of(told))

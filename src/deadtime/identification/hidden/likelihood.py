@@ -25,7 +25,7 @@ from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Layout
 from deadtime.identification.regression import Lags, Term, even_terms, log_density
 from deadtime.identification.scoring import Evaluate, Evaluation
-from deadtime.identification.uneven import node_term
+from deadtime.identification.uneven import node_columns, node_term
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +84,11 @@ class HiddenLog(Frozen):
         layout, step = self.layout, self.recording.step
         if isinstance(self.periods, UnevenPeriods):
             A, B, _ = layout.split(theta)
-            none = np.zeros((0, layout.n + self.nodes.size * (layout.n + 2 * layout.m)))
+            none = np.zeros((0, node_columns(layout, self.nodes)))
             each = range(layout.modes)
             return [node_term(none, 0, layout, i, A[i], B[i], self.nodes) for i in each]
         low, high = int(cells.min()) - 1, int(cells.max())
-        none = np.zeros((0, 2 * layout.n + (high - low + 1) * layout.m))
+        none = np.zeros((0, 2 * layout.n + (high - low + 1) * layout.m + layout.constant))
         lags = Lags([none] * layout.modes, np.zeros(layout.modes, np.int64), low, high)
         return even_terms(lags, layout, step, layout.spread(cells), theta)
 

@@ -21,7 +21,7 @@ from deadtime.identification.hidden.noisy_likelihood import HiddenNoisyLog, Star
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise, window_of
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.noise import continuous, first_noises, stretches
+from deadtime.identification.noisy.noise import continuous, first_noises
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
 
@@ -85,7 +85,7 @@ def _best_start(
 
     And its likelihood, its vector, and the window of its delays.
     """
-    few, found = stretches(recording, _ENOUGH, recording.lag(search.bounds[1])), []
+    few, found = recording.stretches(_ENOUGH, recording.lag(search.bounds[1])), []
     for start in _starts(search, layout):
         log, W = _of_start(start, search, recording, C)
         window = window_of(start.log, start.theta[layout.at_delays])

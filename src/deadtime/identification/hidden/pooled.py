@@ -44,7 +44,7 @@ class PooledPlant(NamedTuple):
 
     def density(self, part: Part, k: Int[np.ndarray, " period"]) -> Float[np.ndarray, " period"]:
         """The log density of periods k of a part."""
-        z = node_rows(part, k, self.delays, self.nodes, self.step)
+        z = node_rows(part, k, self.delays, self.nodes, self.step, constant=False)
         Phi, W = plain_transitions(self.A[None], self.nodes)
         n, m, count = len(self.A), self.B.shape[1], self.nodes.size
         flat = (np.moveaxis(one[0], 0, 1).reshape(n, -1) for one in (Phi, W @ self.B))
@@ -60,5 +60,5 @@ def cell_rows(
 ) -> Float[np.ndarray, "period z"]:
     """z = (x_{k+1}, x_k, u_{k−N}, u_{k−N+1}), N the cell of each input."""
     column = np.arange(cells.size)
-    read = [part.input[k[:, None] - lag, column] for lag in (cells, cells - 1)]
+    read = [part.input[np.maximum(k[:, None] - lag, 0), column] for lag in (cells, cells - 1)]
     return np.hstack((part.output[k + 1], part.output[k], *read))

@@ -39,9 +39,10 @@ def as_states(recording: Recording, C: Float[np.ndarray, "p n"]) -> Recording:
     """The recording with states in place of outputs, by least squares."""
     if np.array_equal(C, np.eye(C.shape[0])):
         return recording
-    back = np.linalg.pinv(C).T
+    back, level = np.linalg.pinv(C).T, recording.level
     parts = tuple(part._replace(output=part.output @ back) for part in recording.parts)
-    return recording._replace(parts=parts)
+    level = level and level._replace(output=level.output @ back)
+    return recording._replace(parts=parts, level=level)
 
 
 def require_sizes(recording: Recording) -> None:

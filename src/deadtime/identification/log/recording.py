@@ -20,17 +20,35 @@ from deadtime.identification.log.tables import (
     table_of,
 )
 
+_STRETCHES = 10  # of a long log, that stand for all of it
 ROUNDED = 0.01  # of a period: a time that a clock rounds so much is still on the grid
 _NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
 class Part(NamedTuple):
-    """One log: samples at rising times; a measurement that is missing is NaN."""
+    """One log: samples at rising times; a measurement that is missing is NaN.
+
+    rests : whether inputs before its first row were that row's
+    """
 
     time: Float[np.ndarray, " sample"]
     output: Float[np.ndarray, "sample p"]
     input: Float[np.ndarray, "sample m"]
     mode: Int[np.ndarray, " sample"]
+    rests: bool = False
+
+    def rows(self, own: Int[np.ndarray, " row"] | slice) -> Part:
+        """Some of the rows, one after the other; what was before them is known no more."""
+        first = self.time[own][:1] == self.time[:1]
+        columns = (column[own] for column in self[:4])
+        return Part(*columns, rests=self.rests and bool(first.all()))
+
+
+class Level(NamedTuple):
+    """What is subtracted from outputs (p,) and inputs (m,)."""
+
+    output: Float[np.ndarray, " p"]
+    input: Float[np.ndarray, " m"]
 
 
 class Recording(NamedTuple):
@@ -41,6 +59,8 @@ class Recording(NamedTuple):
     outputs, inputs, modes : their names
     logged : whether the mode was, or there is only one
     absent : modes that a table declares, as categories, and never visits
+    level : what was subtracted from all columns; None: nothing, and plants rest at 0
+    constants : inputs that never move, which are left out, and their values
     """
 
     parts: tuple[Part, ...]
@@ -51,11 +71,42 @@ class Recording(NamedTuple):
     modes: tuple[str, ...]
     logged: bool
     absent: tuple[str, ...] = ()
+    level: Level | None = None
+    constants: tuple[tuple[str, float], ...] = ()
+
+    def about(self, level: Level) -> Recording:
+        """The recording with a level subtracted."""
+        moved = tuple(
+            part._replace(output=part.output - level.output, input=part.input - level.input)
+            for part in self.parts
+        )
+        return self._replace(parts=moved, level=level)
+
+    def absolute(self) -> Recording:
+        """The recording as it was logged."""
+        if self.level is None:
+            return self
+        back = self.about(Level(-self.level.output, -self.level.input))
+        return back._replace(level=None)
 
     @property
     def samples(self) -> int:
         """How many there are in all logs."""
         return sum(part.time.size for part in self.parts)
+
+    def stretches(self, most: int, lag: int) -> Recording:
+        """The recording, or of a longer one stretches from all over it, of about `most` samples.
+
+        Each has `lag` samples more, in which not all that acts is known.
+        """
+        if self.samples <= 2 * most:
+            return self
+        parts, share = [], most / self.samples
+        for part in self.parts:
+            count = max(1, round(_STRETCHES * part.time.size / self.samples))
+            for rows in np.array_split(np.arange(part.time.size), count):
+                parts.append(part.rows(rows[: max(2, int(np.ceil(share * rows.size)) + lag)]))
+        return self._replace(parts=tuple(parts))
 
     def lag(self, delay: float) -> int:
         """How many samples ago an input was given, at most, that acts so many seconds late."""
@@ -198,7 +249,7 @@ def _split_at_gaps(parts: tuple[Part, ...]) -> tuple[Part, ...]:
     for part in parts:
         ends = np.flatnonzero(np.diff(part.time) > 1.5 * step) + 1
         rows = np.split(np.arange(part.time.size), ends)
-        pieces += [Part(*(column[own] for column in part)) for own in rows if own.size > 1]
+        pieces += [part.rows(own) for own in rows if own.size > 1]
     if len(pieces) == len(parts) or not pieces or not _period(tuple(pieces))[1]:
         return parts
     return tuple(pieces)

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from deadtime.identification.cells import cells_of
 from deadtime.identification.delay_intervals import delay_intervals
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import Spread, inverse, require_seen, spread_of
-from deadtime.identification.log.recording import Part, Recording
+from deadtime.identification.levels import with_constant, without_level
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.largest import largest_maximum
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
 from deadtime.identification.noisy.restricted import restricted
 from deadtime.identification.over_peaks import ends_over_peaks
@@ -20,10 +23,9 @@ from deadtime.identification.scoring import Maximum
 from deadtime.identification.start import Start
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.numerics.kernels import expect_many_calls
-from deadtime.plant import SwitchedSystem
 
-_ENOUGH = 10_000  # samples that tell which of two beginnings is the better one
-_STRETCHES = 10
+_ENOUGH = 10_000  # samples that tell how noise is restricted
+_FEW = 4_000  # samples that tell where the largest maximum is
 _UNTOLD = 1e-4  # of information on the logarithm of a noise: there may be none at all
 _FLOOR = 1e-9  # of the variance of a period that W has in every direction, to start from
 
@@ -92,15 +94,28 @@ def estimate_with_noise(
 ) -> Estimate:
     """The estimate if sensors are noisy, from that without noise."""
     expect_many_calls()
-    layout, W = exact.log.layout, exact.disturbance.mean(axis=0)
+    back, layout, theta = np.linalg.pinv(C), exact.log.layout, exact.best.theta
+    if recording.level is not None:
+        theta, layout = with_constant(theta, layout, recording.level, back)
     log = NoisyLog(recording, layout, C, within, bounds, exact.log.nodes)
-    starts = [log.join(exact.best.theta, noise) for noise in first_noises(W, C, recording.step)]
-    lag = recording.lag(exact.window[1])
-    some = replace(log, recording=stretches(recording, _ENOUGH, lag))
-    tried = [maximise(some, start, window=exact.window) for start in starts]
-    theta = max(tried, key=lambda one: one[0].found.value)[0].theta
-    best, window = maximise(log, theta)
-    return estimated_of(log, best, window, exact.start, exact.spare)
+    some = replace(log, recording=recording.stretches(_FEW, recording.lag(bounds[1])))
+    W = exact.disturbance.mean(axis=0)
+    begins = [some.join(theta, noise) for noise in first_noises(W, C, recording.step)]
+    top, scan = largest_maximum(some, begins)
+    best, window = maximise(log, top.theta)
+    log, theta = without_level(log, best.theta, best.found.information, back)
+    if log.layout is not layout:
+        best, window = maximise(log, theta)
+    curves = scan.curves * (recording.samples / some.recording.samples)
+    return estimated_of(log, best, window, start_beside(log, best, scan.first, curves), exact.spare)
+
+
+def start_beside(
+    log: NoisyLog, best: Maximum, first: int, curves: Float[np.ndarray, "delay cell"]
+) -> Start:
+    """A maximum, and how likely a scan says that each cell of a delay is beside it."""
+    cells = cells_of(best.theta[log.layout.at_delays], log.recording.step)
+    return Start(best.theta[: log.layout.size], cells, first, curves)
 
 
 def estimated_of(
@@ -114,10 +129,10 @@ def estimated_of(
     recording, layout, starts = log.recording, log.layout, log.starts(*window)
     beyond = max(log.measured(starts) - log.free.size, 1)
     lag = recording.lag(window[1])
-    some = replace(log, recording=stretches(recording, _ENOUGH, lag))
+    some = replace(log, recording=recording.stretches(_ENOUGH, lag))
     spread, theta = _spread(log, some, best, window, float(beyond))
     intervals, several = delay_intervals(log, best, window, spread, start)
-    A, B, delays = layout.split(theta[: layout.size])
+    plant = layout.plant(theta[: layout.size])
     noise = log.noise(theta)
     white = noisy_residuals(log, theta, starts)
     spent = None if log.embedding is None else 2 * layout.n * len(log.C)
@@ -125,7 +140,7 @@ def estimated_of(
         log=log,
         best=best._replace(theta=theta),
         window=window,
-        plant=SwitchedSystem(A, B, delays),
+        plant=plant,
         spread=spread,
         intervals=intervals,
         several=several,
@@ -133,7 +148,7 @@ def estimated_of(
         disturbance=np.tile(noise.W, (layout.modes, 1, 1)),
         noise=noise.deviation,
         spare=np.full(layout.modes, beyond) if spare is None else spare,
-        tests=judge_residuals(white, recording, float(delays.max()), spent),
+        tests=judge_residuals(white, recording, plant.longest_delay, spent),
         white=tuple(white),
         ends=ends_over_peaks(log, best, spread, start) if log.embedding is None else None,
     )
@@ -175,22 +190,6 @@ def noisy_residuals(
     known = np.vstack([np.isfinite(part.output) for part in parts]) & ~fresh
     white = np.where(known, e / np.sqrt(s), np.nan)
     return np.split(white, np.cumsum([part.time.size for part in parts])[:-1])
-
-
-def stretches(recording: Recording, most: int, lag: int) -> Recording:
-    """The recording, or of a longer one stretches from all over it, of about `most` samples.
-
-    Each has `lag` samples more, in which not all that acts is known.
-    """
-    if recording.samples <= 2 * most:
-        return recording
-    parts, share = [], most / recording.samples
-    for part in recording.parts:
-        count = max(1, round(_STRETCHES * part.time.size / recording.samples))
-        for rows in np.array_split(np.arange(part.time.size), count):
-            own = rows[: max(2, int(np.ceil(share * rows.size)) + lag)]
-            parts.append(Part(*(column[own] for column in part)))
-    return recording._replace(parts=tuple(parts))
 
 
 def first_noises(

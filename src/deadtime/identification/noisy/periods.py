@@ -67,7 +67,7 @@ def even_periods(
 
     def periods(part: Part, rows: np.ndarray, _: np.ndarray) -> Periods:
         before = np.maximum(rows - 1, 0)
-        mode, z = part.mode[before], acting_evenly(part, before, cells)
+        mode, z = part.mode[before], acting_evenly(part, before, cells, layout.constant)
         added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, by_P.shape[1], n))
         for i in np.unique(mode):
             own = np.flatnonzero(mode == i)
@@ -79,16 +79,16 @@ def even_periods(
 
 
 def acting_evenly(
-    part: Part, k: Int[np.ndarray, " T"], cells: Int[np.ndarray, "mode m"]
+    part: Part, k: Int[np.ndarray, " T"], cells: Int[np.ndarray, "mode m"], constant: bool
 ) -> Float[np.ndarray, "T r"]:
-    """u_{k−N} of every input, then u_{k−N+1}, of periods k.
+    """u_{k−N} of every input, then u_{k−N+1}, of periods k, and 1 for a constant term.
 
-    0 where the log begins later: such periods are not used.
+    Inputs before the log are its first ones: such periods are used where it rests there.
     """
     oldest = k[:, None] - cells[part.mode[k]]
     rows = np.concatenate((oldest, oldest + 1), axis=1)
     u = np.nan_to_num(part.input[np.maximum(rows, 0), np.tile(np.arange(cells.shape[1]), 2)])
-    return np.where(rows >= 0, u, 0.0)
+    return np.hstack((u, np.ones((k.size, int(constant)))))
 
 
 def uneven_periods(
@@ -99,7 +99,7 @@ def uneven_periods(
 ) -> PeriodsOf:
     """Those of logs whose samples may be anywhere."""
     A, B, delays = layout.split(theta)
-    n, m, modes = layout.n, layout.m, range(layout.modes)
+    n, m, acting, modes = layout.n, layout.m, layout.acting, range(layout.modes)
     over = [transitions_of(A[i], nodes) for i in modes]
     noise = [noise_tables(A[i], L, nodes) for i in modes]
     tables = [(one.Phi, one.Phi_by_A, *own) for one, own in zip(over, noise, strict=True)]
@@ -108,7 +108,7 @@ def uneven_periods(
     def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> Periods:
         mode = part.mode[np.maximum(rows - 1, 0)]
         found = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
-        added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, n * n + n * m + m, n))
+        added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, n * (n + acting) + m, n))
         for i in np.unique(mode):
             own = np.flatnonzero(~fresh & (mode == i))
             k = rows[own] - 1
@@ -116,14 +116,17 @@ def uneven_periods(
             for result, table in zip(found, tables[i], strict=True):
                 result[own] = np.tensordot(weight, table, (1, 0))
             held, moved = acting_in(part, k, delays, nodes)
+            if layout.constant:
+                held = np.concatenate((held, weight[:, :, None]), axis=2)
             steady, by_A, pushed = forced[i]
             added[own] = np.tensordot(held, steady, ((1, 2), (0, 2)))
             by_added[own, : n * n] = np.tensordot(held, by_A, ((1, 2), (0, 3)))
-            for j in range(m):
+            for j in range(acting):
                 by_B = np.tensordot(held[:, :, j], over[i].W.swapaxes(1, 2), (1, 0))
-                by_added[own[:, None], n * n + np.arange(n) * m + j] = by_B
+                by_added[own[:, None], n * n + np.arange(n) * acting + j] = by_B
+            for j in range(m):
                 by_D = -np.tensordot(moved[:, :, j], pushed[:, :, j], (1, 0))
-                by_added[own, n * n + n * m + j] = by_D
+                by_added[own, n * (n + acting) + j] = by_D
         Phi, by_Phi, Q, by_Q = found
         return Periods(mode, np.arange(rows.size), Phi, by_Phi, Q, by_Q, added, by_added)
 

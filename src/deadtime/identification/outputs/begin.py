@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.delay_scan import scanned
+from deadtime.identification.noisy.largest import of_sensors
 from deadtime.identification.noisy.likelihood import Noise, NoisyLog
-from deadtime.identification.noisy.noise import stretches
 from deadtime.identification.outputs.past import chains_by_past
-from deadtime.identification.outputs.start import Guess, scanned
+from deadtime.identification.outputs.start import Guess
 from deadtime.identification.uneven import gridded
 
 _SHARES = 1.0, 1e-2, 1e-4  # of the plant's noise that chains with zeros begin with
 _APART = 8, 4, 2, 1  # periods between outputs that stand for states
 _NOTHING = 1e-8  # of the plant's noise, where it is left out
-_LESS = 1e-4  # of the plant's noise, where all errors may be the sensors'
 _FEW = 1_000  # samples for climbs with noise held
 _GAIN = 1e-2  # of log likelihood that is worth a step while noise is held
 
@@ -51,7 +51,7 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
     _, B, delays = layout.split(guess.theta)
     W, deviation = guess.noise[-1]
     lag = grid.lag(log.bounds[1])
-    few = replace(log, recording=stretches(log.recording, _FEW, lag))
+    few = replace(log, recording=log.recording.stretches(_FEW, lag))
     even, held = replace(few, recording=gridded(few.recording)), np.arange(log.size) >= layout.size
     begins = []
     for apart in _APART:
@@ -63,15 +63,3 @@ def by_past(log: NoisyLog, guess: Guess) -> list[np.ndarray]:
         best, _ = maximise(few, begin, held, log.bounds, _GAIN)
         begins.append(of_sensors(log, best.theta))
     return begins
-
-
-def of_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
-    """The same plant, as if all that it cannot foretell were noise of the sensors."""
-    e, _ = log.innovations(vector, log.starts(*log.bounds))
-    changed, (i, j) = vector.copy(), log.places
-    L = slice(log.layout.size, log.layout.size + i.size)
-    less = np.sqrt(_LESS)
-    changed[L] = np.where(i == j, vector[L] + np.log(less), less * vector[L])
-    error = np.sqrt(np.mean(e**2, axis=0))
-    changed[L.stop :] = np.log(np.maximum(error, np.finfo(float).tiny))
-    return changed

@@ -10,27 +10,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from deadtime.base.wording import number_of
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.maximum import maximise
+from deadtime.identification.noisy.delay_scan import Scanned
+from deadtime.identification.noisy.largest import largest_maximum
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.noise import stretches
-from deadtime.identification.outputs.begin import begins_of, by_past, of_sensors
+from deadtime.identification.outputs.begin import begins_of, by_past
 from deadtime.identification.outputs.embedding import Embedding
 from deadtime.identification.outputs.other_delays import others_of
-from deadtime.identification.outputs.start import Guess, Scanned, guess_of, scanned
+from deadtime.identification.outputs.start import Guess, guess_of
 from deadtime.identification.parameters import Layout
 from deadtime.identification.scoring import Maximum
 from deadtime.identification.uneven import gridded, nodes_for
 from deadtime.numerics.kernels import expect_many_calls
 
 _FEW = 4_000  # samples that tell where to begin
-_ROUNDS = 3  # of scans, each about the likeliest plant so far
-_BETTER = 0.1  # of log likelihood: cells that are worth going to
-_GAIN = 1e-4  # of log likelihood that a beginning may be short of: a pole too many runs for ever
-_NEARLY = 3.0  # of log likelihood: delays that may be the likeliest after all
 CHANCE = 1e-3  # that inputs seem to act on all states though they do not
 
 
@@ -85,7 +79,7 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
     guess = guess_of(gridded(recording), layout, order, bounds, within)
     shape = Embedding(order, zeros is True, guess.size, lead)
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
-    some = stretches(recording, _FEW, recording.lag(bounds[1]))
+    some = recording.stretches(_FEW, recording.lag(bounds[1]))
     log = NoisyLog(some, layout, shape.C, within, bounds, nodes, shape)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
@@ -104,42 +98,7 @@ def chosen_of(request: Request, lead: tuple[int, ...] | None = None) -> Chosen:
 
 def _begun(log: NoisyLog, guess: Guess, *more: np.ndarray) -> tuple[Maximum, Scanned]:
     """The likeliest plant that scans of all delays or outputs' past lead to; and the last scan."""
-    scan, grid = None, replace(log, recording=gridded(log.recording))
-    found = [_climbed(log, begin) for begin in by_past(log, guess)]
-    for begin in (*begins_of(log, guess), *more):
-        scan = scanned(grid, begin)
-        found.append(_climbed(log, scan.moved(begin)))
-    best = max(found, key=lambda one: one.found.value)
-    for _ in range(_ROUNDS):
-        scan = scanned(grid, best.theta)
-        tried = [_climbed(log, theta) for theta in _others(log, best, scan)]
-        top = max(tried, key=lambda one: one.found.value, default=best)
-        if top.found.value < best.found.value + _BETTER:
-            break
-        best = top
-    assert scan is not None
-    return best, scan
-
-
-def _others(log: NoisyLog, best: Maximum, scan: Scanned) -> list[np.ndarray]:
-    """Where else a maximum may be: where the scan is, and of each delay where it is nearly so.
-
-    And where errors are all the sensors': a climb does not come back from a sensor without noise.
-    """
-    place, h = log.layout.at_delays, log.recording.step
-    found = [of_sensors(log, best.theta), *others_of(log, best.theta)]
-    if np.abs(scan.theta[place] - best.theta[place]).max() >= h:
-        found.append(scan.moved(best.theta))
-    for row, curve in enumerate(scan.curves):
-        D = (scan.first + np.arange(curve.size) - 0.5) * h
-        near = (curve > curve.max() - _NEARLY) & (np.abs(D - best.theta[place][row]) > 1.5 * h)
-        if near.any():
-            theta = best.theta.copy()
-            theta[place.start + row] = D[near][curve[near].argmax()]
-            found.append(theta)
-    return found
-
-
-def _climbed(log: NoisyLog, vector: np.ndarray) -> Maximum:
-    """The maximum that a vector leads to, over the whole range of delays."""
-    return maximise(log, vector, window=log.bounds, gain=_GAIN)[0]
+    begins = (*begins_of(log, guess), *more)
+    return largest_maximum(
+        log, begins, by_past(log, guess), lambda theta: others_of(log, theta)
+    )

@@ -21,7 +21,7 @@ from deadtime.identification.noisy.filtering import (
     filtered as innovations,
 )
 from deadtime.identification.noisy.periods import Periods
-from deadtime.identification.outputs.smoother import Model, filtered, smoothed
+from deadtime.identification.noisy.smoother import Model, filtered, smoothed
 
 _VAGUE = 1e8  # variances of a sensor that a state is not known by
 _DECADES = 3.0  # of a stiffness: noise much larger, or smaller, than what the spline bends

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.outputs.chosen import CHANCE, Chosen, Request, chosen_of
 from deadtime.identification.outputs.embedding import Embedding
-from deadtime.identification.parameters import Layout
 
 _DOUBT = 0.05  # of a rise by chance: from there on zeros are plausible
 _WIDE = 0.2  # of an input's weight: a standard error that comes with poles that are not there
@@ -59,9 +60,7 @@ def order_too_high(request: Request, chosen: Chosen) -> list[str]:
     for j, count in enumerate(order):
         if count > 1:
             own = (*order[:j], count - 1, *order[j + 1 :])
-            layout = Layout(
-                request.layout.modes, sum(own), request.layout.m, request.layout.per_mode
-            )
+            layout = replace(request.layout, n=sum(own))
             asked = request._replace(layout=layout, order=own)
             fewer.append((chosen_of(asked, lead=order).bic, own))
     if not fewer or min(fewer)[0] >= chosen.bic:

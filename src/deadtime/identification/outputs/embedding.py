@@ -69,7 +69,8 @@ class Embedding(Frozen):
         n, upper = layout.n, self.upper
         at_A = layout.of_A[:, upper].reshape(-1)
         values = np.tile(self.shift()[upper], (layout.modes, 1, 1)).reshape(-1)
-        at_B = layout.of_B[:, upper].reshape(-1) if not self.zeros else np.zeros(0, int)
+        fixed = layout.of_constant if self.zeros else layout.of_B  # a constant only shifts a state
+        at_B = fixed[:, upper].reshape(-1)
         i, j = np.tril_indices(n)
         off = (i != j) & ~(np.isin(i, self.last) & np.isin(j, self.last))
         at_W = layout.size + np.flatnonzero(off)

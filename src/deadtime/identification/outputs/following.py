@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part
 from deadtime.identification.noisy.likelihood import NoisyLog
-from deadtime.identification.noisy.noise import stretches
-from deadtime.identification.outputs.smoother import Model, filtered, smoothed
+from deadtime.identification.noisy.smoother import Model, filtered, smoothed
 
 _MOST = 10_000  # samples of a long log whose states are looked at
 
@@ -53,6 +52,6 @@ def largest_of(
     log: NoisyLog, vector: Float[np.ndarray, " size"], window: tuple[float, float]
 ) -> Float[np.ndarray, " n"]:
     """The largest |x| of every state; of a long log in stretches from all over it."""
-    parts = stretches(log.recording, _MOST, log.recording.lag(window[1])).parts
+    parts = log.recording.stretches(_MOST, log.recording.lag(window[1])).parts
     states = np.vstack([following(log, vector, part, window).states for part in parts])
     return np.nanmax(np.abs(states), axis=0)

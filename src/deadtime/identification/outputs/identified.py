@@ -10,18 +10,17 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.cells import cells_of
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.levels import without_level
 from deadtime.identification.log.logged_modes import fit_switching
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.maximum import maximise
-from deadtime.identification.noisy.noise import estimated_of
+from deadtime.identification.noisy.noise import estimated_of, start_beside
 from deadtime.identification.outputs.chosen import Chosen, Request, chosen_of
 from deadtime.identification.outputs.doubts import hardly_tells, order_too_high, zeros_in_doubt
 from deadtime.identification.outputs.other_delays import with_others
 from deadtime.identification.outputs.request import order_of, state_names
 from deadtime.identification.parameters import Layout
-from deadtime.identification.start import Start
 from deadtime.identification.uneven import nodes_for
 from deadtime.switching import SemiMarkov
 
@@ -49,7 +48,8 @@ def identify_outputs(
     """The likeliest plant with so many states of each output."""
     given = order_of(order, recording.outputs)
     _require_moving(recording)
-    layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode)
+    constant = recording.level is not None
+    layout = Layout(len(recording.modes), sum(given), len(recording.inputs), per_mode, constant)
     request = Request(recording, layout, given, zeros, bounds, within, progress)
     found, chosen = estimate_from_outputs(request)
     shape = chosen.shape
@@ -81,8 +81,11 @@ def estimate_from_outputs(request: Request) -> tuple[Estimate, Chosen]:
     log = replace(chosen.log, recording=recording, nodes=nodes)
     request.progress("looking how well the log tells it")
     top, window = maximise(log, best.theta)
-    cells = cells_of(top.theta[request.layout.at_delays], recording.step)
-    start = Start(top.theta[: request.layout.size], cells, scan.first, scan.curves)
+    log, theta = without_level(log, top.theta, top.found.information, chosen.shape.C.T)
+    if not log.layout.constant:
+        top, window = maximise(log, theta)
+    curves = scan.curves * (recording.samples / chosen.log.recording.samples)
+    start = start_beside(log, top, scan.first, curves)
     try:
         return estimated_of(log, top, window, start), chosen
     except ArgumentError as error:

@@ -70,12 +70,13 @@ def chains_by_past(
 def _rows(
     part: Part, shape: Embedding, lag: int, apart: int
 ) -> tuple[Int[np.ndarray, " row"], np.ndarray, np.ndarray, np.ndarray]:
-    """The mode, outputs, z_k and inputs, of rows that stay in a mode and of which all is known."""
+    """The mode, outputs, z_k, inputs and 1, of rows that stay in a mode and of which all is known."""
     before = (max(shape.order) - 1) * apart
     k = np.arange(before + lag, len(part.output) - apart)
     z = [part.output[k - a * apart, j] for j, n in enumerate(shape.order) for a in range(n)]
     y, z = part.output[k + apart], np.column_stack(z)
     u = part.input[k[:, None] + apart - 1 - np.arange(before + apart + lag)].reshape(k.size, -1)
+    u = np.hstack((u, np.ones((k.size, 1))))
     changes = np.concatenate(([0], np.cumsum(part.mode[1:] != part.mode[:-1])))
     own = np.isfinite(np.hstack((y, z, u))).all(axis=1)
     own &= changes[k + apart] == changes[k - before]

@@ -37,6 +37,11 @@ def order_of(order: Any, outputs: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(int(one) for one in given)
 
 
+def is_states(order: Any, outputs: tuple[str, ...]) -> bool:
+    """Whether outputs are the states: one of each."""
+    return set(order_of(order, outputs)) == {1}
+
+
 def require_logged(C: Any, noise: bool | None, hidden: bool) -> None:
     """Refuse what outputs alone are not identified with."""
     if C is not None:

@@ -47,7 +47,7 @@ def plot_identification(fit: Identification) -> Figure:
 
 def shown(fit: Identification) -> Part:
     """What figures show of the log: its beginning."""
-    return Part(*(column[:_SHOWN] for column in fit._recording.parts[0]))
+    return fit._recording.parts[0].rows(slice(_SHOWN))
 
 
 def draw_modes(axes: Axes, fit: Identification, part: Part) -> None:
@@ -115,8 +115,10 @@ def draw_log(axes: list[Axes], fit: Identification, part: Part) -> None:
 def _curves(fit: Identification, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States as logged, a sample ahead, and run freely; smoothed where they were not logged."""
     if (log := fit._found.of_outputs) is None:
-        logged = part.output @ np.linalg.pinv(fit.C).T
-        return logged, *forecast(part, fit.plant, fit._found.log.nodes, fit.C)
+        logged, found = part.output @ np.linalg.pinv(fit.C).T, fit._found
+        layout = found.log.layout
+        constant = layout.constant_of(found.best.theta[: layout.size])
+        return logged, *forecast(part, fit.plant, constant, fit._found.log.nodes, fit.C)
     found = following(log, fit._found.best.theta, part, fit._found.window)
     measured = fit.C.any(axis=0)
     logged = np.where(measured, part.output @ fit.C, found.states)

@@ -1,0 +1,174 @@
+"""All delays of a log with noisy sensors, A and the noise held: each is a linear regression.
+
+With A, W and V as they are, errors of the filter are linear in what inputs and constant terms add,
+and a delay of N periods takes the column of u_{k−N}; one between N − 1 and N nearly a mean of two
+columns. So every delay is a regression, of B alone, over the whole log. Constant terms are
+eliminated first: they are the same whatever the delays are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from deadtime.identification.noisy.likelihood import NoisyLog
+from deadtime.identification.noisy.smoother import Model, filtered, responses
+from deadtime.identification.parameters import Layout
+from deadtime.identification.regression import inputs_at
+from deadtime.identification.start import cell_range
+from deadtime.identification.transition import transitions_of
+
+_PARTS = 4  # of a period: delays that are tried
+_SWEEPS = 4  # over all delays, each in turn
+
+
+class Scanned(NamedTuple):
+    """The likeliest plant, and how likely each cell of a delay is beside it, from `first` on."""
+
+    theta: Float[np.ndarray, " size"]
+    first: int
+    curves: Float[np.ndarray, "delay cell"]
+
+    def moved(self, vector: Float[np.ndarray, " size"]) -> Float[np.ndarray, " size"]:
+        """The vector with its plant, and its own noise."""
+        return np.concatenate((self.theta, vector[self.theta.size :]))
+
+
+def scanned(log: NoisyLog, vector: Float[np.ndarray, " size"]) -> Scanned:
+    """All delays of an even log, A and noise as they are in `vector`."""
+    layout, h, shape = log.layout, log.recording.step, log.embedding
+    rows = np.arange(layout.n) if shape is None or shape.zeros else shape.last
+    first, last = cell_range(h, log.bounds, layout.m)
+    lags = np.arange(first - 1, last + 1)
+    gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)
+    scan = _Scan(gram, share, layout, lags.size)
+    own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
+    places, curves = scan.best(np.clip(own, 0, scan.options - 1))
+    B = np.zeros((layout.modes, layout.n, layout.acting))
+    B[:, rows, : layout.m] = scan.weights(tuple(places.tolist()))[0]
+    B[:, rows, layout.m :] = scan.constants(tuple(places.tolist()))
+    D = np.clip(h * (first - 1 + places / _PARTS), *log.bounds)
+    theta = layout.join(layout.split(vector)[0], B, layout.spread(D))
+    inside = [curves[:, a : a + scan.options - _PARTS : _PARTS] for a in range(_PARTS + 1)]
+    return Scanned(theta, first, np.max(inside, axis=0))
+
+
+def _gram(
+    log: NoisyLog, vector: np.ndarray, rows: np.ndarray, lags: np.ndarray
+) -> Float[np.ndarray, "z z"]:
+    """Sums of the errors without inputs and of the responses to each: modes, rows, lags × m (+ 1).
+
+    Constant terms come last in each row, where there are any.
+    """
+    layout, h = log.layout, log.recording.step
+    A = layout.split(vector[: layout.size])[0]
+    starts, total = log.starts(*log.bounds), 0.0
+    left_out = log.initial(starts)
+    push = np.array([transitions_of(one, np.array([h])).W[0][:, rows] for one in A])
+    for part, start, known in zip(log.recording.parts, starts, left_out, strict=True):
+        periods = log.periods(vector, part, start)
+        model = Model.of(log, vector, periods)
+        free = filtered(part.output, start, periods.kind, np.zeros(periods.added.shape), model)
+        row = np.arange(-1, start.size - 1)[:, None] - lags
+        u = np.nan_to_num(inputs_at(part, row)).reshape(start.size, -1)
+        u = np.hstack((u, np.ones((start.size, int(layout.constant)))))
+        added = responses(free, start, periods.kind, push, u, model)
+        e = (free.error / np.sqrt(free.variance))[..., None]
+        z = np.concatenate((e, added), axis=2)[~known & np.isfinite(part.output)]
+        total = total + z.T @ z
+    return np.asarray(total)
+
+
+def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "mode part r r"]:
+    """What of b the newer of two inputs adds in a period, at every part of it.
+
+    An input that arrives a part f of the period h late acts on the rest of it, W((1 − f) h) b =
+    W(h) K b. K is close to 1 − f, which stands for it where b has rows that are 0.
+    """
+    late = np.arange(_PARTS) / _PARTS
+    modes, n = log.layout.modes, log.layout.n
+    if rows < n:
+        return np.tile((1.0 - late)[:, None, None] * np.eye(rows), (modes, 1, 1, 1))
+    A = log.layout.split(vector[: log.layout.size])[0]
+    acting = [transitions_of(one, log.recording.step * (1.0 - late)).W for one in A]
+    return np.array([[np.linalg.lstsq(W[0], part, rcond=None)[0] for part in W] for W in acting])
+
+
+class _Scan:
+    """Regressions of errors on what every input adds, at so many delays of each."""
+
+    def __init__(self, gram: np.ndarray, share: np.ndarray, layout: Layout, lags: int) -> None:
+        self.layout, self.rows, self.share = layout, share.shape[-1], share
+        self.options = (lags - 1) * _PARTS + 1
+        columns = lags * layout.m + layout.constant
+        every = 1 + np.arange(layout.modes * self.rows * columns).reshape(-1, self.rows, columns)
+        self.place = every[:, :, : lags * layout.m].reshape(-1, self.rows, lags, layout.m)
+        self.gram, self.constant = gram, every[:, :, lags * layout.m :].ravel()
+        self.by_constant = np.zeros((0, len(gram)))
+        if layout.constant:
+            G = gram[np.ix_(self.constant, self.constant)]
+            unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G), 1e-300))
+            scaled = np.linalg.pinv(G * unit * unit[:, None], rcond=1e-10, hermitian=True)
+            self.by_constant = (scaled * unit * unit[:, None]) @ gram[self.constant]
+            self.gram = gram - gram[:, self.constant] @ self.by_constant
+
+    def _columns(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Of each mode, row and input that acts, columns of two lags and what they weigh."""
+        of = self.layout.spread(np.arange(self.layout.delays))
+        at, weight = [], []
+        for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
+            if (place := places[of[i, j]]) is not None:
+                lag, part = divmod(place, _PARTS)
+                later = min(lag + 1, self.place.shape[2] - 1)
+                new = self.share[i, part, :, row]
+                at.append((self.place[i, :, lag, j], self.place[i, :, later, j]))
+                weight.append((new, np.eye(self.rows)[row] - new))
+        size = -1, 2 * self.rows
+        return np.array(at, int).reshape(size), np.array(weight).reshape(size)
+
+    def weights(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
+        """B (modes, rows, m), and the squares of errors that it explains."""
+        at, share = self._columns(places)
+        if not len(at):
+            return np.zeros(0), 0.0
+        G = np.einsum("ia,jb,iajb->ij", share, share, self.gram[at[:, :, None, None], at])
+        b = np.einsum("ia,ia->i", share, self.gram[at, 0])
+        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G), 1e-300))
+        w = unit * np.linalg.lstsq(G * unit * unit[:, None], b * unit, rcond=1e-10)[0]
+        shape = self.layout.modes, self.rows, -1
+        return w.reshape(shape) if None not in places else w, float(b @ w)
+
+    def constants(self, places: tuple[int | None, ...]) -> Float[np.ndarray, "mode row c"]:
+        """The constant terms beside the likeliest weights; none where there are none."""
+        at, share = self._columns(places)
+        acting = np.einsum("cia,ia->ci", self.by_constant[:, at], share)
+        terms = self.by_constant[:, 0] - acting @ self.weights(places)[0].ravel()
+        return terms.reshape(self.layout.modes, self.rows, -1)
+
+    def likelihood(self, places: tuple[int | None, ...]) -> float:
+        """Of errors in units of their deviation, but for a constant."""
+        return 0.5 * self.weights(places)[1]
+
+    def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The likeliest delays, and each one's curve beside them."""
+        delays, options = self.layout.delays, range(self.options)
+        begins = (None,) * delays, tuple(own.tolist())
+        best = max((self._ascended(begin) for begin in begins), key=self.likelihood)
+        curves = [
+            [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
+            for d in range(delays)
+        ]
+        return np.array(best), np.array(curves)
+
+    def _ascended(self, places: tuple[int | None, ...]) -> tuple[int, ...]:
+        """Delays of which none alone is better elsewhere."""
+        for _ in range(_SWEEPS):
+            before = places
+            for d in range(len(places)):
+                tried = [(*places[:d], c, *places[d + 1 :]) for c in range(self.options)]
+                places = max(tried, key=self.likelihood)
+            if places == before:
+                break
+        return places  # pyright: ignore[reportReturnType]
