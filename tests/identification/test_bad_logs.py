@@ -100,7 +100,7 @@ def test_the_digits_of_a_delay_show_how_sure_it_is():
 
 REFUSED = {
     "empty": (GOOD.iloc[:0], {}, "log must have at least 3 rows, got 0: log for longer"),
-    "short": (GOOD.iloc[:30], {}, "mode '0' has .* periods? .*: it is too short. The log lasts"),
+    "short": (GOOD.iloc[:30], {}, "mode '.' has .* periods? .*: it is too short. The log lasts"),
     "a mode hardly": (
         GOOD.assign(mode=np.arange(T) // 395),
         {"switches": "samples"},

@@ -111,9 +111,9 @@ def test_the_score_of_exact_states_is_the_derivative(record):
 
 def test_sums_of_an_even_log_tell_what_its_samples_tell():
     part = LOG.parts[0]
-    lags = lags_of(LOG.parts, 2, 6, 7, True)
+    lags = lags_of(LOG.parts, LAYOUT, 6, 7, True)
     rows = rows_of(part, 6, 7, True)
-    every = [stacked(part, rows[part.mode[rows] == i], 6, 7) for i in (0, 1)]
+    every = [stacked(part, rows[part.mode[rows] == i], 6, 7, False) for i in (0, 1)]
     by_sample = lags._replace(root=every)
     cells = np.full((2, 1), 7)
     one, S = concentrated(even_terms(lags, LAYOUT, H, cells, THETA), LAYOUT.size)
@@ -125,7 +125,7 @@ def test_sums_of_an_even_log_tell_what_its_samples_tell():
 
 def test_an_even_log_may_be_taken_for_an_uneven_one():
     rows = [rows_of(LOG.parts[0], 6, 7, True)]
-    lags = lags_of(LOG.parts, 2, 6, 7, True)
+    lags = lags_of(LOG.parts, LAYOUT, 6, 7, True)
     nodes = nodes_for(LOG.parts, TRUE.A)
     even, S = concentrated(even_terms(lags, LAYOUT, H, np.full((2, 1), 7), THETA), LAYOUT.size)
     uneven, S_uneven = concentrated(

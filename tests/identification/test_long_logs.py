@@ -6,7 +6,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.noisy.noise import stretches
+
 from synthetic_logs import Plant
 
 H = 0.05
@@ -18,13 +18,13 @@ def test_stretches_lie_all_over_a_long_log_and_a_short_one_is_left_whole():
         return Part(column, column[:, None], column[:, None], np.zeros(count, int))
 
     record = Recording((part(900), part(100)), 1.0, True, ("x",), ("u",), ("0",), False)
-    assert stretches(record, 500, 0) is record
-    some = stretches(record, 200, 0)
+    assert record.stretches(500, 0) is record
+    some = record.stretches(200, 0)
     assert 200 <= some.samples <= 211
     assert len(some.parts) == 10
     assert [p.time[0] for p in some.parts] == [*range(0, 900, 100), 0.0]
     assert all((np.diff(p.time) == 1.0).all() for p in some.parts)
-    longer = stretches(record, 200, 7)
+    longer = record.stretches(200, 7)
     assert [p.time.size for p in longer.parts] == [p.time.size + 7 for p in some.parts]
 
 

@@ -84,6 +84,7 @@ def saved(C, noise, W):
         noise=noise,
         C=C,
         uncertain=SimpleNamespace(covariance=np.eye(2)),
+        operating_point=None,
     )
     return problem_text(fit)
 

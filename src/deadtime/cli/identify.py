@@ -51,6 +51,7 @@ def identify(
     outputs: list[str] | None = None,
     order: list[int] | None = None,
     zeros: Annotated[bool | None, Parameter(negative="--no-zeros")] = None,
+    rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
     beside: Path | None = None,
     law: str | None = None,
     out: File = None,
@@ -90,6 +91,9 @@ def identify(
     zeros
         With order: whether inputs act on all states of an output, not the last derivative alone;
         by default where the log asks for it.
+    rest
+        Whether inputs before the log were those of its first row; by default where it begins at
+        rest and what is left of it does not contradict that.
     beside
         A problem file with a law: its delay margin is put beside the delay's interval.
     law
@@ -129,6 +133,7 @@ def identify(
             outputs=_columns(outputs, logs[0]),
             order=None if order is None else order[0] if len(order) == 1 else order,
             zeros=zeros,
+            rest=rest,
             progress=say,
         )
         said = list(fit.sentences)
@@ -248,6 +253,7 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "B": fit.plant.B,
         "delays": fit.delays,
         "delay_interval": fit.delay_interval,
+        "operating_point": _operating_point(fit),
         "disturbance": fit.disturbance,
         "noise": fit.noise,
         "intervals": {name: list(fit.interval(name)) for name in fit.names},
@@ -255,6 +261,11 @@ def _record(fit: Identification, said: list[str]) -> dict:
         "hidden": None if fit.hidden is None else _hidden(fit.hidden),
         "sentences": said,
     }
+
+
+def _operating_point(fit: Identification) -> dict | None:
+    point = fit.operating_point
+    return None if point is None else {"x": point.x, "u": point.u, "offset": fit.offset}
 
 
 def _hidden(hidden: HiddenModes) -> dict:

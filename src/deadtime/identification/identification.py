@@ -16,13 +16,13 @@ from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.hidden.found import HiddenModes
 from deadtime.identification.hidden.identified import Hidden
-from deadtime.identification.levels import OperatingPoint, operating_point
+from deadtime.identification.levels import Rest, rest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.outputs.following import largest_of
 from deadtime.identification.residuals import ResidualTests
 from deadtime.identification.results.sentences import sentences_of
 from deadtime.identification.unknowns import Unknowns
-from deadtime.plant import SwitchedSystem, UncertainPlant
+from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SemiMarkov
 
 if TYPE_CHECKING:
@@ -62,8 +62,6 @@ class Identification(Frozen):
         Of modes that were not logged: which was active when, and how sure that is.
     sentences : tuple of str
         What there is to say, in words.
-    operating_point : OperatingPoint or None
-        Where the plant rests: its states and inputs are deviations from that. None: at 0.
 
     Examples
     --------
@@ -87,7 +85,7 @@ class Identification(Frozen):
     _recording: Recording = field(repr=False)
     _C: Float[np.ndarray, "p n"] = field(repr=False)
     hidden: HiddenModes | None = None
-    operating_point: OperatingPoint | None = None
+    _rest: Rest | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -100,6 +98,7 @@ class Identification(Frozen):
         states: tuple[str, ...],
     ) -> Identification:
         """What there is to hand over of an estimate; `why` there is no switching model."""
+        rest = rest_of(found, np.linalg.pinv(C))
         return cls(
             found.plant,
             found.log.layout.spread(found.intervals),
@@ -113,11 +112,11 @@ class Identification(Frozen):
             recording.modes,
             found.best.found.value,
             recording.samples,
-            sentences_of(found, recording, why),
+            sentences_of(found, recording, why, rest, states),
             found,
             recording,
             C,
-            operating_point=operating_point(found, np.linalg.pinv(C)),
+            _rest=rest,
         )
 
     @classmethod
@@ -137,6 +136,16 @@ class Identification(Frozen):
         return self.plant.delays
 
     @property
+    def operating_point(self) -> OperatingPoint | None:
+        """Where the plant rests: its states and inputs are deviations from that. None: from 0."""
+        return None if self._rest is None else self._rest.point
+
+    @property
+    def offset(self) -> Float[np.ndarray, "mode n"]:
+        """What each mode adds to dx/dt at the operating point; 0 where all modes rest there."""
+        return np.zeros(self.plant.A.shape[:2]) if self._rest is None else self._rest.offset
+
+    @property
     def C(self) -> Float[np.ndarray, "p n"]:
         """What the log's columns are of the states; the identity where they are the states."""
         return self._C
@@ -148,7 +157,7 @@ class Identification(Frozen):
             return largest_of(log, self._found.best.theta, self._found.window)
         back, recording = np.linalg.pinv(self._C).T, self._recording.absolute()
         every = np.vstack([part.output @ back for part in recording.parts])
-        at = 0.0 if self.operating_point is None else self.operating_point.states
+        at = 0.0 if self.operating_point is None else self.operating_point.x
         return np.nanmax(np.abs(every - at), axis=0)
 
     @property

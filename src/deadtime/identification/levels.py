@@ -15,16 +15,16 @@ is left over is an offset of each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from deadtime.base.frozen import Frozen
 from deadtime.identification.intervals import inverse
 from deadtime.identification.log.recording import Level, Recording
 from deadtime.identification.parameters import Layout
+from deadtime.plant import OperatingPoint
 
 if TYPE_CHECKING:
     from deadtime.identification.estimate import Estimate
@@ -35,24 +35,18 @@ if TYPE_CHECKING:
 
 CHANCE = 0.01  # that constant terms are taken for such though there are none
 _APART = 1e-3  # that modes are taken to rest apart though they do not
-_NOTHING = 1e-6  # deviations of a log: a level so near to 0 is round-off
+_NOTHING = 1e-6  # of what states and inputs move dx/dt by: a term so small is round-off
 _RANK = 1e-6  # of the largest singular value, scaled: a direction that hardly moves a rest
 
 
-@dataclass(frozen=True, eq=False)
-class OperatingPoint(Frozen):
-    """Where a plant rests: dx/dt = A_σ (x − states) + B_σ (u(t − D) − inputs) + offset_σ.
+class Rest(NamedTuple):
+    """Where a plant rests, and what each mode adds there: dx/dt = A_σ (x − x₀) + … + offset_σ.
 
-    Attributes
-    ----------
-    states : (n,) array
-    inputs : (m,) array
-    offset : (modes, n) array
-        What each mode adds beside, x per second; 0 where modes rest at the same point.
+    error : (n + m,), standard errors of x₀ and u₀; offset : 0 where modes rest at the same point
     """
 
-    states: Float[np.ndarray, " n"]
-    inputs: Float[np.ndarray, " m"]
+    point: OperatingPoint
+    error: Float[np.ndarray, " xu"]
     offset: Float[np.ndarray, "mode n"]
 
 
@@ -61,9 +55,15 @@ def level_of(recording: Recording) -> Level:
     for part in recording.parts:
         if part.rests:
             own = slice(rest_rows(part.input))
-            return Level(np.nanmean(part.output[own], axis=0), part.input[0].copy())
+            return Level(known_mean(part.output[own]), part.input[0].copy())
     every = [np.vstack([part[a] for part in recording.parts]) for a in (1, 2)]
-    return Level(*(np.nanmean(one, axis=0) for one in every))
+    return Level(*(known_mean(one) for one in every))
+
+
+def known_mean(column: Float[np.ndarray, "sample p"]) -> Float[np.ndarray, " p"]:
+    """The mean of what is known of each column; 0 where nothing is."""
+    known = np.isfinite(column)
+    return np.where(known, column, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
 
 
 def rest_rows(entered: Float[np.ndarray, "sample m"]) -> int:
@@ -74,7 +74,7 @@ def rest_rows(entered: Float[np.ndarray, "sample m"]) -> int:
 
 def with_constant(
     theta: Float[np.ndarray, " size"], layout: Layout, level: Level, back: Float[np.ndarray, "n p"]
-) -> tuple[Float[np.ndarray, " size"], Layout]:
+) -> tuple[Float[np.ndarray, " larger"], Layout]:
     """The vector of the same plant about a level; `back` makes states of outputs."""
     if layout.constant:
         return theta, layout
@@ -90,13 +90,15 @@ def without_level(
     theta: Float[np.ndarray, " size"],
     information: Float[np.ndarray, "size size"],
     back: Float[np.ndarray, "n p"],
-) -> tuple[_Log, Float[np.ndarray, " size"]]:
+) -> tuple[_Log, Float[np.ndarray, " smaller"]]:
     """The likelihood, and where to climb on, without constant terms if the log does not ask for them.
 
     information : of a vector at which the likelihood is largest
     """
     layout, level = log.layout, log.recording.level
-    if level is None or not layout.constant or needs_level(layout, theta, information, level, back):
+    if level is None or not layout.constant:
+        return log, theta
+    if _needs_level(layout, theta, information, log.recording, back):
         return log, theta
     smaller, kept = layout.without_constant()
     own = np.concatenate((kept, np.arange(layout.size, theta.size)))
@@ -104,53 +106,60 @@ def without_level(
     return plain, theta[own]
 
 
-def needs_level(
+def _needs_level(
     layout: Layout,
     theta: Float[np.ndarray, " size"],
     information: Float[np.ndarray, "size size"],
-    level: Level,
+    recording: Recording,
     back: Float[np.ndarray, "n p"],
 ) -> bool:
-    """Whether constant terms about 0 are told from none, by Wald's test."""
+    """Whether constant terms about 0 are told from none, by Wald's test, and from round-off."""
     from scipy.stats import chi2
 
+    assert recording.level is not None
+    level, scale = recording.level, _deviations(recording, back)
     terms, variance = _about(layout, theta, information, back @ level.output, level.input)
-    free = np.diagonal(variance) > 0.0
-    return free.any() and _wald(terms[free], variance[np.ix_(free, free)]) > float(
-        chi2.isf(CHANCE, int(free.sum()))
-    )
+    A, B, _ = layout.split(theta[: layout.size])
+    size = np.abs(np.concatenate((A, B[:, :, : layout.m]), axis=2)) @ scale
+    free = (np.diagonal(variance) > 0.0) & (np.abs(terms) > _NOTHING * size.ravel())
+    if not free.any():
+        return False
+    far = _wald(terms[free], variance[np.ix_(free, free)])
+    return far > float(chi2.isf(CHANCE, int(free.sum())))
 
 
-def operating_point(found: Estimate, back: Float[np.ndarray, "n p"]) -> OperatingPoint | None:
-    """Where the plant of an estimate rests; None where that is 0."""
+def rest_of(found: Estimate, back: Float[np.ndarray, "n p"]) -> Rest | None:
+    """Where the plant of an estimate rests; None where that is 0 as far as the log tells."""
     from scipy.stats import chi2
 
     log, recording = found.log, found.log.recording
     layout, level = log.layout, recording.level
     if level is None or not layout.constant:
         return None
-    theta = found.best.theta[: layout.size]
+    theta, information = found.best.theta[: layout.size], found.best.found.information
     A, B, _ = layout.split(theta)
-    every = [np.vstack([part[a] for part in recording.parts]) for a in (1, 2)]
-    scale = np.concatenate((np.abs(back) @ np.nanstd(every[0], axis=0), np.nanstd(every[1], axis=0)))
-    scale = np.where(scale > 0.0, scale, scale[scale > 0.0].min())
+    scale = _deviations(recording, back)
     M = np.vstack([np.hstack((A[i], B[i][:, : layout.m])) for i in range(layout.modes)])
     size = 1.0 / np.maximum(np.linalg.norm(M * scale, axis=1), 1e-300)
     weighted = size[:, None] * M * scale
-    terms = layout.constant_of(theta).ravel()
-    shift = scale * np.linalg.lstsq(weighted, -size * terms, rcond=_RANK)[0]
-    at, of = shift[: layout.n], shift[layout.n :]
-    left, variance = _about(layout, theta, _information(found), -at, -of)
-    free, rank = np.diagonal(variance) > 0.0, np.linalg.matrix_rank(weighted, tol=_RANK)
-    spare, offset = int(free.sum()) - int(rank), np.zeros(A.shape[:2])
-    if spare > 0 and _wald(left[free], variance[np.ix_(free, free)]) > chi2.isf(_APART, spare):
-        offset = left.reshape(A.shape[:2])
-    states, inputs = back @ level.output + at, level.input + of
-    return OperatingPoint(states, inputs, offset)
+    solve = scale[:, None] * np.linalg.pinv(weighted, rcond=_RANK) * size
+    shift = -solve @ layout.constant_of(theta).ravel()
+    states, inputs = shift[: layout.n], shift[layout.n :]
+    left, variance = _about(layout, theta, information, -states, -inputs)
+    free = np.diagonal(variance) > 0.0
+    spare = int(free.sum()) - int(np.linalg.matrix_rank(weighted, tol=_RANK))
+    apart = spare > 0 and _wald(left[free], variance[np.ix_(free, free)]) > chi2.isf(_APART, spare)
+    point = OperatingPoint(back @ level.output + states, level.input + inputs)
+    error = np.sqrt(np.einsum("ab,bc,ac->a", solve, variance, solve).clip(0.0))
+    return Rest(point, error, left.reshape(A.shape[:2]) if apart else np.zeros(A.shape[:2]))
 
 
-def _information(found: Estimate) -> Float[np.ndarray, "size size"]:
-    return found.best.found.information
+def _deviations(recording: Recording, back: Float[np.ndarray, "n p"]) -> Float[np.ndarray, " xu"]:
+    """Of states and inputs over the log."""
+    every = [np.vstack([part[a] for part in recording.parts]) for a in (1, 2)]
+    states, inputs = (np.nanstd(one, axis=0) for one in every)
+    scale = np.concatenate((np.abs(back) @ states, inputs))
+    return np.where(scale > 0.0, scale, scale.max())
 
 
 def _about(

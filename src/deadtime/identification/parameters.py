@@ -72,7 +72,7 @@ class Layout:
     @property
     def least_periods(self) -> int:
         """How many periods each mode needs: twice what a state's regression costs, and one."""
-        return 2 * (self.n + 2 * self.m + self.constant) + 1
+        return 2 * (self.n + 2 * self.m) + 1
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """One value per delay as (modes, m)."""

@@ -22,7 +22,7 @@ from deadtime.identification.transition import transitions_of
 from deadtime.identification.untold import require_enough
 
 MOST_COLUMNS = 1000  # of past inputs, in a scan
-_NEARLY_ALL = 0.9  # of the periods of each mode: so many that all cells are compared by
+_MOST_OF = 0.75  # of the periods of each mode: so many that all cells are compared by
 _ENOUGH = 10_000  # samples that tell where to begin, where cells are compared by their own periods
 _ALL = 2000  # combinations of cells that are all tried
 
@@ -59,13 +59,13 @@ def start_of(
 def _sums_of(
     recording: Recording, layout: Layout, first: int, last: int, within: bool
 ) -> _CommonPeriods | _OwnPeriods:
-    """The periods that a scan compares cells by: the same for all where hardly any is lost so."""
+    """The periods that a scan compares cells by: the same for all where most are left so."""
     lags = lags_of(recording.parts, layout, first - 1, last, within, root=False)
     every = np.zeros(layout.modes)
     for part in recording.parts:
         own = part.mode[:-1][known_ends(part, within)]
         every += np.bincount(own, minlength=layout.modes)
-    if (lags.periods >= _NEARLY_ALL * every).all():
+    if (lags.periods >= _MOST_OF * every).all():
         return _CommonPeriods(lags.root, lags.periods)
     some, z = recording.stretches(_ENOUGH, last), [[] for _ in range(layout.modes)]
     for part in some.parts:
@@ -86,17 +86,18 @@ class _CommonPeriods(NamedTuple):
         """Σ z zᵀ of some columns, and over how many periods."""
         return self.gram[mode][np.ix_(columns, columns)], int(self.count[mode])
 
-    def unseen(self, mode: int, count: int) -> float:
+    def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
         """The log likelihood of all other periods: there are none."""
         return 0.0
 
 
 class _OwnPeriods:
-    """For each cell the periods whose inputs are known there; others as if nothing acted.
+    """For each cell the periods whose inputs are known there.
 
-    A delay that leaves out periods in which a state answers an input would else explain the rest
-    as well as the true one explains all. So what it leaves out counts with the density that a
-    regression on the states alone gives it.
+    A delay that leaves out periods in which a state answers an input would explain the rest as well
+    as the true one explains all. The likeliest is sought with what it leaves out as likely as a
+    regression on the states alone makes it; but it stays plausible where unknown inputs may have
+    done what is left out, so that this counts as all else does.
     """
 
     def __init__(self, z: list[Float[np.ndarray, "period z"]], n: int, constant: bool) -> None:
@@ -109,11 +110,12 @@ class _OwnPeriods:
         z = z[np.isfinite(z).all(axis=1)]
         return z.T @ z, len(z)
 
-    def unseen(self, mode: int, count: int) -> float:
-        """The log likelihood of all periods but so many, by states alone."""
+    def unseen(self, mode: int, count: int, each: float, plausible: bool) -> float:
+        """The log likelihood of all periods but so many, of which `each` is the others' mean."""
         M, every = self.of(mode, self._alone)
-        size = _residual_sizes(M, self._n)[1] / max(every - M.shape[0] + self._n, 1)
-        return -0.5 * (every - count) * float(np.log(size).sum())
+        if not plausible:
+            each = _mean_likelihood(M, every, self._n)
+        return (every - count) * each
 
 
 def cell_range(h: float, bounds: tuple[float, float], m: int) -> tuple[int, int]:
@@ -175,8 +177,8 @@ class _Scan:
         m, count = self.layout.m, self.cells.size
         modes = range(self.layout.modes) if mode is None else [mode]
 
-        def likelihood(chosen: tuple[int | None, ...]) -> float:
-            return sum(self._likelihood(i, chosen) for i in modes)
+        def likelihood(chosen: tuple[int | None, ...], plausible: bool = False) -> float:
+            return sum(self._likelihood(i, chosen, plausible) for i in modes)
 
         if count**m <= _ALL:
             table = {c: likelihood(c) for c in itertools.product(self.cells.tolist(), repeat=m)}
@@ -188,7 +190,7 @@ class _Scan:
                     options = [(*best[:j], c, *best[j + 1 :]) for c in self.cells.tolist()]
                     best = max(options, key=likelihood)
         scanned = [
-            [likelihood((*best[:j], c, *best[j + 1 :])) for c in self.cells.tolist()]
+            [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
             for j in range(m)
         ]
         return np.array(best), np.array(scanned)
@@ -207,30 +209,35 @@ class _Scan:
         """How many periods of a mode tell of some cells."""
         return self._sums(mode, tuple(chosen.tolist()))[1]
 
-    def _likelihood(self, mode: int, chosen: tuple[int | None, ...]) -> float:
+    def _likelihood(self, mode: int, chosen: tuple[int | None, ...], plausible: bool) -> float:
         M, count = self._sums(mode, chosen)
-        spare = count - (len(M) - self.layout.n)
-        if spare <= 0:
+        if count < self.layout.least_periods:
             return -np.inf
-        size = _residual_sizes(M, self.layout.n)[1] / spare
-        return -0.5 * count * float(np.log(size).sum()) + self.sums.unseen(mode, count)
+        each = _mean_likelihood(M, count, self.layout.n)
+        return count * each + self.sums.unseen(mode, count, each, plausible)
 
     def weights(self, mode: int, chosen: np.ndarray) -> Float[np.ndarray, "n r"]:
         """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1, by least squares."""
         M, _ = self._sums(mode, tuple(chosen.tolist()))
-        return _residual_sizes(M, self.layout.n)[0]
+        return _regressed(M, self.layout.n)[0]
 
 
-def _residual_sizes(
+def _mean_likelihood(M: Float[np.ndarray, "z z"], count: int, n: int) -> float:
+    """The log likelihood of each of so many periods, but for a constant, from Σ z zᵀ."""
+    spare = max(count - (len(M) - n), 1)
+    return -0.5 * (_regressed(M, n)[1] - n * float(np.log(spare)))
+
+
+def _regressed(
     M: Float[np.ndarray, "z z"], n: int
-) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, " n"]]:
-    """From Σ z zᵀ, z = (x_{k+1}, r_k): the regression, and the eigenvalues of Σ e eᵀ."""
+) -> tuple[Float[np.ndarray, "n r"], float]:
+    """From Σ z zᵀ, z = (x_{k+1}, r_k): the regression, and log det Σ e eᵀ."""
     unit = np.sqrt(np.maximum(np.diagonal(M), 1e-300))
     scaled = M / unit / unit[:, None]
     P = np.linalg.lstsq(scaled[n:, n:], scaled[n:, :n], rcond=1e-13)[0]
-    S = (scaled[:n, :n] - scaled[:n, n:] @ P) * unit[:n] * unit[:n, None]
-    size = np.linalg.eigvalsh(S).clip(1e-15 * unit[:n].min() ** 2)
-    return P.T * unit[:n, None] / unit[n:], size
+    S = scaled[:n, :n] - scaled[:n, n:] @ P
+    size = np.linalg.eigvalsh(S).clip(1e-15)
+    return P.T * unit[:n, None] / unit[n:], float((np.log(size) + 2.0 * np.log(unit[:n])).sum())
 
 
 def _logarithm(

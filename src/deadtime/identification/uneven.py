@@ -165,6 +165,7 @@ def node_term(
 
     P[:, :, :n], P[:, :, n:whole] = side(over.Phi), side(over.W @ B)
     by_P[: n * n, :, :, :n] = side(over.Phi_by_A.swapaxes(0, 1))
+    by_P[: n * n, :, :, n:whole] = side((over.W_by_A @ B).swapaxes(0, 1))
     for j in range(acting):
         by_P[n * n + np.arange(n) * acting + j, :, :, n + j] = over.W.transpose(2, 1, 0)
     for j in range(m):

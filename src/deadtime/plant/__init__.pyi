@@ -1,3 +1,4 @@
+from .operating_point import OperatingPoint as OperatingPoint
 from .sampled_plant import SampledPlant as SampledPlant
 from .steps import Window as Window
 from .switched_system import SwitchedSystem as SwitchedSystem

@@ -19,7 +19,7 @@ from deadtime.laws import (
     ExactPredictor,
     StateDependentPredictor,
 )
-from deadtime.plant import SwitchedSystem, UncertainPlant, Weight
+from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant, Weight
 from deadtime.simulation import Trajectory, simulate
 from deadtime.switching import Markov, Rule, SemiMarkov, SwitchingSignal
 from deadtime.switching.constraint import SwitchingConstraint
@@ -79,6 +79,8 @@ class Problem(Frozen):
         Of the cost by which its laws are compared; None: the identity.
     uncertain : UncertainPlant or None
         How well the plant that laws are made for is known; None: it says nothing of that.
+    operating_point : OperatingPoint or None
+        Where the plant rests: all states and inputs are deviations from it; None: 0, or not said.
     """
 
     name: str
@@ -110,6 +112,7 @@ class Problem(Frozen):
     weight: Weight | None = None
     constraint: SwitchingConstraint | None = None
     uncertain: UncertainPlant | None = None
+    operating_point: OperatingPoint | None = None
 
     def __post_init__(self) -> None:
         if not self.states:

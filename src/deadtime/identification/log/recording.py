@@ -164,7 +164,7 @@ def read_recording(
             )
     labels = labels_of(tables, column)
     parts = tuple(_part(table, names, acting, column, labels) for table in tables)
-    _require_moving(parts, acting)
+    parts, acting, constants = _moving(parts, acting)
     if check is not None:
         called = [table.name for table in tables]
         check(parts, (names, acting), called, lambda i, k: tables[i].place(k))
@@ -173,7 +173,9 @@ def read_recording(
     called, moved = map(_names_of, (names, acting))
     absent = absent_modes(tables, column, labels)
     logged = column is not None
-    return Recording(parts, step, even, called, moved, tuple(labels), logged, absent)
+    return Recording(
+        parts, step, even, called, moved, tuple(labels), logged, absent, constants=constants
+    )
 
 
 def _names_of(columns: Sequence[str]) -> tuple[str, ...]:
@@ -216,17 +218,31 @@ def _part(
     return Part(*map(read_only, (time, output, entered, mode)))
 
 
-def _require_moving(parts: tuple[Part, ...], inputs: tuple[str, ...]) -> None:
-    """Every input changes somewhere."""
-    for j, name in enumerate(inputs):
-        values = np.concatenate([part.input[:, j] for part in parts])
-        values = values[np.isfinite(values)]
-        if values.size == 0 or np.ptp(values) == 0.0:
-            raise ArgumentError(
-                f"{name} must change, got {'nothing' if values.size == 0 else values[0]} "
-                "throughout: an input that never moves tells nothing of its delay or its effect. "
-                "Move it, or leave it out by inputs=[…], --inputs."
-            )
+def _moving(
+    parts: tuple[Part, ...], inputs: tuple[str, ...]
+) -> tuple[tuple[Part, ...], tuple[str, ...], tuple[tuple[str, float], ...]]:
+    """Logs with the inputs that change somewhere, their names, and the others with their values."""
+    every = np.vstack([part.input for part in parts])
+    known = [column[np.isfinite(column)] for column in every.T]
+    moves = [values.size > 0 and np.ptp(values) > 0.0 for values in known]
+    if not any(moves):
+        name, values = inputs[0], known[0]
+        raise ArgumentError(
+            f"{name} must change, got {'nothing' if values.size == 0 else values[0]} "
+            "throughout: an input that never moves tells nothing of its delay or its effect. "
+            "Move it, or leave it out by inputs=[…], --inputs."
+        )
+    empty = [name for name, values in zip(inputs, known, strict=True) if values.size == 0]
+    if empty:
+        raise ArgumentError(
+            f"{empty[0]} must have values, got an empty column: leave it out by inputs=[…], "
+            "--inputs."
+        )
+    each = list(zip(inputs, known, moves, strict=True))
+    held = tuple((name, float(values[0])) for name, values, moving in each if not moving)
+    own = np.flatnonzero(moves)
+    kept = tuple(part._replace(input=read_only(part.input[:, own])) for part in parts)
+    return kept, tuple(name for name, _, moving in each if moving), held
 
 
 def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:

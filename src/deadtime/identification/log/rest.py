@@ -16,7 +16,8 @@ from deadtime.identification.log.recording import Part, Recording
 
 CHANCE = 1e-3  # that the rows that answer to inputs before the log look otherwise by chance
 _STILL = 0.05  # of what a state moves by in all of a log
-_FEW = 10  # changes of inputs: a test by steps, which may begin at once
+_FEW = 10  # stays of inputs between changes: fewer are a test by steps, which may begin at once
+_LONGER = 3.0  # times what inputs stay otherwise: so long is a rest
 _NOISE = 3.0  # deviations of what hardly moves
 _AT_LEAST = 3  # rows that states are still in, where there are as many
 
@@ -34,8 +35,9 @@ def _rests(part: Part) -> bool:
     if not np.isfinite(part.input[0]).all() or len(part.input) < _AT_LEAST:
         return False
     rows, known = rest_rows(part.input), part.input[np.isfinite(part.input).all(axis=1)]
-    changes = int((known[1:] != known[:-1]).any(axis=1).sum())
-    if rows == len(part.input) or (rows < _AT_LEAST and changes > _FEW):
+    stays = np.diff(np.flatnonzero((known[1:] != known[:-1]).any(axis=1)))
+    usual = rows < _LONGER * np.median(stays) if stays.size else False
+    if rows == len(part.input) or (usual and stays.size >= _FEW):
         return False
     own = part.output[: max(rows + 1, _AT_LEAST)]
     return all(_still(own[:, a], part.output[:, a]) for a in range(part.output.shape[1]))
@@ -49,7 +51,7 @@ def _still(x: Float[np.ndarray, " row"], every: Float[np.ndarray, " sample"]) ->
     noise = np.median(np.abs(np.diff(every, 2))) / (0.6745 * np.sqrt(6.0))
     half = max(1, x.size // 2)
     moved = abs(float(np.mean(x[-half:]) - np.mean(x[:half])))
-    return moved <= _STILL * float(np.ptp(every)) + _NOISE * noise * np.sqrt(2.0 / half)
+    return bool(moved <= _STILL * float(np.ptp(every)) + _NOISE * noise * np.sqrt(2.0 / half))
 
 
 def disproved(

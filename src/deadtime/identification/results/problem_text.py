@@ -36,6 +36,7 @@ def problem_text(fit: Identification, title: str = "", horizon: float | None = N
         f"inputs = {_texts(fit.inputs)}",
         *([] if _by_number(fit) else [f"modes = {_texts(fit.modes)}"]),
         "",
+        *_operating_point(fit),
         *_uncertainty(fit),
         "[gains]    # of least ∫|x|² + |u|²: change them to yours",
         f"lqr = {{Q = {_lists(np.eye(n))}, R = {_lists(np.eye(m))}}}",
@@ -70,6 +71,18 @@ def _delay_lines(fit: Identification) -> list[str]:
     rows = ends[:1] if same else ends
     within = "; ".join(f"{low:.6g} … {high:.6g}" for low, high in rows.reshape(-1, 2))
     return [f"delay = {value}    # s; at 95 %: {within}"]
+
+
+def _operating_point(fit: Identification) -> list[str]:
+    """Where the plant rests, and what modes add there, where that is not 0."""
+    if (point := fit.operating_point) is None:
+        return []
+    lines = ["[operating_point]    # all states and inputs of this file are deviations from it"]
+    lines += [f"x = {_lists(point.x)}", f"u = {_lists(point.u)}", ""]
+    for i, force in enumerate(fit.offset):
+        if force.any():
+            lines += ["[[offset]]", f"mode = {i}", f"force = {_lists(force)}", ""]
+    return lines
 
 
 def _uncertainty(fit: Identification) -> list[str]:

@@ -6,20 +6,24 @@ import numpy as np
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.noisy.noise_intervals import sensor_intervals
 from deadtime.identification.untold import counts_whole, reasons
 
 _EDGE = 1e-6  # of the range searched
-_AWAY = 3.0  # standard deviations: a column whose mean is so far from 0 may rest elsewhere
+_SINGULAR = 1e8  # a condition of A: such a mode, as an integrator, has no rest of its own
 _WIDE = 0.25  # of the range searched: an interval so long hardly tells a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
 _COARSE = 0.8  # of half a turn per period: faster oscillations than that may be aliases
 
 
-def sentences_of(found: Estimate, recording: Recording, why: str) -> tuple[str, ...]:
+def sentences_of(
+    found: Estimate, recording: Recording, why: str, rest: Rest | None, states: tuple[str, ...]
+) -> tuple[str, ...]:
     """How well the log knows the delays, what the residuals say, and what was left out."""
-    said = [*_delays(found, recording), *_noise(found), *_tests(found, recording)]
+    said = [*_delays(found, recording), *_levels(found, recording, rest, states)]
+    said += [*_noise(found), *_tests(found, recording)]
     said += _period(found, recording)
     for name in recording.absent:
         said.append(
@@ -98,6 +102,53 @@ def delay_names(recording: Recording, found: Estimate) -> list[str]:
     return [f"{name} in mode {mode}" for mode in recording.modes for name in inputs]
 
 
+def _levels(
+    found: Estimate, recording: Recording, rest: Rest | None, states: tuple[str, ...]
+) -> list[str]:
+    """Where the plant rests, and what is taken for granted of inputs."""
+    said = []
+    if rest is not None:
+        names, values = (*states, *recording.inputs), (*rest.point.x, *rest.point.u)
+        each = [
+            f"{name} = {v:.{_digits(v, 2.0 * e)}g}"
+            for name, v, e in zip(names, values, rest.error, strict=True)
+        ]
+        there, given = ", ".join(each[: len(states)]), ", ".join(each[len(states) :])
+        said.append(
+            f"The plant rests at {there} with {given}: its states and inputs are deviations from "
+            "this operating point."
+        )
+        said += _apart(found, recording, rest, states)
+    if any(part.rests for part in recording.parts):
+        said.append(
+            "Inputs before the log are taken for those of its first row, where it begins at rest: "
+            "if they were others, say rest=False, --no-rest."
+        )
+    for name, value in recording.constants:
+        said.append(
+            f"{name} is {value:.6g} throughout: the log tells nothing of what it does, and the "
+            "plant has no such input."
+        )
+    return said
+
+
+def _apart(
+    found: Estimate, recording: Recording, rest: Rest, states: tuple[str, ...]
+) -> list[str]:
+    """Where each mode rests with the same inputs, if not all rest there."""
+    if not rest.offset.any():
+        return []
+    where = []
+    for i, mode in enumerate(recording.modes):
+        A, c = found.plant.A[i], rest.offset[i]
+        if np.linalg.cond(A) < _SINGULAR:
+            at = rest.point.x - np.linalg.solve(A, c)
+            each = [f"{name} = {v:.4g}" for name, v in zip(states, at, strict=True)]
+            where.append(f"mode {mode} at {', '.join(each)}")
+    listed = f": {'; '.join(where)}" if where else ""
+    return [f"With these inputs modes rest apart{listed}. What each adds there is its offset."]
+
+
 def _noise(found: Estimate) -> list[str]:
     if not found.noise.any():
         return ["Measurements are taken as exact, and all noise as the plant's."]
@@ -116,7 +167,7 @@ def _tests(found: Estimate, recording: Recording) -> list[str]:
         said.append(
             f"What is left is not white: its correlation over {number_of(tests.lag, 'sample')} is "
             f"{tests.correlation:+.2f}. Intervals are too narrow then: a state is missing"
-            f"{_larger(found)}, the plant is not linear, {_resting(recording)}or "
+            f"{_larger(found)}, the plant is not linear, or "
             f"{_last_cause(found)}"
         )
     if not tests.unrelated:
@@ -164,22 +215,6 @@ def _larger(found: Estimate) -> str:
     more = tuple(count + 1 for count in shape.order)
     text = f"{more[0]}" if len(more) == 1 else f"up to {more}"
     return f" (raise order, --order, to {text})"
-
-
-def _resting(recording: Recording) -> str:
-    """Which columns stay away from 0, where the model rests without an input."""
-    every = np.vstack([part.output for part in recording.parts])
-    mean, deviation = np.nanmean(every, axis=0), np.nanstd(every, axis=0)
-    away = [
-        f"{name} ({m:.4g})"
-        for name, m, far in zip(
-            recording.outputs, mean, np.abs(mean) > _AWAY * deviation, strict=True
-        )
-        if far
-    ]
-    if not away:
-        return ""
-    return f"0 is not where {' and '.join(away)} would rest (subtract that), "
 
 
 def _last_cause(found: Estimate) -> str:

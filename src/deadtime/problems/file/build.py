@@ -12,7 +12,7 @@ from deadtime.base.wording import numbered
 from deadtime.estimation.observer import output_matrices
 from deadtime.feedback import Law
 from deadtime.imperfections import Imperfection, Sizes, StepDisturbance
-from deadtime.plant import SwitchedSystem, UncertainPlant
+from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.plant.weight import Weight, weight_of
 from deadtime.problems.file import schema
 from deadtime.problems.file.gains import as_numbers, build_gains, servo_gains
@@ -93,6 +93,7 @@ def build_problem(file: schema.ProblemFile, source: Path) -> Problem:
         constraint=promise,
         mean_sojourn=getattr(file.signal, "mean_sojourn", None),
         uncertain=_uncertain(file, plant),
+        operating_point=_operating_point(file, plant),
     )
 
 
@@ -111,6 +112,17 @@ def _uncertain(file: schema.ProblemFile, plant: SwitchedSystem) -> UncertainPlan
         return None
     with _section("uncertainty"):
         return UncertainPlant(plant, file.uncertainty.covariance)
+
+
+def _operating_point(file: schema.ProblemFile, plant: SwitchedSystem) -> OperatingPoint | None:
+    """Where the plant rests, where the file says so."""
+    if file.operating_point is None:
+        return None
+    with _section("operating_point"):
+        point = OperatingPoint(file.operating_point.x, file.operating_point.u)
+        require_shape("x", point.x, (plant.states,), "(n,)")
+        require_shape("u", point.u, (plant.inputs,), "(m,)")
+    return point
 
 
 def _start(run: schema.RunSection, plant: SwitchedSystem) -> tuple[np.ndarray, np.ndarray, float]:

@@ -75,6 +75,13 @@ class UncertaintySection(Section):
     )
 
 
+class OperatingPointSection(Section):
+    """Where the plant rests: all states and inputs of the file are deviations from it."""
+
+    x: Annotated[Vector, Shape("(n,)", [0.0, 0.0])] = Field(description="In units of the states.")
+    u: Annotated[Vector, Shape("(m,)", [0.0])] = Field(description="In units of the inputs.")
+
+
 class LqrSection(Section):
     """Weights of ∫ xᵀQx + uᵀRu."""
 
@@ -312,6 +319,9 @@ class ProblemFile(Section):
     plant: PlantSection
     uncertainty: UncertaintySection | None = Field(
         None, description="How well the plant is known, for `deadtime robustness`."
+    )
+    operating_point: OperatingPointSection | None = Field(
+        None, description="Where the plant rests; states and inputs are deviations from it."
     )
     gains: GainsSection
     cost: CostSection | None = Field(
