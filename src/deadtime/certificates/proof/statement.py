@@ -118,7 +118,11 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     rate = decay_rate(evidence)
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
     when = "over a period"
-    if isinstance(evidence, StretchEvidence):
+    if isinstance(evidence, StretchEvidence) and setting.transitions.bucket is not None:
+        most = f"{evidence.mu!r} to the power {setting.chatter}"
+        when = f"a switch raises it by {evidence.mu!r} at most, {most} in all, and beside that"
+        falls = f"per period {falls}" if rate else falls
+    elif isinstance(evidence, StretchEvidence):
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
         falls = f"per period {falls}" if rate else falls
@@ -186,6 +190,8 @@ def _measured(setting: Setting) -> str:
 
 def _how(evidence: Evidence | StretchEvidence) -> tuple[str, str]:
     """The kind of Lyapunov function, and what else was checked but inequalities in balls."""
+    if isinstance(evidence, StretchEvidence) and evidence.setting.transitions.bucket is not None:
+        return "Lyapunov function of the mode, which may rise at a switch", ""
     if isinstance(evidence, StretchEvidence):
         return "Lyapunov function of mode and age, followed along whole stretches of periods", ""
     split = "one factorisation with a rigorous error bound, and "

@@ -25,7 +25,8 @@ a mixed step leads to the modes that may follow, all others unless the class of 
 An average dwell time τ_a with chatter N₀ ≥ 2 allows N₀ + T/τ_a switches in any window of T. Then
 the "age" is the level of a bucket instead: it gains 1 per period, up to N₀ τ_a/h, and a switch
 takes r of it. Rounded up, a mixed step needs a ≥ ⌊r⌋ − 1 and leads to a + 1 − ⌊r⌋. More than one
-switch per period is not described.
+switch per period is not described. Where V depends on the mode alone and may rise by a factor μ at
+each switch (`stretches`), the level is left out: then only how many switches there are matters.
 
 A law that is told the mode of L samples ago acts at (i, a) by (i, a − L) where a ≥ L. Else it goes
 by what was seen b = L − a samples before i was. A sojourn shows at least q + 1 ≥ ⌊r⌋ = p samples,
@@ -199,6 +200,12 @@ class Transitions:
         each = zip(self.clocks, self.following, strict=True)
         return sum(len(after) * (clock.last - clock.first + 1) for clock, after in each)
 
+    @property
+    def at_any_level(self) -> int:
+        """How many steps there are that differ in more than the level of a bucket."""
+        told = (sum(1 for _ in self._told(i, 0)) for i in range(self.modes))
+        return sum(n * (1 + len(self.following[i])) for i, n in enumerate(told))
+
     def knots_of(self, mode: int, knots: tuple[int, ...]) -> tuple[int, ...]:
         """Those of some ages that a mode comes to."""
         return tuple(age for age in knots if age <= self.clocks[mode].last)
@@ -336,6 +343,14 @@ class Transitions:
     def stretches(self, knots: tuple[int, ...]) -> list[Stretch]:
         """The stretches between nodes at these ages, which `validate` found to cover the graph."""
         stretches = []
+        if self.bucket is not None:  # a node for each mode, whatever the level
+            each = [
+                step
+                for i, clock in enumerate(self.clocks)
+                for told in self._told(i, clock.last)
+                for step in self._steps(i, clock.last, *told)
+            ]
+            return [Stretch(0, 0, replace(step, age=0, next_age=0), 0, 0) for step in each]
         if self.losses:  # every age is a knot, and every stretch a period
             each = self.all(tuple(range(self.last + 1)))
             return [Stretch(step.age, 0, step, 0, step.next_age) for step in each]
