@@ -46,8 +46,8 @@ implies the others, as it does for V ≻ 0.
 A, B, delays, the period are balls of half a unit in the last place; ages come from quotients of
 decimals. All else is in Arb's balls at 160 bits: a comparison is true only if it is for all of one.
 
-**An average dwell time**, "stretches": V may rise by μ at a switch. Each period falls by g = ρ² μ^(−1/r),
-times μ where it switches, and k periods have N₀ + k/r switches at most: together ρ^(2k) μ^N₀.
+**An average dwell time**, "stretches": over a period V falls by ρ² μ^(−1/r), times μ where it
+switches. Of k periods at most N₀ + k/r do: together V falls by ρ^(2k) μ^N₀.
 """
 
 import argparse
@@ -809,18 +809,13 @@ def averaged(loop):
     need(loop.c.knots == [0], "knots are not 0 alone, as an average dwell time has them")
     mu, r = arb(loop.c.mu), fraction(loop.shortest[0])
     for i in loop.modes:
-        for row, lost, then in loop.told(i, 0):
-            for j in sorted({i} | loop.c.follow[i]):
-                name = f"mode {i}" + f", then {j}" * (j != i)
-                scale = mu ** ((j != i) - 1 / r)
-                prove(loop, name, loop.V(i, 0, lost), loop.V(j, 0, then), row, (i, j), scale=scale)
+        for (row, lost, then), j in itertools.product(loop.told(i, 0), {i} | loop.c.follow[i]):
+            V, scale = (loop.V(i, 0, lost), loop.V(j, 0, then)), mu ** ((j != i) - 1 / r)
+            prove(loop, f"mode {i}, then {j}", *V, row, (i, j), scale=scale)
 
 
 def stretches(loop):
     knots, c, highest = loop.c.knots, loop.c, max(loop.last)
-    if c.averaged:
-        averaged(loop)
-        return
     need(knots[-1] <= highest, f"the last knot is past the last age, {highest}")
     need(len(loop.modes) == 1 or knots[0] <= min(loop.q0), "the first knot is past a switch")
     fixed = not loop.ranged and c.vertices == 1 and not c.lost and not c.axes
@@ -941,7 +936,8 @@ def main():
             c = certificate(content)
             about = f": {summary(c)}; sha256 {digest[:16]}"
             need(arb(c.rate) * ball(c.step) <= -arb(c.rho).log(), "decay_rate is above −ln ρ/h")
-            (linear if c.linear else stretches)(Loop(c, start + arguments.limit))
+            kind = averaged if c.averaged else linear if c.linear else stretches
+            kind(Loop(c, start + arguments.limit))
         except Exception as error:  # whatever a foreign file brings about
             code, verdict = (1, "NOT PROVED: ") if c else (2, "UNREADABLE: ")
             verdict += f"{error}" if type(error) is ValueError else repr(error)

@@ -47,6 +47,7 @@ from deadtime.spectrum import GROWS, aged_row, constant_growth, with_memory
 from deadtime.switching.constraint import PerMode as Times
 
 LEVELS = (Level(0), Level(2), None, Level(4))  # None: along stretches
+# Where filters of left eigenvectors are rounded, or the levels of a bucket are many.
 EARLY_LEVELS = (Level(0), None, Level(2), Level(4))
 AGE_LEVELS = (Level(0), None, Level(2, 3))  # where the rows change with the age, V must, too
 FEW_AGES = 10  # so few that S may be one for each
@@ -300,15 +301,15 @@ def _rate(rho: float, setting: Setting) -> str:
 
 def _levels(setting: Setting) -> list[Level | None]:
     """What to try, quickest first; None: along stretches."""
-    # With memory, filters of left eigenvectors are rounded; V by level is linear, and seldom does.
-    remembers, averaged = setting.memory or setting.lost_samples, setting.chatter > 1
-    levels: tuple[Level | None, ...] = EARLY_LEVELS if remembers or averaged else LEVELS
+    remembers = setting.memory or setting.lost_samples
+    early = remembers or setting.chatter > 1
+    levels: tuple[Level | None, ...] = EARLY_LEVELS if early else LEVELS
     if setting.context == "mode_age":
         last = setting.transitions.last
         every = (Level(4, last, setting.order),) if last <= FEW_AGES else ()
         levels = AGE_LEVELS + every
     along = StretchSearch.suits(setting)
-    if along and setting.order <= whole(setting) and not averaged:  # V of the others would be found there
+    if along and setting.order <= whole(setting) and setting.chatter == 1:  # V of others is there
         quick = setting.inputs and not remembers
         levels = (*levels[: levels.index(None)], None) if quick else (None,)
     many = setting.order > LARGE or setting.family.ranges or setting.lost_samples

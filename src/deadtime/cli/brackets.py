@@ -118,6 +118,11 @@ def _limits(signals: Mapping[str, Any]) -> list[str]:
         found.append(f"Dwell times of the modes stay in proportion to {times} s.")
     elif signals.get("mode") is not None:
         found.append(f"The dwell time of mode {signals['mode']} moves; the others stay.")
+    if signals.get("chatter", 1) > 1:
+        found.append(
+            f"Dwell times τ are averages: {signals['chatter']} + T/τ switches in any T seconds at "
+            "most, one in a period."
+        )
     if signals.get("maximum_dwell") is not None:
         found.append("No sojourn is longer than the maximum dwell time of its mode.")
     if signals.get("transitions") is not None:

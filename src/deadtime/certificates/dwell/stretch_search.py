@@ -2,8 +2,9 @@
 
 The nodes are few: the first age at which a mode may be left and the last that is told apart, two
 between them where the order is small. Of an average dwell time there is one per mode, and the
-factor μ by which V may rise at a switch is tried at parts of what the slowest mode allows. Where steps are not known (a range of delays, a polytope
-of plants, samples that may be lost) no stretch has one matrix, so every age is a node.
+factor μ by which V may rise at a switch is tried at parts of what the slowest mode allows. Where
+steps are not known (a range of delays, a polytope of plants, samples that may be lost) no stretch
+has one matrix, so every age is a node.
 """
 
 from __future__ import annotations

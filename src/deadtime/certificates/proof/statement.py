@@ -119,9 +119,9 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
     falls = f"to at most {rho**2!r} of its value" if rate else "strictly"
     when = "over a period"
     if isinstance(evidence, StretchEvidence) and setting.transitions.bucket is not None:
-        most = f"{evidence.mu!r} to the power {setting.chatter}"
-        when = f"a switch raises it by {evidence.mu!r} at most, {most} in all, and beside that"
+        when = "over any number of periods"
         falls = f"per period {falls}" if rate else falls
+        falls += f", but for one factor of at most {evidence.mu!r} to the power {setting.chatter}"
     elif isinstance(evidence, StretchEvidence):
         ages = ", ".join(map(str, evidence.knots))
         when = f"from one node (a mode at one of the ages {ages}) to the next"
@@ -148,7 +148,7 @@ def statement(evidence: Evidence | StretchEvidence, cells: int) -> tuple[str, ..
         kept = f" What decays does so where {_measured(setting)}."
     kind, parts = _how(evidence)
     how = (
-        f"Proved by machine: a {kind} of order {setting.order}, {parts}{cells} inequalities in "
+        f"Proved by machine: a {kind}, of order {setting.order}, {parts}{cells} inequalities in "
         "ball arithmetic of 128 bits that cover every instant of a switch within a period: "
         f"{when} the Lyapunov function falls {falls}."
     )
