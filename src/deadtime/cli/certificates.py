@@ -258,6 +258,7 @@ def verify(
         names = laws_of(certificate, laws) if result.proven else []
         if names:
             matches = {"problem": chosen.name, "laws": names, "dwell_time": dwell, "step": period}
+            matches |= {"chatter": asked.chatter} if asked.chatter > 1 else {}
         elif result.proven:
             why = "Rejected: the certificate is about a table of none of the problem's laws."
             result = replace(result, proven=False, message=why)
@@ -268,7 +269,8 @@ def verify(
     else:
         _print_verification(result)
         if matches is not None:
-            with_chatter = f" on average (chatter {asked.chatter})" if asked.chatter > 1 else ""
+            of = matches.get("chatter", 1)
+            with_chatter = f" on average (chatter {of})" if of > 1 else ""
             print(
                 f"Matches {matches['problem']}: its plant, period {matches['step']:g} s, dwell "
                 f"time {matches['dwell_time']:g} s{with_chatter}, and its law "

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -205,7 +205,8 @@ def _questions(plant: SwitchedSystem, law: Law, step: float, shape: DwellShape) 
 
     @cache
     def proof(frequency: float) -> Certificate:
-        options = shape.signals(1.0 / frequency).options | {"chatter": shape.chatter}
+        options: dict[str, Any] = shape.signals(1.0 / frequency).options
+        options["chatter"] = shape.chatter
         return certify(plant, law, step=step, decay_rate=0.0, search_signals=False, **options)
 
     known: list[WorstCase] = []

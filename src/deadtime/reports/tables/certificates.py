@@ -127,7 +127,7 @@ def judge(
     count("mode_lag", mode_lag, 0)
     for end in delays or ():
         check_delays(end, problem.plant.delays.shape, "delays")
-    averaged = {"chatter": chatter} if count("chatter", chatter) > 1 else {}
+    averaged: dict[str, Any] = {"chatter": chatter} if count("chatter", chatter) > 1 else {}
     names = list(problem.laws) if laws is None else list(laws)
     for name in names:
         problem.law(name)
